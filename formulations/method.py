@@ -1,0 +1,127 @@
+"""A method: one way to find a plan. ONE FILE = ONE METHOD in formulations/methods; the file defines `METHOD`.
+
+    class SoftplusDC(Method):
+        name = "softplus_dc"
+        kind = Kind.INDIRECT
+        ...
+    METHOD = SoftplusDC()
+
+A method is opened once on a scene and may then be run for several eps, so that what can be kept between them
+(model, structure, duals) is kept:
+
+    with METHOD.open(scene, options) as session:
+        for eps in (1e-3, 1e-5, 1e-7):
+            solution = session.solve(eps=eps, warm_start=plan, time_limit=60.0)
+            plan = solution.trajectory
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from types import MappingProxyType, TracebackType
+
+from formulations.solution import Solution
+from models.errors import TouchstoneError
+from models.scene import Scene
+from models.trajectory import Trajectory
+
+
+class Kind(Enum):
+    """Indirect methods cheat on contact (and are expected to violate physics); direct methods do not."""
+
+    INDIRECT = "indirect"
+    DIRECT = "direct"
+
+
+class OptionError(TouchstoneError):
+    """An option or eps that the method does not know or that is out of range; one sentence says which and what was expected."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OptionSpec:
+    """One option of a method: its default, unit and meaning. `lower`/`upper` bound numbers (inclusive)."""
+
+    name: str
+    default: object
+    description: str
+    unit: str = "1"
+    lower: float | None = None
+    upper: float | None = None
+    choices: tuple[object, ...] = ()
+
+
+class Session(ABC):
+    """A method opened on a scene."""
+
+    @abstractmethod
+    def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
+        """One stage. eps: the relaxation (None for methods without one); warm_start: a plan on the same grid, or None for the
+        paper's first guess (initial state held, u = lam = 0); time_limit: wall seconds."""
+
+    def close(self) -> None:
+        """Free what the session holds."""
+
+    def __enter__(self) -> Session:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+
+class Method(ABC):
+    """See the module docstring."""
+
+    name: str
+    title: str
+    kind: Kind
+    needs_eps: bool  # whether `solve` takes a relaxation eps
+    options: tuple[OptionSpec, ...] = ()
+
+    @abstractmethod
+    def accepts(self, scene: Scene) -> str | None:
+        """None, or the reason why this method does not apply to the scene."""
+
+    @abstractmethod
+    def open(self, scene: Scene, options: Mapping[str, object] = MappingProxyType({})) -> Session:
+        """Open on a scene. Raises OptionError for unknown or impossible options."""
+
+    def check_eps(self, eps: float | None) -> None:
+        """Raise OptionError if eps is missing, superfluous or out of range (0 < eps < 1 unless the method says otherwise)."""
+        if not self.needs_eps:
+            if eps is not None:
+                raise OptionError(f"method {self.name}: it takes no eps, but {eps!r} was given; leave it out.")
+            return
+        if eps is None or isinstance(eps, bool) or not isinstance(eps, (int, float)) or not 0.0 < eps < 1.0:
+            raise OptionError(f"method {self.name}: eps is {eps!r}, but must be a number with 0 < eps < 1.")
+
+    def filled_options(self, options: Mapping[str, object]) -> dict[str, object]:
+        """All options with defaults filled in. Raises OptionError for unknown names and values out of range."""
+        from formulations.options import filled_options
+
+        return filled_options(self.name, self.options, options)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Leg:
+    """A run of one method over a schedule: the eps in order (one None for a method without eps), with its options.
+
+    `stage_options[i]` overrides `options` in stage i (e.g. the paper's iteration counts).
+    """
+
+    method: str
+    schedule: tuple[float | None, ...] = (None,)
+    options: Mapping[str, object] = field(default_factory=lambda: MappingProxyType({}))
+    stage_options: tuple[Mapping[str, object], ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pipeline:
+    """A chain of legs; each stage starts from the plan of the stage before it."""
+
+    name: str
+    title: str
+    legs: tuple[Leg, ...]
+    source: str = ""

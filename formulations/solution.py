@@ -1,0 +1,72 @@
+"""What every method hands back: a Solution. A method's private variables never leave it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from types import MappingProxyType
+
+from models.trajectory import Trajectory
+
+
+class Outcome(Enum):
+    """How a solve ended; the value is a sentence of advice for the user."""
+
+    SOLVED = "Solved: the method's own stopping rule was met."
+    ITERATION_LIMIT = "Stopped at the number of iterations it was given; allow more, or use the plan as a warm start."
+    TIME_LIMIT = "Stopped at its time limit; allow more time, or start it warm."
+    INFEASIBLE = "No plan satisfies the constraints (locally); check goal, bounds and horizon, or start from another guess."
+    DIVERGED = "Iterates or gradients grew without bound; use a smaller learning rate, bounds, or a method made for unstable scenes."
+    STALLED = "No further progress before the tolerances were met; start warm, or relax more gently."
+    EVALUATION_ERROR = "A function value was not a finite number; check the start and the parameters."
+    INTERRUPTED = "Stopped by the user."
+    REFUSED = "The method does not apply to this scene; the reason stands beside it."
+    CRASHED = "The process ended without an answer; the log tells more."
+    FAILED = "The solver ended in a way it does not explain; the log tells more."
+
+    @property
+    def has_answer(self) -> bool:
+        """Whether a plan may come with this outcome (valid or not)."""
+        return self in {Outcome.SOLVED, Outcome.ITERATION_LIMIT, Outcome.TIME_LIMIT, Outcome.STALLED, Outcome.INTERRUPTED}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seconds:
+    """Where the time of one stage went, in wall and CPU seconds of this process.
+
+    build: making the model; translate: model -> solver; evaluate: functions and derivatives; linear_algebra: the rest of the
+    solver; wall, cpu: the whole stage.
+    """
+
+    build: float = 0.0
+    translate: float = 0.0
+    evaluate: float = 0.0
+    linear_algebra: float = 0.0
+    wall: float = 0.0
+    cpu: float = 0.0
+
+    @property
+    def solve(self) -> float:
+        return self.evaluate + self.linear_algebra
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solution:
+    """The result of one stage.
+
+    outcome: how it ended; message: one sentence more, in words of this run ("" if none); trajectory: the plan, or None;
+    cost: sum of the running cost over the steps; iterations; residuals: unscaled, by name, recomputed from the model
+    (the certificate); options: every option used; history: per iteration, columns of equal length by name.
+    """
+
+    method: str
+    outcome: Outcome
+    message: str = ""
+    trajectory: Trajectory | None = None
+    cost: float | None = None
+    iterations: int = 0
+    seconds: Seconds = field(default_factory=Seconds)
+    residuals: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    options: Mapping[str, object] = field(default_factory=lambda: MappingProxyType({}))
+    history: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: MappingProxyType({}))

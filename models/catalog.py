@@ -1,0 +1,67 @@
+"""Finds scenes: those of this package by name, anybody's by path.
+
+    load_scene("three_cart")          load_scene("my/own_scene.py")
+
+A scene file defines `SCENE`, whose name equals the file's name. Nothing is imported until a scene is loaded.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib.util
+import sys
+from pathlib import Path
+
+from models.errors import SceneError, TouchstoneError, UnknownNameError
+from models.scene import Scene
+
+_FOLDER = Path(__file__).parent / "scenes"
+
+
+def scene_names() -> tuple[str, ...]:
+    """Names of the scenes of this package, sorted; reads file names only."""
+    return tuple(sorted(path.stem for path in _FOLDER.glob("*.py") if not path.stem.startswith("_")))
+
+
+def scene_path(reference: str) -> Path:
+    """The file of a scene given by name or by path to a .py file. Raises UnknownNameError, SceneError."""
+    if reference.endswith(".py"):
+        path = Path(reference)
+        if not path.is_file():
+            raise SceneError(f"scene file {reference}: there is no such file.")
+        return path.resolve()
+    if reference in scene_names():
+        return _FOLDER / f"{reference}.py"
+    close = difflib.get_close_matches(reference, scene_names(), n=1)
+    hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(scene_names())}; a scene of your own is given by the path of its .py file."
+    raise UnknownNameError(f"there is no scene {reference!r}; {hint}")
+
+
+def load_scene(reference: str) -> Scene:
+    """The scene of that name or file. Raises UnknownNameError or SceneError, naming the file."""
+    path = scene_path(reference)
+    if path.parent == _FOLDER:
+        module_name = f"models.scenes.{path.stem}"
+    else:
+        module_name = f"_touchstone_scene_{abs(hash(str(path)))}_{path.stem}"
+    if module_name in sys.modules and path.parent == _FOLDER:
+        module = sys.modules[module_name]
+    else:
+        spec = importlib.util.spec_from_file_location(module_name, path)
+        if spec is None or spec.loader is None:
+            raise SceneError(f"scene file {path}: it cannot be read as Python.")
+        module = importlib.util.module_from_spec(spec)
+        try:
+            spec.loader.exec_module(module)
+        except TouchstoneError as error:
+            raise SceneError(f"scene file {path}: {error}") from error
+        except Exception as error:  # noqa: BLE001 - anything may go wrong in a user's file; it is reported, not hidden
+            raise SceneError(f"scene file {path}: {type(error).__name__} while it was read: {error}") from error
+        if path.parent == _FOLDER:
+            sys.modules[module_name] = module
+    scene = getattr(module, "SCENE", None)
+    if not isinstance(scene, Scene):
+        raise SceneError(f"scene file {path}: it must define SCENE, a models.scene.Scene; found {type(scene).__name__}.")
+    if scene.name != path.stem:
+        raise SceneError(f"scene file {path}: SCENE.name is {scene.name!r} but must equal the file's name {path.stem!r}.")
+    return scene

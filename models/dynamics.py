@@ -1,0 +1,180 @@
+"""Scene -> equations of motion, and what the scene does *not* need.
+
+    M(q) dv/dt = tau(q, v, u) + J(q)' lam        lam_i = k_i * max(phi_i(q), 0)
+
+derived by computer algebra from the kinetic energy T, the potential energy V and the generalised forces Q (Lagrange):
+
+    M = d2T/dv2,    tau = Q - dV/dq + dT/dq - (d2T/dv dq) v,    J = -d phi/dq   (Jacobian of the gap)
+
+Every back end (Pyomo, PyTorch, C, FMU, the equations of the report) starts from the `Dynamics` returned by `derive`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import sympy as sp
+
+from models.scene import Scene
+
+
+_DERIVED: WeakKeyDictionary[Scene, Dynamics] = WeakKeyDictionary()
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What a scene has; whatever is False or empty here is left out of every generated model."""
+
+    constant_mass: bool
+    diagonal_mass: bool
+    linear: bool  # tau is affine in (q, v, u) and every penetration is affine in q
+    conservative_forces: bool  # a potential energy depends on q
+    dissipation: bool  # forces remain when the inputs are zero
+    inputs: bool
+    contacts: bool
+
+    @property
+    def absent(self) -> tuple[str, ...]:
+        """Words for what is not there, in the order of the fields."""
+        words = {
+            "a mass matrix that depends on q": self.constant_mass,
+            "inertial coupling": self.diagonal_mass,
+            "nonlinear forces or gaps": self.linear,
+            "a potential": not self.conservative_forces,
+            "damping": not self.dissipation,
+            "inputs": not self.inputs,
+            "contacts": not self.contacts,
+            "friction": True,
+        }
+        return tuple(word for word, is_absent in words.items() if is_absent)
+
+
+@dataclass(frozen=True, eq=False)
+class Dynamics:
+    """Symbolic equations of one scene. Vectors are SymPy column matrices.
+
+    q, v: nq symbols; u: nu; lam: nc contact force symbols [N]; p: np parameter symbols.
+    mass_matrix: (nq, nq); tau: (nq, 1); penetration, stiffness: (nc, 1); gap_jacobian: (nc, nq).
+    kinetic_energy, potential_energy [J]; input_power, dissipated_power [W] (power in and out besides contacts and potential).
+    """
+
+    scene: Scene
+    q: tuple[sp.Symbol, ...]
+    v: tuple[sp.Symbol, ...]
+    u: tuple[sp.Symbol, ...]
+    lam: tuple[sp.Symbol, ...]
+    p: tuple[sp.Symbol, ...]
+    mass_matrix: sp.Matrix
+    tau: sp.Matrix
+    penetration: sp.Matrix
+    stiffness: sp.Matrix
+    gap_jacobian: sp.Matrix
+    kinetic_energy: sp.Expr
+    potential_energy: sp.Expr
+    input_power: sp.Expr
+    dissipated_power: sp.Expr
+    running_cost: sp.Expr
+    structure: Structure
+
+    @property
+    def absent(self) -> tuple[str, ...]:
+        return self.structure.absent
+
+    @cached_property
+    def generalised_force(self) -> sp.Matrix:
+        """tau(q, v, u) + J(q)' lam: (nq, 1)."""
+        return self.tau + self.gap_jacobian.T * sp.Matrix(len(self.lam), 1, list(self.lam))
+
+    @cached_property
+    def acceleration(self) -> sp.Matrix | None:
+        """M^-1 (tau + J' lam) as closed expressions, (nq, 1); None where M depends on q and must be factorised numerically."""
+        if not self.structure.constant_mass:
+            return None
+        solved = self.mass_matrix.LUsolve(self.generalised_force)
+        return solved.applyfunc(lambda entry: sp.expand_mul(sp.cancel(entry)) if not self.structure.diagonal_mass else entry)
+
+    @cached_property
+    def parameter_values(self) -> np.ndarray:
+        """(np,) default parameter values, in the order of `p`."""
+        return np.array([parameter.value for parameter in self.scene.parameters], dtype=float)
+
+    def function(self, expressions: sp.Matrix | Sequence[sp.Expr], *groups: Sequence[sp.Symbol]) -> Callable[..., np.ndarray]:
+        """A numpy function of vectors: `f = d.function(d.tau, d.q, d.v, d.u); f(q, v, u)` -> array shaped like the matrix.
+
+        Parameters have their default values. Scalars in, scalars out: meant for tests and probes, not for inner loops.
+        """
+        matrix = sp.Matrix(expressions).subs(self.scene.parameter_values)
+        compiled = sp.lambdify([list(group) for group in groups], matrix, modules="numpy", cse=True)
+        shape = matrix.shape
+        return lambda *values: np.asarray(compiled(*(np.asarray(value, dtype=float) for value in values)), dtype=float).reshape(shape)
+
+
+def derive(scene: Scene) -> Dynamics:
+    """The equations of motion of a scene (kept with the scene object, so that they are derived once)."""
+    cached = _DERIVED.get(scene)
+    if cached is None:
+        cached = _DERIVED[scene] = _build(scene)
+    return cached
+
+
+def _build(scene: Scene) -> Dynamics:
+    q = tuple(coordinate.symbol for coordinate in scene.coordinates)
+    v = tuple(coordinate.velocity for coordinate in scene.coordinates)
+    u = tuple(item.symbol for item in scene.inputs)
+    lam = tuple(sp.Symbol(contact.force_name, real=True) for contact in scene.contacts)
+    p = tuple(parameter.symbol for parameter in scene.parameters)
+    kinetic, potential = sp.sympify(scene.kinetic_energy), sp.sympify(scene.potential_energy)
+    forces = sp.Matrix(scene.nq, 1, [sp.sympify(force) for force in scene.forces])
+
+    mass = sp.hessian(kinetic, v)
+    momentum = sp.Matrix([sp.diff(kinetic, velocity) for velocity in v])
+    coriolis = momentum.jacobian(q) * sp.Matrix(v) - sp.Matrix([sp.diff(kinetic, position) for position in q])
+    gravity = sp.Matrix([sp.diff(potential, position) for position in q])
+    tau = forces - gravity - coriolis
+
+    phi = sp.Matrix(scene.nc, 1, [contact.penetration for contact in scene.contacts])
+    stiffness = sp.Matrix(scene.nc, 1, [sp.sympify(contact.stiffness) for contact in scene.contacts])
+    jacobian = -phi.jacobian(q) if scene.nc else sp.zeros(0, scene.nq)
+
+    passive = forces.subs({item: 0 for item in u})
+    velocity = sp.Matrix(v)
+    return Dynamics(
+        scene=scene,
+        q=q,
+        v=v,
+        u=u,
+        lam=lam,
+        p=p,
+        mass_matrix=mass,
+        tau=tau,
+        penetration=phi,
+        stiffness=stiffness,
+        gap_jacobian=jacobian,
+        kinetic_energy=kinetic,
+        potential_energy=potential,
+        input_power=sp.expand((velocity.T * (forces - passive))[0]),
+        dissipated_power=sp.expand(-(velocity.T * passive)[0]),
+        running_cost=sp.sympify(scene.task.running_cost),
+        structure=_structure(mass, tau, phi, gravity, passive, q, v, u),
+    )
+
+
+def _structure(mass: sp.Matrix, tau: sp.Matrix, phi: sp.Matrix, gravity: sp.Matrix, passive: sp.Matrix, q, v, u) -> Structure:
+    variables = {*q, *v, *u}
+
+    def affine(matrix: sp.Matrix) -> bool:
+        return all(not sp.diff(entry, variable).free_symbols & variables for entry in matrix for variable in entry.free_symbols & variables)
+
+    return Structure(
+        constant_mass=not mass.free_symbols & variables,
+        diagonal_mass=mass.is_diagonal(),
+        linear=affine(tau) and affine(phi) and not mass.free_symbols & variables,
+        conservative_forces=any(entry != 0 for entry in gravity),
+        dissipation=any(entry != 0 for entry in passive),
+        inputs=bool(u),
+        contacts=phi.rows > 0,
+    )

@@ -1,0 +1,25 @@
+"""Errors that speak to the user: one sentence that says what is wrong, where, what was expected and what to do."""
+
+
+class TouchstoneError(Exception):
+    """Base of every error a user can cause; the command line prints its text and exits with `exit_code`."""
+
+    exit_code = 2
+
+
+class SceneError(TouchstoneError):
+    """A scene (or its file) contradicts itself; raised when the scene is created."""
+
+
+class TrajectoryError(TouchstoneError):
+    """A plan cannot be read or does not fit the scene."""
+
+
+class UnknownNameError(TouchstoneError):
+    """A scene, method, pipeline or option of that name does not exist."""
+
+
+class MachineError(TouchstoneError):
+    """This machine cannot do what was asked (no compiler, no write permission); says how to get it."""
+
+    exit_code = 3

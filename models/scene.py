@@ -1,0 +1,291 @@
+"""A scene: the physics of a few bodies in contact, written once in SymPy.
+
+    q, v = sp.Symbol("q"), sp.Symbol("v")
+    Scene(
+        name="bouncing_mass",
+        coordinates=(Coordinate(name="q", symbol=q, velocity=v, unit="m"),),
+        kinetic_energy=m * v**2 / 2,
+        potential_energy=m * g * q,
+        contacts=(Contact(name="floor", penetration=-q, stiffness=k),),
+        ...
+    )
+
+Everything else - Pyomo models, the PyTorch rollout, the C kernel, the FMU, the equations in the report - is
+derived from this one object. All objects are frozen and are checked when they are created; what is wrong is said in
+one sentence that names the scene and the field.
+
+Sign conventions: `penetration` phi is positive in contact; the contact force lam >= 0 pushes the bodies apart, that is,
+`M(q) dv/dt = tau(q, v, u) + J(q)' lam` with J the Jacobian of the gap (-phi). The true contact law is
+`lam = stiffness * max(phi, 0)`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, replace
+from typing import Any
+
+import sympy as sp
+
+from models.errors import SceneError
+from models.units import unit_problem
+
+_IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
+
+
+def _check_name(what: str, name: Any) -> None:
+    if not isinstance(name, str) or not _IDENTIFIER.match(name):
+        raise SceneError(f"{what}: the name {name!r} is not an identifier; use letters, digits and _, starting with a letter.")
+
+
+def _check_unit(what: str, unit: Any) -> None:
+    problem = unit_problem(unit)
+    if problem:
+        raise SceneError(f"{what}: {problem}")
+
+
+def _check_finite(what: str, value: Any) -> None:
+    if not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise SceneError(f"{what}: {value!r} is not a finite number.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """A physical constant of the scene.
+
+    symbol: its SymPy symbol; value: default, in `unit`; lower, upper: the range in which the scene makes sense.
+    """
+
+    symbol: sp.Symbol
+    value: float
+    unit: str
+    lower: float = -math.inf
+    upper: float = math.inf
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        where = f"parameter {self.symbol}"
+        if not isinstance(self.symbol, sp.Symbol):
+            raise SceneError(f"{where}: symbol must be a SymPy Symbol, not {type(self.symbol).__name__}.")
+        _check_name(where, self.symbol.name)
+        _check_unit(where, self.unit)
+        _check_finite(where, self.value)
+        if not self.lower <= self.value <= self.upper:
+            raise SceneError(f"{where}: the value {self.value:g} {self.unit} lies outside its range [{self.lower:g}, {self.upper:g}].")
+
+    @property
+    def name(self) -> str:
+        return self.symbol.name
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coordinate:
+    """A generalised position q and its velocity v = dq/dt. `nominal`: a typical magnitude of q, in `unit`."""
+
+    symbol: sp.Symbol
+    velocity: sp.Symbol
+    unit: str
+    nominal: float = 1.0
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        where = f"coordinate {self.symbol}"
+        for symbol in (self.symbol, self.velocity):
+            if not isinstance(symbol, sp.Symbol):
+                raise SceneError(f"{where}: symbol and velocity must be SymPy Symbols, not {type(symbol).__name__}.")
+            _check_name(where, symbol.name)
+        _check_unit(where, self.unit)
+        _check_finite(f"{where}: nominal", self.nominal)
+        if self.nominal <= 0:
+            raise SceneError(f"{where}: nominal must be positive, not {self.nominal:g}.")
+
+    @property
+    def name(self) -> str:
+        return self.symbol.name
+
+    @property
+    def velocity_name(self) -> str:
+        return self.velocity.name
+
+    @property
+    def velocity_unit(self) -> str:
+        return f"{self.unit}/s"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Input:
+    """An actuator: a generalised force or torque u within [lower, upper], in `unit`."""
+
+    symbol: sp.Symbol
+    unit: str
+    lower: float = -math.inf
+    upper: float = math.inf
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        where = f"input {self.symbol}"
+        if not isinstance(self.symbol, sp.Symbol):
+            raise SceneError(f"{where}: symbol must be a SymPy Symbol, not {type(self.symbol).__name__}.")
+        _check_name(where, self.symbol.name)
+        _check_unit(where, self.unit)
+        if not self.lower < self.upper:
+            raise SceneError(f"{where}: the bounds [{self.lower:g}, {self.upper:g}] are empty; lower must be below upper.")
+
+    @property
+    def name(self) -> str:
+        return self.symbol.name
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contact:
+    """One unilateral contact: `penetration` phi(q) [m], positive in contact, and `stiffness` k [N/m], lam = k*max(phi, 0)."""
+
+    name: str
+    penetration: sp.Expr
+    stiffness: sp.Expr
+    nominal: float = 1e-2
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        _check_name("contact", self.name)
+        for field in ("penetration", "stiffness"):
+            value = getattr(self, field)
+            if not isinstance(value, sp.Expr):
+                raise SceneError(f"contact {self.name}: {field} must be a SymPy expression, not {type(value).__name__}.")
+        _check_finite(f"contact {self.name}: nominal", self.nominal)
+        if self.nominal <= 0:
+            raise SceneError(f"contact {self.name}: nominal (a typical penetration in m) must be positive, not {self.nominal:g}.")
+
+    @property
+    def force_name(self) -> str:
+        return f"lam_{self.name}"
+
+    @property
+    def gap_name(self) -> str:
+        return f"gap_{self.name}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """What is to be done: from `start` to `goal` in `steps` steps of `step` seconds, at least cost.
+
+    start, goal: (2*nq,) positions then velocities; running_cost: an expression in q, v, u and parameters, summed over the
+    steps (not integrated: as in the paper, cost = sum_t u^2).
+    """
+
+    start: tuple[float, ...]
+    goal: tuple[float, ...]
+    running_cost: sp.Expr
+    step: float
+    steps: int
+
+    def __post_init__(self) -> None:
+        for field in ("start", "goal"):
+            for index, value in enumerate(getattr(self, field)):
+                _check_finite(f"task: {field}[{index}]", value)
+        _check_finite("task: step", self.step)
+        if self.step <= 0:
+            raise SceneError(f"task: step must be positive seconds, not {self.step!r}.")
+        if isinstance(self.steps, bool) or not isinstance(self.steps, int) or self.steps < 1:
+            raise SceneError(f"task: steps must be a whole number of at least 1, not {self.steps!r}.")
+
+    @property
+    def horizon(self) -> float:
+        """Duration T = steps * step [s]."""
+        return self.steps * self.step
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limit:
+    """The largest value of a score figure with which a plan still holds, and the reason for that number."""
+
+    figure: str
+    value: float
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """A known answer of the scene: what it is, its value, tolerance and source."""
+
+    quantity: str
+    value: float
+    tolerance: float
+    source: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape:
+    """How a body is drawn: `kind` "box", "disc", "line" or "wall"; `x`, `y` its centre and `angle`, as expressions in q [m, rad];
+    `size`: (width, height), (radius,), or (length,) [m]."""
+
+    name: str
+    kind: str
+    x: sp.Expr
+    y: sp.Expr
+    size: tuple[sp.Expr | float, ...]
+    angle: sp.Expr = sp.Integer(0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """The single source of one scene; see the module docstring.
+
+    kinetic_energy T(q, v) [J], potential_energy V(q) [J] (without contacts), forces Q(q, v, u): (nq,) non-conservative
+    generalised forces (inputs, damping) [N, N m]; the equations of motion follow by Lagrange (models.dynamics).
+    """
+
+    name: str
+    title: str
+    source: str
+    coordinates: tuple[Coordinate, ...]
+    inputs: tuple[Input, ...]
+    parameters: tuple[Parameter, ...]
+    kinetic_energy: sp.Expr
+    potential_energy: sp.Expr
+    forces: tuple[sp.Expr, ...]
+    contacts: tuple[Contact, ...]
+    task: Task
+    limits: tuple[Limit, ...] = ()
+    answers: tuple[Answer, ...] = ()
+    shapes: tuple[Shape, ...] = ()
+
+    def __post_init__(self) -> None:
+        from models.scene_checks import check_scene
+
+        check_scene(self)
+
+    @property
+    def nq(self) -> int:
+        return len(self.coordinates)
+
+    @property
+    def nu(self) -> int:
+        return len(self.inputs)
+
+    @property
+    def nc(self) -> int:
+        return len(self.contacts)
+
+    @property
+    def parameter_values(self) -> dict[sp.Symbol, float]:
+        return {parameter.symbol: parameter.value for parameter in self.parameters}
+
+    def limit(self, figure: str) -> Limit | None:
+        """The limit this scene sets on a score figure, or None."""
+        return next((limit for limit in self.limits if limit.figure == figure), None)
+
+    def with_parameters(self, **values: float) -> Scene:
+        """This scene with other parameter values, e.g. `scene.with_parameters(k=300.0)`. Raises SceneError for unknown names."""
+        known = [parameter.name for parameter in self.parameters]
+        for name in values:
+            if name not in known:
+                raise SceneError(f"scene {self.name}: there is no parameter {name!r}; it has {', '.join(known)}.")
+        parameters = tuple(replace(parameter, value=float(values.get(parameter.name, parameter.value))) for parameter in self.parameters)
+        return replace(self, parameters=parameters)
+
+    def with_task(self, **changes: Any) -> Scene:
+        """This scene with another task, e.g. `scene.with_task(steps=1000, step=0.005)`."""
+        return replace(self, task=replace(self.task, **changes))
+

@@ -1,0 +1,118 @@
+"""What is checked when a Scene is created: names, symbols, lengths, and that its physics is possible."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+
+import sympy as sp
+
+from models.errors import SceneError
+from models.scene import Scene
+
+# Words of C, Python and of our own generated code that may not name a quantity.
+_RESERVED = frozenset(
+    "t time h auto break case char const continue default do double else enum extern float for goto if inline int long register restrict "
+    "return short signed sizeof static struct switch typedef union unsigned void volatile while and as assert async await class def del "
+    "elif except finally from global import in is lambda None nonlocal not or pass raise try with yield True False".split()
+)
+
+
+def check_scene(scene: Scene) -> None:
+    """Raise SceneError with one sentence naming the scene and the field, if anything contradicts itself."""
+    _check_names(scene)
+    _check_lengths(scene)
+    _check_symbols(scene)
+    _check_mass(scene)
+    _check_contacts(scene)
+
+
+def _fail(scene: Scene, text: str) -> SceneError:
+    return SceneError(f"scene {scene.name}: {text}")
+
+
+def _check_names(scene: Scene) -> None:
+    if not isinstance(scene.name, str) or not scene.name.isidentifier():
+        raise SceneError(f"scene: the name {scene.name!r} is not an identifier; use letters, digits and _ (it must equal the file name).")
+    if not scene.coordinates:
+        raise _fail(scene, "it has no coordinates; a scene needs at least one.")
+    names = [coordinate.name for coordinate in scene.coordinates] + [coordinate.velocity_name for coordinate in scene.coordinates]
+    names += [item.name for item in scene.inputs] + [parameter.name for parameter in scene.parameters]
+    names += [name for contact in scene.contacts for name in (contact.force_name, contact.gap_name)]
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise _fail(scene, f"the name {name!r} is used {count} times; coordinates, velocities, inputs, parameters and contacts need names of their own.")
+        if name in _RESERVED:
+            raise _fail(scene, f"the name {name!r} is reserved; choose another.")
+
+
+def _check_lengths(scene: Scene) -> None:
+    if len(scene.forces) != scene.nq:
+        raise _fail(scene, f"forces has {len(scene.forces)} entries, but there are {scene.nq} coordinates; give one generalised force each.")
+    for field in ("start", "goal"):
+        length = len(getattr(scene.task, field))
+        if length != 2 * scene.nq:
+            raise _fail(scene, f"task.{field} has {length} numbers, but {2 * scene.nq} are needed: {scene.nq} positions, then {scene.nq} velocities.")
+
+
+def _check_symbols(scene: Scene) -> None:
+    parameters = {parameter.symbol for parameter in scene.parameters}
+    positions = {coordinate.symbol for coordinate in scene.coordinates}
+    velocities = {coordinate.velocity for coordinate in scene.coordinates}
+    inputs = {item.symbol for item in scene.inputs}
+
+    def check(field: str, expression: sp.Expr | float, allowed: Iterable[sp.Symbol]) -> None:
+        allowed = set(allowed)
+        unknown = sorted(symbol.name for symbol in sp.sympify(expression).free_symbols - allowed)
+        if unknown:
+            known = ", ".join(sorted(symbol.name for symbol in allowed))
+            raise _fail(scene, f"{field} uses {', '.join(unknown)}, which is neither a parameter nor a variable allowed there ({known}).")
+
+    check("kinetic_energy", scene.kinetic_energy, parameters | positions | velocities)
+    check("potential_energy", scene.potential_energy, parameters | positions)
+    for coordinate, force in zip(scene.coordinates, scene.forces, strict=True):
+        check(f"forces[{coordinate.name}]", force, parameters | positions | velocities | inputs)
+    for contact in scene.contacts:
+        check(f"contact {contact.name}: penetration", contact.penetration, parameters | positions)
+        check(f"contact {contact.name}: stiffness", contact.stiffness, parameters)
+    check("task.running_cost", scene.task.running_cost, parameters | positions | velocities | inputs)
+    for shape in scene.shapes:
+        for field, value in (("x", shape.x), ("y", shape.y), ("angle", shape.angle), *(("size", size) for size in shape.size)):
+            check(f"shape {shape.name}: {field}", value, parameters | positions)
+
+
+def _start(scene: Scene) -> dict[sp.Symbol, float]:
+    values = dict(scene.parameter_values)
+    for index, coordinate in enumerate(scene.coordinates):
+        values[coordinate.symbol] = scene.task.start[index]
+        values[coordinate.velocity] = scene.task.start[scene.nq + index]
+    return values
+
+
+def _check_mass(scene: Scene) -> None:
+    velocities = [coordinate.velocity for coordinate in scene.coordinates]
+    mass = sp.hessian(scene.kinetic_energy, velocities)
+    if any(entry.free_symbols & set(velocities) for entry in mass):
+        raise _fail(scene, "kinetic_energy is not quadratic in the velocities, so there is no mass matrix M(q).")
+    rest = sp.expand(scene.kinetic_energy - (sp.Matrix([velocities]) * mass * sp.Matrix(velocities))[0] / 2)
+    if sp.simplify(rest) != 0:
+        raise _fail(scene, f"kinetic_energy contains {rest}, which is not quadratic in the velocities.")
+    numeric = sp.Matrix(mass.subs(_start(scene)).evalf())
+    for size in range(1, scene.nq + 1):
+        minor = numeric[:size, :size].det()
+        if not (minor.is_number and minor.is_real and float(minor) > 0):
+            culprit = scene.coordinates[size - 1].name
+            raise _fail(scene, f"the mass matrix is not positive definite at the start (leading minor {size}, at {culprit}, is {minor}); check the masses.")
+
+
+def _check_contacts(scene: Scene) -> None:
+    start = _start(scene)
+    for contact in scene.contacts:
+        stiffness = sp.sympify(contact.stiffness).subs(start).evalf()
+        if not (stiffness.is_real and float(stiffness) > 0):
+            raise _fail(scene, f"contact {contact.name}: the stiffness is {stiffness}, but must be positive.")
+        gradient = [sp.diff(contact.penetration, coordinate.symbol).subs(start).evalf() for coordinate in scene.coordinates]
+        if not all(entry.is_number and entry.is_real and entry.is_finite for entry in gradient):
+            raise _fail(scene, f"contact {contact.name}: the penetration is not differentiable at the start; its gradient there is {gradient}.")
+        if all(entry == 0 for entry in gradient):
+            raise _fail(scene, f"contact {contact.name}: the gradient of the penetration is zero at the start, so the contact has no direction.")

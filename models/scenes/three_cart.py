@@ -1,0 +1,83 @@
+"""Three carts in a row; the outer ones are driven and push the middle one through soft contacts.
+
+Source: H.J. Terry Suh, Yanwei Wang, "Comparing Effectiveness of Relaxation Methods for Warm Starting Trajectory
+Optimization through Soft Contact", section V. The paper prints neither start, goal, cart length nor bounds; those below
+reproduce its three softplus collocation rows to the printed digits. The sign of the penetration in its (14) is corrected.
+"""
+
+import sympy as sp
+
+from models.scene import Answer, Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
+
+q1, q2, q3 = sp.symbols("q1 q2 q3", real=True)
+v1, v2, v3 = sp.symbols("v1 v2 v3", real=True)
+u1, u3 = sp.symbols("u1 u3", real=True)
+m, c, k, d = sp.symbols("m c k d", positive=True)
+
+SCENE = Scene(
+    name="three_cart",
+    title="Three carts: the outer two push the middle one",
+    source="Suh and Wang, Comparing Effectiveness of Relaxation Methods for Warm Starting Trajectory Optimization through Soft Contact, section V",
+    coordinates=tuple(
+        Coordinate(symbol=q, velocity=v, unit="m", description=f"position of the {which} cart")
+        for q, v, which in ((q1, v1, "left"), (q2, v2, "middle"), (q3, v3, "right"))
+    ),
+    inputs=(
+        Input(symbol=u1, unit="N", lower=-10.0, upper=10.0, description="force on the left cart"),
+        Input(symbol=u3, unit="N", lower=-10.0, upper=10.0, description="force on the right cart"),
+    ),
+    parameters=(
+        Parameter(symbol=m, value=1.0, unit="kg", lower=1e-6, description="mass of each cart"),
+        Parameter(symbol=c, value=2.0, unit="N s/m", lower=0.0, description="viscous damping of each cart"),
+        Parameter(symbol=k, value=30.0, unit="N/m", lower=1e-6, description="contact stiffness"),
+        Parameter(symbol=d, value=0.5, unit="m", lower=1e-6, description="length of a cart"),
+    ),
+    kinetic_energy=m * (v1**2 + v2**2 + v3**2) / 2,
+    potential_energy=sp.Integer(0),
+    forces=(u1 - c * v1, -c * v2, u3 - c * v3),
+    contacts=(
+        Contact(name="left", penetration=d - (q2 - q1), stiffness=k, nominal=0.1, description="left cart against middle cart"),
+        Contact(name="right", penetration=d - (q3 - q2), stiffness=k, nominal=0.1, description="middle cart against right cart"),
+    ),
+    task=Task(
+        start=(2.0, 3.0, 4.0, 0.0, 0.0, 0.0),
+        goal=(2.5, 3.5, 4.5, 0.0, 0.0, 0.0),
+        running_cost=u1**2 + u3**2,
+        step=0.01,
+        steps=500,
+    ),
+    limits=(
+        Limit(
+            figure="physics_scaled",
+            value=1e-6,
+            reason="a complementarity product of 1e-6 (k L)^2 s summed over time is a mean force error below a thousandth of the force k L of a full overlap",
+        ),
+        Limit(figure="defect", value=1e-6, reason="a plan that misses its own time step by more than 1e-6 was not solved to the end"),
+        Limit(
+            figure="discrete_terminal_error",
+            value=0.05,
+            reason="a tenth of a cart's length: the largest miss among the plans the paper calls successful (its Table I, direct methods)",
+        ),
+        Limit(
+            figure="replay_terminal_error",
+            value=0.06,
+            reason="the discrete limit of 0.05 plus the grid's own error: the semi-implicit step of 0.01 s ends up to 9e-3 away from the continuous dynamics",
+        ),
+        Limit(
+            figure="replay_error",
+            value=0.02,
+            reason="twice the 9e-3 by which a semi-implicit step of 0.01 s drifts from the continuous dynamics over the 5 s: more than that is not the grid",
+        ),
+    ),
+    answers=(
+        Answer(
+            quantity="best known cost of an exact plan",
+            value=490.5495305,
+            tolerance=1e-6,
+            source="convex QP with fixed contact windows (steps 131..178 and 276..306), local search over the four window ends; not proved global",
+        ),
+    ),
+    shapes=tuple(
+        Shape(name=name, kind="box", x=q, y=d / 2, size=(d, d)) for name, q in (("left", q1), ("middle", q2), ("right", q3))
+    ),
+)

@@ -1,0 +1,176 @@
+"""A plan: what a method found, or what a user brings.
+
+    t    (nodes,)       time [s], increasing, nodes = steps + 1
+    q, v (nodes, nq)    generalised positions [m, rad] and velocities
+    u    (steps, nu)    inputs, held over each step as `hold` says
+    lam  (steps, nc)    contact forces [N] at the *start* of each step: lam[i] belongs to phi(q[i])
+
+CSV: one row a node, columns `t`, then the scene's names (`q1 ... v1 ... u1 ... lam_left ...`); the last row has no u and lam.
+NetCDF-4: the same arrays with units, for the store.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+import numpy as np
+
+from models.errors import TrajectoryError
+from models.scene import Scene
+
+
+class Hold(Enum):
+    """How an input behaves within a step."""
+
+    ZERO_ORDER = "zero_order"  # constant
+    LINEAR = "linear"  # towards the next step's value; the last step is constant
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trajectory:
+    """See the module docstring. Raises TrajectoryError for wrong shapes, NaN, or times that do not increase."""
+
+    t: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    u: np.ndarray
+    lam: np.ndarray
+    hold: Hold = Hold.ZERO_ORDER
+
+    def __post_init__(self) -> None:
+        for field in ("t", "q", "v", "u", "lam"):
+            array = np.array(getattr(self, field), dtype=float)
+            if not np.isfinite(array).all():
+                where = tuple(int(index) for index in np.argwhere(~np.isfinite(array))[0])
+                raise TrajectoryError(f"plan: {field}{list(where)} is {array[where]}; every value must be a finite number.")
+            array.setflags(write=False)
+            object.__setattr__(self, field, array)
+        nodes = self.t.size
+        if self.t.ndim != 1 or nodes < 2:
+            raise TrajectoryError(f"plan: t has shape {self.t.shape}; at least two times in one column are needed.")
+        if not (np.diff(self.t) > 0).all():
+            index = int(np.argmin(np.diff(self.t) > 0))
+            raise TrajectoryError(f"plan: time must increase, but t[{index + 1}] = {self.t[index + 1]:g} follows t[{index}] = {self.t[index]:g}.")
+        for field, rows in (("q", nodes), ("v", nodes), ("u", nodes - 1), ("lam", nodes - 1)):
+            shape = getattr(self, field).shape
+            if len(shape) != 2 or shape[0] != rows:
+                raise TrajectoryError(f"plan: {field} has shape {shape}; {rows} rows are needed ({nodes} nodes, {nodes - 1} steps).")
+        if self.q.shape != self.v.shape:
+            raise TrajectoryError(f"plan: q has shape {self.q.shape} but v has {self.v.shape}; they must agree.")
+
+    @property
+    def steps(self) -> int:
+        return self.t.size - 1
+
+    @property
+    def start(self) -> np.ndarray:
+        """(2*nq,) state at the first node."""
+        return np.concatenate([self.q[0], self.v[0]])
+
+    @property
+    def end(self) -> np.ndarray:
+        """(2*nq,) state at the last node."""
+        return np.concatenate([self.q[-1], self.v[-1]])
+
+    def check_fits(self, scene: Scene) -> None:
+        """Raise TrajectoryError if the numbers of positions, inputs or contacts are not those of the scene."""
+        for field, found, expected, what in (
+            ("q", self.q.shape[1], scene.nq, "positions"),
+            ("u", self.u.shape[1], scene.nu, "inputs"),
+            ("lam", self.lam.shape[1], scene.nc, "contacts"),
+        ):
+            if found != expected:
+                raise TrajectoryError(f"plan: {field} has {found} columns, but scene {scene.name} has {expected} {what}.")
+
+    def has_uniform_grid(self) -> bool:
+        """Whether all steps are equal to rounding."""
+        return bool(np.allclose(np.diff(self.t), (self.t[-1] - self.t[0]) / self.steps, rtol=1e-9, atol=0.0))
+
+
+def uniform_grid(step: float, steps: int, start: float = 0.0) -> np.ndarray:
+    """(steps + 1,) times start + n*step, never a running sum."""
+    return start + step * np.arange(steps + 1)
+
+
+def column_names(scene: Scene) -> dict[str, tuple[str, ...]]:
+    """Names of the columns of q, v, u, lam in files and FMUs."""
+    return {
+        "q": tuple(coordinate.name for coordinate in scene.coordinates),
+        "v": tuple(coordinate.velocity_name for coordinate in scene.coordinates),
+        "u": tuple(item.name for item in scene.inputs),
+        "lam": tuple(contact.force_name for contact in scene.contacts),
+    }
+
+
+def write_csv(path: Path, trajectory: Trajectory, scene: Scene) -> None:
+    """Write a plan as CSV (17 significant digits: it reads back bit for bit)."""
+    trajectory.check_fits(scene)
+    names = column_names(scene)
+    lines = [",".join(["t", *names["q"], *names["v"], *names["u"], *names["lam"]])]
+    for index in range(trajectory.steps + 1):
+        values = [trajectory.t[index], *trajectory.q[index], *trajectory.v[index]]
+        cells = [repr(float(value)) for value in values]
+        if index < trajectory.steps:
+            cells += [repr(float(value)) for value in (*trajectory.u[index], *trajectory.lam[index])]
+        else:
+            cells += [""] * (len(names["u"]) + len(names["lam"]))
+        lines.append(",".join(cells))
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def read_csv(path: Path, scene: Scene, hold: Hold = Hold.ZERO_ORDER) -> Trajectory:
+    """Read a plan written by anybody; `lam_*` and velocity columns may be absent (forces 0, velocities by differences).
+
+    Raises TrajectoryError naming the file, the line and the column.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise TrajectoryError(f"plan {path}: it cannot be read ({error}).") from error
+    rows = [line.split(",") for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    if len(rows) < 3:
+        raise TrajectoryError(f"plan {path}: it has {max(len(rows) - 1, 0)} rows; a header and at least two rows are needed.")
+    header = [cell.strip() for cell in rows[0]]
+    names = column_names(scene)
+    known = ["t", *(name for group in names.values() for name in group)]
+    for column in header:
+        if column not in known:
+            raise TrajectoryError(f"plan {path}: the column {column!r} is unknown; scene {scene.name} has {', '.join(known)}.")
+        if header.count(column) > 1:
+            raise TrajectoryError(f"plan {path}: the column {column!r} stands there twice.")
+    for column in ("t", *names["q"], *names["u"]):
+        if column not in header:
+            raise TrajectoryError(f"plan {path}: the column {column!r} is missing; it has {', '.join(header)}.")
+    columns: dict[str, np.ndarray] = {}
+    for index, column in enumerate(header):
+        last_is_open = column in (*names["u"], *names["lam"])
+        columns[column] = _parse_column(path, rows[1:], index, column, last_is_open)
+    t = columns["t"]
+    q = np.column_stack([columns[name] for name in names["q"]])
+    if all(name in columns for name in names["v"]):
+        v = np.column_stack([columns[name] for name in names["v"]])
+    else:
+        v = np.gradient(q, t, axis=0)
+    steps = len(t) - 1
+    u = np.column_stack([columns[name] for name in names["u"]]) if names["u"] else np.zeros((steps, 0))
+    forces = [columns.get(name, np.zeros(steps)) for name in names["lam"]]
+    lam = np.column_stack(forces) if forces else np.zeros((steps, 0))
+    try:
+        return Trajectory(t=t, q=q, v=v, u=u, lam=lam, hold=hold)
+    except TrajectoryError as error:
+        raise TrajectoryError(f"{error} (file {path})") from error
+
+
+def _parse_column(path: Path, rows: list[list[str]], index: int, column: str, last_is_open: bool) -> np.ndarray:
+    values = []
+    for number, row in enumerate(rows, start=2):
+        cell = row[index].strip() if index < len(row) else ""
+        if last_is_open and number == len(rows) + 1:
+            break
+        try:
+            values.append(float(cell))
+        except ValueError:
+            raise TrajectoryError(f"plan {path}: line {number}, column {column!r}: {cell!r} is not a number.") from None
+    return np.array(values)

@@ -1,0 +1,205 @@
+"""RunRecord: what is stored of one cell (scene x pipeline), and all that the report knows.
+
+    record = RunRecord.model_validate_json(path.read_text())
+
+Numbers are plain JSON: NaN and infinities are refused when written and when read. Arrays of trajectories do not live here
+but in the NetCDF files beside the record; `thin` copies for plots (at most 1500 points a trace) do.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+SCHEMA_VERSION = 1
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Verdict = Literal["holds", "violates", "not resolved", "no plan"]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class QuantityRecord(_Model):
+    """A named quantity: column name in files, unit, words."""
+
+    name: str
+    unit: str
+    description: str = ""
+    value: Finite | None = None
+
+
+class ShapeRecord(_Model):
+    """How a body is drawn; positions per thinned node of the stage's plan and replay are in `TraceRecord.poses`."""
+
+    name: str
+    kind: str
+    size: tuple[Finite, ...]
+
+
+class EquationRecord(_Model):
+    """One equation of the scene as presentation MathML, with a caption."""
+
+    caption: str
+    mathml: str
+
+
+class SceneRecord(_Model):
+    name: str
+    title: str
+    source: str
+    coordinates: tuple[QuantityRecord, ...]
+    velocities: tuple[QuantityRecord, ...]
+    inputs: tuple[QuantityRecord, ...]
+    contacts: tuple[QuantityRecord, ...]
+    parameters: tuple[QuantityRecord, ...]
+    start: tuple[Finite, ...]
+    goal: tuple[Finite, ...]
+    step: Finite
+    steps: int
+    equations: tuple[EquationRecord, ...] = ()
+    absent: tuple[str, ...] = ()
+    answers: tuple[QuantityRecord, ...] = ()
+    shapes: tuple[ShapeRecord, ...] = ()
+
+
+class FigureRecord(_Model):
+    """One figure of the score. `value` is None where it could not be measured (`reason` says why).
+
+    `ok`: None where the scene sets no limit; `resolved`: False where the replay's own error is not 10x smaller than the figure's limit.
+    """
+
+    name: str
+    value: Finite | None
+    unit: str
+    meaning: str
+    limit: Finite | None = None
+    reason: str = ""
+    ok: bool | None = None
+    resolved: bool = True
+
+
+class ReplayRecord(_Model):
+    """Facts about the replay of one stage: the error estimate [m or rad] and what it is made of, seconds, FMU hash."""
+
+    error_estimate: Finite | None
+    tolerance_difference: Finite | None = None  # reference at two tolerances
+    step_difference: Finite | None = None  # everyday replay at two steps
+    everyday_difference: Finite | None = None  # everyday against reference
+    events: int = 0
+    seconds_reference: Finite = 0.0
+    seconds_everyday: Finite = 0.0
+    fmu: str = ""
+    message: str = ""
+
+
+class TraceRecord(_Model):
+    """Thinned arrays of one stage for plots: plan and replay on their own thinned times. Columns by name."""
+
+    t: tuple[Finite, ...]
+    columns: dict[str, tuple[Finite, ...]]
+    poses: dict[str, tuple[tuple[Finite, Finite, Finite], ...]] = {}  # shape -> (x, y, angle) per thinned time
+
+
+class SecondsRecord(_Model):
+    """Seconds of one stage; `total` counts the stages before it, `replay` the replay and scoring."""
+
+    build: Finite = 0.0
+    translate: Finite = 0.0
+    evaluate: Finite = 0.0
+    linear_algebra: Finite = 0.0
+    solve: Finite = 0.0
+    stage: Finite = 0.0
+    stage_cpu: Finite = 0.0
+    total: Finite = 0.0
+    replay: Finite = 0.0
+
+
+class StageRecord(_Model):
+    """One stage of a pipeline: one method at one eps."""
+
+    index: int
+    method: str
+    method_title: str
+    kind: Literal["indirect", "direct"]
+    eps: Finite | None
+    outcome: str  # name of the Outcome, lower case
+    advice: str  # its sentence
+    message: str = ""
+    cost: Finite | None = None
+    iterations: int = 0
+    residuals: dict[str, Finite] = {}
+    options: dict[str, str | int | bool | Finite | None | list[Finite]] = {}
+    history: dict[str, tuple[Finite, ...]] = {}
+    seconds: SecondsRecord = SecondsRecord()
+    figures: tuple[FigureRecord, ...] = ()
+    verdict: Verdict = "no plan"
+    why: str = ""
+    replay: ReplayRecord | None = None
+    plan_trace: TraceRecord | None = None
+    replay_trace: TraceRecord | None = None
+    paper: dict[str, Finite] = {}  # the paper's numbers for this row: cost, stability, physics, time
+
+    def figure(self, name: str) -> FigureRecord | None:
+        return next((figure for figure in self.figures if figure.name == name), None)
+
+
+class ProvenanceRecord(_Model):
+    """Where a record came from."""
+
+    touchstone: str
+    commit: str
+    python: str
+    platform: str
+    cpu: str
+    cores: int
+    threads: int
+    packages: dict[str, str]
+    compiler: str
+    seed: int
+    started: str  # ISO 8601 UTC
+    command: str
+
+
+class RunRecord(_Model):
+    """One cell: a scene by a pipeline."""
+
+    schema_version: int = SCHEMA_VERSION
+    key: str
+    scene: SceneRecord
+    pipeline: str
+    pipeline_title: str
+    stages: tuple[StageRecord, ...]
+    outcome: str  # of the cell: that of its last stage, or crashed / time_limit / refused
+    message: str = ""
+    verdict: Verdict = "no plan"  # of the last stage
+    must_hold: bool  # the last stage is a direct method: a violation makes the campaign fail
+    wall_seconds: Finite
+    cpu_seconds: Finite
+    provenance: ProvenanceRecord
+    log_tail: str = ""
+
+
+class ViolationPoint(_Model):
+    """Fig. 2 of the paper: worst-case violation D = max over phi of lam*(lam - k*phi) of a relaxation at eps [N^2]."""
+
+    law: str  # "softplus" or "relaxed_lcp"
+    eps: Finite
+    measured: Finite
+    closed_form: Finite
+
+
+class CampaignRecord(_Model):
+    """What belongs to the campaign as a whole; stored as DIR/campaign.json."""
+
+    schema_version: int = SCHEMA_VERSION
+    title: str
+    command: str
+    started: str
+    quick: bool = False
+    left_out: tuple[str, ...] = ()  # what a quick campaign did not run, in words
+    keys: tuple[str, ...]  # of the cells, in order
+    violation: tuple[ViolationPoint, ...] = ()
+    provenance: ProvenanceRecord

@@ -1,0 +1,1 @@
+"""Replay: (scene or FMU, trajectory) -> Replay, by an independent, fine-step simulation."""
