@@ -96,7 +96,12 @@ class ReplayRecord(_Model):
 
 
 class TraceRecord(_Model):
-    """Thinned arrays of one stage for plots: plan and replay on their own thinned times. Columns by name."""
+    """Thinned arrays of one stage for plots: plan and replay on their own thinned times, at most 1500 of them.
+
+    Columns: coordinates, velocities and inputs by their own names; per contact `lam_<contact>` [N] and `gap_<contact>` [m]
+    (gap = -penetration); in a replay also `position_error`, the largest over the coordinates against the plan. Each column is
+    as long as `t` or shorter (quantities of steps: one less); what is missing is shown as missing.
+    """
 
     t: tuple[Finite, ...]
     columns: dict[str, tuple[Finite, ...]]
