@@ -1,0 +1,53 @@
+"""A mass falls on a spring floor and bounces for ever: no input, no damping, every figure known in closed form.
+
+With w = sqrt(k/m) and s the speed at which the mass meets the floor (s^2 = 2 g q(0) when it is dropped at rest):
+
+    largest depth   m g/k + sqrt((m g/k)^2 + s^2 m/k)
+    contact time    (2 pi - 2 atan2(s/w, m g/k))/w
+
+because in contact the mass swings about its static depth m g/k. It leaves the floor as fast as it came.
+"""
+
+import math
+
+import sympy as sp
+
+from models.scene import Answer, Contact, Coordinate, Parameter, Scene, Shape, Task
+
+q, v = sp.symbols("q v", real=True)
+m, g, k = sp.symbols("m g k", positive=True)
+
+MASS, GRAVITY, STIFFNESS, DROP = 1.0, 9.81, 1000.0, 0.5
+SAG = MASS * GRAVITY / STIFFNESS
+SPEED = math.sqrt(2 * GRAVITY * DROP)
+RATE = math.sqrt(STIFFNESS / MASS)
+DEPTH = SAG + math.hypot(SAG, SPEED / RATE)
+CONTACT_TIME = (2 * math.pi - 2 * math.atan2(SPEED / RATE, SAG)) / RATE
+FALL_TIME = SPEED / GRAVITY
+
+SCENE = Scene(
+    name="bouncing_mass",
+    title="A mass bounces on a spring floor",
+    source="Newton's second law; the closed forms are derived in the docstring of this file",
+    coordinates=(Coordinate(symbol=q, velocity=v, unit="m", nominal=0.5, description="height of the mass above the floor"),),
+    inputs=(),
+    parameters=(
+        Parameter(symbol=m, value=MASS, unit="kg", lower=1e-6, description="mass"),
+        Parameter(symbol=g, value=GRAVITY, unit="m/s^2", lower=0.0, description="gravity"),
+        Parameter(symbol=k, value=STIFFNESS, unit="N/m", lower=1e-6, description="stiffness of the floor"),
+    ),
+    kinetic_energy=m * v**2 / 2,
+    potential_energy=m * g * q,
+    forces=(sp.Integer(0),),
+    contacts=(Contact(name="floor", penetration=-q, stiffness=k, nominal=0.1, description="mass against floor"),),
+    task=Task(start=(DROP, 0.0), goal=(DROP, 0.0), running_cost=sp.Integer(0), step=0.001, steps=1000),
+    answers=(
+        Answer(quantity="largest depth [m]", value=DEPTH, tolerance=1e-9, source="energy balance, see the docstring"),
+        Answer(quantity="contact time [s]", value=CONTACT_TIME, tolerance=1e-9, source="harmonic motion about the static depth"),
+        Answer(quantity="time of the first contact [s]", value=FALL_TIME, tolerance=1e-9, source="free fall"),
+    ),
+    shapes=(
+        Shape(name="mass", kind="disc", x=sp.Integer(0), y=q, size=(0.05,)),
+        Shape(name="floor", kind="wall", x=sp.Integer(0), y=sp.Integer(0), size=(1.0,)),
+    ),
+)

@@ -1,0 +1,59 @@
+"""Two free masses meet through a linear spring: restitution 1, momentum kept, everything known in closed form.
+
+With the reduced mass mu = m1 m2/(m1 + m2) and the closing speed s:
+
+    contact time         pi sqrt(mu/k)
+    largest compression  s sqrt(mu/k)
+    afterwards           v1' = v1 - 2 mu s/m1,   v2' = v2 + 2 mu s/m2
+"""
+
+import math
+
+import sympy as sp
+
+from models.scene import Answer, Contact, Coordinate, Parameter, Scene, Shape, Task
+
+q1, q2 = sp.symbols("q1 q2", real=True)
+v1, v2 = sp.symbols("v1 v2", real=True)
+m1, m2, k, r = sp.symbols("m1 m2 k r", positive=True)
+
+MASS_1, MASS_2, STIFFNESS, RADIUS = 1.0, 3.0, 2000.0, 0.1
+START = (0.0, 1.0, 2.0, -1.0)
+CLOSING_SPEED = START[2] - START[3]
+REDUCED_MASS = MASS_1 * MASS_2 / (MASS_1 + MASS_2)
+FIRST_CONTACT = (START[1] - START[0] - 2 * RADIUS) / CLOSING_SPEED
+CONTACT_TIME = math.pi * math.sqrt(REDUCED_MASS / STIFFNESS)
+COMPRESSION = CLOSING_SPEED * math.sqrt(REDUCED_MASS / STIFFNESS)
+V1_AFTER = START[2] - 2 * REDUCED_MASS * CLOSING_SPEED / MASS_1
+V2_AFTER = START[3] + 2 * REDUCED_MASS * CLOSING_SPEED / MASS_2
+
+SCENE = Scene(
+    name="two_body_collision",
+    title="Two free discs collide head-on",
+    source="Newton's second law; the closed forms are derived in the docstring of this file",
+    coordinates=(
+        Coordinate(symbol=q1, velocity=v1, unit="m", description="position of the left disc"),
+        Coordinate(symbol=q2, velocity=v2, unit="m", description="position of the right disc"),
+    ),
+    inputs=(),
+    parameters=(
+        Parameter(symbol=m1, value=MASS_1, unit="kg", lower=1e-6, description="mass of the left disc"),
+        Parameter(symbol=m2, value=MASS_2, unit="kg", lower=1e-6, description="mass of the right disc"),
+        Parameter(symbol=k, value=STIFFNESS, unit="N/m", lower=1e-6, description="contact stiffness"),
+        Parameter(symbol=r, value=RADIUS, unit="m", lower=1e-6, description="radius of each disc"),
+    ),
+    kinetic_energy=(m1 * v1**2 + m2 * v2**2) / 2,
+    potential_energy=sp.Integer(0),
+    forces=(sp.Integer(0), sp.Integer(0)),
+    contacts=(Contact(name="pair", penetration=2 * r - (q2 - q1), stiffness=k, nominal=0.05, description="left disc against right disc"),),
+    task=Task(start=START, goal=(0.0, 1.0, V1_AFTER, V2_AFTER), running_cost=sp.Integer(0), step=0.001, steps=600),
+    answers=(
+        Answer(quantity="contact time [s]", value=CONTACT_TIME, tolerance=1e-9, source="half a period of the reduced mass on the spring"),
+        Answer(quantity="largest compression [m]", value=COMPRESSION, tolerance=1e-9, source="energy of the relative motion"),
+        Answer(quantity="restitution", value=1.0, tolerance=1e-9, source="the spring is elastic"),
+    ),
+    shapes=(
+        Shape(name="left", kind="disc", x=q1, y=r, size=(r,)),
+        Shape(name="right", kind="disc", x=q2, y=r, size=(r,)),
+    ),
+)
