@@ -22,11 +22,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from types import MappingProxyType, TracebackType
+from typing import TYPE_CHECKING
 
-from formulations.solution import Solution
 from models.errors import TouchstoneError
-from models.scene import Scene
-from models.trajectory import Trajectory
+
+if TYPE_CHECKING:  # pipelines are data: naming them must not cost SymPy and numpy
+    from formulations.solution import Solution
+    from models.scene import Scene
+    from models.trajectory import Trajectory
 
 
 class Kind(Enum):

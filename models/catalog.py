@@ -11,9 +11,12 @@ import difflib
 import importlib.util
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from models.errors import SceneError, TouchstoneError, UnknownNameError
-from models.scene import Scene
+
+if TYPE_CHECKING:  # listing names must not cost SymPy
+    from models.scene import Scene
 
 _FOLDER = Path(__file__).parent / "scenes"
 
@@ -39,6 +42,8 @@ def scene_path(reference: str) -> Path:
 
 def load_scene(reference: str) -> Scene:
     """The scene of that name or file. Raises UnknownNameError or SceneError, naming the file."""
+    from models.scene import Scene
+
     path = scene_path(reference)
     if path.parent == _FOLDER:
         module_name = f"models.scenes.{path.stem}"
