@@ -14,7 +14,7 @@ from models.scene import Scene
 _RESERVED = frozenset(
     "t time h auto break case char const continue default do double else enum extern float for goto if inline int long register restrict "
     "return short signed sizeof static struct switch typedef union unsigned void volatile while and as assert async await class def del "
-    "elif except finally from global import in is lambda None nonlocal not or pass raise try with yield True False".split()
+    "elif except finally from global import in is lambda None nonlocal not or pass raise try with yield True False bar".split()
 )
 
 

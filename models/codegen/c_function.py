@@ -1,0 +1,95 @@
+"""One C function from SymPy expressions: arguments are vectors whose entries have names, common subexpressions are shared."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import sympy as sp
+from sympy.printing.c import C99CodePrinter
+from sympy.printing.precedence import PRECEDENCE
+
+# Integer powers up to this one are written as products: exact, faster than pow(), and equal on every libm.
+_LARGEST_PRODUCT = 4
+
+
+class _Printer(C99CodePrinter):
+    def _print_Pow(self, expr: sp.Pow) -> str:
+        base, exponent = expr.base, expr.exp
+        if exponent.is_Integer and 2 <= abs(int(exponent)) <= _LARGEST_PRODUCT:
+            factor = self.parenthesize(base, PRECEDENCE["Atom"])
+            product = "*".join([factor] * abs(int(exponent)))
+            return f"({product})" if int(exponent) > 0 else f"(1.0/({product}))"
+        return super()._print_Pow(expr)
+
+
+_PRINTER = _Printer()
+
+
+@dataclass(frozen=True)
+class Vector:
+    """An argument `const double *name` with one symbol for each entry."""
+
+    name: str
+    entries: tuple[str, ...]
+    symbols: tuple[sp.Symbol, ...]
+
+    @classmethod
+    def of(cls, name: str, entries: Sequence[str]) -> Vector:
+        return cls(name, tuple(entries), tuple(sp.Symbol(f"{name}_{entry}", real=True) for entry in entries))
+
+    def like(self, name: str) -> Vector:
+        """A vector of the same entries under another name (a tangent or an adjoint of this one)."""
+        return Vector.of(name, self.entries)
+
+    @property
+    def column(self) -> sp.Matrix:
+        return sp.Matrix(len(self.symbols), 1, list(self.symbols))
+
+
+def c_function(
+    result: str,
+    name: str,
+    arguments: Sequence[Vector],
+    output: str | None | Sequence[tuple[str, sp.Matrix]],
+    expressions: sp.Matrix | None = None,
+    *,
+    operator: str = "=",
+    tail: str = "",
+) -> str:
+    """A static inline C function.
+
+    output: the name of the array written from `expressions`; or several (name, column) pairs; or None to return the one
+    expression. operator: "=" or "+=". tail: a last statement.
+    """
+    if isinstance(output, str):
+        outputs = [(output, expressions)]
+    else:
+        outputs = list(output or [])
+    columns = [sp.Matrix(column) for _, column in outputs if column is not None] if outputs else [sp.Matrix(expressions)]
+    shared, reduced = sp.cse([entry for column in columns for entry in column], symbols=sp.numbered_symbols("shared"), order="canonical")
+    used = set().union(*(entry.free_symbols for entry in [*reduced, *(value for _, value in shared)]), set())
+
+    parameters = [f"const double *{vector.name}" for vector in arguments] + [f"double *{target}" for target, _ in outputs]
+    lines = [f"SCENE_FUNCTION {result} {name}({', '.join(parameters)})", "{"]
+    for vector in arguments:
+        entries = [(index, symbol) for index, symbol in enumerate(vector.symbols) if symbol in used]
+        lines += [f"    const double {symbol.name} = {vector.name}[{index}];" for index, symbol in entries]
+        if not entries:
+            lines.append(f"    (void){vector.name};")
+    lines += [f"    const double {symbol.name} = {_PRINTER.doprint(value)};" for symbol, value in shared]
+    if not outputs:
+        lines.append(f"    return {_PRINTER.doprint(reduced[0])};")
+    position = 0
+    for (target, _), column in zip(outputs, columns if outputs else [], strict=True):
+        statements = []
+        for index in range(len(column)):
+            expression = reduced[position]
+            position += 1
+            if operator == "+=" and expression == 0:
+                continue
+            statements.append(f"    {target}[{index}] {operator} {_PRINTER.doprint(expression)};")
+        lines += statements or [f"    (void){target};"]
+    if tail:
+        lines.append(f"    {tail}")
+    return "\n".join([*lines, "}", ""])

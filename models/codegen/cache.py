@@ -1,0 +1,54 @@
+"""A folder of things built once: content-addressed, so that it never needs cleaning to be right.
+
+The folder is $TOUCHSTONE_CACHE, or `touchstone` in the user's cache folder.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+from models.errors import MachineError
+
+
+def cache_folder() -> Path:
+    """The cache folder, created if needed. Raises MachineError if it cannot be written."""
+    given = os.environ.get("TOUCHSTONE_CACHE")
+    if given:
+        folder = Path(given)
+    elif sys.platform == "win32":
+        folder = Path(os.environ.get("LOCALAPPDATA", str(Path.home()))) / "touchstone"
+    elif sys.platform == "darwin":
+        folder = Path.home() / "Library" / "Caches" / "touchstone"
+    else:
+        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "touchstone"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise MachineError(f"the cache folder {folder} cannot be created ({error.strerror}); set TOUCHSTONE_CACHE to a folder you can write.") from error
+    if not os.access(folder, os.W_OK):
+        raise MachineError(f"the cache folder {folder} cannot be written; set TOUCHSTONE_CACHE to a folder you can write.")
+    return folder
+
+
+def cached(key_text: str, suffix: str, build: Callable[[Path], None]) -> Path:
+    """The file for this content: found, or made by `build(path)` in a temporary place and renamed.
+
+    Two processes may build the same file at once; both end with a whole one. Raises MachineError when the disk refuses.
+    """
+    key = hashlib.sha256(key_text.encode()).hexdigest()
+    target = cache_folder() / f"{key[:32]}{suffix}"
+    if target.exists():
+        return target
+    try:
+        with tempfile.TemporaryDirectory(dir=target.parent, prefix="building-") as folder:
+            made = Path(folder) / target.name
+            build(made)
+            os.replace(made, target)
+    except OSError as error:
+        raise MachineError(f"the cache folder {target.parent} cannot be written ({error}); set TOUCHSTONE_CACHE to another folder.") from error
+    return target

@@ -1,0 +1,86 @@
+"""Finds a C compiler and runs it: $CC, then cc, gcc, clang, then `python -m ziglang cc` if that wheel is installed."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from models.errors import MachineError
+
+# -O2 always: at -O0 zig traps undefined behaviour. No contraction to fused multiply-add, so that the same expression
+# gives the same bits in the rollout, in the score and on every machine. -s keeps the files small and free of paths.
+FLAGS = ("-O2", "-s", "-std=c99", "-fPIC", "-shared", "-ffp-contract=off", "-fvisibility=hidden", "-Wall", "-Wextra", "-Werror")
+
+
+@dataclass(frozen=True)
+class Compiler:
+    """A command that compiles C, and the first line of what it says of itself."""
+
+    command: tuple[str, ...]
+    version: str
+
+    def describe(self) -> str:
+        return self.version
+
+
+def find_compiler() -> Compiler:
+    """The first compiler that runs. Raises MachineError with what to install."""
+    return _find(os.environ.get("CC", ""), os.environ.get("PATH", ""))
+
+
+@lru_cache(maxsize=8)
+def _find(cc: str, path: str) -> Compiler:
+    if cc:
+        command = tuple(shlex.split(cc))
+        version = _version(command)
+        if version is None:
+            raise MachineError(f"no C compiler: the environment variable CC is {cc!r}, which does not run; correct it or unset it.")
+        return Compiler(command, version)
+    candidates = [(found,) for found in (shutil.which(name, path=path or None) for name in ("cc", "gcc", "clang")) if found]
+    if importlib.util.find_spec("ziglang") is not None:
+        candidates.append((sys.executable, "-m", "ziglang", "cc"))
+    for command in candidates:
+        version = _version(command)
+        if version is not None:
+            return Compiler(command, version)
+    raise MachineError("no C compiler was found; install one with: pip install 'touchstone-contact[compiler]' (or set CC to a compiler you have).")
+
+
+def _version(command: Sequence[str]) -> str | None:
+    try:
+        done = subprocess.run([*command, "--version"], capture_output=True, text=True, timeout=120, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    lines = done.stdout.strip().splitlines()
+    return lines[0] if done.returncode == 0 and lines else None
+
+
+def compile_shared(
+    compiler: Compiler,
+    sources: Mapping[str, str],
+    output: Path,
+    extra_flags: Sequence[str] = (),
+    include_dirs: Sequence[Path] = (),
+) -> None:
+    """Compile the .c files among `sources` (file name -> text) into the shared library `output`.
+
+    Raises MachineError with the compiler's first lines if it refuses.
+    """
+    with tempfile.TemporaryDirectory(prefix="touchstone-") as folder:
+        for name, text in sources.items():
+            (Path(folder) / name).write_text(text, encoding="utf-8")
+        units = sorted(name for name in sources if name.endswith(".c"))
+        command = [*compiler.command, *FLAGS, *extra_flags, "-I.", *(f"-I{path}" for path in include_dirs), *units, "-o", str(output), "-lm"]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        lines = "; ".join(done.stderr.strip().splitlines()[:3])
+        raise MachineError(f"the C compiler ({compiler.version}) refused the generated code of {', '.join(units)}: {lines}")

@@ -1,0 +1,225 @@
+"""Scene -> `scene_model.h`: static inline C functions, common subexpressions eliminated, names kept.
+
+The text depends on the scene alone (no date, no random names), so that equal scenes give equal bytes. What the scene
+does not need is not written: a constant mass matrix is inverted here, symbolically, and only a scene whose mass matrix
+depends on q gets a Cholesky factorisation.
+
+Within the C functions every entry of a vector has a name of its own, `<vector>_<name>`: `q_q1`, `lam_left`, `p_k`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import sympy as sp
+
+from models.codegen.c_function import Vector, c_function
+from models.dynamics import Dynamics, derive
+from models.scene import Scene
+
+
+@dataclass(frozen=True)
+class _Vectors:
+    """The argument vectors of one scene, and its equations written in their entries."""
+
+    dynamics: Dynamics
+    q: Vector
+    v: Vector
+    u: Vector
+    lam: Vector
+    p: Vector
+
+    @classmethod
+    def of(cls, d: Dynamics) -> _Vectors:
+        def vector(name: str, symbols: Sequence[sp.Symbol]) -> Vector:
+            return Vector.of(name, [symbol.name for symbol in symbols])
+
+        lam = Vector.of("lam", [contact.name for contact in d.scene.contacts])
+        return cls(d, q=vector("q", d.q), v=vector("v", d.v), u=vector("u", d.u), lam=lam, p=vector("p", d.p))
+
+    @property
+    def arguments(self) -> tuple[Vector, ...]:
+        """(q, v, u, lam, p): what an acceleration depends on."""
+        return (self.q, self.v, self.u, self.lam, self.p)
+
+    def local(self, expression: sp.Expr | sp.Matrix) -> sp.Matrix:
+        """An expression or matrix of the scene, in the entries of these vectors."""
+        d = self.dynamics
+        pairs = zip((*d.q, *d.v, *d.u, *d.lam, *d.p), (s for vector in self.arguments for s in vector.symbols), strict=True)
+        matrix = expression if isinstance(expression, sp.MatrixBase) else sp.Matrix([[expression]])
+        mapping = dict(pairs)
+        return matrix.applyfunc(lambda entry: sp.sympify(entry).xreplace(mapping))
+
+
+def emit_model(scene: Scene, *, defaults: bool = True) -> str:
+    """Text of `scene_model.h` (C99, no I/O, static inline functions only).
+
+    defaults: also write the default parameter values; without them one header serves all parameter values of a scene.
+    """
+    vectors = _Vectors.of(derive(scene))
+    parts = [_head(scene, defaults), *_contact_functions(vectors), *_acceleration_functions(vectors), *_energy_functions(vectors)]
+    return "\n".join([*parts, "#endif", ""])
+
+
+def _head(scene: Scene, defaults: bool) -> str:
+    sizes = {"NQ": scene.nq, "NU": scene.nu, "NC": scene.nc, "NP": len(scene.parameters)}
+    lines = [
+        f"/* Equations of motion of the scene {scene.name}; generated from its SymPy source. */",
+        "#ifndef SCENE_MODEL_H",
+        "#define SCENE_MODEL_H",
+        "",
+        "#include <math.h>",
+        "",
+        f'#define SCENE_NAME "{scene.name}"',
+        *(f"#define {name} {size}" for name, size in sizes.items()),
+        "",
+        "#if defined(__GNUC__)",
+        "#define SCENE_UNUSED __attribute__((unused))",
+        "#else",
+        "#define SCENE_UNUSED",
+        "#endif",
+        "#define SCENE_FUNCTION static inline SCENE_UNUSED",
+        "",
+    ]
+    if defaults:
+        values = [parameter.value for parameter in scene.parameters] or [0.0]
+        lines += [f"static const double scene_default_parameters[] SCENE_UNUSED = {{{', '.join(repr(float(value)) for value in values)}}};", ""]
+    return "\n".join(lines)
+
+
+def _contact_functions(x: _Vectors) -> list[str]:
+    d = x.dynamics
+    phi, stiffness = x.local(d.penetration), x.local(d.stiffness)
+    dq, phi_bar = x.q.like("dq"), x.lam.like("phi_bar")
+    slope = phi.jacobian(x.q.column) if phi.rows else sp.zeros(0, len(x.q.symbols))
+    return [
+        c_function("void", "scene_penetration", (x.q, x.p), "phi", phi),
+        c_function("void", "scene_stiffness", (x.p,), "k", stiffness),
+        c_function("void", "scene_penetration_jvp", (x.q, x.p, dq), "d_phi", slope * dq.column),
+        c_function("void", "scene_penetration_vjp", (x.q, x.p, phi_bar), "q_bar", slope.T * phi_bar.column, operator="+="),
+    ]
+
+
+def _energy_functions(x: _Vectors) -> list[str]:
+    d = x.dynamics
+    return [
+        c_function("double", "scene_kinetic_energy", (x.q, x.v, x.p), None, x.local(d.kinetic_energy)),
+        c_function("double", "scene_potential_energy", (x.q, x.p), None, x.local(d.potential_energy)),
+        c_function("double", "scene_input_power", (x.q, x.v, x.u, x.p), None, x.local(d.input_power)),
+        c_function("double", "scene_dissipated_power", (x.q, x.v, x.p), None, x.local(d.dissipated_power)),
+        c_function("double", "scene_running_cost", (x.q, x.v, x.u, x.p), None, x.local(d.running_cost)),
+    ]
+
+
+def _acceleration_functions(x: _Vectors) -> list[str]:
+    tangents = tuple(vector.like(f"d{vector.name}") for vector in (x.q, x.v, x.u, x.lam))
+    closed = x.dynamics.acceleration
+    if closed is not None:
+        return _closed_acceleration(x, x.local(closed), tangents)
+    return _factorised_acceleration(x, tangents)
+
+
+def _directional(function: sp.Matrix, x: _Vectors, tangents: Sequence[Vector]) -> sp.Matrix:
+    """Jacobian-vector product of a column in direction (dq, dv, du, dlam)."""
+    total = sp.zeros(function.rows, 1)
+    for vector, tangent in zip((x.q, x.v, x.u, x.lam), tangents, strict=True):
+        if vector.symbols:
+            total += function.jacobian(vector.column) * tangent.column
+    return total
+
+
+def _closed_acceleration(x: _Vectors, acceleration: sp.Matrix, tangents: Sequence[Vector]) -> list[str]:
+    a_bar = x.q.like("a_bar")
+    bars = [
+        (f"{vector.name}_bar", acceleration.jacobian(vector.column).T * a_bar.column if vector.symbols else sp.zeros(0, 1))
+        for vector in (x.q, x.v, x.u, x.lam)
+    ]
+    return [
+        c_function("int", "scene_acceleration", x.arguments, "a", acceleration, tail="return 0;"),
+        c_function(
+            "int", "scene_acceleration_jvp", (*x.arguments, *tangents), "d_a", _directional(acceleration, x, tangents), tail="return 0;"
+        ),
+        c_function("int", "scene_acceleration_vjp", (*x.arguments, a_bar), bars, operator="+=", tail="return 0;"),
+    ]
+
+
+# Cholesky factorisation and solve, written only for scenes whose mass matrix depends on q.
+_CHOLESKY = """\
+/* Solves M x = b in place (b becomes x) for symmetric positive definite M (destroyed); 0, or 1 if M is not positive definite. */
+SCENE_FUNCTION int scene_solve(double M[NQ][NQ], double *b)
+{
+    for (int j = 0; j < NQ; j++) {
+        for (int k = 0; k < j; k++) M[j][j] -= M[j][k] * M[j][k];
+        if (!(M[j][j] > 0.0)) return 1;
+        M[j][j] = sqrt(M[j][j]);
+        for (int i = j + 1; i < NQ; i++) {
+            for (int k = 0; k < j; k++) M[i][j] -= M[i][k] * M[j][k];
+            M[i][j] /= M[j][j];
+        }
+    }
+    for (int i = 0; i < NQ; i++) {
+        for (int k = 0; k < i; k++) b[i] -= M[i][k] * b[k];
+        b[i] /= M[i][i];
+    }
+    for (int i = NQ - 1; i >= 0; i--) {
+        for (int k = i + 1; k < NQ; k++) b[i] -= M[k][i] * b[k];
+        b[i] /= M[i][i];
+    }
+    return 0;
+}
+"""
+
+_SOLVES = """\
+SCENE_FUNCTION int scene_acceleration(const double *q, const double *v, const double *u, const double *lam, const double *p, double *a)
+{
+    double M[NQ][NQ];
+    scene_mass(q, p, &M[0][0]);
+    scene_force(q, v, u, lam, p, a);
+    return scene_solve(M, a);
+}
+
+/* M da = df - (dM/dq dq) a */
+SCENE_FUNCTION int scene_acceleration_jvp(const double *q, const double *v, const double *u, const double *lam, const double *p,
+    const double *dq, const double *dv, const double *du, const double *dlam, double *d_a)
+{
+    double M[NQ][NQ], a[NQ];
+    if (scene_acceleration(q, v, u, lam, p, a)) return 1;
+    scene_mass(q, p, &M[0][0]);
+    scene_force_jvp(q, v, u, lam, p, a, dq, dv, du, dlam, d_a);
+    return scene_solve(M, d_a);
+}
+
+/* w = M^-1 a_bar; then (q, v, u, lam)_bar += (df/dx)' w - (w' dM/dq a) */
+SCENE_FUNCTION int scene_acceleration_vjp(const double *q, const double *v, const double *u, const double *lam, const double *p,
+    const double *a_bar, double *q_bar, double *v_bar, double *u_bar, double *lam_bar)
+{
+    double M[NQ][NQ], a[NQ], w[NQ];
+    if (scene_acceleration(q, v, u, lam, p, a)) return 1;
+    scene_mass(q, p, &M[0][0]);
+    for (int i = 0; i < NQ; i++) w[i] = a_bar[i];
+    if (scene_solve(M, w)) return 1;
+    scene_force_vjp(q, v, u, lam, p, a, w, q_bar, v_bar, u_bar, lam_bar);
+    return 0;
+}
+"""
+
+
+def _factorised_acceleration(x: _Vectors, tangents: Sequence[Vector]) -> list[str]:
+    d = x.dynamics
+    mass, force = x.local(d.mass_matrix), x.local(d.generalised_force)
+    a, w = x.q.like("a"), x.q.like("w")
+    # For fixed a, the residual f - M a has the Jacobian that both products below need.
+    residual = force - mass * a.column
+    bars = [
+        (f"{vector.name}_bar", residual.jacobian(vector.column).T * w.column if vector.symbols else sp.zeros(0, 1))
+        for vector in (x.q, x.v, x.u, x.lam)
+    ]
+    return [
+        _CHOLESKY,
+        c_function("void", "scene_mass", (x.q, x.p), "M", sp.Matrix(list(mass))),
+        c_function("void", "scene_force", x.arguments, "f", force),
+        c_function("void", "scene_force_jvp", (*x.arguments, a, *tangents), "d_f", _directional(residual, x, tangents)),
+        c_function("void", "scene_force_vjp", (*x.arguments, a, w), bars, operator="+="),
+        _SOLVES,
+    ]

@@ -1,0 +1,179 @@
+"""The compiled time step of a scene and its adjoint, as numpy functions.
+
+    kernel = load_kernel(scene)
+    rollout = kernel.rollout(scene.task.start, u, step=0.01)                     # true (ReLU) contact
+    rollout = kernel.rollout(start, u, step=0.01, law=ContactLaw.SOFTPLUS, eps=1e-3)
+    u_bar, start_bar = kernel.adjoint(rollout, u, q_bar=..., v_bar=...)          # gradient of any loss of q, v, lam
+
+Semi-implicit Euler with the paper's indices: lam[t] = L(phi(q[t])), v[t+1] = v[t] + h a[t], q[t+1] = q[t] + h v[t+1].
+"""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from models.codegen.cache import cached
+from models.codegen.compiler import FLAGS, compile_shared, find_compiler
+from models.codegen.emit import emit_model
+from models.contact_law import ContactLaw, sharpness
+from models.errors import TouchstoneError
+from models.scene import Scene
+
+_SOURCE = Path(__file__).with_name("rollout.c")
+_DOUBLES = ctypes.POINTER(ctypes.c_double)
+
+
+class KernelError(TouchstoneError):
+    """Arrays that do not fit the scene, or a mass matrix that is not positive definite."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rollout:
+    """q, v: (steps+1, nq); lam: (steps, nc); finite_steps: how many steps stayed finite (all, unless it diverged).
+
+    step [s], law and eps are those it was made with; rows after a divergence are NaN.
+    """
+
+    q: np.ndarray
+    v: np.ndarray
+    lam: np.ndarray
+    finite_steps: int
+    step: float
+    law: ContactLaw
+    eps: float | None
+
+    @property
+    def diverged(self) -> bool:
+        return self.finite_steps < len(self.lam)
+
+
+def load_kernel(scene: Scene) -> Kernel:
+    """Compile (or find in the cache) the kernel of a scene. Raises MachineError without a compiler."""
+    compiler = find_compiler()
+    sources = {"scene_model.h": emit_model(scene, defaults=False), "rollout.c": _SOURCE.read_text(encoding="utf-8")}
+    key = "\n".join([compiler.describe(), " ".join(FLAGS), *(f"{name}\n{text}" for name, text in sorted(sources.items()))])
+    library = cached(key, ".so", lambda path: compile_shared(compiler, sources, path))
+    return Kernel(scene, library)
+
+
+class Kernel:
+    """Numpy functions over the compiled kernel of one scene; see the module docstring. All arrays are float64."""
+
+    def __init__(self, scene: Scene, library: Path) -> None:
+        self.scene = scene
+        self._library = ctypes.CDLL(str(library))
+        for name in ("kernel_penetration", "kernel_contact_force", "kernel_stiffness", "kernel_energy", "kernel_power", "kernel_penetration_jvp"):
+            getattr(self._library, name).restype = None
+        self._library.kernel_cost.restype = ctypes.c_double
+        values = [parameter.value for parameter in scene.parameters]
+        self._p = np.array(values or [0.0])
+
+    def penetration(self, q: np.ndarray) -> np.ndarray:
+        """phi (n, nc) [m] at positions q (n, nq)."""
+        q = self._array("q", q, self.scene.nq)
+        phi = np.empty((len(q), self.scene.nc))
+        self._library.kernel_penetration(len(q), _at(self._p), _at(q), _at(phi))
+        return phi
+
+    def stiffness(self) -> np.ndarray:
+        """k (nc,) [N/m]."""
+        k = np.empty(self.scene.nc)
+        self._library.kernel_stiffness(_at(self._p), _at(k))
+        return k
+
+    def contact_force(self, q: np.ndarray, law: ContactLaw = ContactLaw.RELU, eps: float | None = None) -> np.ndarray:
+        """lam (n, nc) [N] at positions q (n, nq)."""
+        q = self._array("q", q, self.scene.nq)
+        lam = np.empty((len(q), self.scene.nc))
+        self._library.kernel_contact_force(len(q), _at(self._p), law.value, _b(law, eps), _at(q), _at(lam))
+        return lam
+
+    def acceleration(self, q: np.ndarray, v: np.ndarray, u: np.ndarray, lam: np.ndarray) -> np.ndarray:
+        """dv/dt (n, nq) of M dv/dt = tau(q, v, u) + J' lam, row by row. Raises KernelError where M is not positive definite."""
+        q, v = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq)
+        u, lam = self._array("u", u, self.scene.nu, len(q)), self._array("lam", lam, self.scene.nc, len(q))
+        a = np.empty((len(q), self.scene.nq))
+        done = self._library.kernel_acceleration(len(q), _at(self._p), _at(q), _at(v), _at(u), _at(lam), _at(a))
+        if done < len(q):
+            raise KernelError(f"scene {self.scene.name}: the mass matrix is not positive definite at q = {q[done].tolist()}.")
+        return a
+
+    def rollout(
+        self, start: np.ndarray, u: np.ndarray, step: float, law: ContactLaw = ContactLaw.RELU, eps: float | None = None
+    ) -> Rollout:
+        """Simulate from start (2*nq,) with inputs u (steps, nu), held over each step of `step` seconds."""
+        u = self._array("u", u, self.scene.nu)
+        start = self._array("start", np.atleast_2d(start), 2 * self.scene.nq)
+        steps = len(u)
+        q, v = np.full((steps + 1, self.scene.nq), np.nan), np.full((steps + 1, self.scene.nq), np.nan)
+        lam = np.full((steps, self.scene.nc), np.nan)
+        done = self._library.kernel_rollout(
+            steps, ctypes.c_double(step), _at(self._p), law.value, _b(law, eps), _at(start), _at(u), _at(q), _at(v), _at(lam)
+        )
+        q[done + 1 :] = v[done + 1 :] = np.nan
+        lam[done + 1 :] = np.nan
+        return Rollout(q=q, v=v, lam=lam, finite_steps=done, step=step, law=law, eps=eps)
+
+    def adjoint(
+        self, rollout: Rollout, u: np.ndarray, q_bar: np.ndarray, v_bar: np.ndarray, lam_bar: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Gradients (u_bar (steps, nu), start_bar (2*nq,)) of a loss whose derivatives are q_bar, v_bar (steps+1, nq), lam_bar (steps, nc)."""
+        u = self._array("u", u, self.scene.nu)
+        nodes = len(rollout.q)
+        q_bar, v_bar = self._array("q_bar", q_bar, self.scene.nq, nodes), self._array("v_bar", v_bar, self.scene.nq, nodes)
+        lam_bar = np.zeros_like(rollout.lam) if lam_bar is None else self._array("lam_bar", lam_bar, self.scene.nc, nodes - 1)
+        u_bar, start_bar = np.empty_like(u), np.empty(2 * self.scene.nq)
+        failed = self._library.kernel_adjoint(
+            len(u), ctypes.c_double(rollout.step), _at(self._p), rollout.law.value, _b(rollout.law, rollout.eps), _at(rollout.q), _at(rollout.v),
+            _at(rollout.lam), _at(u), _at(q_bar), _at(v_bar), _at(lam_bar), _at(u_bar), _at(start_bar),
+        )  # fmt: skip
+        if failed:
+            raise KernelError(f"scene {self.scene.name}: the mass matrix is not positive definite along the rollout.")
+        return u_bar, start_bar
+
+    def acceleration_jvp(self, point: tuple[np.ndarray, ...], tangent: tuple[np.ndarray, ...]) -> np.ndarray:
+        """Directional derivative (nq,) of the acceleration at point (q, v, u, lam) in direction (dq, dv, du, dlam)."""
+        sizes = (self.scene.nq, self.scene.nq, self.scene.nu, self.scene.nc)
+        arrays = [self._array("point", np.atleast_2d(part), size) for part, size in zip((*point, *tangent), sizes * 2, strict=True)]
+        result = np.empty(self.scene.nq)
+        self._library.kernel_acceleration_jvp(_at(self._p), *(_at(array) for array in arrays), _at(result))
+        return result
+
+    def energy(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Kinetic and potential energy (n,) [J], without the energy stored in contacts."""
+        q, v = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq)
+        energy = np.empty((len(q), 2))
+        self._library.kernel_energy(len(q), _at(self._p), _at(q), _at(v), _at(energy))
+        return energy[:, 0], energy[:, 1]
+
+    def power(self, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Power of the inputs and dissipated power (n,) [W]."""
+        q, v, u = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq), self._array("u", u, self.scene.nu)
+        power = np.empty((len(q), 2))
+        self._library.kernel_power(len(q), _at(self._p), _at(q), _at(v), _at(u), _at(power))
+        return power[:, 0], power[:, 1]
+
+    def cost(self, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> float:
+        """Sum of the running cost over the steps; q, v (steps+1 or steps, nq), u (steps, nu)."""
+        u = self._array("u", u, self.scene.nu)
+        q, v = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq)
+        return float(self._library.kernel_cost(len(u), _at(self._p), _at(q), _at(v), _at(u)))
+
+    def _array(self, name: str, value: np.ndarray, columns: int, rows: int | None = None) -> np.ndarray:
+        array = np.ascontiguousarray(value, dtype=np.float64)
+        if array.ndim != 2 or array.shape[1] != columns or (rows is not None and array.shape[0] != rows):
+            expected = f"({'n' if rows is None else rows}, {columns})"
+            raise KernelError(f"scene {self.scene.name}: {name} has shape {array.shape}, but {expected} is needed.")
+        return array
+
+
+def _at(array: np.ndarray) -> ctypes.Array:
+    return array.ctypes.data_as(_DOUBLES)
+
+
+def _b(law: ContactLaw, eps: float | None) -> ctypes.c_double:
+    return ctypes.c_double(0.0 if law is ContactLaw.RELU else sharpness(eps if eps is not None else 0.0))

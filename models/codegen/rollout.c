@@ -1,0 +1,157 @@
+/* The discrete time step of a scene (semi-implicit Euler) and its adjoint, over whole trajectories.
+ *
+ *   lam[t] = L(phi(q[t]))          a[t] = M^-1 (tau(q[t], v[t], u[t]) + J' lam[t])
+ *   v[t+1] = v[t] + h a[t]         q[t+1] = q[t] + h v[t+1]
+ *
+ * Arrays are row-major, one row a node or step. Contact law: 0 = ReLU, 1 = softplus with sharpness b. */
+#include "scene_model.h"
+
+#define EXPORT __attribute__((visibility("default")))
+#define SIZE(n) ((n) > 0 ? (n) : 1)
+
+EXPORT const int kernel_sizes[4] = {NQ, NU, NC, NP};
+
+static double contact_force(int law, double b, double k, double phi)
+{
+    if (law == 0) return k * (phi > 0.0 ? phi : 0.0);
+    const double z = b * phi;
+    return (k / b) * ((z > 0.0 ? z : 0.0) + log1p(exp(-fabs(z))));
+}
+
+/* d lam / d phi; the ReLU has slope 0 at phi = 0. */
+static double contact_slope(int law, double b, double k, double phi)
+{
+    if (law == 0) return phi > 0.0 ? k : 0.0;
+    const double z = b * phi, e = exp(-fabs(z));
+    return k * (z > 0.0 ? 1.0 : e) / (1.0 + e);
+}
+
+static void contact_forces(int law, double b, const double *k, const double *q, const double *p, double *lam)
+{
+    double phi[SIZE(NC)];
+    scene_penetration(q, p, phi);
+    for (int i = 0; i < NC; i++) lam[i] = contact_force(law, b, k[i], phi[i]);
+}
+
+static int finite_row(const double *row, int n)
+{
+    for (int i = 0; i < n; i++)
+        if (!isfinite(row[i])) return 0;
+    return 1;
+}
+
+/* q, v: (steps + 1, NQ), first row filled from start (2 NQ); lam: (steps, NC). Returns the number of steps that were
+ * finite: fewer than `steps` if the rollout diverged or the mass matrix lost definiteness. */
+EXPORT int kernel_rollout(int steps, double h, const double *p, int law, double b, const double *start, const double *u,
+    double *q, double *v, double *lam)
+{
+    double k[SIZE(NC)], a[NQ];
+    scene_stiffness(p, k);
+    for (int i = 0; i < NQ; i++) {
+        q[i] = start[i];
+        v[i] = start[NQ + i];
+    }
+    for (int t = 0; t < steps; t++) {
+        const double *qt = q + t * NQ, *vt = v + t * NQ;
+        double *qn = q + (t + 1) * NQ, *vn = v + (t + 1) * NQ;
+        contact_forces(law, b, k, qt, p, lam + t * NC);
+        if (scene_acceleration(qt, vt, u + t * NU, lam + t * NC, p, a)) return t;
+        for (int i = 0; i < NQ; i++) {
+            vn[i] = vt[i] + h * a[i];
+            qn[i] = qt[i] + h * vn[i];
+        }
+        if (!finite_row(qn, NQ) || !finite_row(vn, NQ)) return t;
+    }
+    return steps;
+}
+
+/* Reverse sweep: given the derivatives of a loss with respect to every entry of q, v and lam (q_bar, v_bar, lam_bar),
+ * writes those with respect to u (steps, NU) and start (2 NQ). Returns 0, or 1 if the mass matrix is not positive definite. */
+EXPORT int kernel_adjoint(int steps, double h, const double *p, int law, double b, const double *q, const double *v, const double *lam,
+    const double *u, const double *q_bar, const double *v_bar, const double *lam_bar, double *u_bar, double *start_bar)
+{
+    double k[SIZE(NC)], gq[NQ], gv[NQ];
+    scene_stiffness(p, k);
+    for (int i = 0; i < NQ; i++) {
+        gq[i] = q_bar[steps * NQ + i];
+        gv[i] = v_bar[steps * NQ + i];
+    }
+    for (int t = steps - 1; t >= 0; t--) {
+        const double *qt = q + t * NQ, *vt = v + t * NQ;
+        double a_bar[NQ], phi[SIZE(NC)], gl[SIZE(NC)];
+        for (int i = 0; i < NQ; i++) {
+            gv[i] += h * gq[i];
+            a_bar[i] = h * gv[i];
+        }
+        for (int i = 0; i < NU; i++) u_bar[t * NU + i] = 0.0;
+        for (int i = 0; i < NC; i++) gl[i] = lam_bar[t * NC + i];
+        if (scene_acceleration_vjp(qt, vt, u + t * NU, lam + t * NC, p, a_bar, gq, gv, u_bar + t * NU, gl)) return 1;
+        scene_penetration(qt, p, phi);
+        for (int i = 0; i < NC; i++) gl[i] *= contact_slope(law, b, k[i], phi[i]);
+        scene_penetration_vjp(qt, p, gl, gq);
+        for (int i = 0; i < NQ; i++) {
+            gq[i] += q_bar[t * NQ + i];
+            gv[i] += v_bar[t * NQ + i];
+        }
+    }
+    for (int i = 0; i < NQ; i++) {
+        start_bar[i] = gq[i];
+        start_bar[NQ + i] = gv[i];
+    }
+    return 0;
+}
+
+EXPORT void kernel_penetration(int n, const double *p, const double *q, double *phi)
+{
+    for (int t = 0; t < n; t++) scene_penetration(q + t * NQ, p, phi + t * NC);
+}
+
+EXPORT void kernel_contact_force(int n, const double *p, int law, double b, const double *q, double *lam)
+{
+    double k[SIZE(NC)];
+    scene_stiffness(p, k);
+    for (int t = 0; t < n; t++) contact_forces(law, b, k, q + t * NQ, p, lam + t * NC);
+}
+
+EXPORT void kernel_stiffness(const double *p, double *k) { scene_stiffness(p, k); }
+
+/* Returns the number of rows done; fewer than n if the mass matrix is not positive definite somewhere. */
+EXPORT int kernel_acceleration(int n, const double *p, const double *q, const double *v, const double *u, const double *lam, double *a)
+{
+    for (int t = 0; t < n; t++)
+        if (scene_acceleration(q + t * NQ, v + t * NQ, u + t * NU, lam + t * NC, p, a + t * NQ)) return t;
+    return n;
+}
+
+EXPORT int kernel_acceleration_jvp(const double *p, const double *q, const double *v, const double *u, const double *lam,
+    const double *dq, const double *dv, const double *du, const double *dlam, double *da)
+{
+    return scene_acceleration_jvp(q, v, u, lam, p, dq, dv, du, dlam, da);
+}
+
+EXPORT void kernel_penetration_jvp(const double *p, const double *q, const double *dq, double *dphi) { scene_penetration_jvp(q, p, dq, dphi); }
+
+/* energy: (n, 2) kinetic and potential [J]. */
+EXPORT void kernel_energy(int n, const double *p, const double *q, const double *v, double *energy)
+{
+    for (int t = 0; t < n; t++) {
+        energy[2 * t] = scene_kinetic_energy(q + t * NQ, v + t * NQ, p);
+        energy[2 * t + 1] = scene_potential_energy(q + t * NQ, p);
+    }
+}
+
+/* power: (n, 2) by the inputs and dissipated [W]; cost: (n) running cost. */
+EXPORT void kernel_power(int n, const double *p, const double *q, const double *v, const double *u, double *power)
+{
+    for (int t = 0; t < n; t++) {
+        power[2 * t] = scene_input_power(q + t * NQ, v + t * NQ, u + t * NU, p);
+        power[2 * t + 1] = scene_dissipated_power(q + t * NQ, v + t * NQ, p);
+    }
+}
+
+EXPORT double kernel_cost(int n, const double *p, const double *q, const double *v, const double *u)
+{
+    double total = 0.0;
+    for (int t = 0; t < n; t++) total += scene_running_cost(q + t * NQ, v + t * NQ, u + t * NU, p);
+    return total;
+}
