@@ -64,7 +64,7 @@ class Session(ABC):
         """One stage. eps: the relaxation (None for methods without one); warm_start: a plan on the same grid, or None for the
         paper's first guess (initial state held, u = lam = 0); time_limit: wall seconds."""
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 - most sessions hold nothing that needs freeing
         """Free what the session holds."""
 
     def __enter__(self) -> Session:

@@ -36,7 +36,11 @@ def scene_path(reference: str) -> Path:
     if reference in scene_names():
         return _FOLDER / f"{reference}.py"
     close = difflib.get_close_matches(reference, scene_names(), n=1)
-    hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(scene_names())}; a scene of your own is given by the path of its .py file."
+    hint = (
+        f"did you mean {close[0]}?"
+        if close
+        else f"there are {', '.join(scene_names())}; a scene of your own is given by the path of its .py file."
+    )
     raise UnknownNameError(f"there is no scene {reference!r}; {hint}")
 
 
@@ -45,11 +49,9 @@ def load_scene(reference: str) -> Scene:
     from models.scene import Scene
 
     path = scene_path(reference)
-    if path.parent == _FOLDER:
-        module_name = f"models.scenes.{path.stem}"
-    else:
-        module_name = f"_touchstone_scene_{abs(hash(str(path)))}_{path.stem}"
-    if module_name in sys.modules and path.parent == _FOLDER:
+    ours = path.parent == _FOLDER
+    module_name = f"models.scenes.{path.stem}" if ours else f"_touchstone_scene_{path.stem}"
+    if ours and module_name in sys.modules:
         module = sys.modules[module_name]
     else:
         spec = importlib.util.spec_from_file_location(module_name, path)
@@ -60,9 +62,9 @@ def load_scene(reference: str) -> Scene:
             spec.loader.exec_module(module)
         except TouchstoneError as error:
             raise SceneError(f"scene file {path}: {error}") from error
-        except Exception as error:  # noqa: BLE001 - anything may go wrong in a user's file; it is reported, not hidden
+        except Exception as error:
             raise SceneError(f"scene file {path}: {type(error).__name__} while it was read: {error}") from error
-        if path.parent == _FOLDER:
+        if ours:
             sys.modules[module_name] = module
     scene = getattr(module, "SCENE", None)
     if not isinstance(scene, Scene):

@@ -32,7 +32,9 @@ def sharpness(eps: float) -> float:
     return abs(math.log(eps))
 
 
-def contact_force(phi: np.ndarray, stiffness: np.ndarray | float, law: ContactLaw = ContactLaw.RELU, eps: float | None = None) -> np.ndarray:
+def contact_force(
+    phi: np.ndarray, stiffness: np.ndarray | float, law: ContactLaw = ContactLaw.RELU, eps: float | None = None
+) -> np.ndarray:
     """lam [N] at penetrations phi [m], element by element."""
     phi = np.asarray(phi, dtype=float)
     if law is ContactLaw.RELU:

@@ -21,7 +21,6 @@ import sympy as sp
 
 from models.scene import Scene
 
-
 _DERIVED: WeakKeyDictionary[Scene, Dynamics] = WeakKeyDictionary()
 
 
@@ -140,7 +139,7 @@ def _build(scene: Scene) -> Dynamics:
     stiffness = sp.Matrix(scene.nc, 1, [sp.sympify(contact.stiffness) for contact in scene.contacts])
     jacobian = -phi.jacobian(q) if scene.nc else sp.zeros(0, scene.nq)
 
-    passive = forces.subs({item: 0 for item in u})
+    passive = forces.subs(dict.fromkeys(u, 0))
     velocity = sp.Matrix(v)
     return Dynamics(
         scene=scene,

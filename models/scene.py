@@ -182,6 +182,7 @@ class Task:
 
     def __post_init__(self) -> None:
         for field in ("start", "goal"):
+            object.__setattr__(self, field, tuple(getattr(self, field)))
             for index, value in enumerate(getattr(self, field)):
                 _check_finite(f"task: {field}[{index}]", value)
         _check_finite("task: step", self.step)
@@ -225,7 +226,7 @@ class Shape:
     x: sp.Expr
     y: sp.Expr
     size: tuple[sp.Expr | float, ...]
-    angle: sp.Expr = sp.Integer(0)
+    angle: sp.Expr = sp.S.Zero
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -254,6 +255,11 @@ class Scene:
     def __post_init__(self) -> None:
         from models.scene_checks import check_scene
 
+        for field in ("coordinates", "inputs", "parameters", "forces", "contacts", "limits", "answers", "shapes"):
+            value = getattr(self, field)
+            if not isinstance(value, (tuple, list)):
+                raise SceneError(f"scene {self.name}: {field} must be a tuple, not {type(value).__name__}.")
+            object.__setattr__(self, field, tuple(value))
         check_scene(self)
 
     @property
@@ -288,4 +294,3 @@ class Scene:
     def with_task(self, **changes: Any) -> Scene:
         """This scene with another task, e.g. `scene.with_task(steps=1000, step=0.005)`."""
         return replace(self, task=replace(self.task, **changes))
-

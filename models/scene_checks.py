@@ -12,9 +12,7 @@ from models.scene import Scene
 
 # Words of C, Python and of our own generated code that may not name a quantity.
 _RESERVED = frozenset(
-    "t time h auto break case char const continue default do double else enum extern float for goto if inline int long register restrict "
-    "return short signed sizeof static struct switch typedef union unsigned void volatile while and as assert async await class def del "
-    "elif except finally from global import in is lambda None nonlocal not or pass raise try with yield True False bar".split()
+    ["t", "time", "h", "auto", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum", "extern", "float", "for", "goto", "if", "inline", "int", "long", "register", "restrict", "return", "short", "signed", "sizeof", "static", "struct", "switch", "typedef", "union", "unsigned", "void", "volatile", "while", "and", "as", "assert", "async", "await", "class", "def", "del", "elif", "except", "finally", "from", "global", "import", "in", "is", "lambda", "None", "nonlocal", "not", "or", "pass", "raise", "try", "with", "yield", "True", "False", "bar"]
 )
 
 
@@ -41,18 +39,26 @@ def _check_names(scene: Scene) -> None:
     names += [name for contact in scene.contacts for name in (contact.force_name, contact.gap_name)]
     for name, count in Counter(names).items():
         if count > 1:
-            raise _fail(scene, f"the name {name!r} is used {count} times; coordinates, velocities, inputs, parameters and contacts need names of their own.")
+            raise _fail(
+                scene,
+                f"the name {name!r} is used {count} times; coordinates, velocities, inputs, parameters and contacts need names of their own.",
+            )
         if name in _RESERVED:
             raise _fail(scene, f"the name {name!r} is reserved; choose another.")
 
 
 def _check_lengths(scene: Scene) -> None:
     if len(scene.forces) != scene.nq:
-        raise _fail(scene, f"forces has {len(scene.forces)} entries, but there are {scene.nq} coordinates; give one generalised force each.")
+        raise _fail(
+            scene, f"forces has {len(scene.forces)} entries, but there are {scene.nq} coordinates; give one generalised force each."
+        )
     for field in ("start", "goal"):
         length = len(getattr(scene.task, field))
         if length != 2 * scene.nq:
-            raise _fail(scene, f"task.{field} has {length} numbers, but {2 * scene.nq} are needed: {scene.nq} positions, then {scene.nq} velocities.")
+            raise _fail(
+                scene,
+                f"task.{field} has {length} numbers, but {2 * scene.nq} are needed: {scene.nq} positions, then {scene.nq} velocities.",
+            )
 
 
 def _check_symbols(scene: Scene) -> None:
@@ -65,8 +71,16 @@ def _check_symbols(scene: Scene) -> None:
         allowed = set(allowed)
         unknown = sorted(symbol.name for symbol in sp.sympify(expression).free_symbols - allowed)
         if unknown:
-            known = ", ".join(sorted(symbol.name for symbol in allowed))
-            raise _fail(scene, f"{field} uses {', '.join(unknown)}, which is neither a parameter nor a variable allowed there ({known}).")
+            known = sorted(symbol.name for symbol in allowed)
+            twin = next((name for name in unknown if name in known), None)
+            if twin is not None:
+                raise _fail(
+                    scene,
+                    f"{field} uses a symbol {twin} with other assumptions than the declared one; use the same SymPy symbol in both places.",
+                )
+            raise _fail(
+                scene, f"{field} uses {', '.join(unknown)}, which is neither a parameter nor a variable allowed there ({', '.join(known)})."
+            )
 
     check("kinetic_energy", scene.kinetic_energy, parameters | positions | velocities)
     check("potential_energy", scene.potential_energy, parameters | positions)
@@ -102,7 +116,10 @@ def _check_mass(scene: Scene) -> None:
         minor = numeric[:size, :size].det()
         if not (minor.is_number and minor.is_real and float(minor) > 0):
             culprit = scene.coordinates[size - 1].name
-            raise _fail(scene, f"the mass matrix is not positive definite at the start (leading minor {size}, at {culprit}, is {minor}); check the masses.")
+            raise _fail(
+                scene,
+                f"the mass matrix is not positive definite at the start (leading minor {size}, at {culprit}, is {minor}); check the masses.",
+            )
 
 
 def _check_contacts(scene: Scene) -> None:
@@ -113,6 +130,8 @@ def _check_contacts(scene: Scene) -> None:
             raise _fail(scene, f"contact {contact.name}: the stiffness is {stiffness}, but must be positive.")
         gradient = [sp.diff(contact.penetration, coordinate.symbol).subs(start).evalf() for coordinate in scene.coordinates]
         if not all(entry.is_number and entry.is_real and entry.is_finite for entry in gradient):
-            raise _fail(scene, f"contact {contact.name}: the penetration is not differentiable at the start; its gradient there is {gradient}.")
-        if all(entry == 0 for entry in gradient):
-            raise _fail(scene, f"contact {contact.name}: the gradient of the penetration is zero at the start, so the contact has no direction.")
+            raise _fail(
+                scene, f"contact {contact.name}: the penetration is not differentiable at the start; its gradient there is {gradient}."
+            )
+        if not contact.penetration.free_symbols & {coordinate.symbol for coordinate in scene.coordinates}:
+            raise _fail(scene, f"contact {contact.name}: the penetration depends on no coordinate, so the contact has no direction.")

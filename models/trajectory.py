@@ -52,7 +52,9 @@ class Trajectory:
             raise TrajectoryError(f"plan: t has shape {self.t.shape}; at least two times in one column are needed.")
         if not (np.diff(self.t) > 0).all():
             index = int(np.argmin(np.diff(self.t) > 0))
-            raise TrajectoryError(f"plan: time must increase, but t[{index + 1}] = {self.t[index + 1]:g} follows t[{index}] = {self.t[index]:g}.")
+            raise TrajectoryError(
+                f"plan: time must increase, but t[{index + 1}] = {self.t[index + 1]:g} follows t[{index}] = {self.t[index]:g}."
+            )
         for field, rows in (("q", nodes), ("v", nodes), ("u", nodes - 1), ("lam", nodes - 1)):
             shape = getattr(self, field).shape
             if len(shape) != 2 or shape[0] != rows:
@@ -151,8 +153,10 @@ def read_csv(path: Path, scene: Scene, hold: Hold = Hold.ZERO_ORDER) -> Trajecto
     q = np.column_stack([columns[name] for name in names["q"]])
     if all(name in columns for name in names["v"]):
         v = np.column_stack([columns[name] for name in names["v"]])
-    else:
+    elif np.isfinite(t).all() and (np.diff(t) > 0).all():
         v = np.gradient(q, t, axis=0)
+    else:
+        v = np.zeros_like(q)  # the times are refused below, in Trajectory's words
     steps = len(t) - 1
     u = np.column_stack([columns[name] for name in names["u"]]) if names["u"] else np.zeros((steps, 0))
     forces = [columns.get(name, np.zeros(steps)) for name in names["lam"]]

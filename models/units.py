@@ -1,6 +1,6 @@
 """Units as text: `m`, `kg`, `N s/m`, `rad/s^2`. Enough grammar to find a missing or misspelt unit and to write FMI base units.
 
-    base_exponents("N s/m")  ->  {"kg": 1, "s": -1}
+base_exponents("N s/m")  ->  {"kg": 1, "s": -1}
 """
 
 from __future__ import annotations

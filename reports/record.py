@@ -136,7 +136,7 @@ class StageRecord(_Model):
     cost: Finite | None = None
     iterations: int = 0
     residuals: dict[str, Finite] = {}
-    options: dict[str, str | int | bool | Finite | None | list[Finite]] = {}
+    options: dict[str, str | int | bool | Finite | list[Finite] | None] = {}
     history: dict[str, tuple[Finite, ...]] = {}
     seconds: SecondsRecord = SecondsRecord()
     figures: tuple[FigureRecord, ...] = ()

@@ -14,7 +14,7 @@ _LARGEST_PRODUCT = 4
 
 
 class _Printer(C99CodePrinter):
-    def _print_Pow(self, expr: sp.Pow) -> str:
+    def _print_Pow(self, expr: sp.Pow) -> str:  # noqa: N802 - SymPy finds it by this name
         base, exponent = expr.base, expr.exp
         if exponent.is_Integer and 2 <= abs(int(exponent)) <= _LARGEST_PRODUCT:
             factor = self.parenthesize(base, PRECEDENCE["Atom"])
@@ -51,7 +51,7 @@ def c_function(
     result: str,
     name: str,
     arguments: Sequence[Vector],
-    output: str | None | Sequence[tuple[str, sp.Matrix]],
+    output: str | Sequence[tuple[str, sp.Matrix]] | None,
     expressions: sp.Matrix | None = None,
     *,
     operator: str = "=",
@@ -62,10 +62,7 @@ def c_function(
     output: the name of the array written from `expressions`; or several (name, column) pairs; or None to return the one
     expression. operator: "=" or "+=". tail: a last statement.
     """
-    if isinstance(output, str):
-        outputs = [(output, expressions)]
-    else:
-        outputs = list(output or [])
+    outputs = [(output, expressions)] if isinstance(output, str) else list(output or [])
     columns = [sp.Matrix(column) for _, column in outputs if column is not None] if outputs else [sp.Matrix(expressions)]
     shared, reduced = sp.cse([entry for column in columns for entry in column], symbols=sp.numbered_symbols("shared"), order="canonical")
     used = set().union(*(entry.free_symbols for entry in [*reduced, *(value for _, value in shared)]), set())

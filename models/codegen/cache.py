@@ -29,7 +29,9 @@ def cache_folder() -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise MachineError(f"the cache folder {folder} cannot be created ({error.strerror}); set TOUCHSTONE_CACHE to a folder you can write.") from error
+        raise MachineError(
+            f"the cache folder {folder} cannot be created ({error.strerror}); set TOUCHSTONE_CACHE to a folder you can write."
+        ) from error
     if not os.access(folder, os.W_OK):
         raise MachineError(f"the cache folder {folder} cannot be written; set TOUCHSTONE_CACHE to a folder you can write.")
     return folder
@@ -50,5 +52,7 @@ def cached(key_text: str, suffix: str, build: Callable[[Path], None]) -> Path:
             build(made)
             os.replace(made, target)
     except OSError as error:
-        raise MachineError(f"the cache folder {target.parent} cannot be written ({error}); set TOUCHSTONE_CACHE to another folder.") from error
+        raise MachineError(
+            f"the cache folder {target.parent} cannot be written ({error}); set TOUCHSTONE_CACHE to another folder."
+        ) from error
     return target

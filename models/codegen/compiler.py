@@ -52,7 +52,9 @@ def _find(cc: str, path: str) -> Compiler:
         version = _version(command)
         if version is not None:
             return Compiler(command, version)
-    raise MachineError("no C compiler was found; install one with: pip install 'touchstone-contact[compiler]' (or set CC to a compiler you have).")
+    raise MachineError(
+        "no C compiler was found; install one with: pip install 'touchstone-contact[compiler]' (or set CC to a compiler you have)."
+    )
 
 
 def _version(command: Sequence[str]) -> str | None:
@@ -79,7 +81,17 @@ def compile_shared(
         for name, text in sources.items():
             (Path(folder) / name).write_text(text, encoding="utf-8")
         units = sorted(name for name in sources if name.endswith(".c"))
-        command = [*compiler.command, *FLAGS, *extra_flags, "-I.", *(f"-I{path}" for path in include_dirs), *units, "-o", str(output), "-lm"]
+        command = [
+            *compiler.command,
+            *FLAGS,
+            *extra_flags,
+            "-I.",
+            *(f"-I{path}" for path in include_dirs),
+            *units,
+            "-o",
+            str(output),
+            "-lm",
+        ]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         lines = "; ".join(done.stderr.strip().splitlines()[:3])

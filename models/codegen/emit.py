@@ -84,7 +84,10 @@ def _head(scene: Scene, defaults: bool) -> str:
     ]
     if defaults:
         values = [parameter.value for parameter in scene.parameters] or [0.0]
-        lines += [f"static const double scene_default_parameters[] SCENE_UNUSED = {{{', '.join(repr(float(value)) for value in values)}}};", ""]
+        lines += [
+            f"static const double scene_default_parameters[] SCENE_UNUSED = {{{', '.join(repr(float(value)) for value in values)}}};",
+            "",
+        ]
     return "\n".join(lines)
 
 

@@ -66,7 +66,14 @@ class Kernel:
     def __init__(self, scene: Scene, library: Path) -> None:
         self.scene = scene
         self._library = ctypes.CDLL(str(library))
-        for name in ("kernel_penetration", "kernel_contact_force", "kernel_stiffness", "kernel_energy", "kernel_power", "kernel_penetration_jvp"):
+        for name in (
+            "kernel_penetration",
+            "kernel_contact_force",
+            "kernel_stiffness",
+            "kernel_energy",
+            "kernel_power",
+            "kernel_penetration_jvp",
+        ):
             getattr(self._library, name).restype = None
         self._library.kernel_cost.restype = ctypes.c_double
         values = [parameter.value for parameter in scene.parameters]

@@ -1,0 +1,105 @@
+"""Plans: shapes are checked, CSV reads back bit for bit, and a bad file is told line and column."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models.catalog import load_scene
+from models.errors import TrajectoryError
+from models.trajectory import Trajectory, read_csv, uniform_grid, write_csv
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return load_scene("three_cart")
+
+
+@pytest.fixture
+def plan() -> Trajectory:
+    rng = np.random.default_rng(0)
+    steps = 7
+    return Trajectory(
+        t=uniform_grid(0.1, steps),
+        q=rng.standard_normal((steps + 1, 3)),
+        v=rng.standard_normal((steps + 1, 3)),
+        u=rng.standard_normal((steps, 2)),
+        lam=rng.uniform(0, 1, (steps, 2)),
+    )
+
+
+def test_csv_reads_back_bit_for_bit(tmp_path: Path, scene, plan: Trajectory):
+    path = tmp_path / "plan.csv"
+    write_csv(path, plan, scene)
+    back = read_csv(path, scene)
+    for field in ("t", "q", "v", "u", "lam"):
+        assert np.array_equal(getattr(back, field), getattr(plan, field)), field
+
+
+def test_forces_and_velocities_may_be_left_out(tmp_path: Path, scene):
+    path = tmp_path / "plan.csv"
+    path.write_text("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n2,2,3,4,,\n")
+    plan = read_csv(path, scene)
+    assert plan.steps == 2
+    assert np.allclose(plan.v, 1.0)
+    assert not plan.lam.any()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", ["0 rows"]),
+        ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n", ["1 rows"]),
+        ("t,q1,q2,q3,u1,u3,w\n0,0,1,2,1,0,1\n1,1,2,3,1,0,1\n", ["'w'", "unknown"]),
+        ("t,q1,q2,q3,u1\n0,0,1,2,1\n1,1,2,3,1\n", ["'u3'", "missing"]),
+        ("t,q1,q1,q3,u1,u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n", ["'q1'", "twice"]),
+        ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,x,2,3,1,0\n", ["line 3", "'q1'", "'x'"]),
+        ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,nan,2,3,1,0\n", ["q[1, 0]", "finite"]),
+        ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n0,1,2,3,1,0\n", ["time must increase"]),
+        ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1\n", ["line 3"]),
+    ],
+)
+def test_a_bad_file_is_told_where(tmp_path: Path, scene, text: str, words: list[str]):
+    path = tmp_path / "plan.csv"
+    path.write_text(text)
+    with pytest.raises(TrajectoryError) as caught:
+        read_csv(path, scene)
+    assert str(path) in str(caught.value)
+    assert all(word in str(caught.value) for word in words), str(caught.value)
+
+
+def test_a_file_that_is_no_text(tmp_path: Path, scene):
+    path = tmp_path / "plan.csv"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(TrajectoryError, match="cannot be read"):
+        read_csv(path, scene)
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"t": np.zeros(8)}, "increase"),
+        ({"q": np.zeros((7, 3))}, "q has shape"),
+        ({"v": np.zeros((8, 2))}, "agree"),
+        ({"u": np.full((7, 2), np.nan)}, r"u\[0, 0\]"),
+    ],
+)
+def test_shapes_are_checked(plan: Trajectory, changes: dict, word: str):
+    with pytest.raises(TrajectoryError, match=word):
+        replace(plan, **changes)
+
+
+def test_a_plan_of_another_scene_is_refused(scene, plan: Trajectory):
+    other = replace(plan, u=np.zeros((7, 3)))
+    with pytest.raises(TrajectoryError, match="u has 3 columns, but scene three_cart has 2 inputs"):
+        other.check_fits(scene)
+
+
+def test_arrays_cannot_be_changed_afterwards(plan: Trajectory):
+    with pytest.raises(ValueError, match="read-only"):
+        plan.q[0, 0] = 1.0
+
+
+def test_time_is_never_a_running_sum():
+    assert uniform_grid(0.1, 1000)[-1] == 100.0
