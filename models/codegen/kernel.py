@@ -178,7 +178,7 @@ class Kernel:
         return array
 
 
-def _at(array: np.ndarray) -> ctypes.Array:
+def _at(array: np.ndarray) -> ctypes._Pointer[ctypes.c_double]:
     return array.ctypes.data_as(_DOUBLES)
 
 
