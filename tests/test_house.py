@@ -12,7 +12,7 @@ ROOMS = ("models", "formulations", "validate", "reports")
 
 def test_import_contracts():
     done = subprocess.run(
-        [sys.executable, "-c", "import sys; from importlinter.cli import lint_imports; sys.exit(lint_imports())"],
+        [Path(sys.executable).with_name("lint-imports")],
         cwd=ROOT,
         capture_output=True,
         text=True,
