@@ -192,7 +192,7 @@ class Graph:
                 return self.constant(UNARY[name](ca))
             except (ArithmeticError, ValueError):  # log(0): let the evaluation report it
                 return self._operation(name, a)
-        if name in ("log", "log10") and self.op[a] == "add" and not self.is_data[a]:
+        if name in ("log", "log10") and self.op[a] == "add":
             smooth = self._log_of_sum(a)
             if smooth is not None:
                 return smooth if name == "log" else self.mul(self.constant(1.0 / math.log(10.0)), smooth)
@@ -204,7 +204,7 @@ class Graph:
             return None
         a, b = self.args[node]
         for left, right in ((a, b), (b, a)):
-            if self.constant_value(left) == 1.0 and self.op[right] == "exp" and not self.is_data[right]:
+            if self.constant_value(left) == 1.0 and self.op[right] == "exp":
                 return self.args[right][0]
         return None
 

@@ -1,0 +1,51 @@
+"""Pyomo model -> Ipopt, without AMPL executables: translate once, solve as often as the numbers change.
+
+    from formulations.ipopt import Start, compile_model, load, solve
+
+    problem = compile_model(model)                    # any smooth ConcreteModel or Block; ModelRefusedError says what is not
+    result = solve(problem, options={"tol": 1e-9})    # IpoptResult; the model is untouched
+    load(problem, result)                             # writes the variables
+
+    model.b.value = 14.0                              # a mutable Param, a fixed variable's value, a bound
+    problem.refresh()                                 # read again; StructureChangedError if more than numbers changed
+    again = solve(problem, warm_start=Start(x=result.x, lagrange=result.lagrange, zl=result.zl, zu=result.zu))
+
+`result.outcome` is an `Outcome`, judged by `result.residuals` (unscaled, computed here, not by Ipopt). Multipliers are in Ipopt's signs,
+L = f + lagrange' g - zl' x + zu' x, for the minimised objective `problem.sense * f`. Positions: `problem.variables[j]` is x[j],
+`problem.equations[i]` is lagrange[i].
+
+Importing this package also registers `SolverFactory("touchstone_ipopt")`, which works like any Pyomo solver.
+"""
+
+from __future__ import annotations
+
+from formulations.ipopt.backend import Start
+from formulations.ipopt.compiler import compile_model
+from formulations.ipopt.errors import MissingValueError, ModelRefusedError, StructureChangedError, UnknownOptionError
+from formulations.ipopt.options import known_options
+from formulations.ipopt.problem import IpoptProblem
+from formulations.ipopt.residuals import Residuals, residuals
+from formulations.ipopt.result import IpoptResult, Iteration, Seconds, load
+from formulations.ipopt.solve import solve
+from formulations.ipopt.status import STATUS_MAP, STATUS_NAMES, outcome_of
+
+__all__ = [
+    "STATUS_MAP",
+    "STATUS_NAMES",
+    "IpoptProblem",
+    "IpoptResult",
+    "Iteration",
+    "MissingValueError",
+    "ModelRefusedError",
+    "Residuals",
+    "Seconds",
+    "Start",
+    "StructureChangedError",
+    "UnknownOptionError",
+    "compile_model",
+    "known_options",
+    "load",
+    "outcome_of",
+    "residuals",
+    "solve",
+]

@@ -1,0 +1,89 @@
+"""What is active on a model: its constraints and its objective, and a refusal for everything that would otherwise be dropped in silence."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pyomo.core.base import Block, Constraint, Expression, ExternalFunction, Objective, Param, RangeSet, Set, Suffix, Var, minimize
+from pyomo.core.base.block import BlockData
+from pyomo.core.base.component import ActiveComponent
+from pyomo.core.expr.relational_expr import EqualityExpression, InequalityExpression, RangedExpression
+
+from formulations.ipopt.errors import ModelRefusedError
+
+_TREATED = frozenset({Block, Constraint, Objective, Var, Param, Expression, Set, RangeSet, Suffix, ExternalFunction})
+
+_WHAT_TO_DO = {
+    "Complementarity": "apply a transformation such as 'mpec.simple_nonlinear' to a clone first, or use SolverFactory('touchstone_mpec')",
+    "Disjunction": "apply a gdp transformation first; its binary variables then need a mixed-integer solver",
+    "Disjunct": "apply a gdp transformation first; its binary variables then need a mixed-integer solver",
+    "LogicalConstraint": "logic needs binary variables and a mixed-integer solver",
+    "SOSConstraint": "special ordered sets need a mixed-integer solver",
+    "Port": "apply 'network.expand_arcs' first",
+    "Arc": "apply 'network.expand_arcs' first",
+}
+
+
+def refuse_unknown_components(model: Any) -> None:
+    """Raise ModelRefusedError if the model holds an active component that is neither an equation, an objective nor data."""
+    if not isinstance(model, BlockData):
+        raise ModelRefusedError(f"expected a Pyomo ConcreteModel or Block, got {type(model).__name__}")
+    for block in model.block_data_objects(active=True, descend_into=Block):
+        for ctype in block.collect_ctypes(active=None, descend_into=False):
+            if ctype in _TREATED or not issubclass(ctype, ActiveComponent):
+                continue
+            for component in block.component_data_objects(ctype, active=True, descend_into=False):
+                name = ctype.__name__
+                advice = _WHAT_TO_DO.get(name, "deactivate it, or transform it into Constraints")
+                raise ModelRefusedError(f"'{component.name}' is an active {name}, which Ipopt cannot treat: {advice}")
+    if not model.active:
+        raise ModelRefusedError(f"the model '{model.name}' is deactivated")
+
+
+def active_constraints(model: Any) -> list[Any]:
+    """Active constraint data in declaration order, nested blocks included."""
+    return list(model.component_data_objects(Constraint, active=True, descend_into=Block))
+
+
+def active_objective(model: Any) -> Any | None:
+    """The one active objective; None for a feasibility problem."""
+    objectives = list(model.component_data_objects(Objective, active=True, descend_into=Block))
+    if len(objectives) > 1:
+        names = ", ".join(f"'{o.name}'" for o in objectives[:3])
+        raise ModelRefusedError(
+            f"{len(objectives)} objectives are active ({names}{', ..' if len(objectives) > 3 else ''}): deactivate all but one"
+        )
+    return objectives[0] if objectives else None
+
+
+def sense_of(objective: Any | None) -> int:
+    """+1 to minimise (also without objective), -1 to maximise."""
+    return 1 if objective is None or objective.sense == minimize else -1
+
+
+def _can_vary(side: Any) -> bool:
+    return hasattr(side, "is_potentially_variable") and side.is_potentially_variable()
+
+
+def sides_of(constraint: Any) -> tuple[Any, Any | None, Any, Any]:
+    """(body, body to subtract or None, lower, upper): lower <= body - subtracted <= upper; bounds are numbers, data expressions or None."""
+    expression = constraint.expr
+    kind = expression.__class__
+    if kind is EqualityExpression or kind is InequalityExpression:
+        left, right = expression.args
+        equal = kind is EqualityExpression
+        if not _can_vary(right):
+            return left, None, right if equal else None, right
+        if not _can_vary(left):
+            return right, None, left, left if equal else None
+        return left, right, 0.0 if equal else None, 0.0
+    if kind is RangedExpression:
+        lower, body, upper = expression.args
+        for bound in (lower, upper):
+            if _can_vary(bound) and not bound.is_fixed():
+                raise ModelRefusedError(f"constraint '{constraint.name}' is a range with a variable bound: write it as two constraints")
+        return body, None, lower, upper
+    lower, body, upper = constraint.to_bounded_expression()
+    if body is None:
+        raise ModelRefusedError(f"constraint '{constraint.name}' has no expression")
+    return body, None, lower, upper

@@ -1,0 +1,204 @@
+"""IpoptProblem: a compiled model. Its structure is settled once; Params, fixed values, bounds and starts are read as often as one likes.
+
+    minimise f(x)   subject to   constraint_lower <= g(x) <= constraint_upper,   lower <= x <= upper
+
+A maximised objective is handed on as -f (`sense` is -1). Evaluations return NaN or inf where the model does: the back end turns
+them into a shorter step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from formulations.ipopt.errors import MissingValueError
+from formulations.ipopt.refresh import check_structure, read_bounds, read_constraint_bounds, read_data
+from formulations.ipopt.term_group import TermGroup
+
+Deferred = tuple[np.ndarray, tuple[tuple[int, Any], ...]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Layout:
+    """What of the Pyomo model belongs where. All constraints are listed, those without a variable too.
+
+    variables: by column; data: Params, fixed variables and data expressions by data number; named: (named expression, content when
+    compiled); lower, upper: numbers and the bounds that are expressions of data.
+    """
+
+    model: Any
+    constraints: tuple[Any, ...]
+    expressions: tuple[Any, ...]
+    objective: Any | None
+    sense: int
+    lower: Deferred
+    upper: Deferred
+    variables: tuple[Any, ...]
+    data: tuple[Any, ...]
+    named: tuple[tuple[Any, Any], ...]
+
+
+class IpoptProblem:
+    """n variables, m constraints. Made by `compile_model`; values are current as of the last `refresh()` (compiling does the first).
+
+    variables: Pyomo variables by column; equations: Pyomo constraints by row; trivial: constraints without a variable
+    lower, upper: (n,) bounds; constraint_lower, constraint_upper: (m,)
+    """
+
+    def __init__(self, layout: Layout, groups: list[TermGroup], *, constants: np.ndarray, triplets: tuple[np.ndarray, ...]) -> None:
+        self.layout = layout
+        self.variables = layout.variables
+        self.sense = layout.sense
+        self.n = len(layout.variables)
+        self._rows = len(layout.constraints) + 1  # the last row is the objective
+        self._groups = groups
+        self._curved = [g for g in groups if g.is_curved]
+        self._fixed_constants = constants
+        self._numeric_slopes = triplets[2]
+        self._settle_pattern(triplets[0], triplets[1])
+        self._settle_hessian()
+        self.refresh(check=False)
+
+    # -- structure --------------------------------------------------------------------------------------------------------------
+
+    def _settle_pattern(self, rows: np.ndarray, columns: np.ndarray) -> None:
+        """One sorted list of (row, column) positions, and where each linear and nonlinear contribution lands in it."""
+        affine = [(rows, columns), *(g.affine_entries for g in self._groups)]
+        slopes = [g.slope_entries for g in self._curved]
+        keys = [r * self.n + c for r, c in (*affine, *slopes)]
+        unique, place = np.unique(np.concatenate(keys), return_inverse=True)
+        affine_count = sum(len(r) for r, _ in affine)
+        self._affine_place, self._slope_place = place[:affine_count], place[affine_count:]
+        self._entry_row, self._entry_column = np.divmod(unique, max(self.n, 1))
+        objective_row = self._rows - 1
+        self._objective_start = int(np.searchsorted(self._entry_row, objective_row))
+        used = np.zeros(self._rows - 1, dtype=bool)
+        used[self._entry_row[: self._objective_start]] = True
+        self._sent, self._unsent = np.flatnonzero(used), np.flatnonzero(~used)
+        self.m = len(self._sent)
+        self.equations = tuple(self.layout.constraints[r] for r in self._sent)
+        self.trivial = tuple(self.layout.constraints[r] for r in self._unsent)
+        renumbered = np.cumsum(used) - 1
+        self._jacobian_rows = renumbered[self._entry_row[: self._objective_start]].astype(np.int32)
+        self._jacobian_columns = self._entry_column[: self._objective_start].astype(np.int32)
+        self._value_rows = np.concatenate([g.rows for g in self._curved]) if self._curved else np.empty(0, dtype=np.intp)
+
+    def _settle_hessian(self) -> None:
+        entries = [g.curvature_entries for g in self._curved]
+        keys = [r * self.n + c for r, c in entries] or [np.empty(0, dtype=np.intp)]
+        unique, self._curvature_place = np.unique(np.concatenate(keys), return_inverse=True)
+        rows, columns = np.divmod(unique, max(self.n, 1))
+        self._hessian_rows, self._hessian_columns = rows.astype(np.int32), columns.astype(np.int32)
+
+    # -- values -----------------------------------------------------------------------------------------------------------------
+
+    def refresh(self, *, check: bool = True) -> None:
+        """Read Params, fixed values and bounds again.
+
+        Raises StructureChangedError if the structure is no longer the compiled one (a variable fixed or unfixed, a constraint or the
+        objective added, removed, rewritten or (de)activated, a named expression rewritten): then compile again.
+        """
+        if check:
+            check_structure(self.layout)
+        self.lower, self.upper = read_bounds(self.variables)
+        low, high = read_constraint_bounds(self.layout)
+        self.constraint_lower, self.constraint_upper = low[self._sent], high[self._sent]
+        data = read_data(self.layout.data)
+        with np.errstate(all="ignore"):
+            for group in self._groups:
+                group.refresh(data)
+            constants = self._fixed_constants.copy()
+            for group in self._groups:
+                np.add.at(constants, group.rows, group.constants)
+            slopes = np.concatenate([self._numeric_slopes, *(g.affine_values for g in self._groups)])
+            self._affine = np.bincount(self._affine_place, weights=slopes, minlength=len(self._entry_row))
+        self._constants = constants
+        self._require_finite()
+        self._trivial_bounds = low[self._unsent], high[self._unsent]
+
+    def _require_finite(self) -> None:
+        bad = [*np.flatnonzero(~np.isfinite(self._constants)), *self._entry_row[~np.isfinite(self._affine)]]
+        if bad:
+            row = int(bad[0])
+            where: Any = self.layout.objective if row == self._rows - 1 else self.layout.constraints[row]
+            raise MissingValueError(f"'{where.name}' has a coefficient that is not a finite number: check its Params and fixed variables")
+
+    def start(self) -> tuple[np.ndarray, int]:
+        """(x (n,), how many variables had no value): current values; one without a value starts at the point of its bounds nearest 0."""
+        values = [v.value for v in self.variables]
+        missing = [k for k, v in enumerate(values) if v is None]
+        for k in missing:
+            values[k] = min(max(0.0, self.lower[k]), self.upper[k])
+        return np.array(values, dtype=float), len(missing)
+
+    def trivial_violation(self) -> tuple[float, str]:
+        """(largest violation of a constraint without variables, its name); (0.0, "") where all hold."""
+        if not self.trivial:
+            return 0.0, ""
+        value, (low, high) = self._constants[self._unsent], self._trivial_bounds
+        violation = np.maximum(np.maximum(low - value, value - high), 0.0)
+        worst = int(np.argmax(violation))
+        return float(violation[worst]), self.trivial[worst].name if violation[worst] > 0 else ""
+
+    # -- functions, under the names cyipopt asks for -----------------------------------------------------------------------------------
+
+    def rows_at(self, x: np.ndarray) -> np.ndarray:
+        """Values of all constraints of the layout and, last, of the minimised objective at x (n,)."""
+        with np.errstate(all="ignore"):
+            total = self._constants + np.bincount(self._entry_row, self._affine * x[self._entry_column], self._rows)
+            if self._curved:
+                total += np.bincount(self._value_rows, np.concatenate([g.values(x) for g in self._curved]), self._rows)
+        return total
+
+    def entries_at(self, x: np.ndarray) -> np.ndarray:
+        """All first derivatives at x, constraints first, then those of the objective."""
+        if not self._curved:
+            return self._affine
+        with np.errstate(all="ignore"):
+            return self._affine + np.bincount(
+                self._slope_place, np.concatenate([g.slopes(x) for g in self._curved]), minlength=len(self._affine)
+            )
+
+    def objective(self, x: np.ndarray) -> float:
+        return float(self.rows_at(x)[-1])
+
+    def constraints(self, x: np.ndarray) -> np.ndarray:
+        return self.rows_at(x)[self._sent]
+
+    def gradient(self, x: np.ndarray) -> np.ndarray:
+        return self.dense_gradient(self.entries_at(x))
+
+    def dense_gradient(self, entries: np.ndarray) -> np.ndarray:
+        dense = np.zeros(self.n)
+        dense[self._entry_column[self._objective_start :]] = entries[self._objective_start :]
+        return dense
+
+    def jacobian(self, x: np.ndarray) -> np.ndarray:
+        return self.entries_at(x)[: self._objective_start]
+
+    def jacobianstructure(self) -> tuple[np.ndarray, np.ndarray]:
+        return self._jacobian_rows, self._jacobian_columns
+
+    def hessian(self, x: np.ndarray, lagrange: np.ndarray, factor: float) -> np.ndarray:
+        """Lower triangle of factor * f'' + sum lagrange_i * g_i''."""
+        multipliers = np.zeros(self._rows)
+        multipliers[self._sent] = lagrange
+        multipliers[-1] = factor
+        if not self._curved:
+            return np.zeros(0)
+        with np.errstate(all="ignore"):
+            values = np.concatenate([g.curvatures(x, multipliers) for g in self._curved])
+            return np.bincount(self._curvature_place, values, minlength=len(self._hessian_rows))
+
+    def hessianstructure(self) -> tuple[np.ndarray, np.ndarray]:
+        return self._hessian_rows, self._hessian_columns
+
+    def split_rows(self, rows: np.ndarray) -> tuple[float, np.ndarray]:
+        """(minimised objective, constraints (m,)) from `rows_at`."""
+        return float(rows[-1]), rows[self._sent]
+
+    def split_entries(self, entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(gradient (n,), Jacobian values) from `entries_at`."""
+        return self.dense_gradient(entries), entries[: self._objective_start]

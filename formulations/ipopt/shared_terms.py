@@ -1,0 +1,74 @@
+"""Tokens of a term too long to be read as a tree: operands first, every shared subexpression once.
+
+Same alphabet as `TermReader`, with `"shared"` in front and `("ref", k)` for the k-th operation already written.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from pyomo.common.numeric_types import native_numeric_types
+
+from formulations.ipopt import kinds
+from formulations.ipopt.graph import UNARY
+
+if TYPE_CHECKING:
+    from formulations.ipopt.terms import TermReader
+
+
+def read_shared(reader: TermReader, root: Any) -> tuple[tuple, list[int], list[float], list[int]]:
+    tokens: list[Any] = ["shared"]
+    numbers: list[float] = []
+    params: list[int] = []
+    slot: dict[int, int] = {}
+    written: dict[int, int] = {}  # id(expression) -> number of the operation that computes it
+    operations = 0
+    stack: list[tuple[Any, Any]] = [(root, None)]
+    while stack:
+        node, operator = stack.pop()
+        if operator is not None:
+            tokens.append(operator)
+            written[id(node)] = operations
+            operations += 1
+            continue
+        code = kinds.kind_of(node)
+        if code == kinds.NAMED:
+            stack.append((reader.open_named(node), None))
+            continue
+        if code == kinds.NUMBER:
+            tokens.append(("c", 1.0) if node == 1 else "n")
+            if node != 1:
+                numbers.append(node)
+            continue
+        if code == kinds.LEAF:
+            where = reader.place(node)
+            if where >= 0:
+                tokens.append(slot.setdefault(where, len(slot)))
+            else:
+                tokens.append("p")
+                params.append(~where)
+            continue
+        if id(node) in written:
+            tokens.append(("ref", written[id(node)]))
+            continue
+        operands = list(node.args) if code != kinds.OTHER else []
+        if code == kinds.SUM:
+            operator = ("+", len(operands))
+        elif code in (kinds.PRODUCT, kinds.MONOMIAL):
+            operator = "*"
+        elif code == kinds.DIVISION:
+            operator = "/"
+        elif code == kinds.NEGATION:
+            operator = "neg"
+        elif code == kinds.POWER:
+            constant = operands[1].__class__ in native_numeric_types
+            operator = ("^", float(operands.pop())) if constant else "^"
+        elif code == kinds.FUNCTION and node.getname() in UNARY:
+            operator = node.getname()
+        else:
+            tokens.append("p")
+            params.append(~reader.place(reader.as_data(node)))
+            continue
+        stack.append((node, operator))
+        stack.extend((operand, None) for operand in reversed(operands))
+    return tuple(tokens), list(slot), numbers, params

@@ -1,0 +1,194 @@
+"""Solve a compiled problem, and judge the answer before believing it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from formulations.ipopt.backend import Answer, Backend, Start, default_backend
+from formulations.ipopt.evaluations import Evaluations
+from formulations.ipopt.options import DEFAULTS, WARM_START_DEFAULTS, checked_options
+from formulations.ipopt.problem import IpoptProblem
+from formulations.ipopt.residuals import FEASIBILITY, UNKNOWN, Residuals, residuals
+from formulations.ipopt.result import IpoptResult, Iteration, Seconds
+from formulations.ipopt.status import NOT_SENT, name_of, outcome_of
+from formulations.solution import Outcome
+
+# Limits of the barrier parameter that a primal-dual start begins with: Ipopt's own first value, and well above its last.
+_MU_LARGEST, _MU_SMALLEST = 0.1, 1e-9
+
+Callback = Callable[[Iteration], "bool | None"]
+
+
+def solve(
+    problem: IpoptProblem,
+    *,
+    options: Mapping[str, Any] | None = None,
+    warm_start: Start | None = None,
+    callback: Callback | None = None,
+    time_limit: float | None = None,
+    backend: Backend | None = None,
+) -> IpoptResult:
+    """Minimise from `warm_start` (default: the current values of the model's variables); the model is left as it is.
+
+    options: Ipopt options by name; unknown ones raise UnknownOptionError before anything runs
+    warm_start: with multipliers, Ipopt starts primal-dual with barrier parameter `mu_init` (default: the mean complementarity given)
+    callback: called after each iteration; returning False stops (Outcome.INTERRUPTED), an exception propagates
+    time_limit: wall time [s], checked once an iteration
+    """
+    begin, cpu = time.perf_counter(), time.process_time()
+    backend = backend or default_backend()
+    asked = checked_options(options or {})
+    start = _start(problem, warm_start)
+    used: dict[str, str | int | float] = {**DEFAULTS, **(_warm_defaults(problem, start) if start.lagrange is not None else {}), **asked}
+    if time_limit is not None:
+        if not time_limit > 0:
+            raise ValueError(f"time_limit is a positive number of seconds, not {time_limit!r}")
+        used["max_wall_time"] = float(time_limit)
+    functions = Evaluations(problem, backend.evaluation_error)
+    recorder = _Recorder(problem.sense, callback)
+
+    answer = _decided_without_ipopt(problem, start)
+    if answer is None:
+        answer = backend.run(problem, functions, start, used, recorder)
+    wall = time.perf_counter() - begin
+    outcome, message, certificate = _judge(problem, answer, used)
+    return IpoptResult(
+        status=answer.status,
+        outcome=outcome,
+        message=message,
+        x=answer.x,
+        lagrange=answer.lagrange,
+        zl=answer.zl,
+        zu=answer.zu,
+        objective=problem.sense * problem.objective(answer.x),
+        iterations=max(0, recorder.last),
+        residuals=certificate,
+        history=tuple(recorder.lines),
+        seconds=Seconds(
+            evaluate=functions.seconds,
+            linear_algebra=max(0.0, wall - functions.seconds - recorder.seconds),
+            wall=wall,
+            cpu=time.process_time() - cpu,
+        ),
+        calls=MappingProxyType(functions.calls),
+        options=MappingProxyType(used),
+        backend=backend.name,
+        version=backend.version(),
+    )
+
+
+class _Recorder:
+    """Ipopt's intermediate callback: keeps the log and asks the caller whether to go on."""
+
+    def __init__(self, sense: int, callback: Callback | None) -> None:
+        self.lines: list[Iteration] = []
+        self.last = 0
+        self.seconds = 0.0
+        self._sense = sense
+        self._callback = callback
+
+    def __call__(self, alg_mod, iteration, objective, inf_pr, inf_du, mu, d_norm, regularization, alpha_du, alpha_pr, trials) -> bool:
+        line = Iteration(
+            iteration=int(iteration),
+            restoration=bool(alg_mod),
+            objective=self._sense * float(objective),
+            inf_pr=float(inf_pr),
+            inf_du=float(inf_du),
+            mu=float(mu),
+            step=float(d_norm),
+            regularization=float(regularization),
+            alpha_du=float(alpha_du),
+            alpha_pr=float(alpha_pr),
+            trials=int(trials),
+        )
+        self.lines.append(line)
+        self.last = line.iteration
+        if self._callback is None:
+            return True
+        begin = time.perf_counter()
+        go_on = self._callback(line)
+        self.seconds += time.perf_counter() - begin
+        return go_on is None or bool(go_on)
+
+
+def _start(problem: IpoptProblem, given: Start | None) -> Start:
+    if given is None:
+        return Start(x=problem.start()[0])
+    sizes = {"x": problem.n, "lagrange": problem.m, "zl": problem.n, "zu": problem.n}
+    parts: dict[str, np.ndarray | None] = {}
+    for name, size in sizes.items():
+        part = getattr(given, name)
+        if part is None:
+            continue
+        part = np.array(part, dtype=float)
+        if part.shape != (size,):
+            raise ValueError(f"warm_start.{name} has shape {part.shape}, the problem needs ({size},)")
+        if not np.all(np.isfinite(part)):
+            raise ValueError(f"warm_start.{name} holds a number that is not finite")
+        parts[name] = part
+    if len(parts) > 1:  # some multipliers are given: complete them, so that Ipopt takes them all
+        parts.setdefault("lagrange", np.zeros(problem.m))
+        parts.setdefault("zl", np.where(np.isfinite(problem.lower), 1.0, 0.0))
+        parts.setdefault("zu", np.where(np.isfinite(problem.upper), 1.0, 0.0))
+    return Start(**parts)  # pyright: ignore[reportArgumentType] - x is required of `given`
+
+
+def _warm_defaults(problem: IpoptProblem, start: Start) -> dict[str, str | int | float]:
+    """Options of a primal-dual start; the barrier parameter is the mean complementarity of what was given."""
+    if start.zl is None or start.zu is None:
+        return dict(WARM_START_DEFAULTS)
+    low, high = np.isfinite(problem.lower), np.isfinite(problem.upper)
+    below, above = (start.x - problem.lower)[low] * start.zl[low], (problem.upper - start.x)[high] * start.zu[high]
+    products = np.concatenate([below, above])
+    mean = float(np.mean(np.abs(products))) if products.size else _MU_SMALLEST
+    return {**WARM_START_DEFAULTS, "mu_init": min(_MU_LARGEST, max(_MU_SMALLEST, mean))}
+
+
+def _decided_without_ipopt(problem: IpoptProblem, start: Start) -> Answer | None:
+    """An answer where nothing is left for Ipopt: contradicting bounds, a false constraint of numbers, no variable at all."""
+    violation, name = problem.trivial_violation()
+    crossed = np.flatnonzero(problem.lower > problem.upper)
+    ranges = np.flatnonzero(problem.constraint_lower > problem.constraint_upper)
+    message = None
+    if not violation <= FEASIBILITY:
+        message = f"constraint '{name}' holds no free variable and is violated by {violation:.3g}"
+    elif crossed.size:
+        message = f"variable '{problem.variables[crossed[0]].name}' has a lower bound above its upper bound"
+    elif ranges.size:
+        message = f"constraint '{problem.equations[ranges[0]].name}' has a lower bound above its upper bound"
+    elif problem.n == 0:
+        message = ""
+    if message is None:
+        return None
+    zero = np.zeros(problem.n)
+    return Answer(status=NOT_SENT, message=message, x=start.x, lagrange=np.zeros(problem.m), zl=zero, zu=zero.copy())
+
+
+def _judge(problem: IpoptProblem, answer: Answer, options: Mapping[str, Any]) -> tuple[Outcome, str, Residuals]:
+    """Ipopt's claim, checked: no 'solved' without residuals that say so."""
+    vectors = (answer.x, answer.lagrange, answer.zl, answer.zu)
+    finite = all(bool(np.all(np.isfinite(v))) for v in vectors)
+    certificate = residuals(problem, *vectors) if finite else UNKNOWN
+    if answer.status == NOT_SENT:
+        return (Outcome.INFEASIBLE, answer.message, certificate) if answer.message else _empty(problem, certificate)
+    outcome = outcome_of(answer.status)
+    message = f"{name_of(answer.status)}: {certificate.sentence}"
+    if outcome is not Outcome.SOLVED:
+        return outcome, message, certificate
+    if not finite or certificate.constraint_violation != certificate.constraint_violation:
+        return Outcome.EVALUATION_ERROR, f"{name_of(answer.status)}, but the point holds numbers that are not finite", certificate
+    tolerance = 10.0 * float(options.get("tol", 0.0))  # a caller who asks for less is judged by what was asked
+    if certificate.meets(tolerance):
+        return outcome, message, certificate
+    return Outcome.STALLED, f"{name_of(answer.status)}, but {certificate.sentence} does not meet the tolerances", certificate
+
+
+def _empty(problem: IpoptProblem, certificate: Residuals) -> tuple[Outcome, str, Residuals]:
+    if not np.isfinite(problem.objective(np.zeros(0))):
+        return Outcome.EVALUATION_ERROR, "there is no free variable, and the objective is not a finite number", certificate
+    return Outcome.SOLVED, "there is no free variable; all constraints hold", certificate

@@ -1,0 +1,301 @@
+"""Pyomo expressions -> linear triplets and nonlinear terms, in one pass over each expression and without recursion.
+
+    m.p * x[1] + 3 * x[2] - sin(x[1] * x[2]) + 4
+
+gives the triplet (row, x[2], 3), the constant 4, and two terms: ("*", "p", 0) with weight 1 (its slope is data, so it is read again at each
+refresh) and ("sin", "*", 0, 1) with weight -1. Terms of one signature are collected in one `Bucket`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from pyomo.common.numeric_types import native_numeric_types
+from pyomo.core.expr import numeric_expr as pe
+from pyomo.core.expr import value
+from pyomo.core.expr.visitor import identify_variables
+
+from formulations.ipopt.errors import ModelRefusedError
+from formulations.ipopt.graph import UNARY
+from formulations.ipopt.kinds import (
+    DIVISION,
+    FUNCTION,
+    KIND,
+    LEAF,
+    MONOMIAL,
+    NAMED,
+    NEGATION,
+    NUMBER,
+    POWER,
+    PRODUCT,
+    SUM,
+    is_data,
+    kind_of,
+)  # fmt: skip
+
+_SUMS = tuple(("+", n) for n in range(64))
+_ONE = ("c", 1.0)
+_SQUARE = ("^", 2.0)
+# A data factor is carried into a sum with more summands than this, so that p * (x1**2 + .. + x5000**2) is 5000 small terms, not a huge one.
+_WIDE_SUM = 16
+# A term longer than this is read again with every shared subexpression written once: expressions built by repeated substitution
+# (x_next = f(x), five hundred times) are small graphs but astronomically large trees.
+_LONG_TERM = 4_000
+
+
+class EvaluatedExpression:
+    """Data that is an expression rather than a Param: `value` evaluates it (Expr_if, max, abs, .. of data)."""
+
+    __slots__ = ("expression",)
+
+    def __init__(self, expression: Any) -> None:
+        self.expression = expression
+
+    @property
+    def value(self) -> float:
+        return value(self.expression)
+
+    @property
+    def name(self) -> str:
+        return str(self.expression)
+
+
+@dataclass
+class Bucket:
+    """All terms of one signature: parallel flat lists, `slots` has a fixed number of entries a term, likewise numbers and params."""
+
+    rows: list[int] = field(default_factory=list)
+    weights: list[float] = field(default_factory=list)
+    slots: list[int] = field(default_factory=list)
+    numbers: list[float] = field(default_factory=list)
+    params: list[int] = field(default_factory=list)
+
+
+class TermReader:
+    """Reads expressions of one model. Variables get columns in order of first appearance; Params and fixed variables get data numbers."""
+
+    def __init__(self) -> None:
+        self.variables: list[Any] = []
+        self.data: list[Any] = []  # Params, fixed variables, EvaluatedExpressions: all have `.value`
+        self.named: dict[int, tuple[Any, Any]] = {}  # named expressions and what they held when they were read
+        self.buckets: dict[tuple, Bucket] = {}
+        self.rows: list[int] = []
+        self.columns: list[int] = []
+        self.slopes: list[float] = []
+        self.constants: list[float] = []
+        self._place: dict[int, int] = {}  # id(leaf) -> column >= 0, or ~(data number)
+        self._domains: dict[int, tuple[Any, bool]] = {}
+        self._where: Any = None
+
+    # -- leaves ---------------------------------------------------------------------------------------------------------------
+
+    def place(self, leaf: Any) -> int:
+        """Column of a free variable, or ~k for the k-th datum."""
+        known = self._place.get(id(leaf))
+        if known is not None:
+            return known
+        if leaf.__class__ is EvaluatedExpression:
+            for variable in identify_variables(leaf.expression, include_fixed=True):
+                self.place(variable)  # so that a refresh notices when it is unfixed
+        elif leaf.is_variable_type() and not leaf.fixed:
+            self._require_continuous(leaf)
+            self._place[id(leaf)] = len(self.variables)
+            self.variables.append(leaf)
+            return len(self.variables) - 1
+        self._place[id(leaf)] = ~len(self.data)
+        self.data.append(leaf)
+        return ~(len(self.data) - 1)
+
+    def _require_continuous(self, variable: Any) -> None:
+        domain = variable.domain
+        known = self._domains.get(id(domain))
+        if known is None:
+            known = self._domains[id(domain)] = (domain, variable.is_continuous())
+        if not known[1]:
+            raise ModelRefusedError(
+                f"variable '{variable.name}' has the domain {variable.domain.name}: Ipopt treats continuous variables only "
+                "(fix it, relax it with core.relax_integer_vars, or use a mixed-integer solver)"
+            )
+
+    # -- top level: a sum of terms ------------------------------------------------------------------------------------------------
+
+    def read(self, row: int, expression: Any, sign: float, where: Any) -> None:
+        """Add sign * expression to a row; `where` is the component, for messages. constants[row] must exist."""
+        self._where = where
+        place, kind = self._place.get, KIND.get
+        rows, columns, slopes = self.rows, self.columns, self.slopes
+        stack: list[tuple[Any, float]] = [(expression, sign)]
+        while stack:
+            node, weight = stack.pop()
+            code = kind(node.__class__)
+            if code is None:
+                code = kind_of(node)
+            if code == MONOMIAL:
+                factor, variable = node._args_ if node.__class__ is pe.MonomialTermExpression else node.args
+                if factor.__class__ in native_numeric_types:
+                    column = place(id(variable))
+                    if column is None:
+                        column = self.place(variable)
+                    if column >= 0:
+                        rows.append(row)
+                        columns.append(column)
+                        slopes.append(weight * factor)
+                        continue
+                self._term(row, weight, node)
+            elif code == LEAF:
+                column = place(id(node))
+                if column is None:
+                    column = self.place(node)
+                if column >= 0:
+                    rows.append(row)
+                    columns.append(column)
+                    slopes.append(weight)
+                else:
+                    self._term(row, weight, node)
+            elif code == SUM:
+                for child in reversed(node.args):
+                    stack.append((child, weight))
+            elif code == NUMBER:
+                self.constants[row] += weight * node
+            elif code == NEGATION:
+                stack.append((node.args[0], -weight))
+            elif code == NAMED:
+                stack.append((self.open_named(node), weight))
+            elif code in (PRODUCT, DIVISION):
+                self._factor(row, node, weight, code, stack)
+            else:
+                self._term(row, weight, node)
+
+    def _factor(self, row: int, node: Any, weight: float, code: int, stack: list[tuple[Any, float]]) -> None:
+        """A product or quotient on the top level: carry numbers into the weight, and data into wide sums."""
+        left, right = node.args
+        if code == DIVISION:
+            if right.__class__ in native_numeric_types and right != 0:
+                stack.append((left, weight / right))
+                return
+            if is_data(right) and self._is_wide(left):
+                stack.extend((child / right, weight) for child in reversed(left.args))
+                return
+        elif left.__class__ in native_numeric_types:
+            stack.append((right, weight * left))
+            return
+        elif right.__class__ in native_numeric_types:
+            stack.append((left, weight * right))
+            return
+        elif is_data(left) and self._is_wide(right):
+            stack.extend((left * child, weight) for child in reversed(right.args))
+            return
+        elif is_data(right) and self._is_wide(left):
+            stack.extend((right * child, weight) for child in reversed(left.args))
+            return
+        self._term(row, weight, node)
+
+    def _is_wide(self, node: Any) -> bool:
+        return kind_of(node) == SUM and node.nargs() > _WIDE_SUM
+
+    def open_named(self, named: Any) -> Any:
+        inside = named.args[0]
+        self.named[id(named)] = (named, inside)
+        if inside is None:
+            raise ModelRefusedError(f"'{self._where.name}' uses the expression '{named.name}', which has not been given a value")
+        return inside
+
+    def _term(self, row: int, weight: float, node: Any) -> None:
+        signature, slots, numbers, params = self._tokens(node)
+        bucket = self.buckets.get(signature)
+        if bucket is None:
+            bucket = self.buckets[signature] = Bucket()
+        bucket.rows.append(row)
+        bucket.weights.append(weight)
+        bucket.slots += slots
+        bucket.numbers += numbers
+        bucket.params += params
+
+    # -- one term: tokens, operator first -----------------------------------------------------------------------------------------
+
+    def _tokens(self, root: Any) -> tuple[tuple, list[int], list[float], list[int]]:
+        place, kind = self._place.get, KIND.get
+        tokens: list[Any] = []
+        numbers: list[float] = []
+        params: list[int] = []
+        slot: dict[int, int] = {}
+        stack = [root]
+        while stack:
+            node = stack.pop()
+            code = kind(node.__class__)
+            if code is None:
+                code = kind_of(node)
+            if code == LEAF:
+                where = place(id(node))
+                if where is None:
+                    where = self.place(node)
+                if where >= 0:
+                    tokens.append(slot.setdefault(where, len(slot)))
+                else:
+                    tokens.append("p")
+                    params.append(~where)
+            elif code == NUMBER:
+                if node == 1:
+                    tokens.append(_ONE)
+                else:
+                    tokens.append("n")
+                    numbers.append(node)
+            elif code in (PRODUCT, MONOMIAL):
+                tokens.append("*")
+                left, right = node.args
+                stack.append(right)
+                stack.append(left)
+            elif code == SUM:
+                count = node.nargs()
+                tokens.append(_SUMS[count] if count < 64 else ("+", count))
+                stack.extend(reversed(node.args))
+            elif code == POWER:
+                base, exponent = node.args
+                if exponent.__class__ in native_numeric_types:
+                    tokens.append(_SQUARE if exponent == 2 else ("^", float(exponent)))
+                else:
+                    tokens.append("^")
+                    stack.append(exponent)
+                stack.append(base)
+            elif code == NAMED:
+                stack.append(self.open_named(node))
+            else:
+                self._push(node, code, tokens, stack, params)
+            if len(tokens) > _LONG_TERM:
+                from formulations.ipopt.shared_terms import read_shared  # the rare road, kept out of the way of the common one
+
+                return read_shared(self, root)
+        return tuple(tokens), list(slot), numbers, params
+
+    def _push(self, node: Any, code: int, tokens: list[Any], stack: list[Any], params: list[int]) -> None:
+        if code == NEGATION:
+            tokens.append("neg")
+            stack.append(node.args[0])
+        elif code == DIVISION:
+            tokens.append("/")
+            stack.extend(reversed(node.args))
+        elif code == FUNCTION and node.getname() in UNARY:
+            tokens.append(node.getname())
+            stack.append(node.args[0])
+        else:
+            tokens.append("p")
+            params.append(~self.place(self.as_data(node)))
+
+    def as_data(self, node: Any) -> EvaluatedExpression:
+        """A node of a kind that has no derivative rule, accepted where it depends on data alone."""
+        if not node.is_fixed():
+            name = node.getname() if hasattr(node, "getname") else type(node).__name__
+            raise ModelRefusedError(
+                f"'{self._where.name}' applies {name} to a variable: only smooth functions can be handed to Ipopt "
+                f"({_ADVICE.get(name, 'known are + - * / ** and ' + ' '.join(sorted(UNARY)))})"
+            )
+        return EvaluatedExpression(node)
+
+
+_ADVICE = {
+    "abs": "write sqrt(x**2 + eps**2), or split x = xp - xn with xp, xn >= 0",
+    "max": "write an epigraph variable t >= each argument, or a smooth maximum",
+    "min": "write a hypograph variable t <= each argument, or a smooth minimum",
+    "Expr_if": "write the two cases as a complementarity or blend them smoothly",
+}
