@@ -106,12 +106,18 @@ def _contact_functions(x: _Vectors) -> list[str]:
 
 def _energy_functions(x: _Vectors) -> list[str]:
     d = x.dynamics
+    cost, cost_bar = x.local(d.running_cost), Vector.of("cost", ["bar"])
+    bars = [
+        (f"{vector.name}_bar", cost.jacobian(vector.column).T * cost_bar.symbols[0] if vector.symbols else sp.zeros(0, 1))
+        for vector in (x.q, x.v, x.u)
+    ]
     return [
         c_function("double", "scene_kinetic_energy", (x.q, x.v, x.p), None, x.local(d.kinetic_energy)),
         c_function("double", "scene_potential_energy", (x.q, x.p), None, x.local(d.potential_energy)),
         c_function("double", "scene_input_power", (x.q, x.v, x.u, x.p), None, x.local(d.input_power)),
         c_function("double", "scene_dissipated_power", (x.q, x.v, x.p), None, x.local(d.dissipated_power)),
-        c_function("double", "scene_running_cost", (x.q, x.v, x.u, x.p), None, x.local(d.running_cost)),
+        c_function("double", "scene_running_cost", (x.q, x.v, x.u, x.p), None, cost),
+        c_function("void", "scene_running_cost_vjp", (x.q, x.v, x.u, x.p, cost_bar), bars, operator="+="),
     ]
 
 

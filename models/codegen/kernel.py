@@ -24,7 +24,23 @@ from models.errors import TouchstoneError
 from models.scene import Scene
 
 _SOURCE = Path(__file__).with_name("rollout.c")
-_DOUBLES = ctypes.POINTER(ctypes.c_double)
+
+# Result and arguments of the C functions: n a count or law, d a double, p the address of doubles. Addresses are passed as
+# plain integers: a ctypes pointer object for each of them would cost more than the rollout itself.
+_TYPES = {"n": ctypes.c_int, "d": ctypes.c_double, "p": ctypes.c_void_p}
+_SIGNATURES = {
+    "rollout": (ctypes.c_int, "ndpndppppp"),
+    "adjoint": (ctypes.c_int, "ndpndpppppppdpp"),
+    "penetration": (None, "nppp"),
+    "contact_force": (None, "npndpp"),
+    "stiffness": (None, "pp"),
+    "acceleration": (ctypes.c_int, "npppppp"),
+    "acceleration_jvp": (ctypes.c_int, "p" * 10),
+    "penetration_jvp": (None, "pppp"),
+    "energy": (None, "npppp"),
+    "power": (None, "nppppp"),
+    "cost": (ctypes.c_double, "npppp"),
+}
 
 
 class KernelError(TouchstoneError):
@@ -66,16 +82,9 @@ class Kernel:
     def __init__(self, scene: Scene, library: Path) -> None:
         self.scene = scene
         self._library = ctypes.CDLL(str(library))
-        for name in (
-            "kernel_penetration",
-            "kernel_contact_force",
-            "kernel_stiffness",
-            "kernel_energy",
-            "kernel_power",
-            "kernel_penetration_jvp",
-        ):
-            getattr(self._library, name).restype = None
-        self._library.kernel_cost.restype = ctypes.c_double
+        for name, (result, arguments) in _SIGNATURES.items():
+            function = getattr(self._library, f"kernel_{name}")
+            function.restype, function.argtypes = result, [_TYPES[letter] for letter in arguments]
         values = [parameter.value for parameter in scene.parameters]
         self._p = np.array(values or [0.0])
 
@@ -116,27 +125,35 @@ class Kernel:
         u = self._array("u", u, self.scene.nu)
         start = self._array("start", np.atleast_2d(start), 2 * self.scene.nq)
         steps = len(u)
-        q, v = np.full((steps + 1, self.scene.nq), np.nan), np.full((steps + 1, self.scene.nq), np.nan)
-        lam = np.full((steps, self.scene.nc), np.nan)
+        q, v = np.empty((steps + 1, self.scene.nq)), np.empty((steps + 1, self.scene.nq))
+        lam = np.empty((steps, self.scene.nc))
         done = self._library.kernel_rollout(
-            steps, ctypes.c_double(step), _at(self._p), law.value, _b(law, eps), _at(start), _at(u), _at(q), _at(v), _at(lam)
-        )
-        q[done + 1 :] = v[done + 1 :] = np.nan
-        lam[done + 1 :] = np.nan
+            steps, step, _at(self._p), law.value, _b(law, eps), _at(start), _at(u), _at(q), _at(v), _at(lam)
+        )  # fmt: skip
+        if done < steps:
+            q[done + 1 :] = v[done + 1 :] = np.nan
+            lam[done + 1 :] = np.nan
         return Rollout(q=q, v=v, lam=lam, finite_steps=done, step=step, law=law, eps=eps)
 
     def adjoint(
-        self, rollout: Rollout, u: np.ndarray, q_bar: np.ndarray, v_bar: np.ndarray, lam_bar: np.ndarray | None = None
+        self,
+        rollout: Rollout,
+        u: np.ndarray,
+        q_bar: np.ndarray,
+        v_bar: np.ndarray,
+        lam_bar: np.ndarray | None = None,
+        cost_bar: float = 0.0,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Gradients (u_bar (steps, nu), start_bar (2*nq,)) of a loss whose derivatives are q_bar, v_bar (steps+1, nq), lam_bar (steps, nc)."""
-        u = self._array("u", u, self.scene.nu)
+        """Gradients (u_bar (steps, nu), start_bar (2*nq,)) of a loss whose derivatives are q_bar, v_bar (steps+1, nq), lam_bar
+        (steps, nc; None if it does not depend on lam) and cost_bar (with respect to the sum of the running cost)."""
+        u = self._array("u", u, self.scene.nu, len(rollout.lam))
         nodes = len(rollout.q)
         q_bar, v_bar = self._array("q_bar", q_bar, self.scene.nq, nodes), self._array("v_bar", v_bar, self.scene.nq, nodes)
-        lam_bar = np.zeros_like(rollout.lam) if lam_bar is None else self._array("lam_bar", lam_bar, self.scene.nc, nodes - 1)
+        lam_bar = None if lam_bar is None else self._array("lam_bar", lam_bar, self.scene.nc, nodes - 1)
         u_bar, start_bar = np.empty_like(u), np.empty(2 * self.scene.nq)
         failed = self._library.kernel_adjoint(
-            len(u), ctypes.c_double(rollout.step), _at(self._p), rollout.law.value, _b(rollout.law, rollout.eps), _at(rollout.q), _at(rollout.v),
-            _at(rollout.lam), _at(u), _at(q_bar), _at(v_bar), _at(lam_bar), _at(u_bar), _at(start_bar),
+            len(u), rollout.step, _at(self._p), rollout.law.value, _b(rollout.law, rollout.eps), _at(rollout.q), _at(rollout.v),
+            _at(rollout.lam), _at(u), _at(q_bar), _at(v_bar), None if lam_bar is None else _at(lam_bar), cost_bar, _at(u_bar), _at(start_bar),
         )  # fmt: skip
         if failed:
             raise KernelError(f"scene {self.scene.name}: the mass matrix is not positive definite along the rollout.")
@@ -178,9 +195,10 @@ class Kernel:
         return array
 
 
-def _at(array: np.ndarray) -> ctypes._Pointer[ctypes.c_double]:
-    return array.ctypes.data_as(_DOUBLES)
+def _at(array: np.ndarray) -> int:
+    """Address of the first entry."""
+    return array.ctypes.data
 
 
-def _b(law: ContactLaw, eps: float | None) -> ctypes.c_double:
-    return ctypes.c_double(0.0 if law is ContactLaw.RELU else sharpness(eps if eps is not None else 0.0))
+def _b(law: ContactLaw, eps: float | None) -> float:
+    return 0.0 if law is ContactLaw.RELU else sharpness(eps if eps is not None else 0.0)

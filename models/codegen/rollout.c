@@ -33,6 +33,13 @@ static void contact_forces(int law, double b, const double *k, const double *q, 
     for (int i = 0; i < NC; i++) lam[i] = contact_force(law, b, k[i], phi[i]);
 }
 
+/* A copy that no output can alias, so that the compiler computes what depends on parameters alone (1/m) once, not every step. */
+static void local_parameters(const double *parameters, double *p)
+{
+    for (int i = 0; i < NP; i++) p[i] = parameters[i];
+    if (NP == 0) p[0] = 0.0;
+}
+
 static int finite_row(const double *row, int n)
 {
     for (int i = 0; i < n; i++)
@@ -42,10 +49,11 @@ static int finite_row(const double *row, int n)
 
 /* q, v: (steps + 1, NQ), first row filled from start (2 NQ); lam: (steps, NC). Returns the number of steps that were
  * finite: fewer than `steps` if the rollout diverged or the mass matrix lost definiteness. */
-EXPORT int kernel_rollout(int steps, double h, const double *p, int law, double b, const double *start, const double *u,
+EXPORT int kernel_rollout(int steps, double h, const double *parameters, int law, double b, const double *start, const double *u,
     double *q, double *v, double *lam)
 {
-    double k[SIZE(NC)], a[NQ];
+    double p[SIZE(NP)], k[SIZE(NC)], a[NQ];
+    local_parameters(parameters, p);
     scene_stiffness(p, k);
     for (int i = 0; i < NQ; i++) {
         q[i] = start[i];
@@ -65,12 +73,15 @@ EXPORT int kernel_rollout(int steps, double h, const double *p, int law, double 
     return steps;
 }
 
-/* Reverse sweep: given the derivatives of a loss with respect to every entry of q, v and lam (q_bar, v_bar, lam_bar),
- * writes those with respect to u (steps, NU) and start (2 NQ). Returns 0, or 1 if the mass matrix is not positive definite. */
-EXPORT int kernel_adjoint(int steps, double h, const double *p, int law, double b, const double *q, const double *v, const double *lam,
-    const double *u, const double *q_bar, const double *v_bar, const double *lam_bar, double *u_bar, double *start_bar)
+/* Reverse sweep: given the derivatives of a loss with respect to every entry of q, v and lam (q_bar, v_bar; lam_bar or NULL) and to
+ * the sum of the running cost (cost_bar), writes those with respect to u (steps, NU) and start (2 NQ). Returns 0, or 1 if the mass
+ * matrix is not positive definite. */
+EXPORT int kernel_adjoint(int steps, double h, const double *parameters, int law, double b, const double *q, const double *v,
+    const double *lam, const double *u, const double *q_bar, const double *v_bar, const double *lam_bar, double cost_bar, double *u_bar,
+    double *start_bar)
 {
-    double k[SIZE(NC)], gq[NQ], gv[NQ];
+    double p[SIZE(NP)], k[SIZE(NC)], gq[NQ], gv[NQ];
+    local_parameters(parameters, p);
     scene_stiffness(p, k);
     for (int i = 0; i < NQ; i++) {
         gq[i] = q_bar[steps * NQ + i];
@@ -84,11 +95,12 @@ EXPORT int kernel_adjoint(int steps, double h, const double *p, int law, double 
             a_bar[i] = h * gv[i];
         }
         for (int i = 0; i < NU; i++) u_bar[t * NU + i] = 0.0;
-        for (int i = 0; i < NC; i++) gl[i] = lam_bar[t * NC + i];
+        for (int i = 0; i < NC; i++) gl[i] = lam_bar ? lam_bar[t * NC + i] : 0.0;
         if (scene_acceleration_vjp(qt, vt, u + t * NU, lam + t * NC, p, a_bar, gq, gv, u_bar + t * NU, gl)) return 1;
         scene_penetration(qt, p, phi);
         for (int i = 0; i < NC; i++) gl[i] *= contact_slope(law, b, k[i], phi[i]);
         scene_penetration_vjp(qt, p, gl, gq);
+        if (cost_bar != 0.0) scene_running_cost_vjp(qt, vt, u + t * NU, p, &cost_bar, gq, gv, u_bar + t * NU);
         for (int i = 0; i < NQ; i++) {
             gq[i] += q_bar[t * NQ + i];
             gv[i] += v_bar[t * NQ + i];
