@@ -20,7 +20,7 @@ from models.scene import Scene
 
 
 @dataclass(frozen=True)
-class _Vectors:
+class SceneVectors:
     """The argument vectors of one scene, and its equations written in their entries."""
 
     dynamics: Dynamics
@@ -31,7 +31,7 @@ class _Vectors:
     p: Vector
 
     @classmethod
-    def of(cls, d: Dynamics) -> _Vectors:
+    def of(cls, d: Dynamics) -> SceneVectors:
         def vector(name: str, symbols: Sequence[sp.Symbol]) -> Vector:
             return Vector.of(name, [symbol.name for symbol in symbols])
 
@@ -57,7 +57,7 @@ def emit_model(scene: Scene, *, defaults: bool = True) -> str:
 
     defaults: also write the default parameter values; without them one header serves all parameter values of a scene.
     """
-    vectors = _Vectors.of(derive(scene))
+    vectors = SceneVectors.of(derive(scene))
     parts = [_head(scene, defaults), *_contact_functions(vectors), *_acceleration_functions(vectors), *_energy_functions(vectors)]
     return "\n".join([*parts, "#endif", ""])
 
@@ -91,7 +91,7 @@ def _head(scene: Scene, defaults: bool) -> str:
     return "\n".join(lines)
 
 
-def _contact_functions(x: _Vectors) -> list[str]:
+def _contact_functions(x: SceneVectors) -> list[str]:
     d = x.dynamics
     phi, stiffness = x.local(d.penetration), x.local(d.stiffness)
     dq, phi_bar = x.q.like("dq"), x.lam.like("phi_bar")
@@ -104,7 +104,7 @@ def _contact_functions(x: _Vectors) -> list[str]:
     ]
 
 
-def _energy_functions(x: _Vectors) -> list[str]:
+def _energy_functions(x: SceneVectors) -> list[str]:
     d = x.dynamics
     cost, cost_bar = x.local(d.running_cost), Vector.of("cost", ["bar"])
     bars = [
@@ -121,7 +121,7 @@ def _energy_functions(x: _Vectors) -> list[str]:
     ]
 
 
-def _acceleration_functions(x: _Vectors) -> list[str]:
+def _acceleration_functions(x: SceneVectors) -> list[str]:
     tangents = tuple(vector.like(f"d{vector.name}") for vector in (x.q, x.v, x.u, x.lam))
     closed = x.dynamics.acceleration
     if closed is not None:
@@ -129,7 +129,7 @@ def _acceleration_functions(x: _Vectors) -> list[str]:
     return _factorised_acceleration(x, tangents)
 
 
-def _directional(function: sp.Matrix, x: _Vectors, tangents: Sequence[Vector]) -> sp.Matrix:
+def _directional(function: sp.Matrix, x: SceneVectors, tangents: Sequence[Vector]) -> sp.Matrix:
     """Jacobian-vector product of a column in direction (dq, dv, du, dlam)."""
     total = sp.zeros(function.rows, 1)
     for vector, tangent in zip((x.q, x.v, x.u, x.lam), tangents, strict=True):
@@ -138,7 +138,7 @@ def _directional(function: sp.Matrix, x: _Vectors, tangents: Sequence[Vector]) -
     return total
 
 
-def _closed_acceleration(x: _Vectors, acceleration: sp.Matrix, tangents: Sequence[Vector]) -> list[str]:
+def _closed_acceleration(x: SceneVectors, acceleration: sp.Matrix, tangents: Sequence[Vector]) -> list[str]:
     a_bar = x.q.like("a_bar")
     bars = [
         (f"{vector.name}_bar", acceleration.jacobian(vector.column).T * a_bar.column if vector.symbols else sp.zeros(0, 1))
@@ -214,7 +214,7 @@ SCENE_FUNCTION int scene_acceleration_vjp(const double *q, const double *v, cons
 """
 
 
-def _factorised_acceleration(x: _Vectors, tangents: Sequence[Vector]) -> list[str]:
+def _factorised_acceleration(x: SceneVectors, tangents: Sequence[Vector]) -> list[str]:
     d = x.dynamics
     mass, force = x.local(d.mass_matrix), x.local(d.generalised_force)
     a, w = x.q.like("a"), x.q.like("w")
