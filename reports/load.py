@@ -1,0 +1,118 @@
+"""Reads the records of a campaign's folder. A record that cannot be read is listed with a sentence, and the rest is shown.
+
+    stored = load(Path("runs/all"));  stored.campaign, stored.runs, stored.unreadable, stored.missing
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from reports.record import SCHEMA_VERSION, CampaignRecord, RunRecord
+from reports.wording import clean
+
+# A record holds thinned traces only: 64 MB is ten times the largest thinkable one, and what is larger is not a record.
+_LARGEST_BYTES = 64 * 1024 * 1024
+_Record = TypeVar("_Record", bound=BaseModel)
+
+
+class ReportError(Exception):
+    """The report cannot be written; one sentence says why and what to do."""
+
+
+@dataclass(frozen=True)
+class Unreadable:
+    """A file that could not be used, relative to the campaign's folder, and the sentence why."""
+
+    path: str
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Stored:
+    """All that the report is made of.
+
+    missing: keys that the campaign lists and of which nothing is stored; foreign: stored records that the campaign does not list.
+    """
+
+    folder: str
+    campaign: CampaignRecord | None
+    runs: tuple[RunRecord, ...]
+    unreadable: tuple[Unreadable, ...]
+    missing: tuple[str, ...]
+    foreign: int
+
+
+def load(folder: Path) -> Stored:
+    """Everything readable in the folder, in the campaign's order. Raises ReportError if there is no such folder."""
+    if not folder.is_dir():
+        raise ReportError(f"{folder}: there is no such folder; give the folder of a campaign (it holds campaign.json and runs/).")
+    unreadable: list[Unreadable] = []
+    campaign = _read(folder / "campaign.json", folder, CampaignRecord, unreadable)
+    runs: dict[str, RunRecord] = {}
+    for path in _record_files(folder):
+        run = _read(path, folder, RunRecord, unreadable)
+        if run is None:
+            continue
+        if run.key != path.parent.name:
+            sentence = f"it says that it is the record of {run.key[:40]!r}, but lies in the folder of another; run the cell again."
+            unreadable.append(Unreadable(clean(str(path.relative_to(folder))), clean(sentence)))
+            continue
+        runs[run.key] = run
+    if campaign is None:
+        order = sorted(runs, key=lambda key: (runs[key].scene.name, runs[key].pipeline, key))
+        return Stored(folder.name, None, tuple(runs[key] for key in order), tuple(unreadable), (), 0)
+    keys = list(dict.fromkeys(campaign.keys))
+    broken = {Path(item.path).parent.name for item in unreadable}
+    return Stored(
+        folder=folder.name,
+        campaign=campaign,
+        runs=tuple(runs[key] for key in keys if key in runs),
+        unreadable=tuple(unreadable),
+        missing=tuple(clean(key) for key in keys if key not in runs and clean(key) not in broken),
+        foreign=len(set(runs) - set(keys)),
+    )
+
+
+def _record_files(folder: Path) -> list[Path]:
+    runs = folder / "runs"
+    if not runs.is_dir():
+        return []
+    # Folders whose name begins with a dot or ends in .tmp are runs that are being written.
+    folders = sorted(path for path in runs.iterdir() if path.is_dir() and not path.name.startswith(".") and path.suffix != ".tmp")
+    return [path / "record.json" for path in folders]
+
+
+def _read(path: Path, folder: Path, model: type[_Record], unreadable: list[Unreadable]) -> _Record | None:
+    try:
+        return model.model_validate_json(_text(path))
+    except ReportError as problem:
+        sentence = str(problem)
+    except OSError as problem:
+        sentence = f"it cannot be read ({problem.strerror or type(problem).__name__})."
+    except ValidationError as problem:
+        sentence = _validation_sentence(problem)
+    unreadable.append(Unreadable(clean(str(path.relative_to(folder))), clean(sentence)))
+    return None
+
+
+def _text(path: Path) -> bytes:
+    if not path.is_file():
+        raise ReportError("it is not there; the run was interrupted or the file was removed: run the campaign again to fill it.")
+    if path.stat().st_size > _LARGEST_BYTES:
+        raise ReportError(f"it is larger than {_LARGEST_BYTES // 1024 // 1024} MB, so it is not a record of this program.")
+    return path.read_bytes()
+
+
+def _validation_sentence(problem: ValidationError) -> str:
+    first = problem.errors(include_url=False, include_context=False, include_input=False)[0]
+    more = problem.error_count() - 1
+    place = ".".join(str(part) for part in first["loc"])[:120]
+    if first["type"] == "json_invalid":
+        return f"it is not complete JSON ({first['msg'][:160]}); the file was cut short or edited: run the cell again."
+    where = f"at {place}: " if place else ""
+    others = f", and {more} more" if more else ""
+    return f"it does not follow record schema {SCHEMA_VERSION} ({where}{first['msg'][:160]}{others}); written by another version, or edited: run the cell again."

@@ -1,0 +1,25 @@
+"""Where every number comes from: commits, machine, versions, command, keys; and whether all runs come from the same place."""
+
+from __future__ import annotations
+
+from reports.pages.section import Report, Section
+from reports.record import ProvenanceRecord
+
+_SAME = ("touchstone", "commit", "python", "platform", "cpu", "compiler")
+
+
+def build(report: Report) -> Section | None:
+    stored = report.stored
+    first = stored.campaign.provenance if stored.campaign else (stored.runs[0].provenance if stored.runs else None)
+    if first is None:
+        return None
+    runs = [(run, report.anchor(run), differences(first, run.provenance)) for run in stored.runs]
+    return Section("provenance", "Provenance", "provenance.html", {"first": first, "runs": runs, "campaign": stored.campaign, "folder": stored.folder})
+
+
+def differences(first: ProvenanceRecord, other: ProvenanceRecord) -> list[str]:
+    """What a run's origin has other than the campaign's, in words."""
+    told = [f"{name} {getattr(other, name)}" for name in _SAME if getattr(first, name) != getattr(other, name)]
+    names = sorted(set(first.packages) | set(other.packages))
+    told += [f"{name} {other.packages.get(name, 'absent')}" for name in names if first.packages.get(name) != other.packages.get(name)]
+    return told

@@ -1,0 +1,51 @@
+"""One section a run: its stages with figures, plan against replay, iteration history, certificate, options, seconds, log."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from reports.pages.player import Film, film
+from reports.pages.section import Report, Section
+from reports.pages.stage_plots import StagePlots, stage_plots
+from reports.record import RunRecord, StageRecord
+from reports.wording import tail
+
+
+@dataclass(frozen=True)
+class StageView:
+    """A stage and what is drawn of it; `row` is its number in the tables (of the same stage, if another run has it too)."""
+
+    stage: StageRecord
+    row: int | None
+    plots: StagePlots
+    last: bool
+
+
+@dataclass(frozen=True)
+class RunView:
+    """A run and its stages; the film shows the last stage that has something to show."""
+
+    run: RunRecord
+    anchor: str
+    stages: list[StageView]
+    film: Film | None
+    log: str
+
+
+def build(report: Report) -> Section | None:
+    runs = report.stored.runs
+    if not runs:
+        return None
+    views = [_view(report, run) for run in runs]
+    many = len(report.scenes) > 1
+    entries = tuple((view.anchor, f"{view.run.pipeline}, {view.run.scene.name}" if many else view.run.pipeline) for view in views)
+    return Section("runs", "Runs", "runs.html", {"views": views}, entries)
+
+
+def _view(report: Report, run: RunRecord) -> RunView:
+    numbers = {id(row.stage): row.number for row in report.rows}
+    last = len(run.stages) - 1
+    stages = [
+        StageView(stage, numbers.get(id(stage)), stage_plots(run.scene, stage), place == last) for place, stage in enumerate(run.stages)
+    ]
+    return RunView(run, report.anchor(run), stages, film(run), tail(run.log_tail))

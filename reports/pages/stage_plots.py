@@ -1,0 +1,133 @@
+"""The plots of one stage: planned against replayed, phases of contact, error over time, iteration history."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from reports.plots.axis import Axis
+from reports.plots.figure import Key, Plot
+from reports.record import QuantityRecord, SceneRecord, StageRecord, TraceRecord
+from reports.traces import column, contact_phases, force, gap, position_error
+from reports.wording import clean, error, number
+
+_KEYS = [Key("plan", "plan"), Key("replay", "replay"), Key("touch", "replay in contact", "swatch"), Key("planned-touch", "plan in contact", "swatch")]
+# More panels of history than this tell nothing more.
+_MOST_HISTORY = 8
+_MOST_COLOURS = 6
+
+
+@dataclass(frozen=True)
+class StagePlots:
+    """`absent`: for each thing that cannot be drawn, the reason."""
+
+    keys: list[Key]
+    motion: list[Plot]
+    history: list[Plot]
+    absent: list[str]
+
+
+def stage_plots(scene: SceneRecord, stage: StageRecord) -> StagePlots:
+    plan = stage.plan_trace if stage.plan_trace is not None and stage.plan_trace.t else None
+    replay = stage.replay_trace if stage.replay_trace is not None and stage.replay_trace.t else None
+    absent = []
+    if plan is None:
+        absent.append("No planned trajectory is stored: " + (stage.why or stage.advice or "the stage came back without a plan."))
+    if replay is None:
+        said = stage.replay.message if stage.replay is not None and stage.replay.message else ""
+        absent.append("No replay is stored: " + (said or ("there is no plan to replay." if plan is None else "the plan was not replayed.")))
+    if not stage.history:
+        absent.append("The method kept no history of its iterations.")
+    motion: list[Plot | None] = []
+    times = [t for trace in (plan, replay) if trace is not None for t in (trace.t[0], trace.t[-1])]
+    if times:
+        x = Axis.fitted("time", "s", times, margin=0.0)
+        for unit in dict.fromkeys(item.unit for item in scene.coordinates):
+            motion.append(_positions([item for item in scene.coordinates if item.unit == unit], unit, x, plan, replay))
+        for contact in scene.contacts:
+            motion.append(_contact(f"Contact force, {contact.name}", "force", "N", contact.name, x, plan, replay))
+        motion.append(_error(scene, x, plan, replay))
+        for contact in scene.contacts:
+            motion.append(_contact(f"Gap, {contact.name}", "gap", "m", contact.name, x, plan, replay))
+        motion.append(_inputs(scene, x, plan))
+    history = [_history(name, values) for name, values in list(stage.history.items())[:_MOST_HISTORY] if len(values) > 1]
+    return StagePlots(_KEYS, [plot for plot in motion if plot is not None], history, absent)
+
+
+def _positions(items: list[QuantityRecord], unit: str, x: Axis, plan: TraceRecord | None, replay: TraceRecord | None) -> Plot | None:
+    data = [
+        (item, f"c{place % _MOST_COLOURS} {style}", name, trace, values)
+        for place, item in enumerate(items)
+        for name, style, trace in (("plan", "ghost", plan), ("replay", "", replay))
+        if trace is not None and (values := column(trace, item.name))
+    ]
+    if not data:
+        return None
+    plot = Plot("Positions, plan dashed, replay solid", x, Axis.fitted("position", unit, [value for *_, values in data for value in values], margin=0.1))
+    for item, style, name, trace, values in data:
+        plot.line(f"{item.name} {name}", style, trace.t, values)
+    for item in items:
+        mine = [entry for entry in data if entry[0] is item]
+        if mine:
+            plot.label(x.low, mine[0][4][0], item.name, f"strong {mine[0][1].split()[0]}")
+    plot.words = " ".join(f"{item.name} in the {name} ends at {number(values[-1], 5)} {unit}." for item, _, name, _, values in data)
+    return plot
+
+
+def _contact(title: str, quantity: str, unit: str, contact: str, x: Axis, plan: TraceRecord | None, replay: TraceRecord | None) -> Plot | None:
+    read = force if quantity == "force" else gap
+    data = [(name, trace, values) for name, trace in (("plan", plan), ("replay", replay)) if trace is not None and (values := read(trace, contact))]
+    if not data:
+        return None
+    plot = Plot(title, x, Axis.fitted(quantity, unit, [value for *_, values in data for value in values], zero=True))
+    phases, planned = contact_phases(replay, contact), contact_phases(plan, contact)
+    for low, high in phases:
+        plot.band(low, high, "touch")
+    for low, high in planned:
+        plot.strip(low, high, "planned-touch", 0)
+    for name, trace, values in data:
+        plot.line(name, name, trace.t, values)
+    told = [f"Largest in the {name}: {number(max(values), 3)} {unit}." for name, _, values in data]
+    if replay is not None:
+        windows = [f"{number(low, 3)} to {number(high, 3)} s" for low, high in phases[:4]]
+        told.append(f"In contact in the replay: {', '.join(windows) or 'never'}{' and more' if len(phases) > 4 else ''}.")
+    plot.words = " ".join(told)
+    return plot
+
+
+def _error(scene: SceneRecord, x: Axis, plan: TraceRecord | None, replay: TraceRecord | None) -> Plot | None:
+    found = position_error(scene, plan, replay)
+    if found is None:
+        return None
+    times, values = found
+    unit = "/".join(dict.fromkeys(item.unit for item in scene.coordinates))
+    plot = Plot("Position error: replay against plan", x, Axis.fitted("largest difference", unit, values, zero=True))
+    plot.line("difference", "c5", times, values)
+    worst = max(range(len(values)), key=lambda place: values[place])
+    plot.words = f"The largest difference is {error(values[worst])} {unit}, at {number(times[worst], 3)} s; at the end it is {error(values[-1])} {unit}."
+    return plot
+
+
+def _inputs(scene: SceneRecord, x: Axis, plan: TraceRecord | None) -> Plot | None:
+    data = [(item, values) for item in scene.inputs if plan is not None and (values := column(plan, item.name))]
+    if plan is None or not data:
+        return None
+    units = list(dict.fromkeys(item.unit for item, _ in data))
+    plot = Plot("Inputs of the plan", x, Axis.fitted("input", "/".join(units), [value for _, values in data for value in values], zero=True))
+    for place, (item, values) in enumerate(data):
+        plot.line(item.name, f"c{place % _MOST_COLOURS}", plan.t, values)
+        peak = max(range(len(values)), key=lambda index: abs(values[index]))
+        plot.label(plan.t[min(peak, len(plan.t) - 1)], values[peak], item.name, f"strong c{place % _MOST_COLOURS}")
+    plot.words = " ".join(f"{item.name} lies between {number(min(values), 3)} and {number(max(values), 3)} {item.unit}." for item, values in data)
+    return plot
+
+
+def _history(name: str, values: tuple[float, ...]) -> Plot:
+    """One column of the iteration history; logarithmic where it is positive and spans two powers of ten."""
+    name = clean(name).replace("_", " ")
+    positive = [value for value in values if value > 0]
+    log = len(positive) > 1 and min(values) >= 0 and max(positive) / min(positive) > 100
+    plot = Plot(name, Axis.fitted("iteration", "", [0, len(values) - 1], margin=0.0), Axis.fitted(name, "", values, log=log), width=340, height=180)
+    shown = [(place, value) for place, value in enumerate(values) if value > 0 or not log]
+    plot.line(name, "c0", [place for place, _ in shown], [value for _, value in shown])
+    plot.words = f"From {number(values[0], 3)} to {number(values[-1], 3)} in {len(values)} entries."
+    return plot

@@ -1,0 +1,143 @@
+"""What holds, what does not and why, in sentences computed from the records."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from reports.pages.section import Report, Section
+from reports.record import RunRecord, StageRecord
+from reports.rows import Row
+from reports.wording import cost, count, error, listing, seconds, spaced
+
+# An outcome that came back with what was asked for; a limit of iterations is the paper's own stopping rule for gradient descent.
+_ANSWERED = frozenset({"solved", "iteration_limit"})
+
+
+@dataclass(frozen=True)
+class Sentence:
+    """A sentence of the summary; `style` is the verdict's class it goes with."""
+
+    style: str
+    symbol: str
+    text: str
+
+
+def build(report: Report) -> Section:
+    stored = report.stored
+    runs = stored.runs
+    return Section(
+        "summary",
+        "Summary",
+        "summary.html",
+        {
+            "sentences": [*_direct(runs), *_indirect(report.rows), *_cheapest(report.rows), *_times(runs), *_stored(report)],
+            "counts": _counts(runs),
+            "failures": [(run, report.anchor(run), _failure(run)) for run in runs if _failure(run)],
+            "campaign": stored.campaign,
+            "unreadable": stored.unreadable,
+            "missing": stored.missing,
+            "provenance": stored.campaign.provenance if stored.campaign else (runs[0].provenance if runs else None),
+        },
+    )
+
+
+def _counts(runs: tuple[RunRecord, ...]) -> dict[str, int]:
+    return {name: sum(run.verdict == name for run in runs) for name in ("holds", "violates", "not resolved", "no plan")}
+
+
+def _failure(run: RunRecord) -> str:
+    """Why a cell did not end as asked; empty if it did."""
+    if run.outcome in _ANSWERED and run.stages:
+        return ""
+    advice = run.stages[-1].advice if run.stages and run.stages[-1].outcome == run.outcome else ""
+    return " ".join(dict.fromkeys(part for part in (advice, run.message) if part)) or "The record gives no reason."
+
+
+def _named(run: RunRecord) -> str:
+    return f"{run.pipeline} on {run.scene.name}"
+
+
+def _direct(runs: tuple[RunRecord, ...]) -> list[Sentence]:
+    judged = [run for run in runs if run.must_hold]
+    if not judged:
+        return []
+    bad = [run for run in judged if run.verdict != "holds"]
+    if not bad:
+        text = "The one pipeline that ends in a direct method holds." if len(judged) == 1 else f"All {len(judged)} pipelines that end in a direct method hold."
+        return [Sentence("holds", "✓", text)]
+    said = [Sentence("holds", "✓", f"{len(judged) - len(bad)} of {len(judged)} pipelines that end in a direct method hold.")]
+    for run in bad:
+        why = _why(run.stages[-1]) if run.stages else ""
+        reason = why or _failure(run) or "The record gives no reason."
+        style, symbol = {"violates": ("violates", "✗"), "no plan": ("noplan", "○")}.get(run.verdict, ("unresolved", "?"))
+        said.append(Sentence(style, symbol, f"{_named(run)}: {run.verdict}. {reason}"))
+    return said
+
+
+def _why(stage: StageRecord) -> str:
+    if stage.why:
+        return stage.why
+    broken = [
+        f"{spaced(figure.name)} is {error(figure.value)} {figure.unit} (limit {error(figure.limit)})" for figure in stage.figures if figure.ok is False
+    ]
+    return f"{listing(broken)}." if broken else ""
+
+
+def _indirect(rows: list[Row]) -> list[Sentence]:
+    relaxed = [row for row in rows if row.stage.kind == "indirect"]
+    if not relaxed:
+        return []
+    violating = [row for row in relaxed if row.stage.verdict == "violates"]
+    errors = [value for row in violating if (value := row.figure("replay_terminal_error")) is not None]
+    reach = f", missing the goal by {error(min(errors))} to {error(max(errors))} after the replay" if errors else ""
+    text = f"{len(violating)} of {count(len(relaxed), 'relaxed stage')} violate contact physics, as relaxations are expected to{reach}."
+    if len(violating) == len(relaxed):
+        return [Sentence("plain", "•", text)]
+    exempt = [row.label for row in relaxed if row.stage.verdict == "holds"]
+    return [Sentence("plain", "•", text + (f" {listing(exempt)} {'keeps' if len(exempt) == 1 else 'keep'} every limit." if exempt else ""))]
+
+
+def _cheapest(rows: list[Row]) -> list[Sentence]:
+    """Never a cost without its terminal error."""
+    said = []
+    for name in dict.fromkeys(row.run.scene.name for row in rows):
+        holding = [row for row in rows if row.run.scene.name == name and row.stage.verdict == "holds" and row.stage.cost is not None]
+        if not holding:
+            continue
+        exact = [row for row in holding if (row.figure("discrete_terminal_error") or 1.0) <= 1e-4]
+        best = min(holding, key=lambda row: row.stage.cost or 0.0)
+        parts = [f"On {name} the cheapest plan that holds is row {best.number}, {best.label}: {_price(best)}."]
+        if exact:
+            strictest = min(exact, key=lambda row: row.stage.cost or 0.0)
+            if strictest is not best:
+                parts.append(f"The cheapest that also reaches the goal on its own grid is row {strictest.number}, {strictest.label}: {_price(strictest)}.")
+        said.append(Sentence("plain", "•", " ".join(parts)))
+    return said
+
+
+def _price(row: Row) -> str:
+    missed = row.figure("replay_terminal_error")
+    return f"cost {cost(row.stage.cost)}, terminal error after the replay " + (error(missed) if missed is not None else "not measured")
+
+
+def _times(runs: tuple[RunRecord, ...]) -> list[Sentence]:
+    if not runs:
+        return []
+    wall, cpu = sum(run.wall_seconds for run in runs), sum(run.cpu_seconds for run in runs)
+    return [Sentence("plain", "•", f"All cells together took {seconds(cpu)} CPU seconds ({seconds(wall)} seconds of the clock, each cell counted alone).")]
+
+
+def _stored(report: Report) -> list[Sentence]:
+    stored = report.stored
+    said = []
+    if stored.campaign is None:
+        said.append(Sentence("unresolved", "!", "The campaign's own record is missing or unreadable: the page shows every run it finds, in the order of their names."))
+    if not stored.runs:
+        said.append(Sentence("noplan", "○", "No run is stored here yet; there is nothing to judge."))
+    if stored.missing:
+        said.append(Sentence("noplan", "○", f"{count(len(stored.missing), 'cell')} of the campaign {'has' if len(stored.missing) == 1 else 'have'} no stored record yet."))
+    if stored.unreadable:
+        said.append(Sentence("unresolved", "!", f"{count(len(stored.unreadable), 'file')} could not be read; see below."))
+    if stored.foreign:
+        said.append(Sentence("plain", "•", f"{count(stored.foreign, 'stored run')} in this folder {'belongs' if stored.foreign == 1 else 'belong'} to another campaign and {'is' if stored.foreign == 1 else 'are'} left out."))
+    return said

@@ -1,0 +1,131 @@
+"""Table I: ours beside the paper, row by row, and sentences that say what to conclude, computed from the rows."""
+
+from __future__ import annotations
+
+from reports.pages.section import Report, Section
+from reports.paper import SCENE, TABLE_1
+from reports.rows import Row, lacking
+from reports.wording import cost, count, error, listing, number, percent, seconds, times
+
+# The paper prints two decimals of costs of some hundreds: what agrees to 1e-4 agrees with the print.
+_SAME_COST = 1e-4
+# A solver that returns twice the cost of another on the same problem has failed, not found another plan.
+_FAILED_COST = 2.0
+
+
+def build(report: Report) -> Section | None:
+    tables = [(scene, rows, lacking(scene, rows)) for scene in report.scenes if (rows := report.rows_of_scene(scene))]
+    if not tables:
+        return None
+    conclusions = {scene.name: conclude(rows) for scene, rows, _ in tables}
+    entries = tuple((f"table-{place}", scene.name) for place, (scene, _, _) in enumerate(tables, 1)) if len(tables) > 1 else ()
+    return Section("table1", "Table I: ours beside the paper", "table1.html", {"tables": tables, "conclusions": conclusions, "paper_scene": SCENE}, entries)
+
+
+def conclude(rows: list[Row]) -> list[str]:
+    """Sentences under the table."""
+    both = [row for row in rows if row.stage.paper and row.stage.cost is not None]
+    return [*_reproduced(both), *_failed(both), *_relaxed(rows), *_own_model(rows), *_physics(rows), *_bought(rows), *_clock(both)]
+
+
+def _reproduced(both: list[Row]) -> list[str]:
+    if not both:
+        return []
+    same = [row for row in both if abs(row.cost_difference or 0.0) <= _SAME_COST]
+    other = [row for row in both if row not in same]
+    text = f"{len(same)} of {count(len(both), 'row')} that both have agree in cost with the paper's printed digits (1 part in {number(1 / _SAME_COST)})"
+    if not same or not other:
+        return [text + "."]
+    far = max(other, key=lambda row: abs(row.cost_difference or 0.0))
+    return [f"{text}: rows {listing([str(row.number) for row in same])}. The largest relative difference is {percent(far.cost_difference)}, row {far.number}, {far.label}."]
+
+
+def _failed(both: list[Row]) -> list[str]:
+    """Rows of the same problem whose cost in the paper is a multiple of ours, with our error beside it."""
+    said = []
+    for row in both:
+        theirs, ours = row.stage.paper.get("cost"), row.stage.cost
+        if theirs is None or ours is None or ours <= 0 or max(theirs / ours, ours / theirs) < _FAILED_COST:
+            continue
+        missed = error(row.figure("replay_terminal_error"))
+        if theirs > ours:
+            judged = f"the paper's is {times(theirs / ours)} ours: a solver that gave up, not a property of the method"
+        else:
+            judged = f"ours is {times(ours / theirs)} the paper's: here ours is the worse one"
+        said.append(f"{row.label} (row {row.number}): ours {cost(ours)} with a replayed terminal error of {missed}, the paper's {cost(theirs)}; {judged}.")
+    return said
+
+
+def _relaxed(rows: list[Row]) -> list[str]:
+    """Direct methods, warm against cold: what warm starting gives."""
+    said = []
+    for method in dict.fromkeys(row.stage.method for row in rows if row.stage.kind == "direct"):
+        mine = [row for row in rows if row.stage.method == method and row.stage.cost is not None]
+        cold = next((row for row in mine if len(row.methods) == 1), None)
+        warm = [row for row in mine if len(row.methods) > 1]
+        if cold is None or not warm or cold.stage.cost is None:
+            continue
+        parts = [
+            f"{row.methods[0]} {percent((row.stage.cost or 0.0) / cold.stage.cost - 1)} cost at {error(row.figure('replay_terminal_error'))} terminal error, "
+            f"{seconds(row.stage.seconds.total)} s in all"
+            for row in warm
+        ]
+        start = f"{method} cold: cost {cost(cold.stage.cost)} at {error(cold.figure('replay_terminal_error'))} terminal error, {seconds(cold.stage.seconds.total)} s"
+        said.append(f"{start}. Warm started after {'; after '.join(parts)}.")
+    return said
+
+
+def _own_model(rows: list[Row]) -> list[str]:
+    """Plans that reach the goal only in their own model."""
+    cheating = [
+        row
+        for row in rows
+        if (planned := row.figure("terminal_error")) is not None
+        and (truly := row.figure("discrete_terminal_error")) is not None
+        and planned <= 1e-3
+        and truly >= 0.05
+    ]
+    if not cheating:
+        return []
+    parts = [f"{row.label} misses by {error(row.figure('discrete_terminal_error'))}" for row in cheating]
+    return [f"Plans that reach the goal in their own model only: with the true contact law in the same time step, {listing(parts)}."]
+
+
+def _physics(rows: list[Row]) -> list[str]:
+    descended = [row for row in rows if row.stage.method == "relu_gd" and row.figure("physics") is not None]
+    if not descended:
+        return []
+    nonzero = [row for row in descended if row.figure("physics") != 0]
+    if not nonzero:
+        return ["The physics of every ReLU gradient-descent row is exactly 0, as it must be when force and penetration have the same time index (erratum 5)."]
+    parts = [f"row {row.number}: {error(row.figure('physics'))}" for row in nonzero]
+    return [f"The physics of a ReLU gradient-descent row must be exactly 0, but is not in {listing(parts)}."]
+
+
+def _bought(rows: list[Row]) -> list[str]:
+    """Costs below the best known exact plan are paid for with terminal error."""
+    said = []
+    for scene in {row.run.scene.name: row.run.scene for row in rows}.values():
+        known = next((answer for answer in scene.answers if "cost" in answer.name and answer.value is not None), None)
+        below = [
+            row for row in rows if known and known.value and row.stage.kind == "direct" and row.stage.cost is not None and row.stage.cost < known.value * (1 - 1e-6)
+        ]
+        if known is None or not below:
+            continue
+        parts = [f"row {row.number} ({cost(row.stage.cost)} at {error(row.figure('discrete_terminal_error'))})" for row in below]
+        said.append(
+            f"The best known cost of an exact plan is {cost(known.value)}. Direct rows below it buy their cost with terminal error "
+            f"on their own grid: {listing(parts)}. A cost means nothing without the error beside it."
+        )
+    return said
+
+
+def _clock(both: list[Row]) -> list[str]:
+    timed = [row for row in both if "time" in row.stage.paper]
+    if not timed:
+        return []
+    ours, theirs = sum(row.stage.seconds.stage for row in timed), sum(row.stage.paper["time"] for row in timed)
+    if ours <= 0:
+        return []
+    lacks = "" if len(timed) == len(TABLE_1) else f" ({len(timed)} of its {len(TABLE_1)} rows)"
+    return [f"All stages alone take {seconds(ours)} s here and {seconds(theirs)} s in the paper{lacks}, on other machines: {times(theirs / ours)} as long."]

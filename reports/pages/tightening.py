@@ -1,0 +1,123 @@
+"""Figs. 4-6 of the paper: how the plans of a relaxation change while eps is tightened."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from reports.pages.section import Report, Section
+from reports.paper import TIGHTENING_FIGURES
+from reports.plots.axis import Axis
+from reports.plots.figure import Key, Plot
+from reports.record import QuantityRecord, SceneRecord, TraceRecord
+from reports.rows import Row
+from reports.traces import column, force, gap
+from reports.wording import error, number
+
+# Classes s0 (loosest) .. s5 (tightest) of the page's sequential colours.
+_SHADES = 6
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """The stages of one relaxation, loosest eps first, and their plots."""
+
+    title: str
+    anchor: str
+    rows: list[Row]
+    keys: list[Key]
+    plots: list[Plot]
+    absent: str
+
+
+def build(report: Report) -> Section | None:
+    sweeps: list[Sweep] = []
+    for scene in report.scenes:
+        rows = [row for row in report.rows_of_scene(scene) if row.stage.kind == "indirect" and row.stage.eps and len(row.methods) == 1]
+        names = list(dict.fromkeys(row.stage.method for row in rows))
+        for name in sorted(names, key=lambda name: TIGHTENING_FIGURES.get(name, "z")):
+            mine = sorted((row for row in rows if row.stage.method == name), key=lambda row: -(row.stage.eps or 0.0))
+            if len(mine) > 1:
+                sweeps.append(_sweep(scene, name, mine, len(sweeps) + 1, many=len(report.scenes) > 1))
+    if not sweeps:
+        return None
+    return Section(
+        "tightening",
+        "Figs. 4–6: plans while ε is tightened",
+        "tightening.html",
+        {"sweeps": sweeps},
+        tuple((sweep.anchor, sweep.title) for sweep in sweeps),
+    )
+
+
+def _sweep(scene: SceneRecord, method: str, rows: list[Row], place: int, *, many: bool) -> Sweep:
+    drawn = [(row, row.stage.plan_trace) for row in rows if row.stage.plan_trace is not None and row.stage.plan_trace.t]
+    styles = {row.number: f"s{_shade(index, len(rows))}" for index, row in enumerate(rows)}
+    lines = [(f"ε = {number(row.stage.eps)}", styles[row.number], trace) for row, trace in drawn]
+    title = f"{TIGHTENING_FIGURES[method]}: {rows[0].stage.method_title}" if method in TIGHTENING_FIGURES else rows[0].stage.method_title
+    missing = [f"ε = {number(row.stage.eps)}" for row in rows if row.number not in {other.number for other, _ in drawn}]
+    plots = [plot for plot in _plots(scene, lines) if plot is not None]
+    return Sweep(
+        title=f"{title} on {scene.name}" if many else title,
+        anchor=f"tightening-{place}",
+        rows=rows,
+        keys=[Key(style, words) for words, style, _ in lines],
+        plots=plots,
+        absent=f"No plan is stored for {', '.join(missing)}." if missing else "",
+    )
+
+
+def _shade(index: int, amount: int) -> int:
+    return round(index * (_SHADES - 1) / max(1, amount - 1))
+
+
+def _plots(scene: SceneRecord, lines: list[tuple[str, str, TraceRecord]]) -> list[Plot | None]:
+    units = list(dict.fromkeys(item.unit for item in scene.coordinates))
+    positions = [_positions([item for item in scene.coordinates if item.unit == unit], unit, lines) for unit in units]
+    forces = [_single(f"Contact force, {item.name}", "force", "N", [(*line, force(line[2], item.name)) for line in lines]) for item in scene.contacts]
+    gaps = [_single(f"Gap, {item.name}", "gap", "m", [(*line, gap(line[2], item.name)) for line in lines]) for item in scene.contacts]
+    inputs = [_single(f"Input {item.name}", item.name, item.unit, [(*line, column(line[2], item.name)) for line in lines]) for item in scene.inputs]
+    return [*positions, *forces, *gaps, *inputs]
+
+
+def _positions(items: Sequence[QuantityRecord], unit: str, lines: list[tuple[str, str, TraceRecord]]) -> Plot | None:
+    data = [(item, words, style, trace, values) for item in items for words, style, trace in lines if (values := column(trace, item.name))]
+    if not data:
+        return None
+    plot = Plot(
+        "Positions",
+        Axis.fitted("time", "s", [t for _, _, trace in lines for t in (trace.t[0], trace.t[-1])], margin=0.0),
+        Axis.fitted("position", unit, [value for *_, values in data for value in values], margin=0.08),
+        height=300,
+    )
+    for item, words, style, trace, values in data:
+        plot.line(f"{item.name}, {words}", style, trace.t, values)
+    for item in items:
+        mine = [entry for entry in data if entry[0] is item]
+        if mine:
+            plot.label(mine[-1][3].t[0], mine[-1][4][0], item.name, "strong")
+    plot.words = " ".join(
+        f"{item.name} {words}: from {error(values[0])} to {number(values[-1], 3)} {unit}." for item, words, _, _, values in data if words == data[-1][1]
+    )
+    return plot
+
+
+def _single(title: str, quantity: str, unit: str, data: list[tuple[str, str, TraceRecord, tuple[float, ...] | None]]) -> Plot | None:
+    usable = [(words, style, trace, values) for words, style, trace, values in data if values]
+    if not usable:
+        return None
+    plot = Plot(
+        title,
+        Axis.fitted("time", "s", [t for _, _, trace, _ in usable for t in (trace.t[0], trace.t[-1])], margin=0.0),
+        Axis.fitted(quantity, unit, [value for *_, values in usable for value in values], zero=True),
+    )
+    for words, style, trace, values in usable:
+        plot.line(words, style, trace.t, values)
+    told = []
+    for words, style, trace, values in usable:
+        peak = max(range(len(values)), key=lambda place: abs(values[place]))
+        told.append(f"{words}: largest size {number(abs(values[peak]), 3)} {unit} at {number(trace.t[min(peak, len(trace.t) - 1)], 3)} s.")
+        if quantity == "force":
+            plot.label(trace.t[min(peak, len(trace.t) - 1)], values[peak], words, style, anchor="middle")
+    plot.words = " ".join(told)
+    return plot

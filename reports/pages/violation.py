@@ -1,0 +1,50 @@
+"""Fig. 2 of the paper: the worst-case violation D against eps, measured points over the closed form."""
+
+from __future__ import annotations
+
+from reports.pages.section import Report, Section
+from reports.plots.axis import Axis
+from reports.plots.figure import Key, Plot
+from reports.record import ViolationPoint
+from reports.wording import error, number
+
+_LAWS = {
+    "softplus": ("softplus", "D = (k ln 2 / ln ε)²", "c0", "circle"),
+    "relaxed_lcp": ("relaxed LCP", "D = ε", "c1", "square"),
+}
+
+
+def build(report: Report) -> Section | None:
+    campaign = report.stored.campaign
+    points = [point for point in campaign.violation if point.eps > 0] if campaign else []
+    if not points:
+        return Section("violation", "Fig. 2: worst-case violation", "violation.html", {"plot": None, "laws": [], "worst": []})
+    values = [value for point in points for value in (point.measured, point.closed_form)]
+    plot = Plot(
+        "Worst-case violation D against ε",
+        Axis.fitted("ε", "", [point.eps for point in points], log=True),
+        Axis.fitted("worst violation D", "N²", values, log=True),
+        width=720,
+        height=360,
+    )
+    worst, laws = [], []
+    for law in dict.fromkeys(point.law for point in points):
+        name, formula, style, marker = _LAWS.get(law, (law, "closed form", "c2", "diamond"))
+        mine = sorted((point for point in points if point.law == law), key=lambda point: point.eps)
+        plot.line(f"{name}, closed form", f"{style} soft", [point.eps for point in mine], [point.closed_form for point in mine])
+        for point in mine:
+            plot.point(point.eps, point.measured, style, marker, f"{name}, ε = {number(point.eps)}: D = {number(point.measured, 6)} N²")
+        plot.keys += [Key(f"{style} soft", f"{name}: {formula}"), Key(style, f"{name}: measured", marker)]
+        middle = mine[len(mine) // 3]
+        plot.label(middle.eps, middle.closed_form, f"{name}: {formula}", style)
+        laws.append((name, formula, mine))
+        worst.append((name, len(mine), max(_difference(point) for point in mine)))
+    plot.words = " ".join(
+        f"{name}: D falls from {error(mine[-1].measured)} N² at ε = {number(mine[-1].eps)} to {error(mine[0].measured)} N² at ε = {number(mine[0].eps)}."
+        for name, _, mine in laws
+    )
+    return Section("violation", "Fig. 2: worst-case violation", "violation.html", {"plot": plot, "laws": laws, "worst": worst})
+
+
+def _difference(point: ViolationPoint) -> float:
+    return abs(point.measured - point.closed_form) / abs(point.closed_form) if point.closed_form else abs(point.measured)

@@ -1,0 +1,82 @@
+"""Axes: values to pixels, and the ticks a reader can use.
+
+    axis = Axis.fitted("time", "s", [0.0, 5.0]);  axis.ticks() -> [(0.0, "0"), (1.0, "1"), ...]
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from reports.wording import number, power
+
+# Steps of a linear axis that a reader can add up in the head.
+_NICE = (1.0, 2.0, 2.5, 5.0, 10.0)
+
+
+@dataclass(frozen=True)
+class Axis:
+    """`exponent`: labels are divided by 10**exponent, and the axis says so."""
+
+    quantity: str
+    unit: str
+    low: float
+    high: float
+    log: bool = False
+    exponent: int = 0
+
+    @staticmethod
+    def fitted(quantity: str, unit: str, values: Iterable[float], *, log: bool = False, margin: float = 0.05, zero: bool = False) -> Axis:
+        """An axis that holds all values; `zero` makes a linear axis begin (or end) at zero."""
+        usable = [value for value in values if math.isfinite(value) and (value > 0 or not log)]
+        if log:
+            low, high = (min(usable), max(usable)) if usable else (1e-3, 1.0)
+            room = max(0.12, margin * math.log10(high / low))
+            return Axis(quantity, unit, low / 10**room, high * 10**room, True)
+        if zero:
+            usable.append(0.0)
+        low, high = (min(usable), max(usable)) if usable else (0.0, 1.0)
+        if high - low < 1e-12 * max(abs(low), abs(high)) or high == low:
+            # A constant: show it in the middle of a range of its own size.
+            half = abs(high) / 2 or 0.5
+            low, high = low - half, high + half
+        room = margin * (high - low)
+        largest = max(abs(low), abs(high))
+        exponent = math.floor(math.log10(largest)) if largest < 1e-2 or largest >= 1e5 else 0
+        return Axis(quantity, unit, low - (0.0 if zero and low == 0 else room), high + (0.0 if zero and high == 0 else room), False, exponent)
+
+    @property
+    def title(self) -> str:
+        unit = self.unit if self.unit not in ("", "1") else ""
+        if self.exponent:
+            unit = f"{power(self.exponent)} {unit}".strip()
+        return f"{self.quantity} [{unit}]" if unit else self.quantity
+
+    def fraction(self, value: float) -> float:
+        """Where the value lies, 0 at the low end and 1 at the high end; values outside are moved to just outside."""
+        if self.log:
+            position = math.log(max(value, 1e-300) / self.low) / math.log(self.high / self.low)
+        else:
+            position = (value - self.low) / (self.high - self.low)
+        return min(max(position, -0.5), 1.5)
+
+    def ticks(self, most: int = 6) -> list[tuple[float, str]]:
+        return self._decades(most) if self.log else self._linear(most)
+
+    def _decades(self, most: int) -> list[tuple[float, str]]:
+        first, last = math.ceil(math.log10(self.low) - 1e-9), math.floor(math.log10(self.high) + 1e-9)
+        if last - first >= 2:
+            stride = max(1, math.ceil((last - first + 1) / most))
+            return [(10.0**exponent, number(10.0**exponent, 1)) for exponent in range(first, last + 1, stride)]
+        values = [mantissa * 10.0**exponent for exponent in range(first - 1, last + 2) for mantissa in (1, 2, 3, 5)]
+        inside = [value for value in values if self.low <= value <= self.high]
+        return [(value, number(value, 2)) for value in (inside if 2 <= len(inside) <= most else inside[:: max(1, len(inside) // most)])]
+
+    def _linear(self, most: int) -> list[tuple[float, str]]:
+        raw = (self.high - self.low) / most
+        magnitude = 10.0 ** math.floor(math.log10(raw))
+        step = next(nice * magnitude for nice in _NICE if nice * magnitude >= raw * 0.999)
+        first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
+        scale = 10.0**self.exponent
+        return [(place * step, number(place * step / scale if place else 0.0, 4)) for place in range(first, last + 1)]

@@ -1,0 +1,148 @@
+"""One plot: lines, points, bands and labels on two axes, as SVG.
+
+    plot = Plot("Contact force", Axis.fitted("time", "s", t), Axis.fitted("force", "N", force))
+    plot.line("plan", "p", t, force);  plot.markup()
+
+Colours are CSS classes, never attributes, so that the page's light, dark and print styles decide. The script reads values back
+from the paths (the axes are in data attributes), so no number is stored twice.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from markupsafe import Markup, escape
+
+from reports.plots.axis import Axis
+from reports.plots.simplify import simplified
+
+# Half of what a screen with four device pixels a CSS pixel can show.
+_TOLERANCE = 0.12
+# Width of a character of the 12 px font, for keeping labels apart; a little too wide rather than too narrow.
+_CHARACTER, _LINE = 6.6, 14.0
+
+
+@dataclass(frozen=True)
+class Key:
+    """One entry of a legend: CSS class of the line or marker, and words."""
+
+    style: str
+    words: str
+    marker: str = ""
+
+
+@dataclass
+class Plot:
+    """`words`: what the plot shows, as a sentence for those who do not see it."""
+
+    title: str
+    x: Axis
+    y: Axis
+    words: str = ""
+    width: int = 440
+    height: int = 240
+    keys: list[Key] = field(default_factory=list)
+    _under: list[str] = field(default_factory=list)
+    _lines: list[str] = field(default_factory=list)
+    _over: list[str] = field(default_factory=list)
+    _taken: list[tuple[float, float, float, float]] = field(default_factory=list)
+
+    _LEFT, _RIGHT, _TOP, _BOTTOM = 54, 14, 26, 38
+
+    def px(self, value: float) -> float:
+        return self._LEFT + self.x.fraction(value) * (self.width - self._LEFT - self._RIGHT)
+
+    def py(self, value: float) -> float:
+        return self.height - self._BOTTOM - self.y.fraction(value) * (self.height - self._TOP - self._BOTTOM)
+
+    def line(self, name: str, style: str, xs: Sequence[float], ys: Sequence[float]) -> None:
+        """A line; the shorter of the two sequences decides (quantities of steps are one shorter than those of nodes)."""
+        points = [(self.px(x), self.py(y)) for x, y in zip(xs, ys, strict=False)]
+        if not points:
+            return
+        path = "L".join(f"{x:.1f},{y:.1f}" for x, y in simplified(points, _TOLERANCE))
+        self._lines.append(f'<path class="ln {escape(style)}" data-n="{escape(name)}" d="M{path}"/>')
+
+    def band(self, low: float, high: float, style: str) -> None:
+        """An interval of x, shaded over the whole height."""
+        left, right = self.px(low), self.px(high)
+        height = self.height - self._TOP - self._BOTTOM
+        self._under.append(
+            f'<rect class="{escape(style)}" x="{left:.1f}" y="{self._TOP}" width="{max(right - left, 0.5):.1f}" height="{height}"/>'
+        )
+
+    def strip(self, low: float, high: float, style: str, level: int) -> None:
+        """An interval of x as a thin bar above the plot, level 0 lowest."""
+        left, right = self.px(low), self.px(high)
+        top = self._TOP - 6 - 6 * level
+        self._under.append(f'<rect class="{escape(style)}" x="{left:.1f}" y="{top}" width="{max(right - left, 1.0):.1f}" height="4"/>')
+
+    def level(self, value: float, words: str) -> None:
+        """A horizontal line with its label."""
+        y = self.py(value)
+        self._under.append(f'<path class="level" d="M{self._LEFT},{y:.1f}H{self.width - self._RIGHT}"/>')
+        self.label(self.width - self._RIGHT - 2, y - 4, words, "small", anchor="end", pixels=True)
+
+    def point(self, x: float, y: float, style: str, marker: str, tip: str, href: str = "") -> None:
+        """A marker that can be focused: `tip` is read out on hover and focus."""
+        left, top = self.px(x), self.py(y)
+        shape = {
+            "square": f'<rect x="{left - 4.5:.1f}" y="{top - 4.5:.1f}" width="9" height="9"/>',
+            "diamond": f'<path d="M{left:.1f},{top - 6:.1f}l6,6l-6,6l-6,-6z"/>',
+            "triangle": f'<path d="M{left:.1f},{top - 6:.1f}l6,10.5h-12z"/>',
+        }.get(marker, f'<circle cx="{left:.1f}" cy="{top:.1f}" r="5"/>')
+        inner = f'<g class="pt {escape(style)}" data-tip="{escape(tip)}"><title>{escape(tip)}</title>{shape}</g>'
+        self._over.append(f'<a href="#{escape(href)}" aria-label="{escape(tip)}">{inner}</a>' if href else inner)
+        self._taken.append((left - 6, top - 6, left + 6, top + 6))
+
+    def label(self, x: float, y: float, words: str, style: str = "", *, anchor: str = "start", pixels: bool = False) -> bool:
+        """Words at a point of the plot, moved up or down past other labels; left out (False) if there is no room."""
+        left, top = (x, y) if pixels else (self.px(x), self.py(y) - 5)
+        wide = len(words) * _CHARACTER
+        start = left - {"start": 0.0, "middle": wide / 2, "end": wide}[anchor]
+        start = min(max(start, self._LEFT + 2), self.width - 2 - wide)
+        for shift in (0, -_LINE, _LINE, -2 * _LINE, 2 * _LINE, -3 * _LINE, 3 * _LINE):
+            box = (start, top + shift - 11, start + wide, top + shift + 3)
+            inside = box[1] >= self._TOP - 12 and box[3] <= self.height - self._BOTTOM + 2
+            if inside and not any(_overlap(box, other) for other in self._taken):
+                self._taken.append(box)
+                self._over.append(f'<text class="tag {escape(style)}" x="{start:.1f}" y="{top + shift:.1f}">{escape(words)}</text>')
+                return True
+        return False
+
+    def markup(self) -> Markup:
+        """The SVG; hidden from assistive technology, because the figure around it says everything in words."""
+        axes = {
+            "x": [self.x.low, self.x.high, self._LEFT, self.width - self._RIGHT, self.x.log],
+            "y": [self.y.low, self.y.high, self.height - self._BOTTOM, self._TOP, self.y.log],
+            "q": [self.x.quantity, self.x.unit, self.y.unit],
+        }
+        inside = "".join([*self._under, *self._grid(), *self._lines, *self._over])
+        return Markup(
+            f'<svg class="plot" viewBox="0 0 {self.width} {self.height}" width="{self.width}" height="{self.height}" '
+            f'data-axes="{escape(json.dumps(axes))}" focusable="false">{inside}</svg>'
+        )
+
+    def _grid(self) -> list[str]:
+        bottom, right = self.height - self._BOTTOM, self.width - self._RIGHT
+        parts: list[str] = []
+        room = max(3, int((right - self._LEFT) / 62))
+        for value, words in self.x.ticks(room):
+            x = self.px(value)
+            parts.append(f'<path class="grid" d="M{x:.1f},{self._TOP}V{bottom}"/>')
+            parts.append(f'<text class="tick" x="{x:.1f}" y="{bottom + 15}" text-anchor="middle">{escape(words)}</text>')
+        for value, words in self.y.ticks(max(3, int((bottom - self._TOP) / 32))):
+            y = self.py(value)
+            style = "grid zero" if value == 0 else "grid"
+            parts.append(f'<path class="{style}" d="M{self._LEFT},{y:.1f}H{right}"/>')
+            parts.append(f'<text class="tick" x="{self._LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{escape(words)}</text>')
+        parts.append(f'<path class="frame" d="M{self._LEFT},{self._TOP}V{bottom}H{right}"/>')
+        parts.append(f'<text class="axis" x="{right}" y="{self.height - 6}" text-anchor="end">{escape(self.x.title)}</text>')
+        parts.append(f'<text class="axis" x="2" y="12">{escape(self.y.title)}</text>')
+        return parts
+
+
+def _overlap(first: tuple[float, float, float, float], second: tuple[float, float, float, float]) -> bool:
+    return first[0] < second[2] and second[0] < first[2] and first[1] < second[3] and second[1] < first[3]

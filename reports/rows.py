@@ -1,0 +1,90 @@
+"""Rows of the tables: each stage once, although several pipelines begin with the same stages.
+
+    softplus_dc+strict and softplus_dc+relu_gd share softplus_dc at 1e-3, 1e-5, 1e-7: five rows, not eight.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+
+from reports.paper import TABLE_1, PaperRow
+from reports.paper import SCENE as PAPER_SCENE
+from reports.record import RunRecord, SceneRecord, StageRecord
+from reports.wording import number
+
+
+@dataclass(frozen=True)
+class Row:
+    """A stage and the stages it starts from. `number` names it in all tables and plots of the page; `anchor` leads to its run."""
+
+    number: int
+    run: RunRecord
+    stage: StageRecord
+    chain: tuple[StageRecord, ...]
+    anchor: str
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """The methods of the chain, each once in a row."""
+        names = [stage.method for stage in self.chain]
+        return tuple(name for place, name in enumerate(names) if place == 0 or names[place - 1] != name)
+
+    @property
+    def label(self) -> str:
+        """softplus_dc 10⁻⁵; strict_lcp after softplus_dc."""
+        before = self.methods[:-1]
+        eps = f" ε = {number(self.stage.eps)}" if self.stage.eps else ""
+        return f"{self.stage.method}{eps}" + (f" after {', '.join(before)}" if before else "")
+
+    @property
+    def paper_total(self) -> float | None:
+        """The paper's seconds with the stages before, which it leaves out."""
+        times = [stage.paper.get("time") for stage in self.chain]
+        return None if any(time is None for time in times) else sum(time for time in times if time is not None)
+
+    def figure(self, name: str) -> float | None:
+        figure = self.stage.figure(name)
+        return figure.value if figure is not None else None
+
+    @property
+    def cost_difference(self) -> float | None:
+        """Relative difference of our cost to the paper's."""
+        theirs = self.stage.paper.get("cost")
+        return None if self.stage.cost is None or not theirs else self.stage.cost / theirs - 1
+
+
+def scenes_of(runs: tuple[RunRecord, ...]) -> list[SceneRecord]:
+    """Each scene once, in order of appearance."""
+    return list({run.scene.name: run.scene for run in reversed(runs)}.values())[::-1]
+
+
+def run_anchor(runs: tuple[RunRecord, ...], run: RunRecord) -> str:
+    return f"run-{next(place for place, other in enumerate(runs, 1) if other is run)}"
+
+
+def rows_of(runs: tuple[RunRecord, ...]) -> list[Row]:
+    """All rows in the order of the paper's table: a chain's common stages first, then what is tried after them."""
+    heads = list(dict.fromkeys(_head(run) for run in runs))
+    rows: dict[str, Row] = {}
+    for run in sorted(runs, key=lambda run: heads.index(_head(run))):
+        identity = [run.scene.name]
+        for place, stage in enumerate(run.stages):
+            identity.append(json.dumps([stage.method, stage.eps, stage.options], sort_keys=True))
+            key = "\n".join(identity)
+            if key not in rows:
+                chain = run.stages[: place + 1]
+                rows[key] = Row(len(rows) + 1, run, stage, chain, run_anchor(runs, run))
+    return list(rows.values())
+
+
+def _head(run: RunRecord) -> tuple[str, str]:
+    return run.scene.name, run.stages[0].method if run.stages else run.pipeline
+
+
+def lacking(scene: SceneRecord, rows: list[Row]) -> list[PaperRow]:
+    """Rows of the paper's table of which we have no stage."""
+    if scene.name != PAPER_SCENE:
+        return []
+    ours = {(row.methods, row.stage.eps or None) for row in rows if row.stage.paper}
+    return [row for row in TABLE_1 if (row.methods, row.eps) not in ours]

@@ -1,0 +1,80 @@
+"""Reads the thinned traces of a stage: columns by name, phases of contact, a value between two times."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Sequence
+
+from reports.record import SceneRecord, TraceRecord
+
+# A planned force below this is none: a thousandth of the smallest force worth drawing [N].
+_FORCE_OF_CONTACT = 1e-3
+
+
+def column(trace: TraceRecord | None, name: str) -> tuple[float, ...] | None:
+    """The column, or None if the trace lacks it."""
+    values = trace.columns.get(name) if trace is not None else None
+    return values if values else None
+
+
+def force(trace: TraceRecord | None, contact: str) -> tuple[float, ...] | None:
+    return column(trace, f"lam_{contact}") or column(trace, contact)
+
+
+def gap(trace: TraceRecord | None, contact: str) -> tuple[float, ...] | None:
+    return column(trace, f"gap_{contact}")
+
+
+def contact_phases(trace: TraceRecord | None, contact: str) -> list[tuple[float, float]]:
+    """Intervals of time in contact: where the gap is not positive, or where a force acts if no gap is stored."""
+    if trace is None:
+        return []
+    gaps, forces = gap(trace, contact), force(trace, contact)
+    if gaps is not None:
+        touching = [value <= 0 for value in gaps]
+    elif forces is not None:
+        touching = [value > _FORCE_OF_CONTACT for value in forces]
+    else:
+        return []
+    phases: list[tuple[float, float]] = []
+    begin: float | None = None
+    for t, touches in zip(trace.t, touching, strict=False):
+        if touches and begin is None:
+            begin = t
+        elif not touches and begin is not None:
+            phases.append((begin, t))
+            begin = None
+    if begin is not None:
+        phases.append((begin, trace.t[min(len(touching), len(trace.t)) - 1]))
+    return phases
+
+
+def at(times: Sequence[float], values: Sequence[float], t: float) -> float:
+    """The value at time t, linear between the stored times and constant beyond them."""
+    last = min(len(times), len(values)) - 1
+    place = bisect_right(times, t, 0, last + 1)
+    if place == 0:
+        return values[0]
+    if place > last:
+        return values[last]
+    width = times[place] - times[place - 1]
+    part = (t - times[place - 1]) / width if width > 0 else 1.0
+    return values[place - 1] + part * (values[place] - values[place - 1])
+
+
+def position_error(scene: SceneRecord, plan: TraceRecord | None, replay: TraceRecord | None) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
+    """Times and the largest difference over the coordinates between plan and replay; stored, or computed at the plan's times."""
+    stored = column(replay, "position_error")
+    if replay is not None and stored is not None:
+        return replay.t, stored
+    if plan is None or replay is None:
+        return None
+    pairs = [(column(plan, item.name), column(replay, item.name)) for item in scene.coordinates]
+    usable = [(planned, replayed) for planned, replayed in pairs if planned is not None and replayed is not None]
+    if not usable or not replay.t:
+        return None
+    length = min([len(plan.t), *(len(planned) for planned, _ in usable)])
+    errors = tuple(
+        max(abs(planned[place] - at(replay.t, replayed, plan.t[place])) for planned, replayed in usable) for place in range(length)
+    )
+    return plan.t[:length], errors

@@ -1,0 +1,142 @@
+"""How values are said: numbers with the digits a reader needs, a word and a symbol for each verdict, a dash with a reason for what is missing.
+
+    number(0.00024419)  ->  "2.442×10⁻⁴"        cost(46415.2)  ->  "46 415.20"        number(None)  ->  "–"
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+DASH = "–"
+_THIN = "\u202f"
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+# Escape sequences of terminals, control characters, and the marks that turn the direction of text: none of them belongs on a page.
+_TERMINAL = re.compile(r"\x1b(\[[0-9;?]*[ -/]*[@-~]|[@-Z\\-_])")
+_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ufeff\ud800-\udfff]")
+
+
+@dataclass(frozen=True)
+class Sign:
+    """A word, a symbol and a CSS class: never colour alone."""
+
+    word: str
+    symbol: str
+    style: str
+    meaning: str
+
+
+VERDICTS = {
+    "holds": Sign("holds", "✓", "holds", "every limit of the scene is kept, in the plan and after the replay"),
+    "violates": Sign("violates", "✗", "violates", "at least one limit of the scene is broken"),
+    "not resolved": Sign("not resolved", "?", "unresolved", "the replay's own error is too large to judge the figure"),
+    "no plan": Sign("no plan", "○", "noplan", "the method came back without a plan"),
+}
+
+
+def verdict(name: str) -> Sign:
+    return VERDICTS.get(name, Sign(name, "?", "unresolved", "a verdict this page does not know"))
+
+
+def power(exponent: int) -> str:
+    return "10" + str(exponent).translate(_SUPERSCRIPT)
+
+
+def _grouped(text: str) -> str:
+    """Thousands apart by a thin space that does not break; a true minus sign."""
+    sign, digits = ("−", text[1:]) if text.startswith("-") else ("", text)
+    whole, _, fraction = digits.partition(".")
+    if len(whole) > 4:
+        whole = f"{int(whole):,}".replace(",", _THIN)
+    return sign + whole + ("." + fraction if fraction else "")
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """A number with `digits` significant digits; powers of ten outside 1e-3 .. 1e6."""
+    if value is None or not math.isfinite(value):
+        return DASH
+    if value == 0:
+        return "0"
+    if 1e-3 <= abs(value) < 1e6:
+        places = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+        text = f"{value:.{places}f}"
+        return _grouped(text.rstrip("0").rstrip(".") if "." in text else text)
+    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+    mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
+    mantissa = mantissa.replace("-", "−")
+    return power(int(exponent)) if mantissa == "1" else f"{mantissa}×{power(int(exponent))}"
+
+
+def cost(value: float | None) -> str:
+    """Costs with two decimals, as the paper prints them."""
+    return DASH if value is None or not math.isfinite(value) else _grouped(f"{value:.2f}")
+
+
+def error(value: float | None) -> str:
+    """Errors and residuals: two digits tell all."""
+    return number(value, 2)
+
+
+def seconds(value: float | None) -> str:
+    if value is None:
+        return DASH
+    return number(value, 2) if value < 0.0995 else _grouped(f"{value:.2f}" if value < 99.5 else f"{value:.0f}")
+
+
+def percent(value: float | None) -> str:
+    """A relative difference, with its sign."""
+    if value is None or not math.isfinite(value):
+        return DASH
+    if abs(value) < 5e-5:
+        return "0.00" + _THIN + "%"
+    text = f"{abs(value) * 100:.2f}" if abs(value) < 0.0995 else f"{abs(value) * 100:.0f}"
+    return ("−" if value < 0 else "+") + text + _THIN + "%"
+
+
+def times(ratio: float) -> str:
+    """A factor: 34 times, 1.5 times."""
+    return f"{ratio:.0f} times" if ratio >= 9.5 else f"{ratio:.1f} times"
+
+
+def plain(value: object) -> str:
+    """An option's value."""
+    if value is None:
+        return "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return _grouped(str(value))
+    if isinstance(value, float):
+        return number(value, 6)
+    if isinstance(value, (list, tuple)):
+        return ", ".join(plain(item) for item in value) or "none"
+    return clean(str(value))
+
+
+def spaced(name: str) -> str:
+    """time_limit -> time limit."""
+    return clean(name).replace("_", " ")
+
+
+def clean(text: str) -> str:
+    """Text of a record without terminal codes and control characters (the template escapes it afterwards)."""
+    return _CONTROL.sub("", _TERMINAL.sub("", text.replace("\r\n", "\n").replace("\r", "\n")))
+
+
+def tail(text: str, limit: int = 8000) -> str:
+    """The end of a log, cut at a line."""
+    text = clean(text).rstrip()
+    if len(text) <= limit:
+        return text
+    text = text[-limit:]
+    return "…\n" + text[text.find("\n") + 1 :]
+
+
+def count(amount: int, one: str, many: str | None = None) -> str:
+    return f"{amount} {one if amount == 1 else many or one + 's'}"
+
+
+def listing(words: list[str]) -> str:
+    """a, b and c."""
+    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1] if words else ""
