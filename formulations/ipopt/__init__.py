@@ -24,6 +24,7 @@ from formulations.ipopt.compiler import compile_model
 from formulations.ipopt.errors import MissingValueError, ModelRefusedError, StructureChangedError, UnknownOptionError
 from formulations.ipopt.options import known_options
 from formulations.ipopt.problem import IpoptProblem
+from formulations.ipopt.pyomo_solver import TouchstoneIpopt
 from formulations.ipopt.residuals import Residuals, residuals
 from formulations.ipopt.result import IpoptResult, Iteration, Seconds, load
 from formulations.ipopt.solve import solve
@@ -41,6 +42,7 @@ __all__ = [
     "Seconds",
     "Start",
     "StructureChangedError",
+    "TouchstoneIpopt",
     "UnknownOptionError",
     "compile_model",
     "known_options",

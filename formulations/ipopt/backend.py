@@ -13,6 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
+from formulations.ipopt.errors import UnknownOptionError
 from formulations.ipopt.evaluations import Evaluations
 from formulations.ipopt.problem import IpoptProblem
 
@@ -97,7 +98,7 @@ class Cyipopt:
         )
         try:
             for name, value in options.items():
-                nlp.add_option(name, value)
+                _set_option(nlp, name, value)
             duals = {} if start.lagrange is None else {"lagrange": start.lagrange, "zl": start.zl, "zu": start.zu}
             x, info = nlp.solve(start.x, **duals)
         finally:
@@ -111,6 +112,13 @@ class Cyipopt:
             zl=np.array(info["mult_x_L"], dtype=float),
             zu=np.array(info["mult_x_U"], dtype=float),
         )
+
+
+def _set_option(nlp, name: str, value: str | int | float) -> None:
+    try:
+        nlp.add_option(name, value)
+    except TypeError as error:
+        raise UnknownOptionError(f"Ipopt does not accept {value!r} for the option '{name}'") from error
 
 
 class _Callbacks:

@@ -19,11 +19,11 @@ _REALS = (
     "bound_mult_init_val", "bound_push", "bound_relax_factor", "compl_inf_tol", "constr_mult_init_max", "constr_mult_reset_threshold",
     "constr_viol_tol", "corrector_compl_avrg_red_fact", "delta", "diverging_iterates_tol", "dual_inf_tol", "eta_phi",
     "expect_infeasible_problem_ctol", "expect_infeasible_problem_ytol", "first_hessian_perturbation", "gamma_phi", "gamma_theta",
-    "jacobian_regularization_exponent", "jacobian_regularization_value", "kappa_d", "kappa_sigma", "kappa_soc", "least_square_init_max",
+    "jacobian_regularization_exponent", "jacobian_regularization_value", "kappa_d", "kappa_sigma", "kappa_soc",
     "max_cpu_time", "max_hessian_perturbation", "max_wall_time", "min_hessian_perturbation", "mu_init", "mu_linear_decrease_factor",
     "mu_max", "mu_max_fact", "mu_min", "mu_superlinear_decrease_power", "mu_target", "mumps_dep_tol", "mumps_pivtol", "mumps_pivtolmax",
     "nlp_lower_bound_inf", "nlp_upper_bound_inf", "nlp_scaling_constr_target_gradient", "nlp_scaling_max_gradient",
-    "nlp_scaling_min_value", "nlp_scaling_obj_target_gradient", "nu_inc", "nu_init", "nu_low_fact", "obj_max_inc", "obj_scaling_factor",
+    "nlp_scaling_min_value", "nlp_scaling_obj_target_gradient", "nu_inc", "nu_init", "obj_max_inc", "obj_scaling_factor",
     "perturb_dec_fact", "perturb_inc_fact", "perturb_inc_fact_first", "print_frequency_time", "recalc_y_feas_tol",
     "required_infeasibility_reduction", "resto_failure_feasibility_threshold", "resto_penalty_parameter", "resto_proximity_weight",
     "s_max", "s_phi", "s_theta", "sigma_max", "sigma_min", "slack_bound_frac", "slack_bound_push", "slack_move",
@@ -82,7 +82,7 @@ _REFUSED = MappingProxyType({
 # Ipopt's own defaults hold wherever nothing stands here. Measured on the softplus carts (T = 500, eps 1e-3 .. 1e-7): adaptive mu, L-BFGS and a
 # least-squares start need more iterations or fail. `sb` and `print_level` keep the terminal quiet; an empty `option_file_name` keeps an
 # ipopt.opt that happens to lie in the working directory from changing a run that says it knows its options.
-DEFAULTS: Mapping[str, str | int | float] = MappingProxyType({"print_level": 0, "sb": "yes"})
+DEFAULTS: Mapping[str, str | int | float] = MappingProxyType({"print_level": 0, "sb": "yes", "option_file_name": ""})
 
 # For a primal-dual warm start: the given point is kept, not pushed back into the interior (1e-3 would undo the gain).
 WARM_START_DEFAULTS: Mapping[str, str | int | float] = MappingProxyType({

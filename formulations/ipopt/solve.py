@@ -11,15 +11,13 @@ import numpy as np
 
 from formulations.ipopt.backend import Answer, Backend, Start, default_backend
 from formulations.ipopt.evaluations import Evaluations
-from formulations.ipopt.options import DEFAULTS, WARM_START_DEFAULTS, checked_options
+from formulations.ipopt.options import DEFAULTS, checked_options
 from formulations.ipopt.problem import IpoptProblem
 from formulations.ipopt.residuals import FEASIBILITY, UNKNOWN, Residuals, residuals
 from formulations.ipopt.result import IpoptResult, Iteration, Seconds
 from formulations.ipopt.status import NOT_SENT, name_of, outcome_of
+from formulations.ipopt.warm_start import complete_start, warm_options
 from formulations.solution import Outcome
-
-# Limits of the barrier parameter that a primal-dual start begins with: Ipopt's own first value, and well above its last.
-_MU_LARGEST, _MU_SMALLEST = 0.1, 1e-9
 
 Callback = Callable[[Iteration], "bool | None"]
 
@@ -36,15 +34,15 @@ def solve(
     """Minimise from `warm_start` (default: the current values of the model's variables); the model is left as it is.
 
     options: Ipopt options by name; unknown ones raise UnknownOptionError before anything runs
-    warm_start: with multipliers, Ipopt starts primal-dual with barrier parameter `mu_init` (default: the mean complementarity given)
+    warm_start: with multipliers (some or all), Ipopt starts primal-dual; `mu_init` defaults to the mean complementarity given
     callback: called after each iteration; returning False stops (Outcome.INTERRUPTED), an exception propagates
     time_limit: wall time [s], checked once an iteration
     """
     begin, cpu = time.perf_counter(), time.process_time()
     backend = backend or default_backend()
     asked = checked_options(options or {})
-    start = _start(problem, warm_start)
-    used: dict[str, str | int | float] = {**DEFAULTS, **(_warm_defaults(problem, start) if start.lagrange is not None else {}), **asked}
+    start, missing = complete_start(problem, warm_start)
+    used: dict[str, str | int | float] = {**DEFAULTS, **warm_options(problem, start), **asked}
     if time_limit is not None:
         if not time_limit > 0:
             raise ValueError(f"time_limit is a positive number of seconds, not {time_limit!r}")
@@ -57,6 +55,8 @@ def solve(
         answer = backend.run(problem, functions, start, used, recorder)
     wall = time.perf_counter() - begin
     outcome, message, certificate = _judge(problem, answer, used)
+    if missing:
+        message += f"; {missing} variable(s) without a value started from the point of their bounds nearest 0"
     return IpoptResult(
         status=answer.status,
         outcome=outcome,
@@ -114,39 +114,6 @@ class _Recorder:
         go_on = self._callback(line)
         self.seconds += time.perf_counter() - begin
         return go_on is None or bool(go_on)
-
-
-def _start(problem: IpoptProblem, given: Start | None) -> Start:
-    if given is None:
-        return Start(x=problem.start()[0])
-    sizes = {"x": problem.n, "lagrange": problem.m, "zl": problem.n, "zu": problem.n}
-    parts: dict[str, np.ndarray | None] = {}
-    for name, size in sizes.items():
-        part = getattr(given, name)
-        if part is None:
-            continue
-        part = np.array(part, dtype=float)
-        if part.shape != (size,):
-            raise ValueError(f"warm_start.{name} has shape {part.shape}, the problem needs ({size},)")
-        if not np.all(np.isfinite(part)):
-            raise ValueError(f"warm_start.{name} holds a number that is not finite")
-        parts[name] = part
-    if len(parts) > 1:  # some multipliers are given: complete them, so that Ipopt takes them all
-        parts.setdefault("lagrange", np.zeros(problem.m))
-        parts.setdefault("zl", np.where(np.isfinite(problem.lower), 1.0, 0.0))
-        parts.setdefault("zu", np.where(np.isfinite(problem.upper), 1.0, 0.0))
-    return Start(**parts)  # pyright: ignore[reportArgumentType] - x is required of `given`
-
-
-def _warm_defaults(problem: IpoptProblem, start: Start) -> dict[str, str | int | float]:
-    """Options of a primal-dual start; the barrier parameter is the mean complementarity of what was given."""
-    if start.zl is None or start.zu is None:
-        return dict(WARM_START_DEFAULTS)
-    low, high = np.isfinite(problem.lower), np.isfinite(problem.upper)
-    below, above = (start.x - problem.lower)[low] * start.zl[low], (problem.upper - start.x)[high] * start.zu[high]
-    products = np.concatenate([below, above])
-    mean = float(np.mean(np.abs(products))) if products.size else _MU_SMALLEST
-    return {**WARM_START_DEFAULTS, "mu_init": min(_MU_LARGEST, max(_MU_SMALLEST, mean))}
 
 
 def _decided_without_ipopt(problem: IpoptProblem, start: Start) -> Answer | None:
