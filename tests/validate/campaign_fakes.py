@@ -1,0 +1,234 @@
+"""Methods that behave and methods that misbehave in every way, and a judge that is quick, for tests of the campaign's machinery.
+
+    python -m validate all --tools campaign_fakes:TOOLS        # with this folder on PYTHONPATH
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from formulations.method import Kind, Leg, Method, OptionSpec, Pipeline, Session
+from formulations.solution import Outcome, Solution
+from models.scene import Scene
+from models.trajectory import Trajectory, uniform_grid
+from validate.tools import Tools
+
+
+class _Session(Session):
+    def __init__(self, scene: Scene, act, options: dict[str, object], name: str) -> None:
+        self._scene, self._act, self._options, self._name = scene, act, options, name
+
+    def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
+        outcome = self._act() or Outcome.SOLVED
+        trajectory = None
+        if outcome.has_answer:
+            scene, nodes = self._scene, self._scene.task.steps + 1
+            state = np.tile(np.array(scene.task.start), (nodes, 1))
+            shift = 0.0 if warm_start is None else warm_start.u[0, 0] + 1.0  # shows whose plan it started from
+            trajectory = Trajectory(
+                t=uniform_grid(scene.task.step, scene.task.steps),
+                q=state[:, : scene.nq],
+                v=state[:, scene.nq :],
+                u=np.full((nodes - 1, scene.nu), shift),
+                lam=np.zeros((nodes - 1, scene.nc)),
+            )
+        cost = None if trajectory is None else float(np.sum(trajectory.u**2))
+        return Solution(method=self._name, outcome=outcome, trajectory=trajectory, cost=cost, iterations=3, options=self._options)
+
+
+class FakeMethod(Method):
+    def __init__(self, name: str, act=lambda: None, *, kind: Kind = Kind.DIRECT, needs_eps: bool = False, refuses: str | None = None) -> None:
+        self.name, self.title, self.kind, self.needs_eps = name, f"fake method {name}", kind, needs_eps
+        self.options = (OptionSpec(name="iterations", default=7, description="does nothing", lower=1),)
+        self._act, self._refuses = act, refuses
+
+    def accepts(self, scene: Scene) -> str | None:
+        return self._refuses
+
+    def open(self, scene: Scene, options: Mapping[str, object] = MappingProxyType({})) -> Session:
+        return _Session(scene, self._act, self.filled_options(options), self.name)
+
+
+def _segfault() -> None:
+    ctypes.string_at(0)
+
+
+def _hang() -> None:
+    while True:
+        time.sleep(1)
+
+
+def _hang_with_family() -> None:
+    """A child in the same group, and one that left it."""
+    subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1000)"])
+    subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1000)"], start_new_session=True)
+    _hang()
+
+
+def _leave_family() -> None:
+    """Ends well, but leaves grandchildren and files behind."""
+    subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1000)"])
+    subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1000)"], start_new_session=True)
+    Path("litter.txt").write_text("left in the working folder")
+
+
+def _garbage() -> None:
+    os.write(1, bytes(range(256)) * 2000)
+    print("\x1b[31m not for the terminal \x1b[0m")
+
+
+def _raise() -> None:
+    raise ValueError("the method's own mistake\nwith a second line")
+
+
+def _spoil_result() -> None:
+    """Stands for a process that died while it wrote its result."""
+    folder = Path(os.getcwd()).parent
+    (folder / "record.json").write_text('{"key": "half a rec')
+    os._exit(0)
+
+
+def _linger() -> None:
+    time.sleep(0.6)
+
+
+METHODS = {
+    method.name: method
+    for method in (
+        FakeMethod("good"),
+        FakeMethod("soft", kind=Kind.INDIRECT, needs_eps=True),
+        FakeMethod("bad_soft", _raise, kind=Kind.INDIRECT, needs_eps=True),
+        FakeMethod("refuses", refuses="it wants friction."),
+        FakeMethod("infeasible", lambda: Outcome.INFEASIBLE),
+        FakeMethod("segfault", _segfault),
+        FakeMethod("abort", os.abort),
+        FakeMethod("exit_zero", lambda: os._exit(0)),
+        FakeMethod("exit_seven", lambda: os._exit(7)),
+        FakeMethod("hang", _hang),
+        FakeMethod("family", _hang_with_family),
+        FakeMethod("litter", _leave_family),
+        FakeMethod("garbage", _garbage),
+        FakeMethod("raises", _raise),
+        FakeMethod("spoiled", _spoil_result),
+        FakeMethod("slow", _linger),
+        FakeMethod("violating"),
+    )
+}
+
+PIPELINES = (
+    Pipeline(
+        name="soft+good",
+        title="fake chain",
+        legs=(Leg(method="soft", schedule=(1e-1, 1e-2), stage_options=({"iterations": 2},)), Leg(method="good")),
+    ),
+    Pipeline(name="soft_alone", title="fake indirect", legs=(Leg(method="soft", schedule=(1e-1,)),)),
+    *(
+        Pipeline(name=f"only_{name}", title=f"only {name}", legs=(Leg(method=name, schedule=(1e-1,) if METHODS[name].needs_eps else (None,)),))
+        for name in METHODS
+        if name not in {"soft"}
+    ),
+)
+
+
+@dataclass
+class FakeDifference:
+    position: float = 1e-9
+
+
+@dataclass
+class FakeError:
+    estimate: FakeDifference = field(default_factory=FakeDifference)
+    tolerance: FakeDifference | None = None
+    step: FakeDifference | None = None
+    everyday: FakeDifference | None = None
+
+
+class FakeReplayOutcome:
+    value = "fine"
+
+
+@dataclass
+class FakeReplay:
+    t: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    lam: np.ndarray
+    knots: np.ndarray
+    error: FakeError = field(default_factory=FakeError)
+    events: tuple = ()
+    seconds_reference: float = 0.0
+    seconds_everyday: float = 0.0
+    fmu: str = "none"
+    message: str = ""
+    outcome: object = field(default_factory=FakeReplayOutcome)
+
+
+@dataclass
+class FakeFigure:
+    name: str
+    value: float | None
+    unit: str = "m"
+    meaning: str = "fake"
+    limit: float | None = None
+    reason: str = ""
+    ok: bool | None = None
+    resolved: bool = True
+
+
+@dataclass
+class FakeScore:
+    figures: tuple[FakeFigure, ...]
+    verdict: str
+    why: str
+
+
+def _replay(scene: Scene, fmu: Path, trajectory: Trajectory) -> FakeReplay:
+    lam = np.vstack([trajectory.lam, trajectory.lam[-1:]])
+    return FakeReplay(t=trajectory.t, q=trajectory.q, v=trajectory.v, lam=lam, knots=np.arange(len(trajectory.t)))
+
+
+def _score(scene: Scene, trajectory: Trajectory, replay: FakeReplay) -> FakeScore:
+    error = float(np.linalg.norm(trajectory.end - np.array(scene.task.goal)))
+    figures = (FakeFigure("terminal_error", error), FakeFigure("physics", 0.0, "N^2"), FakeFigure("replay_error", float("nan")))
+    return FakeScore(figures, "holds", "it is a fake")
+
+
+def _score_badly(scene: Scene, trajectory: Trajectory, replay: FakeReplay) -> FakeScore:
+    return FakeScore(_score(scene, trajectory, replay).figures, "violates", "the fake judge is strict")
+
+
+def _stumble(scene: Scene, trajectory: Trajectory, replay: FakeReplay) -> FakeScore:
+    raise ZeroDivisionError("the judge's own mistake")
+
+
+def _write_report(folder: Path) -> Path:
+    (folder / "report.html").write_text("fake report")
+    return folder / "report.html"
+
+
+def _fake_tools(score=_score) -> Tools:
+    return Tools(
+        load_method=METHODS.__getitem__,
+        pipelines_for=lambda scene: PIPELINES,
+        quick=("soft+good",),
+        build_fmu=lambda scene: Path(os.devnull),
+        replay=_replay,
+        score=score,
+        write_replay=lambda path, replay, scene: None,
+        write_report=_write_report,
+    )
+
+
+TOOLS = _fake_tools()
+STRICT = _fake_tools(_score_badly)
+STUMBLING = _fake_tools(_stumble)

@@ -1,0 +1,209 @@
+"""One cell: a scene by a pipeline. First everything is solved, then everything is judged, so that times are clean.
+
+    record = run_cell(cell, provenance, folder)        # in a child process of its own: see validate.worker
+
+Each stage starts from the plan of the stage before it (or of the last one that had a plan). Beside the record the folder holds
+`trajectory.nc` and `replay.nc` of the last stage, `trajectory_<n>.nc` and `replay_<n>.nc` of the n-th stage before it.
+"""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from formulations.pipeline import Pipeline, pipeline_from_json, pipeline_to_json
+from models.errors import MachineError, TouchstoneError
+from validate.store import PROGRESS
+
+if TYPE_CHECKING:
+    from formulations.method import Method, Session
+    from formulations.solution import Solution
+    from models.scene import Scene
+    from reports.record import ProvenanceRecord, RunRecord, StageRecord
+    from validate.records import Judged, Planned
+    from validate.tools import Tools
+
+# Of a cell's time limit, what is kept for replaying and scoring: a tenth, but no more than 30 s (the paper's scene needs 2).
+_JUDGING_SHARE, _JUDGING_MOST = 0.1, 30.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """What is to be run. scene: a name or an absolute path of a scene file; tools: a dotted name (validate.tools)."""
+
+    key: str
+    scene: str
+    scene_name: str
+    pipeline: Pipeline
+    tools: str
+    time_limit: float
+
+    @property
+    def title(self) -> str:
+        return f"{self.scene_name} x {self.pipeline.name}"
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "key": self.key,
+            "scene": self.scene,
+            "scene_name": self.scene_name,
+            "pipeline": pipeline_to_json(self.pipeline),
+            "tools": self.tools,
+            "time_limit": self.time_limit,
+        }
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Cell:
+        return cls(**{**data, "pipeline": pipeline_from_json(data["pipeline"])})
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """A stage that ran: its solution and the wall and CPU seconds it took, opening the method included."""
+
+    planned: Planned
+    solution: Solution
+    wall: float
+    cpu: float
+
+
+def run_cell(cell: Cell, provenance: ProvenanceRecord, folder: Path, began: float) -> RunRecord:
+    """Solve, judge and describe a cell. began: time.monotonic() at the start of the process, from which the time limit counts.
+
+    Raises MachineError where this machine cannot go on; whatever else goes wrong in a method or the judge is in the record.
+    """
+    from models.catalog import load_scene
+    from validate.records import planned_stages, run_record, stage_record, unfinished_stage
+    from validate.scene_record import scene_record
+    from validate.tools import load_tools
+
+    tools = load_tools(cell.tools)
+    scene = load_scene(cell.scene)
+    methods = {leg.method: tools.load_method(leg.method) for leg in cell.pipeline.legs}
+    plan = planned_stages(cell.pipeline, methods)
+    deadline = began + cell.time_limit - min(_JUDGING_MOST, _JUDGING_SHARE * cell.time_limit)
+    solved, rest = _solve(scene, cell.pipeline, plan, deadline, folder)
+    _progress(folder, "the replay")
+    judged = _judge_all(tools, scene, solved, folder, len(plan))
+    stages: list[StageRecord] = []
+    before = 0.0
+    for item, verdict in zip(solved, judged, strict=True):
+        stages.append(
+            stage_record(scene, cell.pipeline.name, item.planned, item.solution, wall=item.wall, cpu=item.cpu, before=before, judged=verdict)
+        )
+        before += item.wall
+    stages += [unfinished_stage(scene.name, cell.pipeline.name, planned, outcome, message) for planned, outcome, message in rest]
+    log = (folder / "log.txt").read_text(encoding="utf-8", errors="replace") if (folder / "log.txt").exists() else ""
+    wall = time.monotonic() - began
+    return run_record(cell, scene_record(scene), stages, provenance, wall=wall, cpu=time.process_time(), log=log)
+
+
+def _progress(folder: Path, text: str) -> None:
+    """Say where we are, for the parent to read if we never come back."""
+    (folder / PROGRESS).write_text(text, encoding="utf-8")
+
+
+def _solve(scene: Scene, pipeline: Pipeline, plan: tuple[Planned, ...], deadline: float, folder: Path) -> tuple[list[_Solved], list[tuple]]:
+    """Run the stages in order. Returns those that ran, and (planned, outcome, message) of those that did not."""
+    from formulations.solution import Outcome
+
+    for planned in plan:
+        reason = planned.method.accepts(scene)
+        if reason is not None:
+            return [], [(other, Outcome.REFUSED, f"{planned.name}: {reason}") for other in plan]
+    solved: list[_Solved] = []
+    opened = _Opened(scene)
+    warm_start = None
+    try:
+        for planned in plan:
+            left = deadline - time.monotonic()
+            if left <= 0:
+                message = "the cell's time was used up before this stage."
+                return solved, [(other, Outcome.TIME_LIMIT, message) for other in plan[planned.index :]]
+            _progress(folder, f"stage {planned.index + 1} ({_stage_name(planned)})")
+            try:
+                item = opened.run(planned, warm_start, left)
+            except MachineError:
+                raise
+            except Exception as error:  # noqa: BLE001 - a method may fail in any way; the log has the traceback, the row has the sentence
+                traceback.print_exc()
+                outcome = Outcome.FAILED if isinstance(error, TouchstoneError) else Outcome.CRASHED
+                message = str(error) if isinstance(error, TouchstoneError) else f"{type(error).__name__} in {planned.name}: {_first_line(error)}"
+                later = f"not begun, because stage {planned.index + 1} ({_stage_name(planned)}) gave no answer: {message}"
+                rest = [(other, outcome, message if other is planned else later) for other in plan[planned.index :]]
+                return solved, rest
+            solved.append(item)
+            warm_start = item.solution.trajectory or warm_start
+    finally:
+        opened.close()
+    return solved, []
+
+
+def _stage_name(planned: Planned) -> str:
+    return planned.name if planned.eps is None else f"{planned.name}, eps {planned.eps:g}"
+
+
+def _first_line(error: BaseException) -> str:
+    return next(iter(str(error).splitlines()), "") or "no further words."
+
+
+class _Opened:
+    """The session that is open: kept from stage to stage while method and options stay the same."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._session: Session | None = None
+        self._open: tuple[Method, dict[str, object]] | None = None
+
+    def run(self, planned: Planned, warm_start: Any, time_limit: float) -> _Solved:
+        wall, cpu = time.perf_counter(), time.process_time()
+        wanted = (planned.method, dict(planned.options))
+        if self._session is None or self._open != wanted:
+            self.close()
+            self._session = planned.method.open(self._scene, planned.options)
+            self._open = wanted
+        solution = self._session.solve(eps=planned.eps, warm_start=warm_start, time_limit=time_limit)
+        return _Solved(planned, solution, time.perf_counter() - wall, time.process_time() - cpu)
+
+    def close(self) -> None:
+        session, self._session = self._session, None
+        if session is not None:
+            try:
+                session.close()
+            except Exception:  # noqa: BLE001 - what was found is kept even if tidying up fails; the log has the traceback
+                traceback.print_exc()
+
+
+def _judge_all(tools: Tools, scene: Scene, solved: list[_Solved], folder: Path, stages: int) -> list[Judged]:
+    fmu = tools.build_fmu(scene) if any(item.solution.trajectory is not None for item in solved) else None
+    return [_judge(tools, scene, fmu, item, folder, stages) for item in solved]
+
+
+def _judge(tools: Tools, scene: Scene, fmu: Path | None, item: _Solved, folder: Path, stages: int) -> Judged:
+    from models.trajectory_netcdf import write_netcdf
+    from validate.records import Judged
+
+    trajectory = item.solution.trajectory
+    if trajectory is None or fmu is None:
+        return Judged()
+    ending = "" if item.planned.index == stages - 1 else f"_{item.planned.index + 1}"
+    write_netcdf(folder / f"trajectory{ending}.nc", trajectory, scene)
+    began = time.perf_counter()
+    replay = None
+    try:
+        replay = tools.replay(scene, fmu, trajectory)
+        score = tools.score(scene, trajectory, replay)
+    except MachineError:
+        raise
+    except Exception as error:  # noqa: BLE001 - the plan is kept even if the judge stumbles; the verdict is then not resolved
+        traceback.print_exc()
+        return Judged(
+            replay=replay, seconds=time.perf_counter() - began, problem=f"the judge ended with {type(error).__name__}: {_first_line(error)}"
+        )
+    seconds = time.perf_counter() - began
+    tools.write_replay(folder / f"replay{ending}.nc", replay, scene)
+    return Judged(replay=replay, score=score, seconds=seconds)

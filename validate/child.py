@@ -1,0 +1,87 @@
+"""The child process of one cell: `python -m validate.child FOLDER`. FOLDER/cell.json says what to run; FOLDER/record.json is the answer.
+
+The record is written last and whole, so that its presence alone says that the cell came to its end. The process
+dies with its parent, leaves no core file, and does not run anybody's exit handlers: a library that crashes while it is unloaded cannot spoil a
+finished cell.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+PARENT_VARIABLE = "TOUCHSTONE_PARENT"
+# A cell that wrote MACHINE ends with this; the file, not the code, is what counts.
+_EXIT_MACHINE = 3
+# No file of a cell comes near this size; a log that runs away stops here instead of at the end of the disk.
+_LARGEST_FILE = 2 * 1024**3
+
+
+def _die_with_parent() -> None:
+    """Linux: be killed when the parent dies (PR_SET_PDEATHSIG); elsewhere the campaign's watchdog does it."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None, use_errno=True).prctl(1, signal.SIGKILL, 0, 0, 0)
+    parent = os.environ.get(PARENT_VARIABLE)
+    if parent is not None and os.getppid() != int(parent):
+        os._exit(1)  # it died before we could ask
+
+
+def _limit_files() -> None:
+    try:
+        import resource
+    except ImportError:  # not on Windows
+        return
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    if soft == resource.RLIM_INFINITY or soft > _LARGEST_FILE:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (_LARGEST_FILE, hard))
+
+
+def main(folder: Path) -> int:
+    """Run the cell of a folder; the process's exit code."""
+    began = time.monotonic()
+    _die_with_parent()
+    _limit_files()
+    import random
+
+    import numpy as np
+
+    from models.errors import MachineError
+    from reports.record import ProvenanceRecord
+    from validate.cell import Cell, run_cell
+    from validate.provenance import SEED
+    from validate.store import MACHINE, RECORD, REQUEST, disk_error, disk_refuses, write_durably
+
+    random.seed(SEED)
+    np.random.seed(SEED)
+    request = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
+    try:
+        record = run_cell(Cell.from_json(request["cell"]), ProvenanceRecord.model_validate(request["provenance"]), folder, began)
+        write_durably(folder / RECORD, record.model_dump_json(indent=1))
+    except MachineError as error:
+        (folder / MACHINE).write_text(str(error), encoding="utf-8")
+        return _EXIT_MACHINE
+    except OSError as error:
+        if not disk_refuses(error):
+            raise
+        (folder / MACHINE).write_text(str(disk_error(folder, error)), encoding="utf-8")
+        return _EXIT_MACHINE
+    return 0
+
+
+if __name__ == "__main__":
+    try:
+        code = main(Path(sys.argv[1]))
+    except BaseException:  # noqa: BLE001 - whatever it was, it goes to the log, and the parent makes a row of it
+        import traceback
+
+        traceback.print_exc()
+        code = 1
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)

@@ -1,0 +1,137 @@
+"""`all`: the campaign."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+from pathlib import Path
+
+import click
+
+from validate.cli.table import use_colour
+from validate.tools import DEFAULT_TOOLS
+
+_DEFAULT_OUT = "runs/all"
+_EPILOG = """\b
+What fails a campaign (exit code 1):
+  a cell whose process or method crashed, whatever the method;
+  a cell that ends in a direct method (strict_lcp, relu_gd) whose last plan
+  violates, is not resolved by the replay, or does not exist - unless the
+  method refused the scene and said why.
+  Cells and stages of indirect methods are expected to violate physics: the
+  report shows by how much, and they fail nothing.
+
+\b
+What is stored is used again, except cells that crashed or ran out of a
+shorter time limit than they would have now. A cell's key is the hash of its
+content: scene, pipeline with all options, our sources, library versions.
+
+\b
+Examples:
+  python -m validate all                               everything
+  python -m validate all --quick                       two pipelines
+  python -m validate all -k "strict and not relaxed"   some
+  python -m validate all --scene my/own_scene.py       a scene of your own
+
+\b
+Exit codes: 0 all that must hold holds; 1 something does not; 2 usage,
+configuration or nothing selected; 3 this machine cannot; 130 interrupted.
+"""
+
+
+@click.command(epilog=_EPILOG)
+@click.option("--quick", is_flag=True, help="Only the pipelines softplus_dc+strict and softplus_gd+relu_gd; the table says what was left out.")
+@click.option("--fresh", is_flag=True, help="Run cells again that are stored.")
+@click.option("-k", "expression", default="", metavar="EXPR", help="Only cells whose scene, pipeline or method names match: words joined with and, or, not.")
+@click.option("-j", "--jobs", type=click.IntRange(min=1), default=1, show_default=True, metavar="N", help="Cells at a time. With more than one, times are less comparable.")
+@click.option("--scene", "scenes", multiple=True, metavar="NAME|FILE.py", help="Only this scene, by name or by the path of a scene file; may be repeated.")
+@click.option("--out", type=click.Path(path_type=Path), default=_DEFAULT_OUT, show_default=True, metavar="DIR", help="The folder of the campaign.")
+@click.option("--time-limit", type=float, default=600.0, show_default=True, metavar="SECONDS", help="For each cell, all its stages and replays.")
+@click.option("--json", "as_json", is_flag=True, help="The results as JSON on stdout instead of a table.")
+@click.option("--tools", default=DEFAULT_TOOLS, metavar="MODULE:NAME", help="Methods, pipelines and judge from elsewhere (see validate/tools.py).")
+@click.pass_obj
+def command(
+    arguments: tuple[str, ...],
+    quick: bool,
+    fresh: bool,
+    expression: str,
+    jobs: int,
+    scenes: tuple[str, ...],
+    out: Path,
+    time_limit: float,
+    as_json: bool,
+    tools: str,
+) -> int:
+    """Run every scene by every pipeline, replay and score each plan, write the report.
+
+    Progress goes to stderr; the table of results and the path of the report to stdout. DIR then holds report.html,
+    results.csv (one row a stage), violation.csv, campaign.json and, for each cell, runs/<key>.
+    """
+    from validate.campaign import Settings, run_campaign
+    from validate.cli.narrator import narrator
+    from validate.provenance import command_line
+
+    if not math.isfinite(time_limit) or time_limit <= 0:
+        raise click.BadParameter(f"{time_limit:g} is not a positive number of seconds.", param_hint="--time-limit")
+    settings = Settings(
+        out=out,
+        scenes=scenes,
+        quick=quick,
+        expression=expression,
+        jobs=jobs,
+        fresh=fresh,
+        time_limit=time_limit,
+        tools=tools,
+        command=command_line(arguments),
+    )
+    # A closed terminal and a polite kill end like Ctrl-C: children stopped, finished cells kept.
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.default_int_handler)
+    teller = narrator()
+    resume = command_line([word for word in arguments if word != "--fresh"])
+    try:
+        outcome = run_campaign(settings, teller)
+    except KeyboardInterrupt:
+        done = teller.stored + teller.done
+        kept = f"{done} of {teller.total} cells are stored in {out}" if teller.total else "nothing was run yet"
+        click.echo(f"interrupted: {kept}; resume with: {resume}", err=True)
+        return 130
+    if as_json:
+        _print_json(outcome, settings)
+    else:
+        _print_table(outcome, settings, resume)
+    return outcome.exit_code
+
+
+def _print_table(outcome, settings, resume: str) -> None:
+    from validate.cli.table import one_line, results_table
+    from validate.results import rows
+
+    colour = use_colour()
+    click.echo(results_table(rows(outcome.records)), color=colour)
+    click.echo()
+    if settings.quick:
+        click.echo(f"left out by --quick: {', '.join(outcome.left_out) or 'nothing'}")
+    for sentence in outcome.failures:
+        click.echo(click.style("does not hold: ", fg="red") + one_line(sentence), color=colour)
+    if not outcome.failures:
+        click.echo("all that must hold holds")
+    click.echo(f"report:  {outcome.report}")
+    click.echo(f"results: {settings.out / 'results.csv'}")
+    click.echo(f"again:   {resume}   (stored cells are used again; --fresh runs them anew)")
+
+
+def _print_json(outcome, settings) -> None:
+    from validate.results import rows
+
+    data = {
+        "results": rows(outcome.records),
+        "failures": list(outcome.failures),
+        "left_out": list(outcome.left_out),
+        "report": str(outcome.report),
+        "out": str(settings.out),
+        "exit_code": outcome.exit_code,
+    }
+    click.echo(json.dumps(data, indent=1, allow_nan=False))
+

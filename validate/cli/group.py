@@ -1,0 +1,130 @@
+"""The command line as a whole: finds the command, runs it, and puts whatever goes wrong into one sentence and an exit code.
+
+A command is imported when it is used: `--help` and `list` cost neither SymPy nor a solver.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import os
+import sys
+import tempfile
+import traceback
+from collections.abc import Sequence
+
+import click
+
+from models.errors import TouchstoneError
+
+PROGRAM = "python -m validate"
+INTERRUPTED = 130
+# name -> what the overview says; the command itself is `command` in validate/cli/<name>.py.
+_COMMANDS = {
+    "all": "Run every scene by every pipeline, replay and score each plan, write the report.",
+    "list": "Scenes, pipelines and methods.",
+    "report": "Rebuild results.csv and report.html of a campaign from its records.",
+    "replay": "Replay and score anybody's plan on a scene.",
+    "fmu": "Export a scene as an FMU.",
+}
+_EPILOG = """\b
+Examples:
+  python -m validate all --quick
+  python -m validate all -k "strict and not relaxed" -j 2
+  python -m validate list
+
+\b
+Exit codes:
+  0    all that must hold holds
+  1    something does not (or we made a mistake: then it says so)
+  2    wrong usage or configuration, or nothing selected
+  3    this machine cannot: what is missing, and how to get it
+  130  interrupted; the same command resumes
+
+\b
+Environment:
+  TOUCHSTONE_CACHE   where compiled scenes and FMUs are kept
+  TOUCHSTONE_DEBUG   1 shows the traceback of an unexpected error
+  NO_COLOR           no colours
+  CC                 the C compiler
+"""
+
+
+class _Group(click.Group):
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(_COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in _COMMANDS:
+            return None
+        return importlib.import_module(f"validate.cli.{cmd_name}").command
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and args[0] not in _COMMANDS and not args[0].startswith("-"):
+            close = difflib.get_close_matches(args[0], _COMMANDS, n=1)
+            hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(_COMMANDS)}."
+            raise click.UsageError(f"there is no command {args[0]!r}; {hint}", ctx=ctx)
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(_COMMANDS.items()))
+
+
+@click.group(cls=_Group, epilog=_EPILOG, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="touchstone-contact", prog_name="touchstone")
+def group() -> None:
+    """Does this plan through contact hold?
+
+    Contact-rich plans by every method of the field, replayed through FMUs and scored.
+    """
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run one command line; the exit code. Nothing but TOUCHSTONE_DEBUG=1 lets a traceback through."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")  # a terminal without our characters shows others instead of failing
+    try:
+        code = group.main(list(arguments), prog_name=PROGRAM, standalone_mode=False, obj=tuple(arguments))
+        sys.stdout.flush()
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.ctx.get_help() if error.ctx is not None else "", err=True)
+        return error.exit_code
+    except click.ClickException as error:
+        return _say(_sentence(error), error.exit_code)
+    except (click.Abort, KeyboardInterrupt):
+        return _say("interrupted.", INTERRUPTED)
+    except TouchstoneError as error:
+        return _say(str(error), error.exit_code)
+    except BrokenPipeError:  # whoever read our output has enough of it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as error:
+        if os.environ.get("TOUCHSTONE_DEBUG") == "1":
+            raise
+        return _say(_unexpected(error), 1)
+    return code if isinstance(code, int) else 0
+
+
+def _say(sentence: str, code: int) -> int:
+    click.echo(f"error: {' '.join(sentence.split())}", err=True)
+    return code
+
+
+def _sentence(error: click.ClickException) -> str:
+    text = error.format_message()
+    if isinstance(error, click.UsageError) and error.ctx is not None and "did you mean" not in text.lower():
+        text = f"{text.rstrip('.')}; {error.ctx.command_path} --help says what is possible."
+    return text[:1].lower() + text[1:]
+
+
+def _unexpected(error: Exception) -> str:
+    where = "TOUCHSTONE_DEBUG=1 shows where"
+    try:
+        with tempfile.NamedTemporaryFile("w", prefix="touchstone-", suffix=".log", delete=False, encoding="utf-8") as log:
+            traceback.print_exc(file=log)
+        where = f"the traceback is in {log.name}"
+    except OSError:
+        pass
+    return f"this should not have happened ({type(error).__name__}: {error}); {where}. Please report it."

@@ -1,0 +1,62 @@
+"""`list`: what there is. Nothing is imported for it: titles are the first lines of the files' docstrings."""
+
+from __future__ import annotations
+
+import ast
+import json
+from pathlib import Path
+
+import click
+
+from validate.cli.table import one_line, table
+
+
+@click.command(epilog="Example: python -m validate list --json")
+@click.option("--json", "as_json", is_flag=True, help="As JSON.")
+def command(as_json: bool) -> int:
+    """Scenes, pipelines and methods, with what each is."""
+    from formulations.catalog import method_names
+    from formulations.pipeline import PIPELINES, QUICK
+    from models.catalog import scene_names, scene_path
+
+    methods = Path(__file__).resolve().parents[2] / "formulations" / "methods"
+    data = {
+        "scenes": [{"name": name, "title": _title(scene_path(name))} for name in scene_names()],
+        "pipelines": [
+            {
+                "name": pipeline.name,
+                "title": pipeline.title,
+                "quick": pipeline.name in QUICK,
+                "stages": [{"method": leg.method, "eps": list(leg.schedule)} for leg in pipeline.legs],
+            }
+            for pipeline in PIPELINES
+        ],
+        "methods": [{"name": name, "title": _title(methods / f"{name}.py")} for name in method_names()],
+    }
+    if as_json:
+        click.echo(json.dumps(data, indent=1))
+        return 0
+    click.echo(table(["scene", "what it is"], [[item["name"], item["title"]] for item in data["scenes"]]))
+    click.echo()
+    rows = [[item["name"], "quick" if item["quick"] else "", _stages(item["stages"]), item["title"]] for item in data["pipelines"]]
+    click.echo(table(["pipeline", "", "stages (method: eps)", "what it is"], rows))
+    click.echo()
+    click.echo(table(["method", "what it is"], [[item["name"], item["title"]] for item in data["methods"]]))
+    return 0
+
+
+def _stages(legs: list[dict]) -> str:
+    parts = []
+    for leg in legs:
+        schedule = ", ".join(f"{eps:g}" for eps in leg["eps"] if eps is not None)
+        parts.append(f"{leg['method']}: {schedule}" if schedule else leg["method"])
+    return " -> ".join(parts)
+
+
+def _title(path: Path) -> str:
+    """The first sentence of a file's docstring."""
+    try:
+        words = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+    except (OSError, SyntaxError, UnicodeDecodeError) as error:
+        return f"(cannot be read: {type(error).__name__})"
+    return one_line(words.split("\n\n")[0])

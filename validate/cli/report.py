@@ -1,0 +1,33 @@
+"""`report`: rebuild what is told of a campaign from what is stored of it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+
+@click.command(epilog="Example: python -m validate report runs/all")
+@click.argument("folder", type=click.Path(path_type=Path), default="runs/all", metavar="[DIR]")
+@click.option("--json", "as_json", is_flag=True, help="The results as JSON on stdout.")
+def command(folder: Path, as_json: bool) -> int:
+    """Rebuild results.csv, violation.csv and report.html of the campaign in DIR (runs/all) from its records; no solver is needed."""
+    from validate.campaign import RESULTS, VIOLATION, stored_campaign
+    from validate.results import rows, write_results
+    from validate.tools import DEFAULT
+    from validate.violation import write_violation
+
+    campaign, records = stored_campaign(folder)
+    write_results(folder / RESULTS, records)
+    write_violation(folder / VIOLATION, campaign.violation)
+    report = DEFAULT.write_report(folder)
+    missing = len(campaign.keys) - len(records)
+    if missing:
+        click.echo(f"{missing} of {len(campaign.keys)} cells have no readable record; the command of the campaign runs them: {campaign.command}", err=True)
+    if as_json:
+        click.echo(json.dumps({"results": rows(records), "report": str(report)}, indent=1, allow_nan=False))
+    else:
+        click.echo(f"report:  {report}")
+        click.echo(f"results: {folder / RESULTS}")
+    return 0

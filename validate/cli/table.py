@@ -1,0 +1,65 @@
+"""Plain text tables for a terminal, and numbers as short as they can be read."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import click
+
+_COLOURS = {"holds": "green", "violates": "red", "not resolved": "yellow", "no plan": "red"}
+
+
+def use_colour() -> bool | None:
+    """False where the user said NO_COLOR; None leaves it to whether the output is a terminal."""
+    return False if os.environ.get("NO_COLOR") else None
+
+
+def one_line(text: str) -> str:
+    """Text from anywhere, fit for one line of a terminal: no line breaks, no control characters."""
+    return "".join(letter for letter in " ".join(text.split()) if letter.isprintable())
+
+
+def table(titles: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[str] = ()) -> str:
+    """Columns as wide as their widest cell; those named in `right` are aligned to the right."""
+    widths = [max(len(title), *(len(row[place]) for row in rows)) if rows else len(title) for place, title in enumerate(titles)]
+
+    def line(cells: Sequence[str]) -> str:
+        padded = [cell.rjust(width) if title in right else cell.ljust(width) for cell, width, title in zip(cells, widths, titles, strict=True)]
+        return "  ".join(padded).rstrip()
+
+    return "\n".join([line(titles), line(["-" * width for width in widths]), *(_coloured(line(row), row) for row in rows)])
+
+
+def _coloured(text: str, row: Sequence[str]) -> str:
+    verdict = next((cell for cell in row if cell in _COLOURS), None)
+    return text if verdict is None else text.replace(verdict, click.style(verdict, fg=_COLOURS[verdict]))
+
+
+def short(value: Any, pattern: str = ".4g") -> str:
+    """A number in few digits; empty where nothing is known."""
+    return "" if value is None else format(value, pattern) if isinstance(value, float) else str(value)
+
+
+_TITLES = (
+    ("scene", "scene", ""),
+    ("pipeline", "pipeline", ""),
+    ("stage", "stage", ""),
+    ("method", "method", ""),
+    ("eps", "eps", "g"),
+    ("outcome", "outcome", ""),
+    ("cost", "cost", ".2f"),
+    ("terminal_error", "terminal error", ".2e"),
+    ("replay_terminal_error", "replayed", ".2e"),
+    ("physics", "physics", ".4g"),
+    ("verdict", "verdict", ""),
+    ("stage_s", "seconds", ".2f"),
+)
+_NUMBERS = ("stage", "eps", "cost", "terminal error", "replayed", "physics", "seconds")
+
+
+def results_table(rows: Sequence[dict[str, Any]]) -> str:
+    """The rows of results.csv that a terminal has room for; `replayed` is the terminal error after the replay."""
+    cells = [[one_line(short(row[name], pattern)) for name, _, pattern in _TITLES] for row in rows]
+    return table([title for _, title, _ in _TITLES], cells, _NUMBERS)

@@ -1,0 +1,196 @@
+"""Where a result comes from: our commit and sources, the versions of what we stand on, the machine, the command.
+
+`content_key` hashes what decides a cell's numbers - scene, pipeline, options, seed, our sources, library versions, compiler - and no
+times, paths or hosts: equal content, equal key, wherever it runs.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterable, Mapping
+from dataclasses import fields, is_dataclass
+from datetime import UTC, datetime
+from functools import lru_cache
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from models.errors import MachineError
+
+if TYPE_CHECKING:
+    from models.scene import Scene
+    from reports.record import ProvenanceRecord
+
+ROOT = Path(__file__).resolve().parent.parent
+SEED = 0
+# One thread for every library of a cell: times compare, sums are added in one order, and -j N uses N cores.
+THREADS = 1
+LIBRARIES = ("numpy", "scipy", "sympy", "pyomo", "cyipopt-wheels", "torch", "fmpy", "scikit-sundae")
+# Parts of us that cannot change a number of a cell: how cells are chosen, run side by side, listed and told.
+_NO_INFLUENCE = ("validate/cli", "validate/__main__.py", "validate/campaign.py", "validate/engine.py", "validate/results.py", "validate/selection.py")
+# Scenes and methods count one by one: a cell depends on its own.
+_ONE_BY_ONE = ("models/scenes", "formulations/methods")
+_SOURCE_SUFFIXES = frozenset({".py", ".c", ".h", ".template", ".jinja", ".j2", ".xml"})
+
+
+def scene_text(value: Any) -> str:
+    """Canonical text of a scene: every field by name, SymPy expressions with their assumptions (srepr), numbers in full."""
+    import sympy as sp
+
+    if is_dataclass(value) and not isinstance(value, type):
+        inside = ", ".join(f"{field.name}={scene_text(getattr(value, field.name))}" for field in fields(value))
+        return f"{type(value).__name__}({inside})"
+    if isinstance(value, sp.Basic):
+        return sp.srepr(value)
+    if isinstance(value, (tuple, list)):
+        return f"[{', '.join(scene_text(item) for item in value)}]"
+    return repr(value)
+
+
+@lru_cache(maxsize=1)
+def _source_digests() -> dict[str, str]:
+    digests = {}
+    for room in ("models", "formulations", "validate"):
+        for path in sorted((ROOT / room).rglob("*")):
+            name = path.relative_to(ROOT).as_posix()
+            if path.suffix in _SOURCE_SUFFIXES and "__pycache__" not in path.parts and not name.startswith(_NO_INFLUENCE):
+                digests[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+    digests["reports/record.py"] = hashlib.sha256((ROOT / "reports" / "record.py").read_bytes()).hexdigest()
+    return digests
+
+
+def source_digests(methods: Iterable[str]) -> dict[str, str]:
+    """Digest of each of our files that a cell of these methods depends on."""
+    own = {f"formulations/methods/{method}.py" for method in methods}
+    return {name: digest for name, digest in _source_digests().items() if name in own or not name.startswith(_ONE_BY_ONE)}
+
+
+@lru_cache(maxsize=1)
+def library_versions() -> dict[str, str]:
+    """Installed versions of the libraries that decide numbers, and of Python."""
+    versions = {"python": platform.python_version()}
+    for name in LIBRARIES:
+        try:
+            versions[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            versions[name] = "not installed"
+    return versions
+
+
+def content_key(scene: Scene, stages: Any, methods: Iterable[str], extra: str = "") -> str:
+    """The key of a cell: sha256 over its content. stages: method, eps and filled options in order (JSON data)."""
+    content = {
+        "scene": scene_text(scene),
+        "stages": stages,
+        "seed": SEED,
+        "threads": THREADS,
+        "sources": source_digests(methods),
+        "libraries": library_versions(),
+        "compiler": compiler_text(),
+        "machine": platform.machine(),
+        "extra": extra,
+    }
+    return hashlib.sha256(json.dumps(content, sort_keys=True, default=repr).encode()).hexdigest()
+
+
+@lru_cache(maxsize=1)
+def compiler_text() -> str:
+    """Name and version of the C compiler, or the sentence that says there is none."""
+    from models.codegen.compiler import find_compiler
+
+    try:
+        return find_compiler().describe()
+    except MachineError as error:
+        return str(error)
+
+
+def commit() -> str:
+    """The commit of our sources, with `+` if they were changed since; empty if they are not in a git work tree or git is missing."""
+    if not (ROOT / ".git").exists():
+        return ""
+    try:
+        head = _git("rev-parse", "HEAD")
+        changed = _git("status", "--porcelain", "--untracked-files=no")
+    except (OSError, subprocess.SubprocessError):
+        return ""
+    return head + ("+" if changed else "")
+
+
+def _git(*arguments: str) -> str:
+    done = subprocess.run(["git", "-C", str(ROOT), *arguments], capture_output=True, text=True, timeout=20, check=True)
+    return done.stdout.strip()
+
+
+def _cpu() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def usable_cores() -> int:
+    """Cores this process may use, which in a container are fewer than the machine has."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def now() -> str:
+    """This moment, ISO 8601 UTC."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def gather(command: str) -> ProvenanceRecord:
+    """The provenance of a campaign that starts now."""
+    from reports.record import ProvenanceRecord
+
+    try:
+        version = metadata.version("touchstone-contact")
+    except metadata.PackageNotFoundError:
+        version = "0 (not installed)"
+    packages: Mapping[str, str] = library_versions()
+    return ProvenanceRecord(
+        touchstone=version,
+        commit=commit(),
+        python=f"{platform.python_implementation()} {platform.python_version()}",
+        platform=platform.platform(),
+        cpu=_cpu(),
+        cores=usable_cores(),
+        threads=THREADS,
+        packages={name: text for name, text in packages.items() if name != "python"},
+        compiler=compiler_text(),
+        seed=SEED,
+        started=now(),
+        command=command,
+    )
+
+
+def child_environment(token_variable: str, token: str, temporary: Path) -> dict[str, str]:
+    """The environment of a cell: one thread for every library, no hash randomisation, temporary files inside its own folder."""
+    one = str(THREADS)
+    threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "NUMEXPR_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+    given = [str(Path(part).resolve()) for part in os.environ.get("PYTHONPATH", "").split(os.pathsep) if part]
+    # What the parent can import because it was started with `python -m`, the child can import too.
+    here = [os.getcwd()] if {"", os.getcwd()} & set(sys.path) else []
+    return {
+        **os.environ,
+        **dict.fromkeys(threads, one),
+        "PYTHONHASHSEED": "0",
+        "PYTHONUNBUFFERED": "1",
+        "PYTHONFAULTHANDLER": "1",
+        "PYTHONPATH": os.pathsep.join([str(ROOT), *given, *here]),
+        "TMPDIR": str(temporary),
+        token_variable: token,
+    }
+
+
+def command_line(arguments: Iterable[str]) -> str:
+    """The command as the user can type it again."""
+    return shlex.join(["python", "-m", "validate", *arguments])

@@ -1,0 +1,70 @@
+"""Leaves nothing behind: ends every process of a cell, and removes its unfinished folder, even when the campaign itself is killed.
+
+A cell runs in a session of its own, and every process it starts inherits an environment variable with the cell's token. So all of them
+are found: by process group, and on Linux by the token even if one of them left the group.
+
+Run as a script, this file is the campaign's watchdog: it reads from its standard input which cells live, and when that pipe
+closes - the campaign ended, in whatever way - it ends what still lives. Only the standard library is used: it starts in 20 ms.
+
+    start <token> <folder>      stop <token>
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import sys
+import time
+from pathlib import Path
+
+TOKEN_VARIABLE = "TOUCHSTONE_CELL_TOKEN"
+# Processes that fork while they are being found are found in the next round; 100 rounds of 10 ms outlast any that does not fork for ever.
+_ROUNDS, _PAUSE = 100, 0.01
+
+
+def processes_with(token: str) -> list[int]:
+    """Living processes (not zombies) whose environment carries the token; empty where there is no /proc."""
+    mark = f"{TOKEN_VARIABLE}={token}".encode()
+    found = []
+    for entry in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            if mark in (entry / "environ").read_bytes().split(b"\0"):
+                found.append(int(entry.name))
+    return found
+
+
+def end_all(token: str, group: int | None = None) -> None:
+    """Kill every process of a cell: its process group, and all that carry its token. Returns when none is left."""
+    for _ in range(_ROUNDS):
+        if group is not None:
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(group, signal.SIGKILL)
+        living = processes_with(token)
+        if not living:
+            return
+        for process in living:
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.kill(process, signal.SIGKILL)
+        time.sleep(_PAUSE)
+
+
+def watch() -> None:
+    """The watchdog: see the module docstring."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    living: dict[str, str] = {}
+    for line in sys.stdin:
+        verb, token, *folder = line.rstrip("\n").split(" ", 2)
+        if verb == "start":
+            living[token] = folder[0]
+        else:
+            living.pop(token, None)
+    for token, path in living.items():
+        end_all(token)
+        shutil.rmtree(path, ignore_errors=True)
+
+
+if __name__ == "__main__":
+    watch()

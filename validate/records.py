@@ -1,0 +1,232 @@
+"""Solution, Score and Replay -> the records that are stored and told (reports.record).
+
+Numbers that are not finite never get into a record: a cost that is not a number is missing, and says so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from formulations.pipeline import stage_plan
+from formulations.solution import Outcome, Seconds, Solution
+from reports.record import FigureRecord, ReplayRecord, RunRecord, SceneRecord, SecondsRecord, StageRecord, Verdict
+from validate.table_one import paper_row
+from validate.traces import plan_trace, replay_trace, thin
+
+if TYPE_CHECKING:
+    from formulations.method import Method, Pipeline
+    from models.scene import Scene
+    from models.trajectory import Trajectory
+    from reports.record import ProvenanceRecord
+    from validate.cell import Cell
+
+# Lines of the log that go into the record, so that a report can show why a cell ended as it did.
+_LOG_LINES = 40
+
+
+@dataclass(frozen=True, kw_only=True)
+class Planned:
+    """One stage of a pipeline before it runs. method: None where it cannot even be loaded."""
+
+    index: int
+    name: str
+    method: Method
+    eps: float | None
+    options: Mapping[str, object]  # defaults filled in
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judged:
+    """What the judge said of one plan: a Replay and a Score, or the sentence why there are none."""
+
+    replay: Any = None
+    score: Any = None
+    seconds: float = 0.0
+    problem: str = ""
+
+
+def planned_stages(pipeline: Pipeline, methods: Mapping[str, Method]) -> tuple[Planned, ...]:
+    """The stages of a pipeline in order, options filled in. Raises OptionError."""
+    stages = []
+    for index, (leg, eps, options) in enumerate(stage_plan(pipeline)):
+        method = methods[leg.method]
+        method.check_eps(eps)
+        stages.append(Planned(index=index, name=leg.method, method=method, eps=eps, options=method.filled_options(options)))
+    return tuple(stages)
+
+
+def stage_record(
+    scene: Scene,
+    pipeline: str,
+    planned: Planned,
+    solution: Solution,
+    *,
+    wall: float,
+    cpu: float,
+    before: float,
+    judged: Judged,
+) -> StageRecord:
+    """The record of a stage that ran. wall, cpu [s]: of this stage; before [s]: of the stages before it."""
+    trajectory = solution.trajectory
+    verdict, why = _verdict(solution, judged)
+    return StageRecord(
+        index=planned.index,
+        method=planned.name,
+        method_title=planned.method.title,
+        kind=planned.method.kind.value,
+        eps=planned.eps,
+        outcome=solution.outcome.name.lower(),
+        advice=solution.outcome.value,
+        message=solution.message,
+        cost=finite(solution.cost),
+        iterations=int(solution.iterations),
+        residuals=_finite_values(solution.residuals),
+        options=_options(solution.options or planned.options),
+        history=_history(solution.history),
+        seconds=_seconds(solution.seconds, wall, cpu, before, judged.seconds),
+        figures=tuple(_copy(FigureRecord, figure) for figure in judged.score.figures) if judged.score is not None else (),
+        verdict=verdict,
+        why=why,
+        replay=_replay(judged.replay) if judged.replay is not None else None,
+        plan_trace=plan_trace(scene, trajectory) if trajectory is not None else None,
+        replay_trace=_replay_trace(scene, trajectory, judged),
+        paper=dict(paper_row(scene.name, pipeline, planned.index)),
+    )
+
+
+def unfinished_stage(scene: str, pipeline: str, planned: Planned, outcome: Outcome, message: str) -> StageRecord:
+    """The record of a stage without an answer: refused, crashed, out of time or never begun."""
+    return StageRecord(
+        index=planned.index,
+        method=planned.name,
+        method_title=planned.method.title,
+        kind=planned.method.kind.value,
+        eps=planned.eps,
+        outcome=outcome.name.lower(),
+        advice=outcome.value,
+        message=message,
+        options=_options(planned.options),
+        why=message,
+        paper=dict(paper_row(scene, pipeline, planned.index)),
+    )
+
+
+def run_record(
+    cell: Cell,
+    scene: SceneRecord,
+    stages: Sequence[StageRecord],
+    provenance: ProvenanceRecord,
+    *,
+    wall: float,
+    cpu: float,
+    log: str,
+    outcome: str | None = None,
+    message: str | None = None,
+) -> RunRecord:
+    """The record of a cell; its outcome, message and verdict are those of the last stage unless given."""
+    last = stages[-1]
+    return RunRecord(
+        key=cell.key,
+        scene=scene,
+        pipeline=cell.pipeline.name,
+        pipeline_title=cell.pipeline.title,
+        stages=tuple(stages),
+        outcome=last.outcome if outcome is None else outcome,
+        message=last.message if message is None else message,
+        verdict=last.verdict,
+        must_hold=last.kind == "direct",
+        wall_seconds=wall,
+        cpu_seconds=cpu,
+        provenance=provenance,
+        log_tail="\n".join(log.splitlines()[-_LOG_LINES:]),
+    )
+
+
+def finite(value: Any) -> float | None:
+    """The number if it is one, else None."""
+    return float(value) if value is not None and math.isfinite(value) else None
+
+
+def _verdict(solution: Solution, judged: Judged) -> tuple[Verdict, str]:
+    if solution.trajectory is None:
+        return "no plan", solution.message or solution.outcome.value
+    if judged.score is None:
+        return "not resolved", judged.problem
+    verdict = judged.score.verdict
+    return getattr(verdict, "value", verdict), judged.score.why
+
+
+def _replay(replay: Any) -> ReplayRecord:
+    error = replay.error
+    return ReplayRecord(
+        error_estimate=_position(error.estimate),
+        tolerance_difference=_position(error.tolerance),
+        step_difference=_position(error.step),
+        everyday_difference=_position(error.everyday),
+        events=len(replay.events),
+        seconds_reference=replay.seconds_reference,
+        seconds_everyday=replay.seconds_everyday,
+        fmu=replay.fmu,
+        message=replay.message or replay.outcome.value,
+    )
+
+
+def _position(difference: Any) -> float | None:
+    return None if difference is None else finite(difference.position)
+
+
+def _replay_trace(scene: Scene, trajectory: Trajectory | None, judged: Judged):
+    if trajectory is None or judged.replay is None or len(judged.replay.t) == 0:
+        return None
+    return replay_trace(scene, trajectory, judged.replay)
+
+
+def _copy(model: type[FigureRecord], figure: Any) -> FigureRecord:
+    values = {name: getattr(figure, name) for name in model.model_fields if hasattr(figure, name)}
+    return model(**{name: finite(value) if name in {"value", "limit"} else value for name, value in values.items()})
+
+
+def _seconds(seconds: Seconds, wall: float, cpu: float, before: float, replay: float) -> SecondsRecord:
+    return SecondsRecord(
+        build=seconds.build,
+        translate=seconds.translate,
+        evaluate=seconds.evaluate,
+        linear_algebra=seconds.linear_algebra,
+        solve=seconds.solve,
+        stage=wall,
+        stage_cpu=cpu,
+        total=before + wall,
+        replay=replay,
+    )
+
+
+def _finite_values(values: Mapping[str, float]) -> dict[str, float]:
+    return {name: float(value) for name, value in values.items() if finite(value) is not None}
+
+
+def _options(options: Mapping[str, object]) -> dict[str, Any]:
+    return {name: _plain(value) for name, value in options.items()}
+
+
+def _plain(value: object) -> Any:
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else repr(value)
+    if isinstance(value, Iterable):
+        items = list(value)
+        if all(isinstance(item, (int, float)) and math.isfinite(item) for item in items):
+            return [float(item) for item in items]
+    return str(value)
+
+
+def _history(history: Mapping[str, Sequence[float]]) -> dict[str, tuple[float, ...]]:
+    """Columns thinned to what a plot can show; iterations in which any column is not finite are left out."""
+    columns = {name: [float(value) for value in values] for name, values in history.items()}
+    length = min((len(values) for values in columns.values()), default=0)
+    rows = [row for row in range(length) if all(math.isfinite(values[row]) for values in columns.values())]
+    keep = [rows[place] for place in thin(len(rows))] if rows else []
+    return {name: tuple(values[row] for row in keep) for name, values in columns.items()}

@@ -1,0 +1,73 @@
+"""results.csv: one row a stage, rebuilt from records at any time, numbers in full (repr), nothing where nothing is known.
+
+Rows stand in the order of the campaign's cells; apart from the columns whose names end in `_s` (seconds) the file is the same bytes whenever
+the same cells are run on the same machine.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from reports.record import RunRecord, StageRecord
+from validate.store import write_durably
+
+_FIGURES_FIRST = ("terminal_error", "physics", "physics_scaled", "defect", "discrete_terminal_error", "replay_terminal_error")
+_FIGURES_LAST = ("replay_error", "ghost_impulse", "missed_impulse", "energy_residual")
+COLUMNS = (
+    *("scene", "pipeline", "stage", "method", "eps", "outcome", "cost"),
+    *_FIGURES_FIRST,
+    *_FIGURES_LAST,
+    *("verdict", "iterations", "build_s", "solve_s", "stage_s", "total_s", "replay_s"),
+)
+
+
+def rows(records: Iterable[RunRecord]) -> list[dict[str, Any]]:
+    """One dictionary a stage, by column name; None where nothing is known. Stages are counted from 1."""
+    return [_row(record, stage) for record in records for stage in record.stages]
+
+
+def _row(record: RunRecord, stage: StageRecord) -> dict[str, Any]:
+    figures = {figure.name: figure.value for figure in stage.figures}
+    ran = stage.seconds.stage > 0
+    return {
+        "scene": record.scene.name,
+        "pipeline": record.pipeline,
+        "stage": stage.index + 1,
+        "method": stage.method,
+        "eps": stage.eps,
+        "outcome": stage.outcome,
+        "cost": stage.cost,
+        **{name: figures.get(name) for name in (*_FIGURES_FIRST, *_FIGURES_LAST)},
+        "verdict": stage.verdict,
+        "iterations": stage.iterations if ran else None,
+        "build_s": stage.seconds.build + stage.seconds.translate if ran else None,
+        "solve_s": stage.seconds.solve if ran else None,
+        "stage_s": stage.seconds.stage if ran else None,
+        "total_s": stage.seconds.total if ran else None,
+        "replay_s": stage.seconds.replay if ran else None,
+    }
+
+
+def results_text(records: Iterable[RunRecord]) -> str:
+    """The whole file as text."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    for row in rows(records):
+        writer.writerow({name: _cell(value) for name, value in row.items()})
+    return text.getvalue()
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    return repr(value) if isinstance(value, float) else str(value)
+
+
+def write_results(path: Path, records: Iterable[RunRecord]) -> None:
+    """Write results.csv. Raises MachineError if the disk refuses."""
+    write_durably(path, results_text(records))

@@ -1,0 +1,91 @@
+"""A scene as the report shows it: names, units, start and goal, and its equations as presentation MathML."""
+
+from __future__ import annotations
+
+import html
+import re
+
+import sympy as sp
+from sympy.printing.mathml import mathml
+
+from models.dynamics import Dynamics, derive
+from models.scene import Scene
+from reports.record import EquationRecord, QuantityRecord, SceneRecord, ShapeRecord
+
+_ENTITY = re.compile(r"&([A-Za-z]+);")
+# The only names XML itself knows; everything else SymPy writes by name is an HTML entity, which a strict parser refuses.
+_XML_NAMES = frozenset({"lt", "gt", "amp", "quot", "apos"})
+
+
+def scene_record(scene: Scene) -> SceneRecord:
+    """The record of a scene; deriving its equations is what costs (some 10 ms)."""
+    dynamics = derive(scene)
+    contacts = [
+        QuantityRecord(name=contact.name, unit="N/m", description=contact.description, value=float(sp.sympify(stiffness).subs(scene.parameter_values)))
+        for contact, stiffness in zip(scene.contacts, dynamics.stiffness, strict=True)
+    ]
+    return SceneRecord(
+        name=scene.name,
+        title=scene.title,
+        source=scene.source,
+        coordinates=tuple(QuantityRecord(name=item.name, unit=item.unit, description=item.description) for item in scene.coordinates),
+        velocities=tuple(
+            QuantityRecord(name=item.velocity_name, unit=item.velocity_unit, description=f"velocity of {item.description or item.name}")
+            for item in scene.coordinates
+        ),
+        inputs=tuple(QuantityRecord(name=item.name, unit=item.unit, description=item.description) for item in scene.inputs),
+        contacts=tuple(contacts),
+        parameters=tuple(
+            QuantityRecord(name=item.name, unit=item.unit, description=item.description, value=item.value) for item in scene.parameters
+        ),
+        start=tuple(float(value) for value in scene.task.start),
+        goal=tuple(float(value) for value in scene.task.goal),
+        step=scene.task.step,
+        steps=scene.task.steps,
+        equations=equations(dynamics),
+        absent=dynamics.absent,
+        answers=tuple(
+            QuantityRecord(name=answer.quantity, unit="", description=answer.source, value=float(answer.value)) for answer in scene.answers
+        ),
+        shapes=tuple(
+            ShapeRecord(name=shape.name, kind=shape.kind, size=tuple(float(sp.sympify(size).subs(scene.parameter_values)) for size in shape.size))
+            for shape in scene.shapes
+        ),
+    )
+
+
+def equations(dynamics: Dynamics) -> tuple[EquationRecord, ...]:
+    """Equations of motion, gaps, contact law, time step and cost of a scene, in this order."""
+    found: list[tuple[str, sp.Basic]] = []
+    time, step = sp.Symbol("t", real=True), sp.Symbol("h", positive=True)
+    greek = {lam: sp.Symbol(lam.name.replace("lam_", "lambda_", 1), real=True) for lam in dynamics.lam}
+    force = dynamics.generalised_force.subs(greek)
+    rate = sp.Matrix([sp.Derivative(velocity, time, evaluate=False) for velocity in dynamics.v])
+    inertia = dynamics.mass_matrix * rate
+    for row, coordinate in enumerate(dynamics.scene.coordinates):
+        found.append((f"motion of {coordinate.name}", _equation(inertia[row], force[row])))
+    for contact, phi, k, lam in zip(dynamics.scene.contacts, dynamics.penetration, dynamics.stiffness, greek.values(), strict=True):
+        depth = sp.Symbol(f"phi_{contact.name}", real=True)
+        found.append((f"penetration of contact {contact.name} (its gap is the negative)", _equation(depth, phi)))
+        found.append((f"force of contact {contact.name}", _equation(lam, sp.Mul(k, sp.Max(depth, 0), evaluate=False))))
+    after = [sp.Symbol(f"{velocity.name}__t+1", real=True) for velocity in dynamics.v]
+    gain = dynamics.mass_matrix * sp.Matrix([new - old for new, old in zip(after, dynamics.v, strict=True)])
+    for row, coordinate in enumerate(dynamics.scene.coordinates):
+        found.append((f"time step of {coordinate.velocity_name}, contact forces at its start", _equation(gain[row], step * force[row])))
+    for coordinate, velocity in zip(dynamics.scene.coordinates, after, strict=True):
+        new = sp.Symbol(f"{coordinate.name}__t+1", real=True)
+        found.append((f"time step of {coordinate.name}", _equation(new, coordinate.symbol + step * velocity)))
+    cost = sp.Symbol("J")
+    found.append(("cost, summed over the steps", _equation(cost, sp.Sum(dynamics.running_cost, (time, 0, sp.Symbol("T") - 1)))))
+    return tuple(EquationRecord(caption=caption, mathml=presentation(equation)) for caption, equation in found)
+
+
+def _equation(left: sp.Basic, right: sp.Basic) -> sp.Basic:
+    return sp.Eq(left, right, evaluate=False)
+
+
+def presentation(expression: sp.Basic) -> str:
+    """Presentation MathML that any XML parser reads: a `math` element, entities as characters."""
+    inside = mathml(expression, printer="presentation")
+    plain = _ENTITY.sub(lambda match: match.group(0) if match.group(1) in _XML_NAMES else html.unescape(match.group(0)), inside)
+    return f'<math xmlns="http://www.w3.org/1998/Math/MathML" display="block">{plain}</math>'

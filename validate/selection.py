@@ -1,0 +1,79 @@
+"""`-k EXPR`: which cells of a campaign are meant.
+
+    matches("strict and not relaxed", ["three_cart", "softplus_dc+strict", "strict_lcp"])   # True
+
+A word is true if it is part of one of the cell's names (its scene, its pipeline, its methods), upper and lower case alike; words are
+joined with `and`, `or`, `not` and parentheses, as in pytest.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+from models.errors import TouchstoneError
+
+_TOKEN = re.compile(r"\s*(?:([()])|([^\s()]+))")
+
+
+class SelectionError(TouchstoneError):
+    """An expression that cannot be read."""
+
+
+def matches(expression: str, names: Iterable[str]) -> bool:
+    """Whether the expression is true of these names. Raises SelectionError."""
+    return _Parser(expression, tuple(name.lower() for name in names)).result()
+
+
+class _Parser:
+    """Recursive descent over: either = both ("or" both)*; both = item ("and" item)*; item = "not" item | "(" either ")" | word."""
+
+    def __init__(self, expression: str, names: tuple[str, ...]) -> None:
+        self._expression, self._names = expression, names
+        self._tokens = [mark or word for mark, word in _TOKEN.findall(expression)]
+        self._place = 0
+
+    def result(self) -> bool:
+        value = self._either()
+        if self._place < len(self._tokens):
+            raise self._error(f"{self._tokens[self._place]!r} was not expected there")
+        return value
+
+    def _either(self) -> bool:
+        value = self._both()
+        while self._take("or"):
+            value = self._both() or value
+        return value
+
+    def _both(self) -> bool:
+        value = self._item()
+        while self._take("and"):
+            value = self._item() and value
+        return value
+
+    def _item(self) -> bool:
+        if self._take("not"):
+            return not self._item()
+        if self._take("("):
+            value = self._either()
+            if not self._take(")"):
+                raise self._error("a ')' is missing")
+            return value
+        if self._place >= len(self._tokens):
+            raise self._error("a name is missing at its end")
+        word = self._tokens[self._place]
+        if word in {"and", "or", ")"}:
+            raise self._error(f"a name is missing before {word!r}")
+        self._place += 1
+        return any(word.lower() in name for name in self._names)
+
+    def _take(self, token: str) -> bool:
+        if self._place < len(self._tokens) and self._tokens[self._place] == token:
+            self._place += 1
+            return True
+        return False
+
+    def _error(self, problem: str) -> SelectionError:
+        return SelectionError(
+            f"-k {self._expression!r}: {problem}; write names joined with and, or, not, for example -k 'strict and not relaxed'."
+        )

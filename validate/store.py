@@ -1,0 +1,151 @@
+"""Where finished cells lie: one folder a cell, written aside, made durable, then renamed; no lock, nothing half-written.
+
+    DIR/runs/<key>/record.json, trajectory.nc, replay.nc, log.txt, cell.json      DIR/runs/.partial-*   being written
+
+Whatever kills a campaign, a folder under its key is whole. Two campaigns may write into the same DIR.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import shutil
+import socket
+import uuid
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from models.errors import MachineError, TouchstoneError
+
+if TYPE_CHECKING:
+    from reports.record import RunRecord
+
+RECORD, LOG, REQUEST, PROGRESS, MACHINE = "record.json", "log.txt", "cell.json", "progress.txt", "machine.txt"
+_PARTIAL = ".partial-"
+# What the operating system says when a disk will take no more, as opposed to a mistake of ours.
+_DISK_REFUSES = frozenset({errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG, errno.ENOTDIR})
+
+
+class StoreError(TouchstoneError):
+    """A folder that cannot be a campaign's folder."""
+
+
+def disk_error(path: Path, error: OSError) -> MachineError:
+    """One sentence for a disk that refuses."""
+    what = "the disk is full" if error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG} else (error.strerror or str(error)).lower()
+    return MachineError(f"cannot write {path} ({what}); make room or permit it, or give another folder with --out.")
+
+
+def disk_refuses(error: OSError) -> bool:
+    return error.errno in _DISK_REFUSES
+
+
+def write_durably(path: Path, text: str) -> None:
+    """Write a text file so that after this call either the old or the new content is there, whatever happens."""
+    aside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with open(aside, "w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(aside, path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            aside.unlink()
+        raise disk_error(path, error) from error
+
+
+class Store:
+    """The runs of one campaign folder; see the module docstring."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.runs = folder / "runs"
+
+    def prepare(self) -> None:
+        """Create the folder, see that it can be written, and remove what dead campaigns left. Raises StoreError, MachineError."""
+        if self.folder.exists() and not self.folder.is_dir():
+            raise StoreError(f"--out {self.folder}: there is a file of that name; a campaign needs a folder.")
+        try:
+            self.runs.mkdir(parents=True, exist_ok=True)
+            probe = self.runs / f"{_PARTIAL}probe-{uuid.uuid4().hex}"
+            probe.mkdir()
+            with contextlib.suppress(FileNotFoundError):  # another campaign tidied it away
+                probe.rmdir()
+        except OSError as error:
+            raise disk_error(self.folder, error) from error
+        for left in self.runs.glob(f"{_PARTIAL}*"):
+            if not _owner_lives(left.name):
+                shutil.rmtree(left, ignore_errors=True)
+
+    def read(self, key: str) -> RunRecord | None:
+        """The stored record of a cell, or None if there is none that can be read."""
+        from pydantic import ValidationError
+
+        from reports.record import RunRecord
+
+        try:
+            record = RunRecord.model_validate_json((self.runs / key / RECORD).read_bytes())
+        except (OSError, ValidationError):
+            return None
+        return record if record.key == key else None
+
+    def request_text(self, key: str) -> str:
+        """The request a stored cell was run with, as JSON; "{}" if it is not there."""
+        try:
+            return (self.runs / key / REQUEST).read_text(encoding="utf-8")
+        except OSError:
+            return "{}"
+
+    def open_partial(self, key: str, token: str) -> Path:
+        """A new folder for a cell that is about to run."""
+        folder = self.runs / f"{_PARTIAL}{key[:12]}-{token}-{os.getpid()}-{socket.gethostname()}"
+        try:
+            folder.mkdir()
+        except OSError as error:
+            raise disk_error(folder, error) from error
+        return folder
+
+    def commit(self, partial: Path, key: str) -> Path:
+        """Make a partial folder durable and give it its name; an older run of the same key is replaced."""
+        target = self.runs / key
+        try:
+            for path in sorted(partial.iterdir()):
+                _fsync(path)
+            _fsync(partial)
+            if target.exists():
+                old = partial.with_name(f"{partial.name}-old")
+                os.rename(target, old)
+                os.rename(partial, target)
+                shutil.rmtree(old, ignore_errors=True)
+            else:
+                os.rename(partial, target)
+            _fsync(self.runs)
+        except OSError as error:
+            raise disk_error(target, error) from error
+        return target
+
+
+def _owner_lives(name: str) -> bool:
+    """Whether the process that opened a partial folder may still be at work: a living one here, or any on another machine."""
+    parts = name.split("-", 4)
+    if len(parts) < 5 or not parts[3].isdigit():
+        return False
+    if parts[4].removesuffix("-old") != socket.gethostname():
+        return True
+    try:
+        os.kill(int(parts[3]), 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
+
+
+def _fsync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

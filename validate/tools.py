@@ -1,0 +1,113 @@
+"""What a campaign works with: where methods and pipelines come from, and who judges. Ours by default, anybody's by a dotted name.
+
+    python -m validate all --tools my_package.my_module:TOOLS
+
+`TOOLS` is a `Tools`; what it does not replace stays ours. The name travels to the child processes, which import it themselves, so
+the module must be importable there (installed, or on PYTHONPATH).
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from models.errors import MachineError, UnknownNameError
+
+if TYPE_CHECKING:
+    from formulations.method import Method, Pipeline
+    from models.scene import Scene
+    from models.trajectory import Trajectory
+
+DEFAULT_TOOLS = "validate.tools:DEFAULT"
+
+
+def _load_method(name: str) -> Method:
+    from formulations.catalog import load_method
+
+    return load_method(name)
+
+
+def _pipelines_for(scene: Scene) -> tuple[Pipeline, ...]:
+    from formulations.pipeline import pipelines_for
+
+    return pipelines_for(scene)
+
+
+def _build_fmu(scene: Scene) -> Path:
+    from models.fmu import build_fmu
+
+    return build_fmu(scene)
+
+
+def _replay(scene: Scene, fmu: Path, trajectory: Trajectory) -> Any:
+    from validate.replay import replay
+
+    return replay(scene, fmu, trajectory)
+
+
+def _score(scene: Scene, trajectory: Trajectory, replay: Any) -> Any:
+    from validate.score import score
+
+    return score(scene, trajectory, replay)
+
+
+def _write_replay(path: Path, replay: Any, scene: Scene) -> None:
+    from validate.replay.netcdf import write_replay
+
+    write_replay(path, replay, scene)
+
+
+def _write_report(folder: Path) -> Path:
+    from reports.load import ReportError
+    from reports.render import write_report
+
+    try:
+        return write_report(folder)
+    except ReportError as error:  # of a room that knows none of our errors
+        raise MachineError(str(error)) from error
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tools:
+    """See the module docstring. `quick` names the pipelines that `--quick` runs."""
+
+    load_method: Callable[[str], Method] = _load_method
+    pipelines_for: Callable[[Scene], tuple[Pipeline, ...]] = _pipelines_for
+    quick: tuple[str, ...] | None = None
+    build_fmu: Callable[[Scene], Path] = _build_fmu
+    replay: Callable[[Scene, Path, Trajectory], Any] = _replay
+    score: Callable[[Scene, Trajectory, Any], Any] = _score
+    write_replay: Callable[[Path, Any, Scene], None] = _write_replay
+    write_report: Callable[[Path], Path] = _write_report
+
+    def quick_names(self) -> tuple[str, ...]:
+        from formulations.pipeline import QUICK
+
+        return QUICK if self.quick is None else self.quick
+
+
+DEFAULT = Tools()
+
+
+def load_tools(reference: str) -> Tools:
+    """The Tools of a dotted name `module:NAME`. Raises UnknownNameError."""
+    module_name, _, name = reference.partition(":")
+    try:
+        module = importlib.import_module(module_name)
+    except ImportError as error:
+        raise UnknownNameError(f"--tools {reference}: the module {module_name!r} cannot be imported ({error}); write module:NAME.") from error
+    tools = getattr(module, name or "TOOLS", None)
+    if not isinstance(tools, Tools):
+        raise UnknownNameError(f"--tools {reference}: {module_name} has no {name or 'TOOLS'} that is a validate.tools.Tools.")
+    return tools
+
+
+def tools_source(reference: str) -> str:
+    """The source text of the module a reference names, for the key of a cell; empty for our own (hashed with our sources)."""
+    if reference == DEFAULT_TOOLS:
+        return ""
+    return inspect.getsource(importlib.import_module(reference.partition(":")[0]))

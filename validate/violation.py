@@ -1,0 +1,122 @@
+"""Fig. 2 of the paper: the worst-case violation D of complementarity that a relaxation permits at eps.
+
+    D = max over phi of lam * (lam - k * phi)            [N^2]
+
+For softplus contact lam is what the *compiled* contact law says, and the maximum is searched for, on a grid and then by golden
+section; beside it stands the closed form (k ln2 / ln eps)^2, reached at phi = 0. For the relaxed LCP lam is free within
+lam >= 0, lam - k*phi >= 0, lam*(lam - k*phi) <= eps, and the worst is searched for over that set; it is eps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from models.codegen.kernel import Kernel, load_kernel
+from models.contact_law import ContactLaw, sharpness, worst_case_violation
+from models.dynamics import derive
+from models.scene import Scene
+from reports.record import ViolationPoint
+from validate.store import write_durably
+
+SOFTPLUS_EPS = tuple(10.0**-power for power in range(1, 13))
+RELAXED_EPS = tuple(10.0**-power for power in range(1, 9))
+# Agreement that Fig. 2 must show; the search itself ends far below it.
+TOLERANCE = 1e-6
+# Widths of the softplus transition, 1/b, that are searched on either side of phi = 0: beyond 40 its violation is below 1e-14 of the peak.
+_WIDTHS, _GRID = 40.0, 2000  # an even number: phi = 0 is found, not given
+_GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
+
+
+def measure(scene: Scene) -> tuple[ViolationPoint, ...]:
+    """The points of Fig. 2 for the first contact of a scene; none for a scene without contacts. Raises MachineError."""
+    if scene.nc == 0:
+        return ()
+    kernel = load_kernel(scene)
+    stiffness = float(kernel.stiffness()[0])
+    softplus = tuple(
+        ViolationPoint(
+            law="softplus", eps=eps, measured=softplus_violation(scene, kernel, eps), closed_form=worst_case_violation(stiffness, eps)
+        )
+        for eps in SOFTPLUS_EPS
+    )
+    relaxed = tuple(
+        ViolationPoint(law="relaxed_lcp", eps=eps, measured=relaxed_violation(stiffness, eps), closed_form=eps) for eps in RELAXED_EPS
+    )
+    return softplus + relaxed
+
+
+def softplus_violation(scene: Scene, kernel: Kernel, eps: float) -> float:
+    """The largest lam*(lam - k*phi) [N^2] of the compiled softplus law at the first contact of a scene."""
+    stiffness = kernel.stiffness()
+    path = _through_contact(scene, kernel)
+
+    def violation(depth: np.ndarray) -> np.ndarray:
+        q = path(depth)
+        lam = kernel.contact_force(q, ContactLaw.SOFTPLUS, eps)[:, 0]
+        return lam * (lam - stiffness[0] * kernel.penetration(q)[:, 0])
+
+    width = _WIDTHS / sharpness(eps)
+    grid = np.linspace(-width, width, _GRID)
+    best = int(np.argmax(violation(grid)))
+    return _golden_section(lambda depth: float(violation(np.array([depth]))[0]), grid[max(best - 1, 0)], grid[min(best + 1, _GRID - 1)])
+
+
+def _through_contact(scene: Scene, kernel: Kernel) -> Callable[[np.ndarray], np.ndarray]:
+    """Positions q (n, nq) along the gradient of the first penetration whose penetration is, to first order, the given depth."""
+    start = np.array([scene.task.start[: scene.nq]], dtype=float)
+    jacobian = derive(scene).function(derive(scene).gap_jacobian, derive(scene).q)
+    direction = -jacobian(start[0])[0]
+    direction = direction / (direction @ direction)
+    touching = start - kernel.penetration(start)[0, 0] * direction
+    return lambda depth: touching + np.asarray(depth, dtype=float)[:, None] * direction
+
+
+def _golden_section(function: Callable[[float], float], left: float, right: float) -> float:
+    """The largest value of a function with one peak between left and right; 60 cuts shrink the bracket to rounding."""
+    inner, outer = right - _GOLDEN * (right - left), left + _GOLDEN * (right - left)
+    at_inner, at_outer = function(inner), function(outer)
+    largest = max(at_inner, at_outer)
+    for _ in range(60):
+        if at_inner < at_outer:
+            left, inner, at_inner = inner, outer, at_outer
+            outer = left + _GOLDEN * (right - left)
+            at_outer = function(outer)
+        else:
+            right, outer, at_outer = outer, inner, at_inner
+            inner = right - _GOLDEN * (right - left)
+            at_inner = function(inner)
+        largest = max(largest, at_inner, at_outer)
+    return largest
+
+
+def relaxed_violation(stiffness: float, eps: float) -> float:
+    """The largest lam*(lam - k*phi) [N^2] over the feasible set of the relaxed LCP, by search over phi and bisection in lam."""
+    scale = math.sqrt(eps) / stiffness
+    largest = 0.0
+    for phi in np.linspace(-100.0 * scale, 100.0 * scale, 401):
+        # The product grows with lam from the smallest feasible force; the largest feasible one is bracketed and cut in half.
+        low = max(0.0, stiffness * phi)
+        high = low + math.sqrt(eps) + 1.0
+        while high * (high - stiffness * phi) <= eps:
+            high = low + 2.0 * (high - low)
+        for _ in range(100):
+            middle = (low + high) / 2.0
+            if middle * (middle - stiffness * phi) <= eps:
+                low = middle
+            else:
+                high = middle
+        largest = max(largest, low * (low - stiffness * phi))
+    return largest
+
+
+def write_violation(path: Path, points: tuple[ViolationPoint, ...]) -> None:
+    """violation.csv: law, eps, measured, closed form and their relative difference."""
+    lines = ["law,eps,measured,closed_form,relative_difference"]
+    for point in points:
+        difference = abs(point.measured - point.closed_form) / point.closed_form
+        lines.append(",".join([point.law, *(repr(value) for value in (point.eps, point.measured, point.closed_form, difference))]))
+    write_durably(path, "\n".join(lines) + "\n")

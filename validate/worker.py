@@ -1,0 +1,229 @@
+"""One child process a cell: started, watched, ended, and its end put into words.
+
+    worker = Worker(cell, scene, provenance, store, watchdog)
+    while (record := worker.poll()) is None: ...         # a RunRecord whatever happened, already stored
+
+The child runs in a session of its own, with its output in log.txt and nothing but its result file believed: a process
+that exits with 0 and leaves no record has crashed; one that left a whole record has answered, whatever its exit code.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from typing import TYPE_CHECKING
+
+from models.errors import MachineError
+from validate import reaper
+from validate.cell import Cell
+from validate.child import PARENT_VARIABLE
+from validate.provenance import child_environment
+from validate.store import LOG, MACHINE, PROGRESS, RECORD, REQUEST, Store, disk_error, write_durably
+
+if TYPE_CHECKING:
+    from reports.record import ProvenanceRecord, RunRecord, SceneRecord
+    from validate.records import Planned
+
+_TAIL_BYTES = 20_000
+_TEMPORARY = "tmp"
+
+
+class Watchdog:
+    """The process that tidies up after us if we are killed (validate.reaper)."""
+
+    def __init__(self) -> None:
+        command = [sys.executable, "-I", "-S", reaper.__file__]
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True, text=True, bufsize=1
+        )
+
+    def tell(self, *words: str) -> None:
+        if self._process.stdin is not None:
+            with contextlib.suppress(BrokenPipeError):
+                self._process.stdin.write(" ".join(words) + "\n")
+
+    def close(self) -> None:
+        if self._process.stdin is not None:
+            with contextlib.suppress(BrokenPipeError):
+                self._process.stdin.close()
+        self._process.wait()
+
+    def __enter__(self) -> Watchdog:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class Worker:
+    """One running cell; see the module docstring. Starting it raises MachineError if the folder cannot be written."""
+
+    def __init__(
+        self, cell: Cell, scene: SceneRecord, plan: tuple[Planned, ...], provenance: ProvenanceRecord, store: Store, watchdog: Watchdog
+    ) -> None:
+        self.cell, self._scene, self._plan, self._provenance, self._store, self._watchdog = cell, scene, plan, provenance, store, watchdog
+        self._token = uuid.uuid4().hex
+        self._cpu = 0.0
+        self._folder = store.open_partial(cell.key, self._token).resolve()
+        watchdog.tell("start", self._token, str(self._folder))
+        self._began = time.monotonic()
+        try:
+            self._process = self._start()
+        except BaseException:
+            reaper.end_all(self._token)
+            self._forget()
+            raise
+
+    def _start(self) -> subprocess.Popen[bytes]:
+        request = {"cell": self.cell.to_json(), "provenance": self._provenance.model_dump(mode="json")}
+        write_durably(self._folder / REQUEST, json.dumps(request, indent=1))
+        temporary = self._folder / _TEMPORARY
+        try:
+            temporary.mkdir()
+            log = open(self._folder / LOG, "wb")  # noqa: SIM115 - closed below, once the child has it
+        except OSError as error:
+            raise disk_error(self._folder, error) from error
+        environment = child_environment(reaper.TOKEN_VARIABLE, self._token, temporary)
+        environment[PARENT_VARIABLE] = str(os.getpid())
+        with log:
+            return subprocess.Popen(
+                # -P: the child's own folder is not searched for modules.
+                [sys.executable, "-P", "-m", "validate.child", str(self._folder)],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                cwd=temporary,
+                env=environment,
+                start_new_session=True,
+            )
+
+    def progress(self) -> str:
+        """Where the cell is, in words."""
+        try:
+            return (self._folder / PROGRESS).read_text(encoding="utf-8")
+        except OSError:
+            return "its start"
+
+    def poll(self) -> RunRecord | None:
+        """None while it runs; then its record, which is stored. Raises MachineError if the cell found that this machine cannot."""
+        over_time = time.monotonic() - self._began > self.cell.time_limit
+        ended = self._has_ended()
+        if not ended and not over_time:
+            return None
+        self._end_processes()
+        record = self._record(None if ended else "time_limit")
+        try:
+            self._file(record)
+        finally:
+            self._forget()
+        return record
+
+    def stop(self) -> None:
+        """End the cell and leave nothing of it."""
+        self._end_processes()
+        self._forget()
+
+    def _has_ended(self) -> bool:
+        """Whether the child ended. It is looked at without being waited for: until then its group's number cannot be given to another."""
+        if not hasattr(os, "waitid"):  # macOS before Python 3.13
+            return self._process.poll() is not None
+        return os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+
+    def _end_processes(self) -> None:
+        reaper.end_all(self._token, self._process.pid)
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        self._process.wait()
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        self._cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+    def _forget(self) -> None:
+        shutil.rmtree(self._folder, ignore_errors=True)
+        self._watchdog.tell("stop", self._token)
+
+    def _file(self, record: RunRecord) -> None:
+        answered = any(stage.plan_trace is not None for stage in record.stages)
+        for path in self._folder.iterdir():
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            elif path.name not in {RECORD, LOG, REQUEST} and not (answered and path.suffix == ".nc"):
+                path.unlink(missing_ok=True)
+        self._store.commit(self._folder, record.key)
+
+    def _record(self, ended_by: str | None) -> RunRecord:
+        """The child's record if it is whole, else one that says how the child ended."""
+        from pydantic import ValidationError
+
+        from reports.record import RunRecord
+
+        problem = ""
+        try:
+            record = RunRecord.model_validate_json((self._folder / RECORD).read_bytes())
+            if record.key == self.cell.key:
+                return record
+            problem = "its result file belongs to another cell"
+        except FileNotFoundError:
+            problem = "it left no result" if self._process.returncode == 0 else ""
+        except (OSError, ValidationError) as error:
+            problem = f"its result file cannot be read ({type(error).__name__})"
+        with contextlib.suppress(OSError):
+            raise MachineError((self._folder / MACHINE).read_text(encoding="utf-8"))
+        return self._failure(ended_by, problem)
+
+    def _failure(self, ended_by: str | None, problem: str) -> RunRecord:
+        from formulations.solution import Outcome
+        from validate.records import run_record, unfinished_stage
+
+        place = self.progress()
+        log = self._log()
+        if ended_by == "time_limit":
+            outcome = Outcome.TIME_LIMIT
+            message = f"ended at its time limit of {self.cell.time_limit:g} s, during {place}."
+        else:
+            outcome = Outcome.CRASHED
+            words = [f"the process ended with {_exit_in_words(self._process.returncode)} during {place}", problem, _last_words(log, self._process.returncode)]
+            message = "; ".join(filter(None, words)) + "."
+        stages = [unfinished_stage(self._scene.name, self.cell.pipeline.name, planned, outcome, message) for planned in self._plan]
+        record = run_record(
+            self.cell,
+            self._scene,
+            stages,
+            self._provenance,
+            wall=time.monotonic() - self._began,
+            cpu=self._cpu,
+            log=log,
+            outcome=outcome.name.lower(),
+            message=message,
+        )
+        write_durably(self._folder / RECORD, record.model_dump_json(indent=1))
+        return record
+
+    def _log(self) -> str:
+        try:
+            with open(self._folder / LOG, "rb") as file:
+                file.seek(max(0, os.path.getsize(self._folder / LOG) - _TAIL_BYTES))
+                return file.read().decode("utf-8", errors="replace")
+        except OSError as error:
+            raise disk_error(self._folder / LOG, error) from error
+
+
+def _exit_in_words(code: int) -> str:
+    if code >= 0:
+        return f"exit code {code}"
+    try:
+        return f"signal {-code} ({signal.Signals(-code).name})"
+    except ValueError:
+        return f"signal {-code}"
+
+
+def _last_words(log: str, code: int) -> str:
+    """The last line of the log where it tells why: that of a Python traceback."""
+    lines = [line.strip() for line in log.splitlines() if line.strip()]
+    return f"its last words: {lines[-1][:300]}" if code > 0 and lines and "Traceback" in log else ""
