@@ -11,8 +11,10 @@ Semi-implicit Euler with the paper's indices: lam[t] = L(phi(q[t])), v[t+1] = v[
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -67,6 +69,14 @@ class Rollout:
         return self.finite_steps < len(self.lam)
 
 
+class BoundFunctions(NamedTuple):
+    """The C functions of rollout.c: counts and numbers as they are, arrays as addresses of float64, row-major."""
+
+    rollout: Callable[..., int]
+    adjoint: Callable[..., int]
+    cost: Callable[..., float]
+
+
 def load_kernel(scene: Scene) -> Kernel:
     """Compile (or find in the cache) the kernel of a scene. Raises MachineError without a compiler."""
     compiler = find_compiler()
@@ -87,6 +97,15 @@ class Kernel:
             function.restype, function.argtypes = result, [_TYPES[letter] for letter in arguments]
         values = [parameter.value for parameter in scene.parameters]
         self._p = np.array(values or [0.0])
+
+    @property
+    def parameters(self) -> np.ndarray:
+        """(np,) parameter values of the scene, as the C functions read them."""
+        return self._p
+
+    def bound_functions(self) -> BoundFunctions:
+        """The C functions themselves, for callers that keep their own buffers and addresses (`models.codegen.workspace`)."""
+        return BoundFunctions(self._library.kernel_rollout, self._library.kernel_adjoint, self._library.kernel_cost)
 
     def penetration(self, q: np.ndarray) -> np.ndarray:
         """phi (n, nc) [m] at positions q (n, nq)."""

@@ -1,0 +1,16 @@
+"""Single shooting by gradient descent through the true contact law: exact forces, but none - and no gradient - at a distance."""
+
+from formulations.method import Kind
+from formulations.shooting.method import DescentMethod
+from models.contact_law import ContactLaw
+
+
+class ReluGD(DescentMethod):
+    name = "relu_gd"
+    title = "Gradient descent on ReLU contact"
+    kind = Kind.DIRECT
+    needs_eps = False
+    law = ContactLaw.RELU
+
+
+METHOD = ReluGD()

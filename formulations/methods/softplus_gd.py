@@ -1,0 +1,16 @@
+"""Single shooting by gradient descent through softplus contact: the forces are smooth, present at a distance, and unphysical."""
+
+from formulations.method import Kind
+from formulations.shooting.method import DescentMethod
+from models.contact_law import ContactLaw
+
+
+class SoftplusGD(DescentMethod):
+    name = "softplus_gd"
+    title = "Gradient descent on softplus contact"
+    kind = Kind.INDIRECT
+    needs_eps = True
+    law = ContactLaw.SOFTPLUS
+
+
+METHOD = SoftplusGD()

@@ -1,0 +1,119 @@
+"""Why a descent ends where it ends, in numbers and then in words.
+
+The rows of S = d x_T / d u, one adjoint each, tell what the inputs can still do: a coordinate whose row is zero stays where it
+is, whatever its error. With a dead ReLU that is every body that only contact moves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from formulations.shooting.objective import Objective
+from models.contact_law import ContactLaw
+from models.scene import Scene
+
+# A coordinate counts as missed beyond this share of its nominal size, and as out of reach if one iteration closes less than
+# this share of its error through its own row of S (a million iterations would not get there).
+_MISSED = 1e-6
+_OUT_OF_REACH = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sensitivity:
+    """Of the last state at the objective's last rollout: to_inputs (2*nq, steps*nu), to_start (2*nq, 2*nq)."""
+
+    to_inputs: np.ndarray
+    to_start: np.ndarray
+
+    @property
+    def growth(self) -> float:
+        """Largest factor by which a disturbance of the start grows over the horizon."""
+        return float(np.linalg.norm(self.to_start, 2))
+
+    def stable_rate(self, objective: Objective) -> float:
+        """Largest learning rate at which descending the terminal error does not overshoot: 2 / curvature."""
+        curvature = 2.0 * objective.weights.terminal / len(self.to_inputs) * np.linalg.norm(self.to_inputs, 2) ** 2
+        return float(2.0 / curvature) if curvature > 0.0 else np.inf
+
+
+def sensitivity(objective: Objective) -> Sensitivity:
+    """Derivatives of the last state, by one adjoint sweep for each of its components."""
+    work = objective.work
+    rows_u, rows_x = [], []
+    for index in range(len(objective.error)):
+        work.end_bar[:] = 0.0
+        work.end_bar[index] = 1.0
+        rows_u.append(work.adjoint().ravel().copy())
+        rows_x.append(work.start_bar.copy())
+    return Sensitivity(to_inputs=np.array(rows_u), to_start=np.array(rows_x))
+
+
+def out_of_reach(objective: Objective, rows: Sensitivity, learning_rate: float) -> list[str]:
+    """Names of the coordinates that miss the goal and that no gradient moves, each with its error, for a sentence."""
+    scene = objective.work.kernel.scene
+    found = []
+    for index, coordinate in enumerate(scene.coordinates):
+        closes = (
+            learning_rate * objective.weights.terminal / len(objective.error) * 2.0 * float(rows.to_inputs[index] @ rows.to_inputs[index])
+        )
+        if abs(objective.error[index]) > _MISSED * coordinate.nominal and closes < _OUT_OF_REACH:
+            slope = float(np.linalg.norm(rows.to_inputs[index]))
+            found.append(
+                f"{coordinate.name} (it misses its goal by {abs(objective.error[index]):.3g} {coordinate.unit}; |d {coordinate.name}/d u| = {slope:.2g})"
+            )
+    return found
+
+
+def dead_contact_message(objective: Objective, rows: Sensitivity, learning_rate: float) -> str:
+    """A sentence if a coordinate misses the goal and nothing moves it, else ""."""
+    found = out_of_reach(objective, rows, learning_rate)
+    if not found:
+        return ""
+    names = " and ".join(found)
+    work = objective.work
+    scene, relu = work.kernel.scene, work.law is ContactLaw.RELU
+    consequence = f"so the loss has no gradient towards moving {names}"
+    if not scene.nc:
+        return f"no input reaches it, {consequence}."
+    phi = work.kernel.penetration(work.q[:-1])
+    if relu:
+        never = [index for index in range(scene.nc) if phi[:, index].max() <= 0.0]
+        if len(never) == scene.nc:
+            what = f"no contact is made anywhere on the trajectory ({_gaps(scene, phi, never, work.step)})"
+        elif never:
+            what = f"contact {' and '.join(scene.contacts[index].name for index in never)} is never made ({_gaps(scene, phi, never, work.step)})"
+        else:
+            what = "every contact is made, but none carries an input's effect to the end"
+        return f"{what}, {consequence}; start from a softplus stage."
+    force = float(work.lam.max())
+    everywhere = list(range(scene.nc))
+    return f"the relaxed contact is too faint (largest force {force:.2g} N; {_gaps(scene, phi, everywhere, work.step)}), {consequence}; start from a larger eps."
+
+
+def _gaps(scene: Scene, phi: np.ndarray, contacts: list[int], step: float) -> str:
+    closest = [(scene.contacts[index].name, int(phi[:, index].argmax()), -float(phi[:, index].max())) for index in contacts]
+    return "smallest gap " + ", ".join(f"{name} {gap:.3g} m at t = {node * step:.3g} s" for name, node, gap in closest)
+
+
+def divergence_message(objective: Objective, learning_rate: float, iteration: int, best: np.ndarray | None) -> str:
+    """What went wrong at this iteration, and the growth and the rate measured at the best inputs seen (None if there are none)."""
+    work = objective.work
+    if objective.finite:
+        what = f"after {iteration} iterations at learning rate {learning_rate:g} the loss climbs instead of descending"
+    else:
+        what = (
+            f"after {iteration} iterations at learning rate {learning_rate:g} the rollout is no longer finite beyond step {work.finite_steps} "
+            f"(t = {work.finite_steps * work.step:.3g} s)"
+        )
+    if best is None:
+        return f"{what}."
+    objective.value(best)
+    rows = sensitivity(objective)
+    advice = f"a learning rate below {_one_digit(rows.stable_rate(objective))} would not overshoot there"
+    return f"{what}; at the best plan a disturbance of the start grows by a factor of {rows.growth:.3g} over the horizon, and {advice}."
+
+
+def _one_digit(value: float) -> str:
+    return f"{float(f'{value:.0e}'):g}"
