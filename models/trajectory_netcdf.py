@@ -1,0 +1,66 @@
+"""Plans in NetCDF-4 files: one variable a column, named and with units as the scene has them.
+
+write_netcdf(path, trajectory, scene)
+trajectory = read_netcdf(path, scene)        # bit for bit what was written
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from models.errors import TrajectoryError
+from models.netcdf import Column, numbers, read_columns, write_columns
+from models.scene import Scene
+from models.trajectory import Hold, Trajectory
+
+_CONTENT = "touchstone plan"
+
+
+def _columns(scene: Scene) -> dict[str, list[tuple[str, str, str]]]:
+    """(name, unit, description) of the columns of q, v, u, lam."""
+    return {
+        "q": [(item.name, item.unit, item.description) for item in scene.coordinates],
+        "v": [(item.velocity_name, item.velocity_unit, f"velocity of {item.name}") for item in scene.coordinates],
+        "u": [(item.name, item.unit, item.description) for item in scene.inputs],
+        "lam": [(item.force_name, "N", f"contact force, {item.description or item.name}") for item in scene.contacts],
+    }
+
+
+def write_netcdf(path: Path, trajectory: Trajectory, scene: Scene) -> None:
+    """Write a plan. Raises TrajectoryError if it does not fit the scene, MachineError if the file cannot be written."""
+    trajectory.check_fits(scene)
+    columns = [Column(name="t", dimension="node", values=trajectory.t, unit="s", description="time")]
+    for field, group in _columns(scene).items():
+        array = getattr(trajectory, field)
+        dimension = "node" if field in ("q", "v") else "step"
+        columns += [
+            Column(name=name, dimension=dimension, values=array[:, index], unit=unit, description=text)
+            for index, (name, unit, text) in enumerate(group)
+        ]
+    write_columns(path, columns, {"content": _CONTENT, "scene": scene.name, "hold": trajectory.hold.value})
+
+
+def read_netcdf(path: Path, scene: Scene) -> Trajectory:
+    """Read a plan of this scene. Raises TrajectoryError naming the file and the column."""
+    columns, attributes = read_columns(path)
+    if attributes.get("content") != _CONTENT:
+        raise TrajectoryError(f"file {path}: it holds {attributes.get('content', 'something else')!r}, not a plan.")
+    if attributes.get("scene") != scene.name:
+        raise TrajectoryError(f"file {path}: it holds a plan of scene {attributes.get('scene')!r}, not of {scene.name!r}.")
+    try:
+        hold = Hold(attributes.get("hold"))
+    except ValueError:
+        known = ", ".join(item.value for item in Hold)
+        raise TrajectoryError(f"file {path}: hold is {attributes.get('hold')!r}, but must be one of {known}.") from None
+    t = numbers(path, columns, "t", "s")
+    arrays = {}
+    for field, group in _columns(scene).items():
+        size = len(t) if field in ("q", "v") else max(len(t) - 1, 0)
+        stacked = [numbers(path, columns, name, unit, size) for name, unit, _ in group]
+        arrays[field] = np.column_stack(stacked) if stacked else np.zeros((size, 0))
+    try:
+        return Trajectory(t=t, hold=hold, **arrays)
+    except TrajectoryError as error:
+        raise TrajectoryError(f"{error} (file {path})") from error

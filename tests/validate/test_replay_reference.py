@@ -1,0 +1,182 @@
+"""The reference integrator against closed forms, on small models written in Python: no FMU, no generated C."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+
+from models.trajectory import Hold, Trajectory, uniform_grid
+from validate.replay.inputs import HeldInputs
+from validate.replay.reference import INNER_POINTS, integrate
+from validate.replay.result import ReplayOutcome
+
+RTOL = 1e-12
+
+
+class Point:
+    """One coordinate, dv/dt = force(q, v, u, contact mode): the mode is frozen between events, as in an FMU."""
+
+    accumulated = 1
+    outputs = 2
+
+    def __init__(
+        self,
+        force: Callable[[float, float, float, bool], float],
+        gap: Callable[[float], float] | None = None,
+        bounce: float | None = None,
+        wants_steps: bool = False,
+    ) -> None:
+        self.force, self.gap, self.bounce, self.wants_steps = force, gap, bounce, wants_steps
+        self.indicators = 0 if gap is None else 1
+        self.nominal = np.ones(2)
+        self.u = 0.0
+        self.closed = False
+        self.events = 0
+        self.steps = 0
+
+    def start(self, time: float, state: np.ndarray, u: np.ndarray) -> np.ndarray:
+        self.set_inputs(u)
+        self.closed = self.gap is not None and self.gap(state[0]) < 0
+        return np.array(state)
+
+    def set_inputs(self, u: Sequence[float] | np.ndarray) -> None:
+        self.u = float(u[0]) if len(u) else 0.0
+
+    def rates(self, time: float, y: np.ndarray, rates: np.ndarray) -> None:
+        rates[:] = y[1], self.force(y[0], y[1], self.u, self.closed), self.u * y[1]
+
+    def indicate(self, time: float, y: np.ndarray, values: np.ndarray) -> None:
+        values[0] = self.gap(y[0]) if self.gap else 1.0
+
+    def read(self, time: float, y: np.ndarray) -> np.ndarray:
+        return np.array(y[:2])
+
+    def event(self, time: float, y: np.ndarray, u: np.ndarray | None) -> np.ndarray:
+        self.events += 1
+        if u is not None:
+            self.set_inputs(u)
+            return y
+        if self.bounce is not None:
+            return np.array([0.0, -self.bounce * y[1], y[2]])
+        self.closed = y[1] < 0
+        return y
+
+    def step_completed(self, time: float, y: np.ndarray) -> bool:
+        self.steps += 1
+        return False
+
+
+def plan(u: Sequence[float], step: float, hold: Hold = Hold.ZERO_ORDER) -> HeldInputs:
+    steps = len(u)
+    zeros = np.zeros((steps + 1, 1))
+    grid = uniform_grid(step, steps)
+    return HeldInputs(Trajectory(t=grid, q=zeros, v=zeros, u=np.array(u, dtype=float)[:, None], lam=np.zeros((steps, 0)), hold=hold))
+
+
+def free(q: float, v: float, u: float, closed: bool) -> float:
+    return u
+
+
+def test_held_inputs_give_the_exact_parabolas():
+    u = [1.0, -2.0, -2.0, 0.5]
+    run = integrate(Point(free), np.zeros(2), plan(u, 0.25), RTOL, 10)
+    q = v = work = 0.0
+    for value, knot in zip(u, run.knots[1:], strict=True):
+        q, v, work = q + 0.25 * v + value * 0.25**2 / 2, v + 0.25 * value, work + value * (0.25 * v + value * 0.25**2 / 2)
+        assert run.outputs[knot] == pytest.approx([q, v], abs=1e-12)
+        assert run.accumulated[knot][0] == pytest.approx(work, abs=1e-12)
+
+
+def test_ramped_inputs_are_applied_within_the_step():
+    """u = t on [0, 1]: q = t^3/6 at every recorded point. The last step of the plan is held."""
+    steps = 6
+    run = integrate(Point(free), np.zeros(2), plan(uniform_grid(0.2, steps - 1), 0.2, Hold.LINEAR), RTOL, 10)
+    assert len(run.t) == steps * (INNER_POINTS + 1) + 1
+    for t, (q, v) in zip(run.t, run.outputs, strict=True):
+        if t <= 1.0:
+            assert q == pytest.approx(t**3 / 6, abs=1e-12)
+            assert v == pytest.approx(t**2 / 2, abs=1e-12)
+    held = integrate(Point(free), np.zeros(2), plan(uniform_grid(0.2, steps - 1), 0.2), RTOL, 10)
+    assert abs(held.outputs[-1][0] - run.outputs[-1][0]) > 1e-2  # the hold convention makes a difference that a test can see
+
+
+def test_a_ramp_that_turns_restarts_the_integrator_where_it_turns():
+    u = np.array([0.0, 1.0, 0.0, -1.0, 0.0])
+    run = integrate(Point(free), np.zeros(2), plan(u, 0.5, Hold.LINEAR), RTOL, 10)
+    q = v = 0.0
+    for first, last in zip(u, np.append(u[1:], u[-1]), strict=True):
+        q, v = q + 0.5 * v + 0.25 * (first / 3 + last / 6), v + 0.25 * (first + last)
+    assert run.outputs[-1] == pytest.approx([q, v], abs=1e-12)
+
+
+def test_inputs_that_do_not_change_cost_no_restart():
+    model = Point(free)
+    integrate(model, np.zeros(2), plan([1.0] * 50, 0.01), RTOL, 10)
+    assert model.events == 0
+
+
+def test_a_bounce_on_a_spring_is_timed_to_the_closed_form():
+    mass, gravity, stiffness, drop = 1.0, 9.81, 1000.0, 0.5
+    rate, speed = math.sqrt(stiffness / mass), math.sqrt(2 * gravity * drop)
+    fall = speed / gravity
+    contact = (2 * math.pi - 2 * math.atan2(speed / rate, mass * gravity / stiffness)) / rate
+    model = Point(lambda q, v, u, closed: -gravity - (stiffness * q if closed else 0.0), gap=lambda q: q)
+    run = integrate(model, np.array([drop, 0.0]), plan([0.0] * 70, 0.01), RTOL, 10)
+    assert [closes for _, _, closes in run.events] == [True, False]
+    assert [time for time, _, _ in run.events] == pytest.approx([fall, fall + contact], abs=1e-10)
+    q, v = run.outputs[-1]
+    assert v**2 / 2 + gravity * q == pytest.approx(gravity * drop, rel=1e-10)
+
+
+def test_events_are_points_of_the_grid_and_knots_stay_the_plan():
+    model = Point(lambda q, v, u, closed: -10.0 - (1e3 * q if closed else 0.0), gap=lambda q: q)
+    held = plan([0.0] * 40, 0.01)
+    run = integrate(model, np.array([0.2, 0.0]), held, 1e-10, 10)
+    assert np.array(run.t)[run.knots].tolist() == held.times.tolist()
+    assert all(time in run.t for time, _, _ in run.events)
+    assert (np.diff(run.t) > 0).all()
+
+
+def test_a_bouncing_ball_that_comes_to_rest_ends_with_its_event_budget():
+    """Zeno: restitution 1/2 from 1 m at 10 m/s^2 rests after sqrt(0.2)*3 = 1.34 s, after infinitely many events."""
+    run = integrate(Point(lambda q, v, u, closed: -10.0, gap=lambda q: q, bounce=0.5), np.array([1.0, 0.0]), plan([0.0] * 200, 0.01), RTOL, 12)
+    assert run.outcome is ReplayOutcome.EVENT_BUDGET
+    assert "12" in run.message
+    first = math.sqrt(0.2)
+    assert [time for time, _, _ in run.events[:3]] == pytest.approx([first, 2 * first, 2.5 * first], abs=1e-9)
+    assert run.t[-1] < 3 * first
+
+
+def test_a_state_that_runs_away_is_an_outcome():
+    run = integrate(Point(lambda q, v, u, closed: v * v), np.array([0.0, 1.0]), plan([0.0] * 200, 0.01), RTOL, 10)
+    assert run.outcome in (ReplayOutcome.DIVERGED, ReplayOutcome.INTEGRATION_FAILED)
+    assert 0.9 < run.t[-1] < 1.0  # v = 1/(1 - t)
+    assert np.isfinite(np.array(run.outputs)).all()
+
+
+def test_exponential_growth_stops_at_the_bound():
+    run = integrate(Point(lambda q, v, u, closed: 400.0 * q), np.array([1.0, 20.0]), plan([0.0] * 300, 0.01), RTOL, 10)
+    assert run.outcome is ReplayOutcome.DIVERGED
+    assert run.t[-1] == pytest.approx(math.log(1e9) / 20, abs=0.1)
+
+
+def test_a_rate_that_is_no_number_is_an_outcome():
+    run = integrate(Point(lambda q, v, u, closed: math.nan if q > 0.5 else 1.0), np.zeros(2), plan([0.0] * 200, 0.01), RTOL, 10)
+    assert run.outcome is ReplayOutcome.DIVERGED
+    assert "finite" in run.message
+    assert np.isfinite(np.array(run.outputs)).all()
+
+
+def test_a_model_that_wants_to_know_its_steps_is_told_and_moves_the_same():
+    def spring(q: float, v: float, u: float, closed: bool) -> float:
+        return -10.0 - (1e3 * q if closed else 0.0)
+
+    told, untold = Point(spring, gap=lambda q: q, wants_steps=True), Point(spring, gap=lambda q: q)
+    runs = [integrate(model, np.array([0.2, 0.0]), plan([0.0] * 40, 0.01), RTOL, 10) for model in (told, untold)]
+    assert told.steps >= 120
+    assert untold.steps == 0
+    assert runs[0].outputs[-1] == pytest.approx(runs[1].outputs[-1], abs=1e-9)
+    assert len(runs[0].events) == len(runs[1].events) == 2

@@ -1,0 +1,125 @@
+"""Replays in NetCDF-4 files, with units, and back.
+
+    write_replay(path, replay, scene)
+    replay = read_replay(path, scene)            # bit for bit what was written
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from models.errors import TrajectoryError
+from models.netcdf import Column, numbers, read_columns, write_columns
+from models.scene import Scene
+from validate.replay.result import Difference, Event, Replay, ReplayError, ReplayOutcome
+
+_CONTENT = "touchstone replay"
+_SERIES = {
+    "kinetic_energy": "kinetic energy",
+    "potential_energy": "potential energy without contacts",
+    "contact_energy": "energy stored in contacts",
+}
+_WORK = {"input_work": "work of the inputs since the start", "dissipated_work": "work dissipated since the start"}
+
+
+def _groups(scene: Scene) -> dict[str, list[tuple[str, str, str]]]:
+    """(name, unit, description) of the columns of every array with more than one column."""
+    return {
+        "q": [(item.name, item.unit, item.description) for item in scene.coordinates],
+        "v": [(item.velocity_name, item.velocity_unit, f"velocity of {item.name}") for item in scene.coordinates],
+        "lam": [(item.force_name, "N", f"contact force, {item.description or item.name}") for item in scene.contacts],
+        "gap": [(item.gap_name, "m", f"gap, negative in contact, {item.description or item.name}") for item in scene.contacts],
+        "contact_impulse": [(f"impulse_{item.name}", "N s", f"impulse since the start, {item.description or item.name}") for item in scene.contacts],
+    }
+
+
+def write_replay(path: Path, replay: Replay, scene: Scene) -> None:
+    """Write a replay of this scene. Raises MachineError if the file cannot be written."""
+    if replay.scene != scene.name:
+        raise TrajectoryError(f"file {path}: the replay is of scene {replay.scene}, not of {scene.name}.")
+    columns = [Column(name="t", dimension="time", values=replay.t, unit="s", description="time")]
+    for field, group in _groups(scene).items():
+        array = getattr(replay, field)
+        if array is not None:
+            columns += [
+                Column(name=name, dimension="time", values=array[:, index], unit=unit, description=text)
+                for index, (name, unit, text) in enumerate(group)
+            ]
+    for field, text in {**_SERIES, **_WORK}.items():
+        if getattr(replay, field) is not None:
+            columns.append(Column(name=field, dimension="time", values=getattr(replay, field), unit="J", description=text))
+    columns.append(Column(name="knots", dimension="node", values=replay.knots, unit="1", description="rows that are nodes of the plan"))
+    facts = {
+        "outcome": replay.outcome.name,
+        "message": replay.message,
+        "method": replay.method,
+        "events": [[event.time, event.contact, event.closes] for event in replay.events],
+        "event_budget": replay.event_budget,
+        "error": asdict(replay.error),
+        "seconds_reference": replay.seconds_reference,
+        "seconds_everyday": replay.seconds_everyday,
+        "has_impulse": replay.contact_impulse is not None,
+    }
+    attributes = {"content": _CONTENT, "scene": scene.name, "fmu_sha256": replay.fmu, "facts": json.dumps(facts, allow_nan=False)}
+    write_columns(path, columns, attributes)
+
+
+def read_replay(path: Path, scene: Scene) -> Replay:
+    """Read a replay of this scene. Raises TrajectoryError naming the file and what is wrong in it."""
+    columns, attributes = read_columns(path)
+    if attributes.get("content") != _CONTENT:
+        raise TrajectoryError(f"file {path}: it holds {attributes.get('content', 'something else')!r}, not a replay.")
+    if attributes.get("scene") != scene.name:
+        raise TrajectoryError(f"file {path}: it holds a replay of scene {attributes.get('scene')!r}, not of {scene.name!r}.")
+    t = numbers(path, columns, "t", "s")
+    facts = _facts(path, attributes)
+    arrays: dict[str, Any] = {}
+    for field, group in _groups(scene).items():
+        if field == "contact_impulse" and not facts["has_impulse"]:
+            arrays[field] = None
+            continue
+        stacked = [numbers(path, columns, name, unit, len(t)) for name, unit, _ in group]
+        arrays[field] = np.column_stack(stacked) if stacked else np.zeros((len(t), 0))
+    for field in _SERIES:
+        arrays[field] = numbers(path, columns, field, "J", len(t))
+    for field in _WORK:
+        arrays[field] = numbers(path, columns, field, "J", len(t)) if field in columns else None
+    knots = numbers(path, columns, "knots", "1").astype(np.int64)
+    if knots.size and not (knots.min() >= 0 and knots.max() < len(t)):
+        raise TrajectoryError(f"file {path}: knots points outside the {len(t)} times of the replay.")
+    for name, array in {"t": t, **arrays}.items():
+        if array is not None and not np.isfinite(array).all():
+            raise TrajectoryError(f"file {path}: {name} holds values that are not finite numbers.")
+    try:
+        return Replay(
+            scene=scene.name,
+            outcome=ReplayOutcome[facts["outcome"]],
+            message=facts["message"],
+            method=facts["method"],
+            t=t,
+            knots=knots,
+            **arrays,
+            events=tuple(Event(time=float(time), contact=str(contact), closes=bool(closes)) for time, contact, closes in facts["events"]),
+            event_budget=int(facts["event_budget"]),
+            error=ReplayError(**{name: None if item is None else Difference(**item) for name, item in facts["error"].items()}),
+            seconds_reference=float(facts["seconds_reference"]),
+            seconds_everyday=float(facts["seconds_everyday"]),
+            fmu=str(attributes.get("fmu_sha256", "")),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise TrajectoryError(f"file {path}: its facts are not those of a replay ({type(error).__name__}: {error}); replay the plan again.") from error
+
+
+def _facts(path: Path, attributes: dict[str, str | int | float]) -> dict[str, Any]:
+    try:
+        facts = json.loads(str(attributes.get("facts", "")))
+    except json.JSONDecodeError as error:
+        raise TrajectoryError(f"file {path}: its facts cannot be read ({error}); replay the plan again.") from error
+    if not isinstance(facts, dict) or "has_impulse" not in facts:
+        raise TrajectoryError(f"file {path}: its facts are not those of a replay; replay the plan again.")
+    return facts

@@ -1,0 +1,111 @@
+"""What a replay hands back: the true motion under the plan's inputs, and how far it can be trusted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+
+class ReplayOutcome(Enum):
+    """How a replay ended; the value is a sentence."""
+
+    OK = "The replay reached the end of the plan."
+    DIVERGED = "The state left every bound or was no longer a finite number."
+    INTEGRATION_FAILED = "The integrator could not go on within its tolerances."
+    EVENT_BUDGET = "More contact events than the replay allows; the contact chatters."
+    FMU_FAILED = "The FMU refused a call."
+
+
+@dataclass(frozen=True, kw_only=True)
+class Event:
+    """A gap that closed or opened at `time` [s]. `contact`: its name, or `indicator_<n>` where the FMU has indicators of its own."""
+
+    time: float
+    contact: str
+    closes: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Difference:
+    """Largest difference of two simulations over the plan's nodes.
+
+    position: of any one coordinate [m or rad]; state: Euclidean norm over positions and velocities; gap: of any one gap [m].
+    """
+
+    position: float
+    state: float
+    gap: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReplayError:
+    """How wrong the judged trajectory may be, and what that is made of (None: could not be measured).
+
+    tolerance: reference at two tolerances; step: everyday replay at two internal steps; everyday: everyday (finer step)
+    against reference. `estimate` is what verdicts use: the tolerance difference, which overstates the error of the tighter
+    run that is judged - unless the everyday replay, an independent method, differs from the reference by more than its own
+    step halving explains; then that difference. Without a reference (the FMU has no Model Exchange) the finer everyday run is
+    judged and its step difference, the error of the coarser run to first order, is the estimate.
+    """
+
+    estimate: Difference | None
+    tolerance: Difference | None = None
+    step: Difference | None = None
+    everyday: Difference | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Replay:
+    """The plan's inputs applied, from the plan's start, to the true continuous contact dynamics.
+
+    t (n,) [s]: every node of the plan, points between them, and every event; knots (nodes,): rows of t that are plan nodes.
+    q, v (n, nq); lam, gap (n, nc) [N, m] with gap = -penetration; kinetic, potential, contact_energy (n,) [J];
+    input_work, dissipated_work (n,) [J] and contact_impulse (n, nc) [N s], accumulated from the start - None where the FMU has no
+    such output. Every number is finite; a replay that did not get to the end holds what came before (`outcome`, `message`).
+    """
+
+    scene: str
+    outcome: ReplayOutcome
+    message: str
+    method: str  # "reference" (Model Exchange, CVODE) or "everyday" (Co-Simulation)
+    t: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    lam: np.ndarray
+    gap: np.ndarray
+    knots: np.ndarray
+    kinetic_energy: np.ndarray
+    potential_energy: np.ndarray
+    contact_energy: np.ndarray
+    input_work: np.ndarray | None
+    dissipated_work: np.ndarray | None
+    contact_impulse: np.ndarray | None
+    events: tuple[Event, ...]
+    event_budget: int
+    error: ReplayError
+    seconds_reference: float
+    seconds_everyday: float
+    fmu: str  # SHA-256 of the FMU file
+
+    def __post_init__(self) -> None:
+        for value in vars(self).values():
+            if isinstance(value, np.ndarray):
+                if not np.isfinite(value).all():
+                    raise ValueError("a replay holds finite numbers only; what is not finite belongs into its outcome.")
+                value.setflags(write=False)
+
+    @property
+    def ok(self) -> bool:
+        return self.outcome is ReplayOutcome.OK
+
+    @property
+    def end(self) -> np.ndarray:
+        """(2*nq,) state where the replay ended."""
+        return np.concatenate([self.q[-1], self.v[-1]])
+
+    @property
+    def energy(self) -> np.ndarray:
+        """(n,) kinetic + potential + contact energy [J]."""
+        return self.kinetic_energy + self.potential_energy + self.contact_energy

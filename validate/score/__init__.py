@@ -1,0 +1,81 @@
+"""Score: (Scene, Trajectory, Replay) -> figures, each with unit, limit and reason, and a verdict.
+
+    score(scene, plan, replay(scene, fmu, plan)).why
+    -> "the replay misses the goal by 0.27 m, limit 0.06 m: force from a distance of 0.6 N s; ..."
+
+The judge knows no method: it sees a plan and what the plan's inputs do.
+"""
+
+from __future__ import annotations
+
+import math
+
+from models.errors import SceneError, TrajectoryError
+from models.scene import Scene
+from models.trajectory import Trajectory
+from validate.replay.result import Replay
+from validate.score.evidence import Evidence, Unmeasured
+from validate.score.result import Figure, Score, Verdict
+from validate.score.table import TABLE, Entry
+from validate.score.verdict import CONTACT, GRID, compare, explain, verdict_of
+
+__all__ = ["Figure", "Score", "Verdict", "figure_names", "score"]
+
+
+def figure_names() -> tuple[str, ...]:
+    """Every figure a scene may set a limit on, in the order of the table."""
+    return tuple(entry.name for entry in TABLE)
+
+
+def score(scene: Scene, trajectory: Trajectory | None, replay: Replay | None) -> Score:
+    """All figures of a plan, and whether it holds by the scene's limits. Without a replay (or one that failed) only a violation can be found.
+
+    Raises TrajectoryError if plan, replay and scene do not belong together, SceneError for a limit on a figure that does not exist.
+    """
+    for limit in scene.limits:
+        if limit.figure not in figure_names():
+            raise SceneError(f"scene {scene.name}: there is a limit on {limit.figure!r}, but the figures are {', '.join(figure_names())}.")
+    if trajectory is None:
+        none = Verdict.NO_PLAN
+        return Score(figures=(), verdict=none, why="there is no plan to judge.", contact=none, grid=none)
+    trajectory.check_fits(scene)
+    if replay is not None:
+        _check_belongs(scene, trajectory, replay)
+    case = Evidence(scene, trajectory, replay)
+    figures = tuple(_figure(entry, case) for entry in TABLE if entry.applies(scene))
+    verdict = verdict_of(figures)
+    return Score(
+        figures=figures,
+        verdict=verdict,
+        why=explain(figures, verdict, planned_impulse=float((trajectory.lam * case.h[:, None]).sum())),
+        contact=verdict_of(figure for figure in figures if figure.name in CONTACT),
+        grid=verdict_of(figure for figure in figures if figure.name in GRID),
+    )
+
+
+def _check_belongs(scene: Scene, trajectory: Trajectory, replay: Replay) -> None:
+    if replay.scene != scene.name:
+        raise TrajectoryError(f"replay: it is of scene {replay.scene}, but the plan is judged as one of {scene.name}.")
+    if replay.ok and (len(replay.knots) != len(trajectory.t) or not (replay.t[replay.knots] == trajectory.t).all()):
+        raise TrajectoryError(f"replay: its {len(replay.knots)} nodes are not the {len(trajectory.t)} of the plan; it is the replay of another plan.")
+
+
+def _figure(entry: Entry, case: Evidence) -> Figure:
+    limit = case.scene.limit(entry.name)
+    bound = None if limit is None else limit.value
+    unit = entry.unit(case.scene)
+    try:
+        measured = entry.measure(case)
+    except Unmeasured as missing:
+        return Figure(
+            name=entry.name, value=None, unit=unit, meaning=entry.meaning, limit=bound, reason=str(missing), ok=None, resolved=bound is None
+        )
+    value, error = measured if isinstance(measured, tuple) else (measured, 0.0)
+    if not math.isfinite(value):
+        reason = "the figure is too large to be a number."
+        return Figure(name=entry.name, value=None, unit=unit, meaning=entry.meaning, limit=bound, reason=reason, ok=None, resolved=bound is None)
+    ok, resolved = (None, True) if bound is None else compare(value, error, bound)
+    return Figure(
+        name=entry.name, value=value, unit=unit, meaning=entry.meaning, error=error, limit=bound,
+        reason="" if limit is None else limit.reason, ok=ok, resolved=resolved,
+    )  # fmt: skip

@@ -1,0 +1,118 @@
+"""What the figures are computed from: the plan, its replay, and the plan's inputs under the true contact law on the plan's own grid."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from models.codegen.kernel import Kernel, KernelError, load_kernel
+from models.scene import Scene
+from models.trajectory import Trajectory
+from validate.replay.result import Difference, Replay
+
+
+class Unmeasured(Exception):  # noqa: N818 - a figure that cannot be measured is a value with a reason
+    """Raised within the measurement of a figure; the text is the reason."""
+
+
+class Evidence:
+    """Arrays by the symbols of the equations; each computed once."""
+
+    def __init__(self, scene: Scene, trajectory: Trajectory, replay: Replay | None) -> None:
+        self.scene, self.trajectory, self._replay = scene, trajectory, replay
+
+    @cached_property
+    def kernel(self) -> Kernel:
+        return load_kernel(self.scene)
+
+    @cached_property
+    def goal(self) -> np.ndarray:
+        """(2*nq,) positions, then velocities."""
+        return np.array(self.scene.task.goal)
+
+    @cached_property
+    def h(self) -> np.ndarray:
+        """(steps,) [s]; the nominal step where all steps equal it, so that t = n*h has left no rounding in it."""
+        h = np.diff(self.trajectory.t)
+        step = self.scene.task.step
+        return np.full_like(h, step) if np.allclose(h, step, rtol=1e-9, atol=0.0) else h
+
+    @cached_property
+    def phi(self) -> np.ndarray:
+        """(steps, nc) penetration at the start of each step of the plan [m]."""
+        return self.kernel.penetration(self.trajectory.q[:-1])
+
+    @cached_property
+    def k(self) -> np.ndarray:
+        return self.kernel.stiffness()
+
+    @cached_property
+    def length(self) -> np.ndarray:
+        """(nc,) L: the scene's nominal penetration of each contact [m]."""
+        return np.array([contact.nominal for contact in self.scene.contacts])
+
+    @cached_property
+    def acceleration(self) -> np.ndarray:
+        """(steps, nq) of the plan's states, inputs and own contact forces."""
+        plan = self.trajectory
+        try:
+            return self.kernel.acceleration(plan.q[:-1], plan.v[:-1], plan.u, plan.lam)
+        except KernelError as error:
+            raise Unmeasured(str(error)) from error
+
+    @cached_property
+    def true_motion(self) -> tuple[np.ndarray, np.ndarray]:
+        """q, v (nodes, nq): the plan's inputs run through the plan's own time step with the true contact law."""
+        plan = self.trajectory
+        if (self.h == self.h[0]).all():
+            rollout = self.kernel.rollout(plan.start, plan.u, float(self.h[0]))
+            q, v, reached = rollout.q, rollout.v, rollout.finite_steps
+        else:
+            q, v = np.full_like(plan.q, np.nan), np.full_like(plan.v, np.nan)
+            q[0], v[0], reached = plan.q[0], plan.v[0], 0
+            for step, h in enumerate(self.h):
+                rollout = self.kernel.rollout(np.concatenate([q[step], v[step]]), plan.u[step : step + 1], float(h))
+                if rollout.diverged:
+                    break
+                q[step + 1], v[step + 1], reached = rollout.q[1], rollout.v[1], step + 1
+        if reached < plan.steps:
+            raise Unmeasured(f"with the true contact law the plan's own time step diverges at step {reached} of {plan.steps}.")
+        return q, v
+
+    @property
+    def true_end(self) -> np.ndarray:
+        """(2*nq,) where `true_motion` ends."""
+        q, v = self.true_motion
+        return np.concatenate([q[-1], v[-1]])
+
+    @property
+    def replay(self) -> Replay:
+        """The replay, if it got to the end."""
+        if self._replay is None:
+            raise Unmeasured("the plan was not replayed.")
+        if not self._replay.ok:
+            raise Unmeasured(f"the replay did not get to the end: {self._replay.outcome.value} {self._replay.message}".rstrip())
+        return self._replay
+
+    @property
+    def error(self) -> Difference:
+        """The replay's own error estimate; infinite where it has none."""
+        estimate = self.replay.error.estimate
+        return Difference(position=np.inf, state=np.inf, gap=np.inf) if estimate is None else estimate
+
+    @property
+    def replay_q(self) -> np.ndarray:
+        """(nodes, nq) of the replay, at the plan's nodes."""
+        return self.replay.q[self.replay.knots]
+
+    @cached_property
+    def step_of(self) -> np.ndarray:
+        """(n-1,) the plan's step in which each piece of the replay's grid lies."""
+        pieces = np.arange(len(self.replay.t) - 1)
+        return np.searchsorted(self.replay.knots, pieces, side="right") - 1
+
+    @cached_property
+    def duration(self) -> np.ndarray:
+        """(n-1,) of each piece of the replay's grid [s]."""
+        return np.diff(self.replay.t)
