@@ -1,0 +1,33 @@
+"""Strict templates: an undefined name stops the build, numbers are written so that they read back bit for bit."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+_FOLDER = Path(__file__).parent / "templates"
+
+
+def number(value: float) -> str:
+    """The shortest text that reads back as the same double; C's HUGE_VAL for an infinite one."""
+    if math.isinf(value):
+        return "HUGE_VAL" if value > 0 else "-HUGE_VAL"
+    return repr(float(value))
+
+
+_ENGINE = jinja2.Environment(
+    loader=jinja2.FileSystemLoader(_FOLDER),
+    undefined=jinja2.StrictUndefined,
+    autoescape=lambda name: name is not None and name.endswith((".xml.j2", ".html.j2")),
+    keep_trailing_newline=True,
+)
+_ENGINE.filters["number"] = number
+_ENGINE.filters["isfinite"] = math.isfinite
+
+
+def render(template: str, **context: Any) -> str:
+    """The text of `templates/<template>`; raises jinja2.UndefinedError if the template names something not given."""
+    return _ENGINE.get_template(template).render(**context)

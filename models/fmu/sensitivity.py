@@ -1,0 +1,88 @@
+"""Scene -> `scene_sensitivity.h`: the derivatives an FMU must offer beyond those of `scene_model.h`.
+
+Jacobian-vector products of energies and powers, and of everything with respect to parameters:
+
+    scene_<quantity>_jvp            energies and powers along (dq, dv, du, dp)
+    scene_<quantity>_parameter_jvp  penetration, stiffness and acceleration along dp
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import sympy as sp
+
+from models.codegen.c_function import Vector, c_function
+from models.codegen.emit import SceneVectors
+from models.dynamics import derive
+from models.scene import Scene
+
+_HEAD = """\
+/* Derivatives of the scene {name} by parameters, and of its energies and powers; generated from its SymPy source. */
+#ifndef SCENE_SENSITIVITY_H
+#define SCENE_SENSITIVITY_H
+
+#include "scene_model.h"
+"""
+
+# M da = (df/dp - dM/dp a) dp, for scenes whose mass matrix depends on q.
+_SOLVE = """\
+SCENE_FUNCTION int scene_acceleration_parameter_jvp(const double *q, const double *v, const double *u, const double *lam, const double *p,
+    const double *a, const double *dp, double *d_a)
+{
+    double M[NQ][NQ];
+    scene_mass(q, p, &M[0][0]);
+    scene_residual_parameter_jvp(q, v, u, lam, p, a, dp, d_a);
+    return scene_solve(M, d_a);
+}
+"""
+
+
+def emit_sensitivity(scene: Scene) -> str:
+    """Text of `scene_sensitivity.h` (C99, static inline functions; needs `scene_model.h`)."""
+    x = SceneVectors.of(derive(scene))
+    return "\n".join([_HEAD.format(name=scene.name), *_parameter_functions(x), *_energy_functions(x), "#endif", ""])
+
+
+def _jvp(function: sp.Matrix, vectors: Sequence[Vector]) -> sp.Matrix:
+    """Jacobian-vector product of a column along d<vector> of each of `vectors`."""
+    total = sp.zeros(function.rows, 1)
+    for vector in vectors:
+        if vector.symbols and function.rows:
+            total += function.jacobian(vector.column) * _tangent(vector).column
+    return total
+
+
+def _tangent(vector: Vector) -> Vector:
+    return vector.like(f"d{vector.name}")
+
+
+def _parameter_functions(x: SceneVectors) -> list[str]:
+    d, dp = x.dynamics, _tangent(x.p)
+    phi, stiffness = x.local(d.penetration), x.local(d.stiffness)
+    a = x.q.like("a")
+    functions = [
+        c_function("void", "scene_penetration_parameter_jvp", (x.q, x.p, dp), "d_phi", _jvp(phi, [x.p])),
+        c_function("void", "scene_stiffness_parameter_jvp", (x.p, dp), "d_k", _jvp(stiffness, [x.p])),
+    ]
+    if d.acceleration is not None:
+        slope = _jvp(x.local(d.acceleration), [x.p])
+        functions.append(c_function("int", "scene_acceleration_parameter_jvp", (*x.arguments, a, dp), "d_a", slope, tail="return 0;"))
+    else:
+        residual = x.local(d.generalised_force) - x.local(d.mass_matrix) * a.column
+        functions += [c_function("void", "scene_residual_parameter_jvp", (*x.arguments, a, dp), "d_f", _jvp(residual, [x.p])), _SOLVE]
+    return functions
+
+
+def _energy_functions(x: SceneVectors) -> list[str]:
+    d = x.dynamics
+    functions = []
+    for name, expression, vectors in (
+        ("kinetic_energy", d.kinetic_energy, (x.q, x.v, x.p)),
+        ("potential_energy", d.potential_energy, (x.q, x.p)),
+        ("input_power", d.input_power, (x.q, x.v, x.u, x.p)),
+        ("dissipated_power", d.dissipated_power, (x.q, x.v, x.p)),
+    ):
+        arguments = (*vectors, *(_tangent(vector) for vector in vectors))
+        functions.append(c_function("double", f"scene_{name}_jvp", arguments, None, _jvp(x.local(expression), vectors)))
+    return functions

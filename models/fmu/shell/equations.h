@@ -1,0 +1,167 @@
+/* Contact law, accelerations and outputs of a Model, and their exact directional derivatives. */
+#ifndef EQUATIONS_H
+#define EQUATIONS_H
+
+#include "model.h"
+
+/* Half-width of the hysteresis around gap = 0, as a share of the contact's nominal penetration. Event location leaves a gap
+ * of about 1e-13 m; within the band the direction of motion decides, and the force in it is below 1e-10 of a typical one. */
+#define HYSTERESIS 1e-10
+
+/* Which mode a contact takes at an event: by the sign of phi outside the band, by the direction of motion within it,
+ * as it was where it neither closes nor opens. */
+static inline int contact_mode(int contact, double phi, double phi_rate, int before)
+{
+    const double band = HYSTERESIS * CONTACT_NOMINALS[contact];
+    if (phi > band) return 1;
+    if (phi < -band) return 0;
+    if (phi_rate > 0.0) return 1;
+    if (phi_rate < 0.0) return 0;
+    return before;
+}
+
+/* Bring the contact modes up to date; returns how many changed. */
+static inline int model_update_modes(Model *m)
+{
+    double phi[ROOM(NC)], rate[ROOM(NC)];
+    int changes = 0;
+    scene_penetration(m->q, m->p, phi);
+    scene_penetration_jvp(m->q, m->p, m->v, rate);
+    for (int i = 0; i < NC; i++) {
+        const int mode = contact_mode(i, phi[i], rate[i], m->active[i]);
+        changes += mode != m->active[i];
+        m->active[i] = mode;
+    }
+    if (changes) m->evaluated = 0;
+    return changes;
+}
+
+/* lam = active ? k phi : 0, the smooth continuation of one contact mode beyond its boundary; without modes the true law,
+ * lam = k max(phi, 0). */
+static inline void contact_forces(const double *phi, const double *k, const int *active, double *lam)
+{
+    for (int i = 0; i < NC; i++) lam[i] = (active ? active[i] : phi[i] > 0.0) ? k[i] * phi[i] : 0.0;
+}
+
+/* a = M^-1 (tau + J' lam) at (q, v, u) in the given modes; 1 if M is not positive definite. */
+static inline int model_acceleration(const Model *m, const double *q, const double *v, const double *u, const int *active, double *a)
+{
+    double phi[ROOM(NC)], k[ROOM(NC)], lam[ROOM(NC)];
+    scene_penetration(q, m->p, phi);
+    scene_stiffness(m->p, k);
+    contact_forces(phi, k, active, lam);
+    return scene_acceleration(q, v, u, lam, m->p, a);
+}
+
+/* Fill phi, k, lam and a; 1 if the mass matrix is not positive definite. */
+static inline int model_evaluate(Model *m)
+{
+    if (m->evaluated) return 0;
+    if (!m->frozen) model_update_modes(m);
+    scene_penetration(m->q, m->p, m->phi);
+    scene_stiffness(m->p, m->k);
+    contact_forces(m->phi, m->k, m->active, m->lam);
+    if (scene_acceleration(m->q, m->v, m->u, m->lam, m->p, m->a)) return 1;
+    m->evaluated = 1;
+    return 0;
+}
+
+static inline double contact_energy(const Model *m)
+{
+    double energy = 0.0;
+    for (int i = 0; i < NC; i++) energy += 0.5 * m->lam[i] * m->phi[i];
+    return energy;
+}
+
+/* The value of any variable; the Model must be evaluated. */
+static inline double model_value(const Model *m, const Variable *variable)
+{
+    const int i = variable->index;
+    switch (variable->kind) {
+    case KIND_TIME: return m->time;
+    case KIND_POSITION: return m->q[i];
+    case KIND_VELOCITY:
+    case KIND_POSITION_RATE: return m->v[i];
+    case KIND_VELOCITY_RATE: return m->a[i];
+    case KIND_INPUT: return m->u[i];
+    case KIND_PARAMETER: return m->p[i];
+    case KIND_FORCE: return m->lam[i];
+    case KIND_GAP: return -m->phi[i];
+    case KIND_KINETIC_ENERGY: return scene_kinetic_energy(m->q, m->v, m->p);
+    case KIND_POTENTIAL_ENERGY: return scene_potential_energy(m->q, m->p);
+    case KIND_CONTACT_ENERGY: return contact_energy(m);
+    case KIND_INPUT_POWER: return scene_input_power(m->q, m->v, m->u, m->p);
+    case KIND_DISSIPATED_POWER: return scene_dissipated_power(m->q, m->v, m->p);
+    case KIND_INTERNAL_STEP: return m->internal_step;
+    }
+    return NAN;
+}
+
+static inline void model_assign(Model *m, const Variable *variable, double value)
+{
+    switch (variable->kind) {
+    case KIND_POSITION: m->q[variable->index] = value; break;
+    case KIND_VELOCITY: m->v[variable->index] = value; break;
+    case KIND_INPUT: m->u[variable->index] = value; break;
+    case KIND_PARAMETER: m->p[variable->index] = value; break;
+    case KIND_INTERNAL_STEP: m->internal_step = value; break;
+    default: break;
+    }
+    m->evaluated = 0;
+}
+
+/* A direction in the space of everything the model depends on, and what follows from it. */
+typedef struct {
+    double q[NQ], v[NQ], u[ROOM(NU)], p[ROOM(NP)];
+    double phi[ROOM(NC)], k[ROOM(NC)], lam[ROOM(NC)], a[NQ];
+} Tangent;
+
+/* Complete a tangent whose q, v, u, p are given, in the contact modes of the (evaluated) Model; 1 as in model_evaluate. */
+static inline int model_tangent(const Model *m, Tangent *d)
+{
+    double phi_p[ROOM(NC)], a_p[NQ];
+    scene_penetration_jvp(m->q, m->p, d->q, d->phi);
+    scene_penetration_parameter_jvp(m->q, m->p, d->p, phi_p);
+    scene_stiffness_parameter_jvp(m->p, d->p, d->k);
+    for (int i = 0; i < NC; i++) {
+        d->phi[i] += phi_p[i];
+        d->lam[i] = m->active[i] ? m->k[i] * d->phi[i] + d->k[i] * m->phi[i] : 0.0;
+    }
+    if (scene_acceleration_jvp(m->q, m->v, m->u, m->lam, m->p, d->q, d->v, d->u, d->lam, d->a)) return 1;
+    if (scene_acceleration_parameter_jvp(m->q, m->v, m->u, m->lam, m->p, m->a, d->p, a_p)) return 1;
+    for (int i = 0; i < NQ; i++) d->a[i] += a_p[i];
+    return 0;
+}
+
+static inline double contact_energy_tangent(const Model *m, const Tangent *d)
+{
+    double energy = 0.0;
+    for (int i = 0; i < NC; i++) energy += 0.5 * (d->lam[i] * m->phi[i] + m->lam[i] * d->phi[i]);
+    return energy;
+}
+
+/* The directional derivative of any variable along a completed tangent. */
+static inline double model_value_tangent(const Model *m, const Tangent *d, const Variable *variable)
+{
+    const int i = variable->index;
+    switch (variable->kind) {
+    case KIND_POSITION: return d->q[i];
+    case KIND_VELOCITY:
+    case KIND_POSITION_RATE: return d->v[i];
+    case KIND_VELOCITY_RATE: return d->a[i];
+    case KIND_INPUT: return d->u[i];
+    case KIND_PARAMETER: return d->p[i];
+    case KIND_FORCE: return d->lam[i];
+    case KIND_GAP: return -d->phi[i];
+    case KIND_KINETIC_ENERGY: return scene_kinetic_energy_jvp(m->q, m->v, m->p, d->q, d->v, d->p);
+    case KIND_POTENTIAL_ENERGY: return scene_potential_energy_jvp(m->q, m->p, d->q, d->p);
+    case KIND_CONTACT_ENERGY: return contact_energy_tangent(m, d);
+    case KIND_INPUT_POWER: return scene_input_power_jvp(m->q, m->v, m->u, m->p, d->q, d->v, d->u, d->p);
+    case KIND_DISSIPATED_POWER: return scene_dissipated_power_jvp(m->q, m->v, m->p, d->q, d->v, d->p);
+    case KIND_TIME:
+    case KIND_INTERNAL_STEP: break;
+    }
+    return 0.0;
+}
+
+#endif

@@ -1,0 +1,83 @@
+/* One instance of a scene's model, without any FMI in it: values, contact modes, and which variable is which.
+ *
+ * Model is a flat struct: copying its bytes copies the state, which is all that get/set/serialise of an FMU state needs.
+ * Arrays have room for at least one entry, because C has no empty arrays and a scene may have no inputs or contacts.
+ */
+#ifndef MODEL_H
+#define MODEL_H
+
+#include <math.h>
+#include <string.h>
+
+#include "scene_model.h"
+#include "scene_sensitivity.h"
+
+#define ROOM(n) ((n) > 0 ? (n) : 1)
+
+typedef enum {
+    KIND_TIME,
+    KIND_POSITION,
+    KIND_VELOCITY,
+    KIND_POSITION_RATE,
+    KIND_VELOCITY_RATE,
+    KIND_INPUT,
+    KIND_PARAMETER,
+    KIND_FORCE,
+    KIND_GAP,
+    KIND_KINETIC_ENERGY,
+    KIND_POTENTIAL_ENERGY,
+    KIND_CONTACT_ENERGY,
+    KIND_INPUT_POWER,
+    KIND_DISSIPATED_POWER,
+    KIND_INTERNAL_STEP
+} VariableKind;
+
+/* A row of the variable table; its position is the value reference. index: place within the variables of its kind. */
+typedef struct {
+    const char *name;
+    VariableKind kind;
+    int index;
+    double start, lower, upper;
+} Variable;
+
+#include "model_config.h" /* MODEL_GUID, MODEL_VARIABLES, VARIABLE_COUNT, STATE_NOMINALS, CONTACT_NOMINALS */
+
+typedef struct {
+    double time;
+    double q[NQ], v[NQ];
+    double u[ROOM(NU)];
+    double u_rate[ROOM(NU)]; /* du/dt during the next communication step */
+    double p[ROOM(NP)];
+    double internal_step;
+    double start_time, stop_time;
+    double phi[ROOM(NC)], k[ROOM(NC)], lam[ROOM(NC)], a[NQ]; /* belong to the values above while `evaluated` */
+    int active[ROOM(NC)]; /* contact modes */
+    int frozen;           /* Model Exchange: modes change at events only; otherwise they follow the true law */
+    int evaluated;
+    int stop_defined;
+    int phase; /* of the FMI state machine; here because it belongs to what is saved and restored */
+} Model;
+
+/* A point of the motion, for the integrator. */
+typedef struct {
+    double q[NQ], v[NQ];
+} Point;
+
+/* All values at their starts; equal bytes for every fresh or reset instance. */
+static inline void model_start(Model *m)
+{
+    memset(m, 0, sizeof *m);
+    for (int i = 0; i < VARIABLE_COUNT; i++) {
+        const Variable *variable = &MODEL_VARIABLES[i];
+        switch (variable->kind) {
+        case KIND_POSITION: m->q[variable->index] = variable->start; break;
+        case KIND_VELOCITY: m->v[variable->index] = variable->start; break;
+        case KIND_INPUT: m->u[variable->index] = variable->start; break;
+        case KIND_PARAMETER: m->p[variable->index] = variable->start; break;
+        case KIND_INTERNAL_STEP: m->internal_step = variable->start; break;
+        default: break;
+        }
+    }
+}
+
+#endif

@@ -1,0 +1,125 @@
+"""Which variable depends on which: the model structure of an FMU, computed from the equations.
+
+    dependencies(scene)["lam_left"]      {"q1": FIXED, "q2": ...}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from enum import Enum
+
+import sympy as sp
+
+from models.dynamics import Dynamics, derive
+from models.fmu.variables import Kind, Variable, variable_table
+from models.scene import Scene
+
+
+class Dependency(Enum):
+    """How an unknown depends on a known, in the words of FMI."""
+
+    DEPENDENT = "dependent"
+    FIXED = "fixed"  # the factor is a parameter
+    CONSTANT = "constant"  # the factor is a number
+
+
+def dependencies(scene: Scene) -> dict[str, dict[str, Dependency]]:
+    """Of each calculated variable and each state: the knowns it depends on (states, inputs, parameters), in table order."""
+    dynamics, table = derive(scene), variable_table(scene)
+    names = {symbol: symbol.name for symbol in (*dynamics.q, *dynamics.v, *dynamics.u, *dynamics.p)}
+    order = {variable.name: position for position, variable in enumerate(table)}
+    result = {}
+    for variable in table:
+        knowns = _knowns(dynamics, variable)
+        if knowns is not None:
+            named = {names[symbol]: kind for symbol, kind in knowns.items()}
+            result[variable.name] = dict(sorted(named.items(), key=lambda item: order[item[0]]))
+    return result
+
+
+def _knowns(d: Dynamics, variable: Variable) -> dict[sp.Symbol, Dependency] | None:
+    index = variable.index
+    match variable.kind:
+        case Kind.POSITION:
+            return {d.q[index]: Dependency.CONSTANT}
+        case Kind.VELOCITY | Kind.POSITION_RATE:
+            return {d.v[index]: Dependency.CONSTANT}
+        case Kind.VELOCITY_RATE:
+            return _of_acceleration(d, index)
+        case Kind.FORCE:
+            return _of_contact(d, index)
+        case Kind.GAP:
+            return _of_expressions(d, [d.penetration[index]])
+        case Kind.KINETIC_ENERGY:
+            return _of_expressions(d, [d.kinetic_energy])
+        case Kind.POTENTIAL_ENERGY:
+            return _of_expressions(d, [d.potential_energy])
+        case Kind.CONTACT_ENERGY:
+            return _merge(_of_contact(d, contact) for contact in range(len(d.lam)))
+        case Kind.INPUT_POWER:
+            return _of_expressions(d, [d.input_power])
+        case Kind.DISSIPATED_POWER:
+            return _of_expressions(d, [d.dissipated_power])
+        case _:
+            return None
+
+
+def _of_expressions(d: Dynamics, expressions: Iterable[sp.Expr]) -> dict[sp.Symbol, Dependency]:
+    """Dependencies of the sum of some expressions."""
+    variables = {*d.q, *d.v, *d.u, *d.p}
+    parameters = set(d.p)
+    found: dict[sp.Symbol, Dependency] = {}
+    total = sp.Add(*expressions)
+    for symbol in total.free_symbols & variables:
+        slope = sp.expand(sp.diff(total, symbol)).free_symbols
+        if not slope:
+            found[symbol] = Dependency.CONSTANT
+        elif slope <= parameters:
+            found[symbol] = Dependency.FIXED
+        else:
+            found[symbol] = Dependency.DEPENDENT
+    return found
+
+
+def _all_dependent(symbols: Iterable[sp.Symbol]) -> dict[sp.Symbol, Dependency]:
+    return dict.fromkeys(symbols, Dependency.DEPENDENT)
+
+
+def _of_contact(d: Dynamics, contact: int) -> dict[sp.Symbol, Dependency]:
+    """A contact force follows its penetration in one mode and nothing in the other."""
+    return _all_dependent((d.penetration[contact].free_symbols | d.stiffness[contact].free_symbols) & {*d.q, *d.p})
+
+
+def _merge(parts: Iterable[dict[sp.Symbol, Dependency]]) -> dict[sp.Symbol, Dependency]:
+    """Several dependencies at once; a known of more than one of them is plainly `dependent`."""
+    merged: dict[sp.Symbol, Dependency] = {}
+    for part in parts:
+        for symbol, kind in part.items():
+            merged[symbol] = Dependency.DEPENDENT if symbol in merged else kind
+    return merged
+
+
+def _of_acceleration(d: Dynamics, index: int) -> dict[sp.Symbol, Dependency]:
+    """Row `index` of M^-1 (tau + J' lam): exact where M is constant; otherwise all that stands in the rows M couples it to."""
+    variables = {*d.q, *d.v, *d.u, *d.p}
+    if d.acceleration is not None:
+        row = sp.sympify(d.acceleration[index])
+        own = _of_expressions(d, [row])
+        touched = row.free_symbols & set(d.lam)
+    else:
+        rows = _coupled(d.mass_matrix, index)
+        entries = [d.generalised_force[i] for i in rows] + [d.mass_matrix[i, j] for i in rows for j in rows]
+        symbols = set().union(*(sp.sympify(entry).free_symbols for entry in entries))
+        own, touched = _all_dependent(symbols & variables), symbols & set(d.lam)
+    return _merge([own, *(_of_contact(d, contact) for contact, force in enumerate(d.lam) if force in touched)])
+
+
+def _coupled(mass: sp.Matrix, index: int) -> list[int]:
+    """Coordinates that the mass matrix couples to `index`, directly or through others."""
+    reached, waiting = {index}, [index]
+    while waiting:
+        row = waiting.pop()
+        new = {column for column in range(mass.rows) if mass[row, column] != 0} - reached
+        reached |= new
+        waiting.extend(new)
+    return sorted(reached)

@@ -1,0 +1,258 @@
+"""The variables of a scene's FMU: one table, from which C, XML and the documentation are written.
+
+    variable_names(scene).q          ("q1", "q2", "q3")
+    variable_table(scene)            every variable with unit, start, range; its position is its value reference
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+from enum import Enum
+
+from models.dynamics import derive
+from models.errors import SceneError
+from models.scene import Scene
+
+# The internal step may be shortened to this [s]; below it a communication step of 10 ms takes ten million steps.
+SMALLEST_INTERNAL_STEP = 1e-9
+# Internal steps within one step of the task: the everyday replay then follows the motion to about 1e-8 of its size.
+INTERNAL_STEPS = 100
+
+
+class Kind(Enum):
+    """What a variable is; the value is the constant of `shell/model.h`."""
+
+    TIME = "KIND_TIME"
+    POSITION = "KIND_POSITION"
+    VELOCITY = "KIND_VELOCITY"
+    POSITION_RATE = "KIND_POSITION_RATE"
+    VELOCITY_RATE = "KIND_VELOCITY_RATE"
+    INPUT = "KIND_INPUT"
+    PARAMETER = "KIND_PARAMETER"
+    FORCE = "KIND_FORCE"
+    GAP = "KIND_GAP"
+    KINETIC_ENERGY = "KIND_KINETIC_ENERGY"
+    POTENTIAL_ENERGY = "KIND_POTENTIAL_ENERGY"
+    CONTACT_ENERGY = "KIND_CONTACT_ENERGY"
+    INPUT_POWER = "KIND_INPUT_POWER"
+    DISSIPATED_POWER = "KIND_DISSIPATED_POWER"
+    INTERNAL_STEP = "KIND_INTERNAL_STEP"
+
+
+# Kind -> (causality, variability, initial) in the words of FMI.
+_ROLES: dict[Kind, tuple[str, str, str | None]] = {
+    Kind.TIME: ("independent", "continuous", None),
+    Kind.POSITION: ("output", "continuous", "exact"),
+    Kind.VELOCITY: ("output", "continuous", "exact"),
+    Kind.POSITION_RATE: ("local", "continuous", "calculated"),
+    Kind.VELOCITY_RATE: ("local", "continuous", "calculated"),
+    Kind.INPUT: ("input", "continuous", None),
+    Kind.PARAMETER: ("parameter", "fixed", "exact"),
+    Kind.INTERNAL_STEP: ("parameter", "tunable", "exact"),
+}
+_OUTPUT = ("output", "continuous", "calculated")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variable:
+    """One variable; `index` is its place among those of its kind. start is None where the value is calculated."""
+
+    name: str
+    kind: Kind
+    index: int = 0
+    unit: str
+    description: str
+    start: float | None = None
+    nominal: float | None = None
+    lower: float = -math.inf
+    upper: float = math.inf
+
+    @property
+    def causality(self) -> str:
+        return _ROLES.get(self.kind, _OUTPUT)[0]
+
+    @property
+    def variability(self) -> str:
+        return _ROLES.get(self.kind, _OUTPUT)[1]
+
+    @property
+    def initial(self) -> str | None:
+        return _ROLES.get(self.kind, _OUTPUT)[2]
+
+
+@dataclass(frozen=True, kw_only=True)
+class VariableNames:
+    """Names of the variables of a scene's FMU, in the order of the scene; None for what the scene does not have.
+
+    q, v, u, lam, gap, der_q, der_v, parameters: one name an entry; energies [J] and powers [W]: one name each.
+    """
+
+    q: tuple[str, ...]
+    v: tuple[str, ...]
+    der_q: tuple[str, ...]
+    der_v: tuple[str, ...]
+    u: tuple[str, ...]
+    lam: tuple[str, ...]
+    gap: tuple[str, ...]
+    parameters: tuple[str, ...]
+    kinetic_energy: str
+    potential_energy: str | None
+    contact_energy: str | None
+    input_power: str | None
+    dissipated_power: str | None
+    internal_step: str
+
+
+def variable_names(scene: Scene) -> VariableNames:
+    """The names under which the scene's quantities appear in its FMU."""
+    table = variable_table(scene)
+
+    def names(kind: Kind) -> tuple[str, ...]:
+        return tuple(variable.name for variable in table if variable.kind is kind)
+
+    def single(kind: Kind) -> str | None:
+        return next(iter(names(kind)), None)
+
+    return VariableNames(
+        q=names(Kind.POSITION),
+        v=names(Kind.VELOCITY),
+        der_q=names(Kind.POSITION_RATE),
+        der_v=names(Kind.VELOCITY_RATE),
+        u=names(Kind.INPUT),
+        lam=names(Kind.FORCE),
+        gap=names(Kind.GAP),
+        parameters=names(Kind.PARAMETER),
+        kinetic_energy=names(Kind.KINETIC_ENERGY)[0],
+        potential_energy=single(Kind.POTENTIAL_ENERGY),
+        contact_energy=single(Kind.CONTACT_ENERGY),
+        input_power=single(Kind.INPUT_POWER),
+        dissipated_power=single(Kind.DISSIPATED_POWER),
+        internal_step=names(Kind.INTERNAL_STEP)[0],
+    )
+
+
+def variable_table(scene: Scene) -> tuple[Variable, ...]:
+    """Every variable of the scene's FMU; the position in the table is the value reference.
+
+    Raises SceneError if the scene uses a name that the FMU needs for itself.
+    """
+    table = (
+        Variable(name="time", kind=Kind.TIME, unit="s", description="time"),
+        *_states(scene),
+        *_inputs(scene),
+        *_contacts(scene),
+        *_energies(scene),
+        *_parameters(scene),
+    )
+    for name, count in Counter(variable.name for variable in table).items():
+        if count > 1:
+            raise SceneError(f"scene {scene.name}: the name {name!r} is also that of a variable every FMU has; choose another.")
+    return table
+
+
+def _states(scene: Scene) -> list[Variable]:
+    positions, velocities, position_rates, velocity_rates = [], [], [], []
+    for index, coordinate in enumerate(scene.coordinates):
+        q, v, unit = coordinate.name, coordinate.velocity_name, coordinate.unit
+        what = coordinate.description or f"coordinate {q}"
+        start, nominal = scene.task.start, coordinate.nominal
+        positions.append(Variable(name=q, kind=Kind.POSITION, index=index, unit=unit, start=start[index], nominal=nominal, description=what))
+        velocities.append(
+            Variable(
+                name=v,
+                kind=Kind.VELOCITY,
+                index=index,
+                unit=coordinate.velocity_unit,
+                start=start[scene.nq + index],
+                nominal=nominal,
+                description=f"velocity of {q}",
+            )
+        )
+        rate = Variable(name=f"der({q})", kind=Kind.POSITION_RATE, index=index, unit=coordinate.velocity_unit, description=f"rate of {q}")
+        position_rates.append(rate)
+        rate = Variable(name=f"der({v})", kind=Kind.VELOCITY_RATE, index=index, unit=f"{unit}/s^2", description=f"acceleration of {q}")
+        velocity_rates.append(rate)
+    return [*positions, *velocities, *position_rates, *velocity_rates]
+
+
+def _inputs(scene: Scene) -> list[Variable]:
+    return [
+        Variable(
+            name=item.name,
+            kind=Kind.INPUT,
+            index=index,
+            unit=item.unit,
+            start=0.0,
+            lower=item.lower,
+            upper=item.upper,
+            description=item.description or f"input {item.name}",
+        )
+        for index, item in enumerate(scene.inputs)
+    ]
+
+
+def _contacts(scene: Scene) -> list[Variable]:
+    stiffness = [float(contact.stiffness.subs(scene.parameter_values)) for contact in scene.contacts]
+    forces = [
+        Variable(
+            name=contact.force_name,
+            kind=Kind.FORCE,
+            index=index,
+            unit="N",
+            nominal=stiffness[index] * contact.nominal,
+            description=f"contact force, {contact.description or contact.name}",
+        )
+        for index, contact in enumerate(scene.contacts)
+    ]
+    gaps = [
+        Variable(
+            name=contact.gap_name,
+            kind=Kind.GAP,
+            index=index,
+            unit="m",
+            nominal=contact.nominal,
+            description=f"gap, negative in contact, {contact.description or contact.name}",
+        )
+        for index, contact in enumerate(scene.contacts)
+    ]
+    return [*forces, *gaps]
+
+
+def _energies(scene: Scene) -> list[Variable]:
+    """Energies and powers the scene has: no contact energy without contacts, no input power without inputs, and so on."""
+    dynamics = derive(scene)
+    rows = (
+        ("kinetic_energy", Kind.KINETIC_ENERGY, "J", "kinetic energy", True),
+        ("potential_energy", Kind.POTENTIAL_ENERGY, "J", "potential energy without contacts", dynamics.potential_energy != 0),
+        ("contact_energy", Kind.CONTACT_ENERGY, "J", "energy stored in the contacts, sum of k/2 max(phi, 0)^2", scene.nc > 0),
+        ("input_power", Kind.INPUT_POWER, "W", "power put in by the inputs", dynamics.input_power != 0),
+        ("dissipated_power", Kind.DISSIPATED_POWER, "W", "power taken out by forces that remain without inputs", dynamics.dissipated_power != 0),
+    )
+    return [Variable(name=name, kind=kind, unit=unit, description=text) for name, kind, unit, text, present in rows if present]
+
+
+def _parameters(scene: Scene) -> list[Variable]:
+    physical = [
+        Variable(
+            name=parameter.name,
+            kind=Kind.PARAMETER,
+            index=index,
+            unit=parameter.unit,
+            start=parameter.value,
+            lower=parameter.lower,
+            upper=parameter.upper,
+            description=parameter.description or f"parameter {parameter.name}",
+        )
+        for index, parameter in enumerate(scene.parameters)
+    ]
+    step = Variable(
+        name="internal_step",
+        kind=Kind.INTERNAL_STEP,
+        unit="s",
+        start=scene.task.step / INTERNAL_STEPS,
+        lower=SMALLEST_INTERNAL_STEP,
+        description="largest internal step of Co-Simulation; equal steps divide each communication step",
+    )
+    return [*physical, step]
