@@ -93,6 +93,6 @@ def compile_shared(
             "-lm",
         ]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        lines = "; ".join(done.stderr.strip().splitlines()[:3])
+    if done.returncode != 0 or not output.exists():
+        lines = "; ".join(done.stderr.strip().splitlines()[:3]) or "it ended without writing a library"
         raise MachineError(f"the C compiler ({compiler.version}) refused the generated code of {', '.join(units)}: {lines}")

@@ -91,6 +91,7 @@ class Kernel:
 
     def __init__(self, scene: Scene, library: Path) -> None:
         self.scene = scene
+        self.path = library
         self._library = ctypes.CDLL(str(library))
         for name, (result, arguments) in _SIGNATURES.items():
             function = getattr(self._library, f"kernel_{name}")

@@ -1,0 +1,137 @@
+"""Building the kernel: every scene compiles without a warning, text is reproducible, and what can go wrong is said in words."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models.catalog import load_scene
+from models.codegen import emit_model
+from models.codegen.cache import cached
+from models.codegen.compiler import FLAGS, compile_shared, find_compiler
+from models.codegen.kernel import load_kernel
+from models.errors import MachineError
+
+ROOT = Path(__file__).parents[3]
+SCENES = ROOT / "tests" / "scenes"
+REFERENCES = ("three_cart", *(str(SCENES / f"{name}.py") for name in ("two_link_arm", "two_body_collision", "bouncing_mass", "oscillator")))
+ROLLOUT = (ROOT / "models" / "codegen" / "rollout.c").read_text(encoding="utf-8")
+
+
+def _python(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    full = {**os.environ, **environment}
+    return subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=full, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize("reference", REFERENCES)
+def test_every_scene_compiles_without_a_warning(reference: str, tmp_path: Path):
+    """Without inputs, without contacts, without parameters, with a mass matrix that must be factorised."""
+    assert {"-Wall", "-Wextra", "-Werror"} <= set(FLAGS)
+    sources = {"scene_model.h": emit_model(load_scene(reference)), "rollout.c": ROLLOUT}
+    compile_shared(find_compiler(), sources, tmp_path / "kernel.so", extra_flags=("-pedantic", "-Wshadow"))
+    assert (tmp_path / "kernel.so").stat().st_size > 0
+
+
+def test_equal_scenes_give_equal_bytes_in_any_process():
+    """Another process has other hashes, and sets in another order."""
+    here = "".join(emit_model(load_scene(reference)) for reference in REFERENCES)
+    code = "from models.catalog import load_scene; from models.codegen import emit_model\n"
+    code += f"for reference in {REFERENCES!r}: print(emit_model(load_scene(reference)), end='')"
+    done = _python(code, PYTHONHASHSEED="1")
+    assert done.stdout == here, done.stderr
+
+
+def test_parameter_values_need_no_new_kernel():
+    scene = load_scene("three_cart")
+    soft, stiff = load_kernel(scene), load_kernel(scene.with_parameters(k=300.0))
+    assert soft.path == stiff.path
+    assert stiff.stiffness() == pytest.approx(10.0 * soft.stiffness())
+
+
+def test_empty_scene_has_empty_arrays():
+    kernel = load_kernel(load_scene(str(SCENES / "oscillator.py")))
+    plan = kernel.rollout(np.array([1.0, 0.0]), np.zeros((5, 0)), 0.01)
+    assert plan.lam.shape == (5, 0)
+    assert kernel.penetration(plan.q).shape == (6, 0)
+    u_bar, start_bar = kernel.adjoint(plan, np.zeros((5, 0)), np.ones((6, 1)), np.ones((6, 1)))
+    assert u_bar.shape == (5, 0)
+    assert np.isfinite(start_bar).all()
+
+
+_LOAD = """
+import sys, importlib.util
+if {hide}:
+    find = importlib.util.find_spec
+    importlib.util.find_spec = lambda name, *rest: None if name == "ziglang" else find(name, *rest)
+from models.catalog import load_scene
+from models.codegen.kernel import load_kernel
+from models.errors import TouchstoneError
+try:
+    kernel = load_kernel(load_scene("three_cart"))
+except TouchstoneError as error:
+    print(error)
+    sys.exit(error.exit_code)
+print(kernel.stiffness()[0])
+"""
+
+
+def test_no_compiler_is_said_with_the_way_to_get_one():
+    done = _python(_LOAD.format(hide=True), PATH="", CC="")
+    assert done.returncode == 3, done.stderr
+    assert "no C compiler was found" in done.stdout
+    assert "pip install" in done.stdout
+
+
+def test_wrong_cc_is_named():
+    done = _python(_LOAD.format(hide=True), CC="no-such-compiler -O9")
+    assert done.returncode == 3, done.stderr
+    assert "CC is 'no-such-compiler -O9', which does not run" in done.stdout
+
+
+def test_a_command_that_is_no_compiler_is_named(tmp_path: Path):
+    """It answers to --version and does nothing else."""
+    fake = tmp_path / "fake"
+    fake.write_text("#!/bin/sh\necho fake compiler 1.0\n")
+    fake.chmod(0o755)
+    done = _python(_LOAD.format(hide=True), CC=str(fake), TOUCHSTONE_CACHE=str(tmp_path / "cache"))
+    assert done.returncode == 3, done.stderr
+    assert "fake compiler 1.0" in done.stdout
+    assert "without writing a library" in done.stdout
+
+
+def test_refused_code_shows_the_compilers_words(tmp_path: Path):
+    with pytest.raises(MachineError, match="refused the generated code of broken.c"):
+        compile_shared(find_compiler(), {"broken.c": "int broken( { return 0; }"}, tmp_path / "broken.so")
+
+
+def test_cache_that_cannot_be_a_folder_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    blocker = tmp_path / "file"
+    blocker.write_text("not a folder")
+    monkeypatch.setenv("TOUCHSTONE_CACHE", str(blocker))
+    with pytest.raises(MachineError, match="set TOUCHSTONE_CACHE to a folder you can write"):
+        cached("key", ".txt", lambda path: path.write_text("x") and None)
+
+
+def test_a_failed_build_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path))
+
+    def fail(path: Path) -> None:
+        path.write_text("half")
+        raise MachineError("on purpose")
+
+    with pytest.raises(MachineError, match="on purpose"):
+        cached("key", ".txt", fail)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_two_processes_may_build_at_once(tmp_path: Path):
+    environment = {**os.environ, "TOUCHSTONE_CACHE": str(tmp_path)}
+    command = [sys.executable, "-c", _LOAD.format(hide=False)]
+    running = [subprocess.Popen(command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    outputs = [process.communicate()[0].strip() for process in running]
+    assert [process.returncode for process in running] == [0, 0]
+    assert outputs == ["30.0", "30.0"]
+    assert [path.suffix for path in tmp_path.iterdir()] == [".so"]

@@ -1,0 +1,123 @@
+"""The adjoint and the directional derivative of the compiled time step: against finite differences and against each other."""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models.catalog import load_scene
+from models.codegen.kernel import Kernel, load_kernel
+from models.contact_law import ContactLaw
+from models.dynamics import derive
+
+SCENES = Path(__file__).parents[2] / "scenes"
+NAMES = ("three_cart", "two_link_arm", "two_body_collision", "bouncing_mass", "oscillator")
+LAWS = ((ContactLaw.RELU, None), (ContactLaw.SOFTPLUS, 1e-3))
+# A start in contact, away from the kink of the ReLU, for each scene.
+STARTS = {
+    "three_cart": (2.0, 2.4, 2.8, 0.3, -0.2, 0.1),
+    "two_link_arm": (0.3, 0.4, -0.5, 0.7),
+    "two_body_collision": (0.0, 0.15, 1.0, -1.0),
+    "bouncing_mass": (-0.05, 0.3),
+    "oscillator": (1.0, 0.2),
+}
+
+
+@cache
+def kernel_of(name: str) -> Kernel:
+    return load_kernel(load_scene(name if name == "three_cart" else str(SCENES / f"{name}.py")))
+
+
+def _loss(kernel: Kernel, start: np.ndarray, u: np.ndarray, h: float, law: ContactLaw, eps: float | None, bars: tuple) -> float:
+    plan = kernel.rollout(start, u, h, law, eps)
+    q_bar, v_bar, lam_bar, cost_bar = bars
+    cost = kernel.cost(plan.q, plan.v, u)
+    return float((q_bar * plan.q).sum() + (v_bar * plan.v).sum() + (lam_bar * plan.lam).sum() + cost_bar * cost)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("law", "eps"), LAWS)
+def test_adjoint_is_the_finite_difference_of_a_loss_of_everything(name: str, law: ContactLaw, eps: float | None):
+    """Every entry of u and start; the loss weighs every entry of q, v, lam and the running cost."""
+    kernel = kernel_of(name)
+    scene, steps, h = kernel.scene, 12, 0.002
+    random = np.random.default_rng(4)
+    u, start = random.normal(size=(steps, scene.nu)), np.array(STARTS[name])
+    bars = (
+        random.normal(size=(steps + 1, scene.nq)),
+        random.normal(size=(steps + 1, scene.nq)),
+        random.normal(size=(steps, scene.nc)),
+        0.7,
+    )
+    plan = kernel.rollout(start, u, h, law, eps)
+    assert not scene.nc or plan.lam.max() > 0.0
+    u_bar, start_bar = kernel.adjoint(plan, u, bars[0], bars[1], bars[2], bars[3])
+
+    delta = 1e-6  # central differences: error delta^2 of the curvature, rounding 1e-16/delta
+    for gradient, point in ((u_bar, u), (start_bar, start)):
+        for index in np.ndindex(point.shape):
+            values = []
+            for sign in (1.0, -1.0):
+                moved = point.copy()
+                moved[index] += sign * delta
+                values.append(_loss(kernel, *((start, moved) if point is u else (moved, u)), h, law, eps, bars))
+            assert gradient[index] == pytest.approx((values[0] - values[1]) / (2 * delta), rel=2e-6, abs=2e-6)
+
+
+def test_adjoint_without_contact_force_derivatives_is_the_one_with_zeros():
+    kernel = kernel_of("three_cart")
+    u = np.ones((10, 2))
+    plan = kernel.rollout(np.array(STARTS["three_cart"]), u, 0.01)
+    bar = np.ones((11, 3))
+    for left, right in zip(kernel.adjoint(plan, u, bar, bar), kernel.adjoint(plan, u, bar, bar, np.zeros((10, 2))), strict=True):
+        assert (left == right).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_directional_derivative_of_the_acceleration(name: str):
+    """Against central differences, at probe points: zeros, ones, 0101, 0123, random."""
+    kernel = kernel_of(name)
+    scene = kernel.scene
+    sizes = (scene.nq, scene.nq, scene.nu, scene.nc)
+    random = np.random.default_rng(2)
+    for make in (np.zeros, np.ones, lambda n: np.arange(n) % 2.0, lambda n: np.arange(n) * 1.0, lambda n: random.normal(size=n)):
+        point = [make(size) for size in sizes]
+        tangent = [random.normal(size=size) for size in sizes]
+        delta = 1e-6
+        ends = [
+            kernel.acceleration(*(np.atleast_2d(x + sign * delta * dx) for x, dx in zip(point, tangent, strict=True)))[0]
+            for sign in (1.0, -1.0)
+        ]
+        found = kernel.acceleration_jvp(tuple(point), tuple(tangent))
+        assert found == pytest.approx((ends[0] - ends[1]) / (2 * delta), rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_adjoint_and_directional_derivative_are_transposes(name: str):
+    """<w, J x> = <J'w, x> for one step of true contact: two codes generated apart, equal to rounding."""
+    kernel = kernel_of(name)
+    scene, d, h = kernel.scene, derive(kernel.scene), 0.01
+    random = np.random.default_rng(3)
+    start, u = np.array(STARTS[name]), random.normal(size=(1, scene.nu))
+    q, v = start[: scene.nq], start[scene.nq :]
+    dq, dv, du, w = (random.normal(size=size) for size in (scene.nq, scene.nq, scene.nu, scene.nq))
+    plan = kernel.rollout(start, u, h)
+    active = kernel.stiffness() * (kernel.penetration(q[None])[0] > 0.0)
+    slope = -d.function(d.gap_jacobian, d.q)(q) if scene.nc else np.zeros((0, scene.nq))
+    da = kernel.acceleration_jvp((q, v, u[0], plan.lam[0]), (dq, dv, du, active * (slope @ dq)))
+    bars = np.zeros((2, scene.nq))
+    v_bar = np.array([np.zeros(scene.nq), w])
+    u_bar, start_bar = kernel.adjoint(plan, u, bars, v_bar)
+    assert u_bar[0] @ du + start_bar @ np.concatenate([dq, dv]) == pytest.approx(w @ (dv + h * da), rel=1e-12)
+
+
+def test_slope_of_both_laws_at_a_penetration_of_exactly_zero():
+    """ReLU: 0, as in the plan's own model before it touches; softplus: half the stiffness."""
+    kernel = kernel_of("bouncing_mass")
+    plan_start, u, h = np.zeros(2), np.zeros((1, 0)), 0.1
+    v_bar = np.array([[0.0], [1.0]])
+    for law, eps, slope in ((ContactLaw.RELU, None, 0.0), (ContactLaw.SOFTPLUS, 1e-3, 0.5)):
+        plan = kernel.rollout(plan_start, u, h, law, eps)
+        _, start_bar = kernel.adjoint(plan, u, np.zeros((2, 1)), v_bar)
+        assert start_bar[0] == pytest.approx(-h * slope * kernel.stiffness()[0], rel=1e-14)

@@ -1,0 +1,169 @@
+"""The compiled functions against the scene's own SymPy equations, evaluated by numpy, and the rollout against a loop over them."""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models.catalog import load_scene
+from models.codegen.kernel import Kernel, KernelError, load_kernel
+from models.codegen.workspace import Workspace
+from models.contact_law import ContactLaw, contact_force
+from models.dynamics import derive
+from models.scene import Scene
+
+SCENES = Path(__file__).parents[2] / "scenes"
+NAMES = ("three_cart", "two_link_arm", "two_body_collision", "bouncing_mass", "oscillator")
+LAWS = ((ContactLaw.RELU, None), (ContactLaw.SOFTPLUS, 1e-3), (ContactLaw.SOFTPLUS, 1e-7))
+
+
+@cache
+def scene_of(name: str) -> Scene:
+    return load_scene(name if name == "three_cart" else str(SCENES / f"{name}.py"))
+
+
+@cache
+def kernel_of(name: str) -> Kernel:
+    return load_kernel(scene_of(name))
+
+
+def probes(rows: int, size: int) -> np.ndarray:
+    """zeros, ones, 0101, 0123 and random: an index mistake shows in one of them."""
+    count = np.arange(size, dtype=float)
+    fixed = [np.zeros(size), np.ones(size), count % 2, count]
+    return np.array([*fixed, *np.random.default_rng(rows).normal(size=(rows, size))])
+
+
+def points(scene: Scene) -> tuple[np.ndarray, ...]:
+    """Probe points (q, v, u, lam), one a row."""
+    sizes = np.cumsum([scene.nq, scene.nq, scene.nu, scene.nc])
+    q, v, u, lam, _ = np.split(probes(6, int(sizes[-1])), sizes, axis=1)
+    return q, v, u, lam
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_penetration_and_stiffness_are_those_of_the_scene(name: str):
+    d, kernel = derive(scene_of(name)), kernel_of(name)
+    q = points(scene_of(name))[0]
+    phi, stiffness = d.function(d.penetration, d.q), d.function(d.stiffness)
+    assert kernel.penetration(q) == pytest.approx(np.array([phi(row).ravel() for row in q]).reshape(len(q), -1), rel=1e-14, abs=1e-14)
+    assert kernel.stiffness() == pytest.approx(stiffness().ravel(), rel=1e-15)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_acceleration_solves_the_equations_of_motion(name: str):
+    d, kernel = derive(scene_of(name)), kernel_of(name)
+    q, v, u, lam = points(scene_of(name))
+    mass, force = d.function(d.mass_matrix, d.q), d.function(d.generalised_force, d.q, d.v, d.u, d.lam)
+    expected = [np.linalg.solve(mass(row[0]), force(*row).ravel()) for row in zip(q, v, u, lam, strict=True)]
+    assert kernel.acceleration(q, v, u, lam) == pytest.approx(np.array(expected), rel=1e-11, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_energy_power_and_cost_are_those_of_the_scene(name: str):
+    d, kernel = derive(scene_of(name)), kernel_of(name)
+    q, v, u, _ = points(scene_of(name))
+    groups = (d.q, d.v, d.u)
+    for found, expression in zip(
+        (*kernel.energy(q, v), *kernel.power(q, v, u)),
+        (d.kinetic_energy, d.potential_energy, d.input_power, d.dissipated_power),
+        strict=True,
+    ):
+        function = d.function([expression], *groups)
+        assert found == pytest.approx(np.array([function(*row).item() for row in zip(q, v, u, strict=True)]), rel=1e-12, abs=1e-12)
+    cost = d.function([d.running_cost], *groups)
+    assert kernel.cost(q, v, u) == pytest.approx(sum(cost(*row).item() for row in zip(q, v, u, strict=True)), rel=1e-13)
+
+
+@pytest.mark.parametrize(("law", "eps"), LAWS)
+def test_contact_force_is_the_law_of_the_penetration_even_far_away(law: ContactLaw, eps: float | None):
+    """Also at |b phi| of thousands, where a careless log(1 + exp(b phi)) is infinite."""
+    kernel = kernel_of("three_cart")
+    q = np.array([[0.0, 0.5, 1.0], [2.0, 3.0, 4.0], [0.0, -300.0, 200.0], [0.0, 1e3, -1e3], [0.0, 0.4999, 1.0001]])
+    expected = contact_force(kernel.penetration(q), kernel.stiffness(), law, eps)
+    assert kernel.contact_force(q, law, eps) == pytest.approx(expected, rel=1e-13, abs=1e-300)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("law", "eps"), LAWS)
+def test_rollout_is_semi_implicit_euler_with_the_forces_of_the_start_of_each_step(name: str, law: ContactLaw, eps: float | None):
+    scene, kernel = scene_of(name), kernel_of(name)
+    u = np.random.default_rng(1).normal(size=(40, scene.nu))
+    h = 0.003
+    found = kernel.rollout(np.array(scene.task.start), u, h, law, eps)
+    q, v = np.array(scene.task.start).reshape(2, 1, scene.nq)
+    for step in range(40):
+        lam = kernel.contact_force(q, law, eps)
+        assert (found.q[step], found.v[step], found.lam[step]) == (pytest.approx(q[0]), pytest.approx(v[0]), pytest.approx(lam[0]))
+        v = v + h * kernel.acceleration(q, v, u[step : step + 1], lam)
+        q = q + h * v
+    assert not found.diverged
+    assert (found.q[-1], found.v[-1]) == (pytest.approx(q[0]), pytest.approx(v[0]))
+
+
+def test_true_contact_forces_of_a_rollout_have_no_physics_residual_at_all():
+    """The score multiplies lam by lam - k*phi: with the kernel on both sides the product is zero to the last bit."""
+    kernel = kernel_of("three_cart")
+    u = np.zeros((500, 2)) + [3.0, -3.0]
+    plan = kernel.rollout(np.array(kernel.scene.task.start), u, 0.01)
+    assert plan.lam.max() > 0.1
+    assert (plan.lam == kernel.stiffness() * np.maximum(kernel.penetration(plan.q[:-1]), 0.0)).all()
+
+
+def test_rollout_that_stops_being_finite_says_where():
+    kernel = kernel_of("three_cart")
+    u = np.zeros((20, 2))
+    u[7, 0] = np.inf
+    plan = kernel.rollout(np.array(kernel.scene.task.start), u, 0.01)
+    assert plan.diverged
+    assert plan.finite_steps == 7
+    assert np.isfinite(plan.q[:8]).all()
+    assert np.isnan(plan.q[8:]).all()
+    assert np.isnan(plan.lam[8:]).all()
+
+
+@pytest.mark.parametrize(("law", "eps"), LAWS)
+@pytest.mark.parametrize("name", ["three_cart", "two_link_arm"])
+def test_workspace_gives_the_bits_of_the_kernel_call_after_call(name: str, law: ContactLaw, eps: float | None):
+    scene, kernel = scene_of(name), kernel_of(name)
+    work = Workspace(kernel, scene.task.start, steps=60, step=0.01, law=law, eps=eps)
+    for seed in range(3):
+        u = np.random.default_rng(seed).normal(size=(60, scene.nu))
+        work.end_bar[:] = np.arange(1.0, 2 * scene.nq + 1)
+        assert work.rollout(u)
+        gradient = work.adjoint(0.1)
+        plan = kernel.rollout(np.array(scene.task.start), u, 0.01, law, eps)
+        q_bar, v_bar = np.zeros_like(plan.q), np.zeros_like(plan.v)
+        q_bar[-1], v_bar[-1] = work.end_bar[: scene.nq], work.end_bar[scene.nq :]
+        u_bar, start_bar = kernel.adjoint(plan, u, q_bar, v_bar, cost_bar=0.1)
+        assert (work.q == plan.q).all()
+        assert (work.lam == plan.lam).all()
+        assert (gradient == u_bar).all()
+        assert (work.start_bar == start_bar).all()
+        assert work.cost() == kernel.cost(plan.q, plan.v, u)
+
+
+def test_arrays_that_do_not_fit_are_refused_in_words():
+    kernel = kernel_of("three_cart")
+    start = np.array(kernel.scene.task.start)
+    with pytest.raises(KernelError, match=r"u has shape \(5, 3\), but \(n, 2\) is needed"):
+        kernel.rollout(start, np.zeros((5, 3)), 0.01)
+    with pytest.raises(KernelError, match="start has shape"):
+        kernel.rollout(start[:5], np.zeros((5, 2)), 0.01)
+    with pytest.raises(KernelError, match="start has shape"):
+        Workspace(kernel, start[:5], steps=5, step=0.01, law=ContactLaw.RELU)
+    plan = kernel.rollout(start, np.zeros((5, 2)), 0.01)
+    with pytest.raises(KernelError, match="q_bar has shape"):
+        kernel.adjoint(plan, np.zeros((5, 2)), np.zeros((5, 3)), np.zeros((6, 3)))
+    with pytest.raises(KernelError, match="u has shape"):
+        kernel.adjoint(plan, np.zeros((4, 2)), np.zeros((6, 3)), np.zeros((6, 3)))
+
+
+def test_mass_matrix_that_is_not_positive_definite_is_said_with_the_place():
+    scene = scene_of("two_link_arm")
+    kernel = Kernel(scene, load_kernel(scene).path)
+    kernel.parameters[0] = kernel.parameters[1] = -1.0  # no scene can be made with negative masses, so the kernel is told directly
+    with pytest.raises(KernelError, match="not positive definite at q"):
+        kernel.acceleration(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 1)))
+    assert kernel.rollout(np.zeros(4), np.zeros((3, 2)), 0.01).finite_steps == 0
