@@ -73,7 +73,7 @@ def descend(objective: Objective, u0: np.ndarray, settings: Settings, time_limit
         loss.backward()
         gradient = u.grad if u.grad is not None else torch.zeros_like(inputs)
         norm = _norm(gradient.numpy())
-        if not np.isfinite(norm):
+        if not (np.isfinite(norm) and np.isfinite(loss.item())):
             message = divergence_message(objective, settings.learning_rate, iteration, best if iteration else None)
             return ended(Outcome.DIVERGED if iteration else Outcome.EVALUATION_ERROR, message, None, 0.0)
         progress = rule.add(loss.item())
@@ -120,7 +120,8 @@ def _bounds(objective: Objective) -> tuple[np.ndarray, np.ndarray]:
 
 def _norm(array: np.ndarray) -> float:
     flat = array.ravel()
-    return float(np.sqrt(flat @ flat))
+    with np.errstate(over="ignore"):  # an overflow is an answer: the descent diverged
+        return float(np.sqrt(flat @ flat))
 
 
 def _limit_message(settings: Settings, rule: StoppingRule) -> str:
@@ -135,9 +136,11 @@ def _limit_message(settings: Settings, rule: StoppingRule) -> str:
 
 def _settled(rule: StoppingRule, step: float, size: float) -> tuple[Outcome, str]:
     """SOLVED if the descent has also come to rest, STALLED if it keeps jumping to and fro (across kinks of the loss)."""
+    if rule.exhausted:
+        return Outcome.SOLVED, f"the loss is down to {rule.best:.2g}, from {rule.losses[0]:.2g}"
     facts = f"the loss fell by {100.0 * rule.decrease():.2g} % over the last {rule.window} iterations"
     share = step / size if size > 0.0 else (0.0 if step == 0.0 else np.inf)
-    if share <= _AT_REST or rule.best <= rule.tolerance * rule.losses[0] * _AT_REST:
+    if share <= _AT_REST:
         return Outcome.SOLVED, f"{facts}, and one more step would change the inputs by {100.0 * share:.2g} %"
     return Outcome.STALLED, f"{facts}, but each step still changes the inputs by {100.0 * share:.2g} %; use a smaller learning rate"
 

@@ -6,6 +6,7 @@ is, whatever its error. With a dead ReLU that is every body that only contact mo
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +17,12 @@ from models.scene import Scene
 
 # A coordinate counts as missed beyond this share of its nominal size, and as out of reach if one iteration closes less than
 # this share of its error through its own row of S (a million iterations would not get there).
-_MISSED = 1e-6
+_MISSED = 1e-4
 _OUT_OF_REACH = 1e-6
+
+# Enough for one digit of the largest curvature; the difference is small against the inputs and large against rounding.
+_POWER_ITERATIONS = 20
+_DIFFERENCE = 1e-5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,11 +36,6 @@ class Sensitivity:
     def growth(self) -> float:
         """Largest factor by which a disturbance of the start grows over the horizon."""
         return float(np.linalg.norm(self.to_start, 2))
-
-    def stable_rate(self, objective: Objective) -> float:
-        """Largest learning rate at which descending the terminal error does not overshoot: 2 / curvature."""
-        curvature = 2.0 * objective.weights.terminal / len(self.to_inputs) * np.linalg.norm(self.to_inputs, 2) ** 2
-        return float(2.0 / curvature) if curvature > 0.0 else np.inf
 
 
 def sensitivity(objective: Objective) -> Sensitivity:
@@ -97,23 +97,49 @@ def _gaps(scene: Scene, phi: np.ndarray, contacts: list[int], step: float) -> st
     return "smallest gap " + ", ".join(f"{name} {gap:.3g} m at t = {node * step:.3g} s" for name, node, gap in closest)
 
 
+def stable_rate(objective: Objective, u: np.ndarray) -> float:
+    """Largest learning rate at which a gradient step near u (steps, nu) does not overshoot: 2 / largest curvature of the loss.
+
+    The curvature comes from a power iteration on differences of gradients, so that all of the loss counts: the way to the goal,
+    contacts, and the running cost.
+    """
+    objective.value(u)
+    direction = objective.gradient().copy()
+    curvature = 0.0
+    for _ in range(_POWER_ITERATIONS):
+        norm = float(np.linalg.norm(direction))
+        if not (np.isfinite(norm) and norm > 0.0):
+            break
+        direction *= _DIFFERENCE * max(1.0, float(np.linalg.norm(u))) / norm
+        length = float(np.linalg.norm(direction))
+        gradients = []
+        for sign in (1.0, -1.0):
+            if not np.isfinite(objective.value(u + sign * direction)):
+                return np.nan
+            gradients.append(objective.gradient().copy())
+        direction = gradients[0] - gradients[1]
+        curvature = float(np.linalg.norm(direction)) / (2.0 * length)
+    return 2.0 / curvature if curvature > 0.0 else np.inf
+
+
 def divergence_message(objective: Objective, learning_rate: float, iteration: int, best: np.ndarray | None) -> str:
     """What went wrong at this iteration, and the growth and the rate measured at the best inputs seen (None if there are none)."""
     work = objective.work
+    where = f"after {iteration} iterations at learning rate {learning_rate:g}" if iteration else "at the first guess"
     if objective.finite:
-        what = f"after {iteration} iterations at learning rate {learning_rate:g} the loss climbs instead of descending"
+        what = f"{where} the loss climbs instead of descending"
     else:
-        what = (
-            f"after {iteration} iterations at learning rate {learning_rate:g} the rollout is no longer finite beyond step {work.finite_steps} "
-            f"(t = {work.finite_steps * work.step:.3g} s)"
-        )
+        what = f"{where} the rollout is no longer finite beyond step {work.finite_steps} (t = {work.finite_steps * work.step:.3g} s)"
     if best is None:
-        return f"{what}."
+        return f"{what}; start, parameters and inputs must allow a simulation to the end of the horizon."
+    rate = stable_rate(objective, best)
     objective.value(best)
-    rows = sensitivity(objective)
-    advice = f"a learning rate below {_one_digit(rows.stable_rate(objective))} would not overshoot there"
-    return f"{what}; at the best plan a disturbance of the start grows by a factor of {rows.growth:.3g} over the horizon, and {advice}."
+    growth = sensitivity(objective).growth
+    advice = f"; a learning rate below {_rounded_down(rate)} would not overshoot there" if np.isfinite(rate) else ""
+    return f"{what}; at the best plan a disturbance of the start grows by a factor of {growth:.3g} over the horizon{advice}."
 
 
-def _one_digit(value: float) -> str:
-    return f"{float(f'{value:.0e}'):g}"
+def _rounded_down(value: float) -> str:
+    """One digit, so that the text promises no more than an estimate can."""
+    scale = 10.0 ** math.floor(math.log10(value))
+    return f"{math.floor(value / scale) * scale:g}"

@@ -9,6 +9,7 @@ that are reused: what a descent calls.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from time import perf_counter
@@ -75,7 +76,7 @@ class Objective:
     @property
     def terminal_error(self) -> float:
         """|x_T - goal| over positions and velocities."""
-        return float(np.linalg.norm(self.error))
+        return math.hypot(*self.error.tolist())
 
     def value(self, u: np.ndarray) -> float:
         """The loss at inputs u (steps, nu); infinite if the rollout diverges."""
@@ -90,7 +91,8 @@ class Objective:
         nq = len(self.goal) // 2
         np.subtract(self.work.q[-1], self.goal[:nq], out=self.error[:nq])
         np.subtract(self.work.v[-1], self.goal[nq:], out=self.error[nq:])
-        return self.weights.terminal * float(self.error @ self.error) / len(self.error) + self.weights.running * self.cost
+        squares = sum(error * error for error in self.error.tolist())  # plain floats: an overflow is an answer here, not a warning
+        return self.weights.terminal * squares / len(self.error) + self.weights.running * self.cost
 
     def gradient(self) -> np.ndarray:
         """Gradient (steps, nu) of the loss at the inputs evaluated last; the buffer is overwritten by the next call."""

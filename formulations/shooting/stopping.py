@@ -46,6 +46,11 @@ class StoppingRule:
     def best(self) -> float:
         return self._best[-1]
 
+    @property
+    def exhausted(self) -> bool:
+        """Whether the best loss is down to rounding."""
+        return self.best <= _NOTHING_LEFT * self.losses[0]
+
     def decrease(self) -> float:
         """Relative decrease of the best loss over the window."""
         earlier = self._best[max(0, len(self._best) - 1 - self.window)]
@@ -55,7 +60,7 @@ class StoppingRule:
         """Take the next loss and say how the descent goes."""
         self.losses.append(loss)
         self._best.append(min(loss, self._best[-1]) if self._best else loss)
-        if self.best <= _NOTHING_LEFT * self.losses[0]:
+        if self.exhausted:
             return Progress.SETTLED
         if len(self.losses) <= self.window:
             return Progress.DESCENDING
