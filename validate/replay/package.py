@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from models.dynamics import derive
 from models.errors import MachineError, TouchstoneError
 from models.scene import Scene
 
@@ -47,8 +48,9 @@ class Package:
 
 @dataclass(frozen=True, kw_only=True)
 class Variables:
-    """Value references by the scene's names. A group that the FMU lacks is empty.
+    """Value references by the scene's names. lam and gap are empty where the FMU lacks one of them.
 
+    energies, powers: those the FMU has, by name; zero: names of energies and powers that the scene does not have at all;
     parameters: (reference, value) of every parameter of the scene that the FMU has; internal_step: of the Co-Simulation.
     """
 
@@ -57,20 +59,21 @@ class Variables:
     u: tuple[int, ...]
     lam: tuple[int, ...]
     gap: tuple[int, ...]
-    energies: tuple[int, ...]
-    powers: tuple[int, ...]
+    energies: Mapping[str, int]
+    powers: Mapping[str, int]
+    zero: frozenset[str]
     parameters: tuple[tuple[int, float], ...]
     internal_step: int | None
 
     @property
     def outputs(self) -> tuple[int, ...]:
         """Of all that is read at a point of the replay: q, v, lam, gap, energies."""
-        return self.q + self.v + self.lam + self.gap + self.energies
+        return self.q + self.v + self.lam + self.gap + tuple(self.energies.values())
 
     @property
     def rates(self) -> tuple[int, ...]:
         """Of what is integrated beside the states: contact forces, powers."""
-        return self.lam + self.powers
+        return self.lam + tuple(self.powers.values())
 
 
 @contextmanager
@@ -107,10 +110,8 @@ def find_variables(package: Package, scene: Scene, names: Mapping[str, str] | No
         "u": tuple(item.name for item in scene.inputs),
         "lam": tuple(item.force_name for item in scene.contacts),
         "gap": tuple(item.gap_name for item in scene.contacts),
-        "energies": ENERGIES,
-        "powers": POWERS,
     }
-    known = {name for group in groups.values() for name in group} | {item.name for item in scene.parameters} | {INTERNAL_STEP}
+    known = {name for group in groups.values() for name in group} | {item.name for item in scene.parameters} | {*ENERGIES, *POWERS, INTERNAL_STEP}
     for name in names:
         if name not in known:
             raise FmuError(f"FMU {package.path}: the map names {name!r}, which scene {scene.name} does not have; it has {', '.join(sorted(known))}.")
@@ -140,4 +141,22 @@ def find_variables(package: Package, scene: Scene, names: Mapping[str, str] | No
         item = reference(parameter.name)
         if item is not None and by_name[names.get(parameter.name, parameter.name)].causality == "parameter":
             parameters.append((item, parameter.value))
-    return Variables(**found, parameters=tuple(parameters), internal_step=reference(INTERNAL_STEP))
+    structure = derive(scene).structure
+    absent = {
+        "potential_energy": not structure.conservative_forces,
+        "contact_energy": not structure.contacts,
+        "input_power": not structure.inputs,
+        "dissipated_power": not structure.dissipation,
+    }
+
+    def present(group: tuple[str, ...]) -> Mapping[str, int]:
+        return {name: item for name in group if (item := reference(name)) is not None}
+
+    return Variables(
+        **found,
+        energies=present(ENERGIES),
+        powers=present(POWERS),
+        zero=frozenset(name for name, is_absent in absent.items() if is_absent),
+        parameters=tuple(parameters),
+        internal_step=reference(INTERNAL_STEP),
+    )

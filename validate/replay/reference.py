@@ -98,7 +98,9 @@ class _Integration:
             # An FMU that wants to know each internal step is integrated up to every recorded point, the others past it.
             result = self.solver.step(target, mode, target if self.model.wants_steps else stop)
             time, y = float(result.t), result.y
-            self.check(time, y, result.status, result.message)
+            if result.status < 0:
+                self.within_bounds(time, y)
+                raise _Stop(ReplayOutcome.INTEGRATION_FAILED, f"CVODE stopped at t = {time:.6g} s: {result.message}")
             wanted = self.model.wants_steps and result.status != _ROOT_RETURN and self.model.step_completed(time, y)
             if result.status == _ROOT_RETURN or wanted:
                 if result.status == _ROOT_RETURN:
@@ -157,14 +159,12 @@ class _Integration:
 
         return gaps
 
-    def check(self, time: float, y: np.ndarray, status: int, message: str) -> None:
-        states = np.abs(y[: len(self.bound)])
-        if not (states < self.bound).all():
+    def within_bounds(self, time: float, y: np.ndarray) -> None:
+        """Raise _Stop where a state has left every bound, or anything is no finite number."""
+        if not (np.abs(y[: len(self.bound)]) < self.bound).all():
             raise _Stop(ReplayOutcome.DIVERGED, f"A state left every bound at t = {time:.6g} s.")
         if not np.isfinite(y).all():
             raise _Stop(ReplayOutcome.DIVERGED, f"Work or impulse was not a finite number at t = {time:.6g} s.")
-        if status < 0:
-            raise _Stop(ReplayOutcome.INTEGRATION_FAILED, f"CVODE stopped at t = {time:.6g} s: {message}")
 
     def note(self, time: float, crossed: np.ndarray) -> None:
         """Count an event; the sign CVODE gives is that of the indicator's slope."""
@@ -174,11 +174,12 @@ class _Integration:
             raise _Stop(ReplayOutcome.EVENT_BUDGET, f"More than {self.event_budget} contact events by t = {time:.6g} s.")
 
     def record(self, time: float, y: np.ndarray, knot: bool = False) -> None:
-        if knot:
-            self.run.knots.append(len(self.run.t))
+        self.within_bounds(time, y)
         outputs = self.model.read(time, y)
         if not np.isfinite(outputs).all():
             raise _Stop(ReplayOutcome.DIVERGED, f"An output was not a finite number at t = {time:.6g} s.")
+        if knot:
+            self.run.knots.append(len(self.run.t))
         self.run.t.append(time)
         self.run.outputs.append(outputs)
         self.run.accumulated.append(np.array(y[len(self.bound) :]))

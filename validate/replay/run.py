@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from models.codegen.kernel import Kernel, load_kernel
 from models.scene import Scene
 from models.trajectory import Trajectory
 from validate.replay.error_estimate import difference, estimate
 from validate.replay.everyday import everyday_refusal, require_some_method, simulate
 from validate.replay.exchange import ExchangeModel
 from validate.replay.inputs import HeldInputs
+from validate.replay.outputs import Outputs
 from validate.replay.package import Package, Variables, find_variables, open_package
 from validate.replay.reference import Run, integrate
 from validate.replay.result import Event, Replay, ReplayError, ReplayOutcome
@@ -58,7 +58,7 @@ def replay(
             everyday = [simulate(package, variables, trajectory.start, inputs, count) for count in fineness]
         everyday_seconds = clock.process_time() - started
     judged = (reference or everyday)[-1]
-    nodes = [_AtNodes(scene, variables, run) if run.outcome is ReplayOutcome.OK else None for run in (*reference, *everyday)]
+    nodes = [Outputs(scene, variables, run, run.knots) if run.outcome is ReplayOutcome.OK else None for run in (*reference, *everyday)]
     loose, tight = nodes[:2] if reference else (None, None)
     coarse, fine = nodes[-2:] if everyday else (None, None)
     error = estimate(
@@ -78,51 +78,6 @@ def _reference(package: Package, variables: Variables, start: np.ndarray, inputs
         model.close()
 
 
-class _Outputs:
-    """The recorded outputs of a run taken apart; what the FMU does not give is computed from the scene's own equations."""
-
-    def __init__(self, scene: Scene, variables: Variables, run: Run, rows: list[int] | None = None) -> None:
-        values = np.array(run.outputs)[slice(None) if rows is None else rows].reshape(-1, len(variables.outputs))
-        nq = scene.nq
-        self.q, self.v = values[:, :nq].copy(), values[:, nq : 2 * nq].copy()
-        kernel = _KernelOnDemand(scene)
-        at = 2 * nq
-        if variables.lam or not scene.nc:
-            self.lam = values[:, at : at + scene.nc].copy()
-            at += len(variables.lam)
-        else:
-            self.lam = kernel.get.contact_force(self.q)
-        if variables.gap or not scene.nc:
-            self.gap = values[:, at : at + scene.nc].copy()
-            at += len(variables.gap)
-        else:
-            self.gap = -kernel.get.penetration(self.q)
-        if variables.energies:
-            self.kinetic, self.potential, self.contact = (values[:, at + index].copy() for index in range(3))
-        else:
-            self.kinetic, self.potential = (np.array(energy) for energy in kernel.get.energy(self.q, self.v))
-            self.contact = (np.maximum(-self.gap, 0.0) ** 2 @ kernel.get.stiffness()) / 2
-
-
-class _AtNodes(_Outputs):
-    """Outputs at the plan's nodes only: where runs are compared."""
-
-    def __init__(self, scene: Scene, variables: Variables, run: Run) -> None:
-        super().__init__(scene, variables, run, run.knots)
-
-
-class _KernelOnDemand:
-    def __init__(self, scene: Scene) -> None:
-        self._scene = scene
-        self._kernel: Kernel | None = None
-
-    @property
-    def get(self) -> Kernel:
-        if self._kernel is None:
-            self._kernel = load_kernel(self._scene)
-        return self._kernel
-
-
 def _assemble(
     scene: Scene,
     variables: Variables,
@@ -135,10 +90,7 @@ def _assemble(
     fmu: str,
     seconds: tuple[float, float],
 ) -> Replay:
-    out = _Outputs(scene, variables, run)
-    rates = np.array(run.accumulated).reshape(len(run.t), len(variables.rates)) if has_reference else np.empty((len(run.t), 0))
-    contacts = len(variables.lam)
-    powers = bool(variables.powers) and has_reference
+    out = Outputs(scene, variables, run)
     names = [contact.name for contact in scene.contacts]
     notes = [run.message] if run.message else []
     if refusal is not None:
@@ -161,9 +113,9 @@ def _assemble(
         kinetic_energy=out.kinetic,
         potential_energy=out.potential,
         contact_energy=out.contact,
-        input_work=rates[:, contacts].copy() if powers else None,
-        dissipated_work=rates[:, contacts + 1].copy() if powers else None,
-        contact_impulse=rates[:, :contacts].copy() if has_reference and (contacts or not scene.nc) else None,
+        input_work=out.work("input_power"),
+        dissipated_work=out.work("dissipated_power"),
+        contact_impulse=out.contact_impulse,
         events=tuple(
             Event(time=time, contact=names[index] if named else f"indicator_{index}", closes=closes) for time, index, closes in run.events
         ),
