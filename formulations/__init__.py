@@ -5,3 +5,34 @@
 
 Pyomo is imported when a model is built, PyTorch when a shooting method runs: importing this package costs neither.
 """
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from formulations.transcription.build import build_block, build_model
+    from formulations.transcription.contact_laws import ContactLaw, ModelError, relax, tighten
+    from formulations.transcription.plans import load_plan, read_plan
+    from formulations.transcription.residuals import PlanResiduals
+
+_HOME = {
+    "ContactLaw": "contact_laws",
+    "ModelError": "contact_laws",
+    "PlanResiduals": "residuals",
+    "build_block": "build",
+    "build_model": "build",
+    "load_plan": "plans",
+    "read_plan": "plans",
+    "relax": "contact_laws",
+    "tighten": "contact_laws",
+}
+
+__all__ = ["ContactLaw", "ModelError", "PlanResiduals", "build_block", "build_model", "load_plan", "read_plan", "relax", "tighten"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"formulations.transcription.{_HOME[name]}"), name)

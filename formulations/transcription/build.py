@@ -1,0 +1,219 @@
+"""Scene -> Pyomo model: a plain ConcreteModel, or a Block of the user's own model.
+
+    model = build_model("three_cart", contact=ContactLaw.SOFTPLUS, eps=1e-3)
+    model.parameter_scene["k"] = 300.0                               # no rebuilding
+    model.own = pyo.Constraint(expr=model.variable_q[250, "q2"] >= 3.2)
+
+What a block has, t in 0..T (`set_nodes`) or 0..T-1 (`set_steps`):
+
+| name | index | what |
+|---|---|---|
+| variable_q, variable_v | t in nodes, coordinate | positions [m, rad], velocities |
+| variable_u | t in steps, input | inputs within their bounds |
+| variable_lam | t in steps, contact | contact forces [N] at the start of the step |
+| parameter_scene | parameter | the scene's parameters, mutable |
+| parameter_start_position, _start_velocity, _goal_position, _goal_velocity | coordinate | mutable |
+| parameter_step | | h [s], mutable |
+| parameter_sharpness | | b = abs(ln eps), softplus only, mutable: `tighten` |
+| mpec_bound | | eps of relaxed complementarity, mutable: `tighten` |
+| constraint_start_position, _start_velocity, _goal_position, _goal_velocity | coordinate | |
+| constraint_position_step, constraint_velocity_step | t in steps, coordinate | semi-implicit Euler |
+| constraint_contact_softplus or complementarity_contact | t in steps, contact | the contact law |
+| expression_cost, objective_cost | | sum of the running cost; the objective exists in `build_model` only |
+
+What the scene does not need is not there: no variable_u without inputs, no variable_lam without contacts.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pyomo.environ as pyo
+from pyomo.common.gc_manager import PauseGC
+from pyomo.mpec import Complementarity
+
+from formulations.transcription import equations
+from formulations.transcription.contact_laws import ContactLaw, ModelError, relax
+from formulations.transcription.expressions import SceneExpressions
+from models.catalog import load_scene
+from models.contact_law import sharpness
+from models.dynamics import derive
+from models.scene import Scene
+
+
+def build_model(
+    scene: Scene | str,
+    contact: ContactLaw = ContactLaw.COMPLEMENTARITY,
+    *,
+    eps: float | None = None,
+    steps: int | None = None,
+    step: float | None = None,
+) -> pyo.ConcreteModel:
+    """A plain Pyomo model of the scene's task, at the first guess of the paper (start held, u = lam = 0).
+
+    scene: a Scene, its name, or the path of its file; contact: how contact is written; steps, step [s]: another grid than the task's.
+    eps: with SOFTPLUS needed, 0 < eps < 1. With COMPLEMENTARITY None leaves pyomo.mpec's `Complementarity` untransformed (for solvers and
+    transformations of your own); a number applies Pyomo's `mpec.simple_nonlinear` with that bound [N^2].
+
+    >>> import pyomo.environ as pyo
+    >>> from formulations import ContactLaw, build_model, tighten
+    >>> model = build_model("three_cart", contact=ContactLaw.COMPLEMENTARITY, eps=1e-2, steps=50)
+    >>> model.parameter_scene["k"] = 300.0                                    # stiffer contact, no rebuilding
+    >>> model.own = pyo.Constraint(expr=model.variable_q[25, "q2"] <= 3.2)    # a constraint of one's own
+    >>> tighten(model, 1e-4)                                                  # the bound moves, the model stays
+    >>> pyo.value(model.mpec_bound)
+    0.0001
+    """
+    chosen = load_scene(scene) if isinstance(scene, str) else scene
+    model = pyo.ConcreteModel(name=chosen.name)
+    build_block(model, chosen, contact, eps=eps, steps=steps, step=step)
+    model.objective_cost = pyo.Objective(expr=model.expression_cost, sense=pyo.minimize)
+    return model
+
+
+def build_block(
+    block: Any,
+    scene: Scene | str,
+    contact: ContactLaw = ContactLaw.COMPLEMENTARITY,
+    *,
+    eps: float | None = None,
+    steps: int | None = None,
+    step: float | None = None,
+) -> None:
+    """Fill a Block of your own model, as `build_model` does, without an objective: `block.expression_cost` is there to be weighed.
+
+    >>> import pyomo.environ as pyo
+    >>> from formulations import ContactLaw, build_block
+    >>> model = pyo.ConcreteModel()
+    >>> model.soft, model.stiff = pyo.Block(), pyo.Block()
+    >>> build_block(model.soft, "three_cart", ContactLaw.SOFTPLUS, eps=1e-3, steps=20)
+    >>> build_block(model.stiff, "three_cart", ContactLaw.SOFTPLUS, eps=1e-5, steps=20)
+    >>> model.same_force = pyo.Constraint(model.soft.set_steps, rule=lambda m, t: m.soft.variable_u[t, "u1"] == m.stiff.variable_u[t, "u1"])
+    >>> model.cost = pyo.Objective(expr=model.soft.expression_cost + model.stiff.expression_cost)
+    """
+    chosen = load_scene(scene) if isinstance(scene, str) else scene
+    if not isinstance(contact, ContactLaw):
+        raise ModelError(f"contact is {contact!r}, but must be one of {', '.join(str(law) for law in ContactLaw)}.")
+    if steps is not None or step is not None:
+        task = chosen.task
+        chosen = chosen.with_task(steps=task.steps if steps is None else steps, step=task.step if step is None else step)
+    b = sharpness(eps) if contact is ContactLaw.SOFTPLUS else None  # checks eps before anything is built
+    with PauseGC():
+        _add_sets(block, chosen)
+        _add_parameters(block, chosen)
+        _add_variables(block, chosen)
+        _add_ends(block, chosen)
+        _add_steps(block, chosen, contact, b)
+        if contact is ContactLaw.COMPLEMENTARITY and eps is not None and chosen.nc:
+            relax(block, eps)
+
+
+def _add_sets(block: Any, scene: Scene) -> None:
+    block.set_nodes = pyo.RangeSet(0, scene.task.steps)
+    block.set_steps = pyo.RangeSet(0, scene.task.steps - 1)
+    block.set_coordinates = pyo.Set(initialize=[coordinate.name for coordinate in scene.coordinates])
+    if scene.nu:
+        block.set_inputs = pyo.Set(initialize=[item.name for item in scene.inputs])
+    if scene.nc:
+        block.set_contacts = pyo.Set(initialize=[contact.name for contact in scene.contacts])
+
+
+def _add_parameters(block: Any, scene: Scene) -> None:
+    nq, names = scene.nq, list(block.set_coordinates)
+    if scene.parameters:
+        values = {parameter.name: parameter.value for parameter in scene.parameters}
+        block.parameter_scene = pyo.Param(list(values), initialize=values, mutable=True)
+    for end, state in (("start", scene.task.start), ("goal", scene.task.goal)):
+        for part, values in (("position", state[:nq]), ("velocity", state[nq:])):
+            table = dict(zip(names, values, strict=True))
+            block.add_component(f"parameter_{end}_{part}", pyo.Param(block.set_coordinates, initialize=table, mutable=True))
+    block.parameter_step = pyo.Param(initialize=scene.task.step, mutable=True)
+
+
+def _add_variables(block: Any, scene: Scene) -> None:
+    """Created at the paper's first guess: the start held, no inputs, no contact forces."""
+    nodes, steps = block.set_nodes, block.set_steps
+    start = dict(zip(block.set_coordinates, zip(scene.task.start[: scene.nq], scene.task.start[scene.nq :], strict=True), strict=True))
+    block.variable_q = pyo.Var(nodes, block.set_coordinates, initialize=lambda b, t, name: start[name][0])
+    block.variable_v = pyo.Var(nodes, block.set_coordinates, initialize=lambda b, t, name: start[name][1])
+    if scene.nu:
+        bounds = {item.name: (item.lower, item.upper) for item in scene.inputs}
+        first = {name: min(max(0.0, lower), upper) for name, (lower, upper) in bounds.items()}
+        block.variable_u = pyo.Var(
+            steps, block.set_inputs, bounds=lambda b, t, name: bounds[name], initialize=lambda b, t, name: first[name]
+        )
+
+
+def _add_ends(block: Any, scene: Scene) -> None:
+    last = scene.task.steps
+    for end, node, equation in (("start", 0, equations.constraint_start), ("goal", last, equations.constraint_goal)):
+        for part, variable in (("position", block.variable_q), ("velocity", block.variable_v)):
+            value = block.component(f"parameter_{end}_{part}")
+            rows = pyo.Constraint(
+                block.set_coordinates,
+                rule=lambda b, name, node=node, equation=equation, variable=variable, value=value: equation(variable[node, name], value[name]),
+            )
+            block.add_component(f"constraint_{end}_{part}", rows)
+
+
+def _add_steps(block: Any, scene: Scene, contact: ContactLaw, b: float | None) -> None:
+    law = SceneExpressions(derive(scene))
+    nq, h = scene.nq, block.parameter_step
+    p = list(block.parameter_scene.values()) if scene.parameters else []
+    q, v = _rows(block.variable_q, scene.task.steps + 1), _rows(block.variable_v, scene.task.steps + 1)
+    u = _rows(block.variable_u, scene.task.steps) if scene.nu else [[]] * scene.task.steps
+    place = {name: index for index, name in enumerate(block.set_coordinates)}
+    lam: list[list[Any]] = [[]] * scene.task.steps
+    if scene.nc:
+        lam = _add_contact(block, scene, contact, b, law, q, p)
+    mass = [law.mass(q_now, p) for q_now in q[:-1]]
+    force = [law.force(*arguments, p) for arguments in zip(q[:-1], v[:-1], u, lam, strict=True)]
+
+    def position(_: Any, t: int, name: str) -> Any:
+        i = place[name]
+        return equations.constraint_position_step(q[t + 1][i], q[t][i], v[t + 1][i], h)
+
+    def velocity(_: Any, t: int, name: str) -> Any:
+        i = place[name]
+        return equations.constraint_velocity_step(mass[t][i * nq : (i + 1) * nq], v[t + 1], v[t], force[t][i], h)
+
+    block.constraint_position_step = pyo.Constraint(block.set_steps, block.set_coordinates, rule=position)
+    block.constraint_velocity_step = pyo.Constraint(block.set_steps, block.set_coordinates, rule=velocity)
+    costs = [law.running_cost(*arguments, p)[0] for arguments in zip(q[:-1], v[:-1], u, strict=True)]
+    block.expression_cost = pyo.Expression(expr=equations.expression_cost(costs))
+
+
+def _add_contact(
+    block: Any, scene: Scene, contact: ContactLaw, b: float | None, law: SceneExpressions, q: list[list[Any]], p: list[Any]
+) -> list[list[Any]]:
+    """The contact forces and their law; returns the variables lam[t][contact]."""
+    place = {name: index for index, name in enumerate(block.set_contacts)}
+    block.variable_lam = pyo.Var(block.set_steps, block.set_contacts, initialize=0.0)
+    lam = _rows(block.variable_lam, scene.task.steps)
+    k = law.stiffness(p)
+    phi = [law.penetration(q_now, p) for q_now in q[:-1]]
+    if contact is ContactLaw.SOFTPLUS:
+        block.parameter_sharpness = pyo.Param(initialize=b, mutable=True)
+
+        def softplus(_: Any, t: int, name: str) -> Any:
+            i = place[name]
+            return equations.constraint_contact_softplus(lam[t][i], phi[t][i], k[i], block.parameter_sharpness)
+
+        block.constraint_contact_softplus = pyo.Constraint(block.set_steps, block.set_contacts, rule=softplus)
+    else:
+        block.variable_lam.setlb(0.0)
+
+        def complementarity(_: Any, t: int, name: str) -> Any:
+            i = place[name]
+            return equations.complementarity_contact(lam[t][i], phi[t][i], k[i])
+
+        block.complementarity_contact = Complementarity(block.set_steps, block.set_contacts, rule=complementarity)
+    return lam
+
+
+def _rows(variable: Any, count: int) -> list[list[Any]]:
+    """The variables of each time, in the scene's order."""
+    rows: list[list[Any]] = [[] for _ in range(count)]
+    for (t, _), data in variable.items():
+        rows[t].append(data)
+    return rows

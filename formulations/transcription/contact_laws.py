@@ -1,0 +1,79 @@
+"""How a plan's model writes contact, and how it is tightened without building the model again."""
+
+from __future__ import annotations
+
+import math
+from enum import Enum
+from typing import Any
+
+import pyomo.environ as pyo
+from pyomo.mpec import Complementarity
+
+from models.contact_law import sharpness
+from models.errors import TouchstoneError
+
+_TRANSFORMATION = "mpec.simple_nonlinear"
+
+
+class ContactLaw(Enum):
+    """SOFTPLUS: smooth force at a distance, eps in (0, 1). COMPLEMENTARITY: lam (lam - k phi) <= eps [N^2], eps = 0 is the true law."""
+
+    SOFTPLUS = "softplus"
+    COMPLEMENTARITY = "complementarity"
+
+
+class ModelError(TouchstoneError):
+    """A model is asked for something it was not built for; one sentence says what and what to do instead."""
+
+
+def relax(block: Any, eps: float) -> None:
+    """Replace the complementarity of a built block by Pyomo's own relaxation lam * v <= mpec_bound, v = lam - k phi (mpec.simple_nonlinear).
+
+    In place, once: the transformation applied again would silently disconnect the first bound, hence a ModelError. To keep the
+    untransformed model, relax a clone: `relaxed = model.clone(); relax(relaxed, 1e-2)`.
+    """
+    if not hasattr(block, "complementarity_contact"):
+        raise ModelError(f"{_name(block)} has no complementarity to relax; build it with contact=ContactLaw.COMPLEMENTARITY and eps=None.")
+    if hasattr(block, "mpec_bound"):
+        raise ModelError(f"{_name(block)} is relaxed already; move its bound with tighten(model, eps).")
+    bound = _checked_bound(block, eps)
+    pyo.TransformationFactory(_TRANSFORMATION).apply_to(block, mpec_bound=bound)
+    for pair in block.complementarity_contact.values():
+        pair.v.value = 0.0  # the transformation leaves it without a value
+        pair.v.value = -pyo.value(pair.ve.body)  # ve: v - (lam - k phi) == 0
+        pair.c.deactivate()  # lam >= 0 is the bound of variable_lam already; as a row it would cost a slack each
+
+
+def tighten(block: Any, eps: float) -> None:
+    """Set the relaxation of a built block: sharpness b = |ln eps| for softplus, the bound eps [N^2] for complementarity (0 allowed)."""
+    if hasattr(block, "parameter_sharpness"):
+        block.parameter_sharpness.value = sharpness(eps)
+    elif hasattr(block, "mpec_bound"):
+        block.mpec_bound.value = _checked_bound(block, eps)
+    else:
+        raise ModelError(f"{_name(block)} has no relaxation to tighten; build it with an eps, or relax(model, eps) first.")
+
+
+def is_complementarity(block: Any) -> bool:
+    """Whether the block holds complementarity pairs, relaxed or not."""
+    return hasattr(block, "complementarity_contact")
+
+
+def is_relaxed(block: Any) -> bool:
+    """Whether the block's complementarity went through `relax`."""
+    return hasattr(block, "mpec_bound")
+
+
+def has_untransformed(block: Any) -> bool:
+    """Whether an active Complementarity is left, which no NLP solver can read."""
+    return next(iter(block.component_data_objects(Complementarity, active=True, descend_into=True)), None) is not None
+
+
+def _checked_bound(block: Any, eps: Any) -> float:
+    if isinstance(eps, bool) or not isinstance(eps, (int, float)) or not 0.0 <= eps < math.inf:
+        raise ModelError(f"{_name(block)}: eps is {eps!r}, but the bound of lam (lam - k phi) must be a finite number of at least 0 N^2.")
+    return float(eps)
+
+
+def _name(block: Any) -> str:
+    return f"model {block.name}"

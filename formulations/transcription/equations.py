@@ -1,0 +1,60 @@
+"""The equations of the transcription: one function, one equation. They fetch nothing; whoever calls them brings the quantities.
+
+Semi-implicit Euler with the paper's indices: contact force and damping belong to the *start* of a step, the new position to the
+new velocity. Units: q [m, rad], v [m/s, rad/s], h [s], forces [N, N m], k [N/m], phi [m] (positive in contact), b [1/m].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import pyomo.environ as pyo
+from pyomo.mpec import complements
+
+
+def constraint_start(state: Any, start: Any) -> Any:
+    """x[0] = start   [m, rad or m/s, rad/s]"""
+    return state == start
+
+
+def constraint_goal(state: Any, goal: Any) -> Any:
+    """x[T] = goal   [m, rad or m/s, rad/s]"""
+    return state == goal
+
+
+def constraint_position_step(q_next: Any, q_now: Any, v_next: Any, h: Any) -> Any:
+    """q[t+1] = q[t] + h v[t+1]   [m, rad]"""
+    return q_next == q_now + h * v_next
+
+
+def constraint_velocity_step(mass_row: Sequence[Any], v_next: Sequence[Any], v_now: Sequence[Any], force: Any, h: Any) -> Any:
+    """sum_j M_ij(q[t]) (v_j[t+1] - v_j[t]) = h (tau_i(q[t], v[t], u[t]) + (J(q[t])' lam[t])_i)   [N s, N m s]
+
+    No mass matrix is ever inverted, and entries that are zero for the scene are left out.
+    """
+    momentum = sum(mass * (after - before) for mass, after, before in zip(mass_row, v_next, v_now, strict=True) if not _is_zero(mass))
+    return momentum == h * force
+
+
+def constraint_contact_softplus(lam: Any, phi: Any, k: Any, b: Any) -> Any:
+    """lam[t] = (k / b) log(1 + exp(b phi(q[t])))   [N],   b = |ln eps|   (paper, eq. 5, sign corrected)"""
+    return lam == (k / b) * pyo.log(1 + pyo.exp(b * phi))
+
+
+def complementarity_contact(lam: Any, phi: Any, k: Any) -> Any:
+    """0 <= lam[t]  complements  lam[t] - k phi(q[t]) >= 0   [N]   (paper, eq. 7)
+
+    The separation force lam - k phi comes first: Pyomo gives the first expression a variable of its own (`v`) and multiplies it
+    with the second, so that the product is lam * v, of two variables. The other order would copy lam.
+    """
+    return complements(lam - k * phi >= 0, lam >= 0)
+
+
+def expression_cost(running_costs: Sequence[Any]) -> Any:
+    """sum over t = 0..T-1 of the running cost, not weighted with h (paper: sum_t u1^2 + u3^2 [N^2])"""
+    return sum(running_costs)
+
+
+def _is_zero(entry: Any) -> bool:
+    return entry.__class__ in (int, float) and entry == 0

@@ -1,0 +1,52 @@
+"""SymPy equations of a scene -> functions of Pyomo variables and Params.
+
+    equations = SceneExpressions(derive(scene))
+    equations.penetration(q, p)        # [Pyomo expression per contact]
+
+Arguments are sequences in the scene's order: q, v (nq), u (nu), lam (nc), p (np). Entries that are zero for the scene are the number 0,
+so that nothing is written for what is not there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import pyomo.environ as pyo
+import sympy as sp
+
+from models.dynamics import Dynamics
+from models.errors import SceneError
+
+_SMOOTH = {
+    name: getattr(pyo, name)
+    for name in ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "exp", "log", "sqrt")
+}
+_NAMESPACE = {**_SMOOTH, "pi": math.pi, "E": math.e}
+
+Entries = Callable[..., Sequence[Any]]
+
+
+class SceneExpressions:
+    """The five functions a transcription needs. Raises SceneError for a function that is not smooth (abs, Max, Piecewise ...)."""
+
+    def __init__(self, dynamics: Dynamics) -> None:
+        d = dynamics
+        self.nq, self.nc = len(d.q), len(d.lam)
+        self.mass = _function(d, "the mass matrix", list(d.mass_matrix), d.q, d.p)  # row by row, nq*nq entries
+        self.force = _function(d, "the generalised force", list(d.generalised_force), d.q, d.v, d.u, d.lam, d.p)
+        self.penetration = _function(d, "a penetration", list(d.penetration), d.q, d.p)
+        self.stiffness = _function(d, "a stiffness", list(d.stiffness), d.p)
+        self.running_cost = _function(d, "the running cost", [d.running_cost], d.q, d.v, d.u, d.p)
+
+
+def _function(dynamics: Dynamics, what: str, expressions: list[sp.Expr], *groups: Sequence[sp.Symbol]) -> Entries:
+    for expression in expressions:
+        for call in sp.sympify(expression).atoms(sp.Function, sp.Piecewise, sp.Max, sp.Min):
+            if call.func.__name__ not in _SMOOTH:
+                raise SceneError(
+                    f"scene {dynamics.scene.name}: {what} contains {call}, which has no smooth Pyomo form; "
+                    f"use {', '.join(_SMOOTH)} and powers."
+                )
+    return sp.lambdify([list(group) for group in groups], expressions, modules=[_NAMESPACE], cse=True)

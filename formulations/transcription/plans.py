@@ -1,0 +1,77 @@
+"""Plans in and out of a model: a Trajectory as first guess, the model's values as a Trajectory."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pyomo.environ as pyo
+
+from formulations.transcription.contact_laws import is_relaxed
+from models.errors import TrajectoryError
+from models.trajectory import Trajectory, uniform_grid
+
+
+def load_plan(block: Any, plan: Trajectory) -> None:
+    """Write a plan into the variables of a block, as first guess. Its ends need not be those of the task.
+
+    Raises TrajectoryError unless the plan has the block's grid and numbers of columns.
+    """
+    steps, h = len(block.set_steps), pyo.value(block.parameter_step)
+    grid = uniform_grid(h, steps)
+    if plan.steps != steps or not np.allclose(plan.t - plan.t[0], grid, rtol=1e-9, atol=1e-9 * h):
+        raise TrajectoryError(
+            f"warm start: it has {plan.steps} steps over {plan.t[-1] - plan.t[0]:g} s, but model {block.name} has {steps} steps of {h:g} s; "
+            "resample it to that grid."
+        )
+    for name in ("q", "v", "u", "lam"):
+        values, variable = getattr(plan, name), block.component(f"variable_{name}")
+        columns = 0 if variable is None else len(variable) // len(values)
+        if values.shape[1] != columns:
+            raise TrajectoryError(f"warm start: {name} has {values.shape[1]} columns, but model {block.name} has {columns}.")
+        if variable is not None:
+            write_values(variable, values)
+    settle_separation(block)
+
+
+def load_first_guess(block: Any) -> None:
+    """The paper's first guess: the start held, no inputs (or the nearest allowed), no contact forces."""
+    for name, end in (("variable_q", "position"), ("variable_v", "velocity")):
+        start = [pyo.value(value) for value in block.component(f"parameter_start_{end}").values()]
+        write_values(block.component(name), np.tile(start, (len(block.set_nodes), 1)))
+    if block.component("variable_u") is not None:
+        for data in block.variable_u.values():
+            data.set_value(min(max(0.0, -np.inf if data.lb is None else data.lb), np.inf if data.ub is None else data.ub), skip_validation=True)
+    if block.component("variable_lam") is not None:
+        write_values(block.variable_lam, np.zeros((len(block.variable_lam), 1)))
+    settle_separation(block)
+
+
+def settle_separation(block: Any) -> None:
+    """Give the separation force v = lam - k phi of each relaxed pair the value that its own equation asks for (at least 0)."""
+    if not is_relaxed(block):
+        return
+    for pair in block.complementarity_contact.values():
+        pair.v.set_value(0.0, skip_validation=True)
+        pair.v.set_value(max(0.0, -pyo.value(pair.ve.body)), skip_validation=True)  # ve: v - (lam - k phi) == 0
+
+
+def read_plan(block: Any) -> Trajectory:
+    """The plan that the block's variables hold now. Raises TrajectoryError where one has no finite value."""
+    steps = len(block.set_steps)
+    arrays = {}
+    for name, rows in (("q", steps + 1), ("v", steps + 1), ("u", steps), ("lam", steps)):
+        variable = block.component(f"variable_{name}")
+        arrays[name] = np.zeros((rows, 0)) if variable is None else read_values(variable).reshape(rows, -1)
+    return Trajectory(t=uniform_grid(pyo.value(block.parameter_step), steps), **arrays)
+
+
+def read_values(variable: Any) -> np.ndarray:
+    """(n,) values of an indexed variable in its own order, NaN where there is none."""
+    return np.array([np.nan if data.value is None else data.value for data in variable.values()], dtype=float)
+
+
+def write_values(variable: Any, values: np.ndarray) -> None:
+    """Set an indexed variable from an array in its own order; a value outside the bounds is a guess like any other."""
+    for data, value in zip(variable.values(), np.asarray(values, dtype=float).ravel().tolist(), strict=True):
+        data.set_value(value, skip_validation=True)

@@ -1,0 +1,193 @@
+"""A transcription method opened on a scene: the model is built once, its relaxation moved by a mutable Param, Ipopt started warm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from time import perf_counter, process_time
+from typing import Any, cast
+
+import numpy as np
+
+from formulations.ipopt import IpoptResult, Start
+from formulations.method import OptionError, Session
+from formulations.solution import Outcome, Solution
+from formulations.transcription.build import build_model
+from formulations.transcription.contact_laws import ContactLaw, tighten
+from formulations.transcription.method import TranscriptionMethod
+from formulations.transcription.plans import load_first_guess, load_plan, read_plan
+from formulations.transcription.residuals import PlanResiduals
+from formulations.transcription.workbench import Account, Workbench, primal_dual
+from models.contact_law import ContactLaw as ForceLaw
+from models.errors import TrajectoryError
+from models.scene import Scene
+from models.trajectory import Trajectory
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ending:
+    """How a stage ended, before its plan was checked."""
+
+    outcome: Outcome
+    message: str
+    dual_infeasibility: float
+
+
+class TranscriptionSession(Session):
+    """See the module docstring. A subclass says which contact law, which Ipopt options, and what it promises of a plan."""
+
+    contact: ContactLaw
+
+    def __init__(self, method: TranscriptionMethod, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> None:
+        self._method, self._scene, self._options = method, scene, dict(options)
+        self._residuals = PlanResiduals(scene)
+        self._bench: Workbench | None = None
+        self._last: tuple[Trajectory, IpoptResult] | None = None
+        self._opening = (perf_counter() - opening[0], process_time() - opening[1])
+
+    # -- what a subclass decides ------------------------------------------------------------------------------------------------
+
+    def first_eps(self, eps: float | None) -> float:
+        """The relaxation the model is built with."""
+        return cast(float, eps)
+
+    def cold_options(self) -> dict[str, Any]:
+        """Ipopt options of a start without a plan."""
+        return {}
+
+    def takes_duals(self, eps: float | None) -> bool:
+        """Whether a stage at eps that follows another of this session starts with its multipliers too."""
+        return False
+
+    def certificate(self, plan: Trajectory, eps: float | None) -> dict[str, float]:
+        """Residuals of the plan by name."""
+        return self._residuals.of(plan)
+
+    def promises(self, eps: float | None) -> dict[str, float]:
+        """Largest residuals with which the outcome may be SOLVED."""
+        limit = self.number("plan_tolerance")
+        return dict.fromkeys(("dynamics_defect", "start_error", "terminal_error", "input_bound_excess"), limit)
+
+    # -- one stage --------------------------------------------------------------------------------------------------------------
+
+    def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
+        self._method.check_eps(eps)
+        if not time_limit > 0.0:
+            raise OptionError(f"method {self._method.name}: the time limit is {time_limit!r}, but must be a positive number of seconds.")
+        account, self._opening = Account(time_limit, self._opening), (0.0, 0.0)
+        begin = perf_counter()
+        if self._bench is None:
+            self._bench = Workbench(build_model(self._scene, self.contact, eps=self.first_eps(eps)))
+        bench = self._bench
+        if warm_start is None:
+            load_first_guess(bench.model)
+        else:
+            load_plan(bench.model, warm_start)
+        account.build += perf_counter() - begin
+        ending = self.run(bench, account, eps, warm_start)
+        return self._solution(bench, account, eps, ending)
+
+    def run(self, bench: Workbench, account: Account, eps: float | None, warm_start: Trajectory | None) -> Ending:
+        """Solve the model, which holds the warm start or the first guess already."""
+        if self._scene.nc:
+            tighten(bench.model, cast(float, eps))
+        start = self._start_with_duals(eps, warm_start)
+        result = bench.run(account, self.ipopt_options(warm_start), start)
+        if result.outcome is not Outcome.SOLVED and start is not None and not account.is_over:
+            load_plan(bench.model, cast(Trajectory, warm_start))  # multipliers of another eps can mislead: the plan alone, then
+            result = bench.run(account, self.ipopt_options(warm_start))
+        self._last = None
+        if result.outcome is Outcome.SOLVED:
+            self._last = (read_plan(bench.model), result)
+        return self.ending(result)
+
+    def ending(self, result: IpoptResult) -> Ending:
+        message = result.message
+        if result.outcome is Outcome.INFEASIBLE:
+            task = self._scene.task
+            message = (
+                f"no plan of {task.steps} steps of {task.step:g} s was found that reaches the goal within the input bounds: Ipopt ended where the "
+                f"constraints cannot be met any better, {result.residuals.constraint_violation:.3g} short."
+            )
+        return Ending(outcome=result.outcome, message=message, dual_infeasibility=result.residuals.dual_infeasibility)
+
+    def ipopt_options(self, warm_start: Trajectory | None) -> dict[str, Any]:
+        common = {"tol": self.number("tolerance"), "max_iter": int(self.number("max_iterations"))}
+        return {**common, **({} if warm_start is not None else self.cold_options())}
+
+    def number(self, option: str) -> float:
+        return float(cast(float, self._options[option]))  # checked by filled_options
+
+    def _start_with_duals(self, eps: float | None, warm_start: Trajectory | None) -> Start | None:
+        if warm_start is None or self._last is None or not self.takes_duals(eps):
+            return None
+        plan, result = self._last
+        same = all(np.array_equal(getattr(plan, name), getattr(warm_start, name)) for name in ("q", "v", "u", "lam"))
+        return primal_dual(result) if same else None
+
+    def _solution(self, bench: Workbench, account: Account, eps: float | None, ending: Ending) -> Solution:
+        outcome, message = ending.outcome, ending.message
+        plan, residuals, cost = None, {}, None
+        if outcome.has_answer:
+            try:
+                plan = read_plan(bench.model)
+            except TrajectoryError:  # a value that is not finite: no plan
+                outcome, message = Outcome.EVALUATION_ERROR, f"the last iterate holds values that are not finite numbers ({message})"
+        if plan is not None:
+            residuals = self.certificate(plan, eps)
+            cost = self._residuals.cost(plan)
+            missed = {name: limit for name, limit in self.promises(eps).items() if not residuals.get(name, 0.0) <= limit}
+            if outcome is Outcome.SOLVED and missed:
+                worst = ", ".join(f"{name} is {residuals[name]:.3g} (limit {limit:g})" for name, limit in missed.items())
+                outcome, message = Outcome.STALLED, f"{message} Checked on the plan itself, {worst}."
+            if np.isfinite(ending.dual_infeasibility):
+                residuals["dual_infeasibility"] = ending.dual_infeasibility
+        return Solution(
+            method=self._method.name,
+            outcome=outcome,
+            message=message,
+            trajectory=plan,
+            cost=cost,
+            iterations=account.iterations,
+            seconds=account.seconds(),
+            residuals={name: value for name, value in residuals.items() if np.isfinite(value)},
+            options=dict(self._options),
+            history={name: tuple(values) for name, values in account.history.items()},
+        )
+
+
+class SoftplusSession(TranscriptionSession):
+    contact = ContactLaw.SOFTPLUS
+
+    def takes_duals(self, eps: float | None) -> bool:
+        return cast(float, eps) <= self.number("duals_from")
+
+    def certificate(self, plan: Trajectory, eps: float | None) -> dict[str, float]:
+        return self._residuals.of(plan, ForceLaw.SOFTPLUS, eps)
+
+    def promises(self, eps: float | None) -> dict[str, float]:
+        return {**super().promises(eps), "contact_law": self.number("plan_tolerance")}
+
+
+class RelaxedSession(TranscriptionSession):
+    contact = ContactLaw.COMPLEMENTARITY
+
+    def cold_options(self) -> dict[str, Any]:
+        return cold_barrier(self)
+
+    def ipopt_options(self, warm_start: Trajectory | None) -> dict[str, Any]:
+        # Relaxed bounds (Ipopt's default) would let a force be -1e-8 N and the product exceed eps.
+        return {**super().ipopt_options(warm_start), "bound_relax_factor": 0.0}
+
+    def takes_duals(self, eps: float | None) -> bool:
+        return cast(float, eps) <= self.number("duals_from")
+
+    def promises(self, eps: float | None) -> dict[str, float]:
+        tolerance = self.number("plan_tolerance")
+        return {**super().promises(eps), "complementarity": cast(float, eps) + tolerance, "force_sign": tolerance}
+
+
+def cold_barrier(session: TranscriptionSession) -> dict[str, Any]:
+    """Ipopt options of a complementarity model without a plan to start from."""
+    push = session.number("bound_push")
+    return {"mu_init": session.number("barrier_start"), "bound_push": push, "bound_frac": min(0.5, push)}

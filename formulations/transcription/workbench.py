@@ -1,0 +1,88 @@
+"""A model on the bench: translated once, solved many times, with an account of iterations and seconds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from time import perf_counter, process_time
+from typing import Any
+
+import numpy as np
+
+from formulations.ipopt import IpoptProblem, IpoptResult, Start, compile_model, load, solve
+from formulations.solution import Seconds
+
+_COLUMNS = ("objective", "inf_pr", "inf_du", "mu")
+
+
+class Account:
+    """Where one stage spends its iterations and seconds. `opened`: wall and CPU seconds spent before the stage that belong to it."""
+
+    def __init__(self, time_limit: float, opened: tuple[float, float] = (0.0, 0.0)) -> None:
+        self._wall, self._cpu = perf_counter() - opened[0], process_time() - opened[1]
+        self._deadline = self._wall + time_limit
+        self.build, self.translate, self.evaluate, self.linear_algebra = opened[0], 0.0, 0.0, 0.0
+        self.iterations = 0
+        self.history: dict[str, list[float]] = {name: [] for name in _COLUMNS}
+
+    @property
+    def remaining(self) -> float:
+        """Wall seconds left, never less than a millisecond: Ipopt wants a positive limit and then stops at once."""
+        return max(1e-3, self._deadline - perf_counter())
+
+    @property
+    def is_over(self) -> bool:
+        return perf_counter() >= self._deadline
+
+    def add(self, result: IpoptResult) -> None:
+        self.iterations += result.iterations
+        self.evaluate += result.seconds.evaluate
+        self.linear_algebra += result.seconds.linear_algebra
+        for line in result.history:
+            for name in _COLUMNS:
+                self.history[name].append(getattr(line, name))
+
+    def seconds(self) -> Seconds:
+        return Seconds(
+            build=self.build,
+            translate=self.translate,
+            evaluate=self.evaluate,
+            linear_algebra=self.linear_algebra,
+            wall=perf_counter() - self._wall,
+            cpu=process_time() - self._cpu,
+        )
+
+
+class Workbench:
+    """One Pyomo model and its translation."""
+
+    def __init__(self, model: Any) -> None:
+        self.model = model
+        self._problem: IpoptProblem | None = None
+
+    def problem(self, account: Account) -> IpoptProblem:
+        """The translation, current with the model's Params and bounds."""
+        begin = perf_counter()
+        if self._problem is None:
+            self._problem = compile_model(self.model)
+        else:
+            self._problem.refresh()
+        account.translate += perf_counter() - begin
+        return self._problem
+
+    def forget(self) -> None:
+        """Translate again at the next run: constraints were switched on or off."""
+        self._problem = None
+
+    def run(self, account: Account, options: Mapping[str, Any], start: Start | None = None) -> IpoptResult:
+        """Solve from `start` (default: the values of the model's variables), and write the point where it ended into the model."""
+        problem = self.problem(account)
+        result = solve(problem, options=options, warm_start=start, time_limit=account.remaining)
+        account.add(result)
+        if np.all(np.isfinite(result.x)):
+            load(problem, result)
+        return result
+
+
+def primal_dual(result: IpoptResult) -> Start:
+    """A start with all that the last solve knew."""
+    return Start(x=result.x, lagrange=result.lagrange, zl=result.zl, zu=result.zu)
