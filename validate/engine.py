@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from typing import TYPE_CHECKING, Protocol
 
 from validate.cell import Cell
@@ -24,7 +24,7 @@ _LOOK = 0.05
 
 
 class Engine(Protocol):
-    def run(self, cells: Sequence[Cell]) -> Iterator[tuple[Cell, RunRecord]]:
+    def run(self, cells: Sequence[Cell]) -> Generator[tuple[Cell, RunRecord], None, None]:
         """Run all cells; yield each with its record when it has finished. Closing the iterator stops what runs."""
         ...
 
@@ -39,7 +39,7 @@ class LocalEngine:
     def __init__(self, start: Callable[[Cell], Worker], jobs: int, watch: Callable[[Sequence[Worker]], None] = lambda workers: None) -> None:
         self._start, self._jobs, self._watch = start, jobs, watch
 
-    def run(self, cells: Sequence[Cell]) -> Iterator[tuple[Cell, RunRecord]]:
+    def run(self, cells: Sequence[Cell]) -> Generator[tuple[Cell, RunRecord], None, None]:
         waiting = deque(cells)
         running: list[Worker] = []
         try:

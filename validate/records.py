@@ -87,7 +87,7 @@ def stage_record(
         options=_options(solution.options or planned.options),
         history=_history(solution.history),
         seconds=_seconds(solution.seconds, wall, cpu, before, judged.seconds),
-        figures=tuple(_copy(FigureRecord, figure) for figure in judged.score.figures) if judged.score is not None else (),
+        figures=tuple(_figure(figure) for figure in judged.score.figures) if judged.score is not None else (),
         verdict=verdict,
         why=why,
         replay=_replay(judged.replay) if judged.replay is not None else None,
@@ -184,9 +184,17 @@ def _replay_trace(scene: Scene, trajectory: Trajectory | None, judged: Judged):
     return replay_trace(scene, trajectory, judged.replay)
 
 
-def _copy(model: type[FigureRecord], figure: Any) -> FigureRecord:
-    values = {name: getattr(figure, name) for name in model.model_fields if hasattr(figure, name)}
-    return model(**{name: finite(value) if name in {"value", "limit"} else value for name, value in values.items()})
+def _figure(figure: Any) -> FigureRecord:
+    return FigureRecord(
+        name=figure.name,
+        value=finite(figure.value),
+        unit=figure.unit,
+        meaning=figure.meaning,
+        limit=finite(figure.limit),
+        reason=figure.reason,
+        ok=figure.ok,
+        resolved=figure.resolved,
+    )
 
 
 def _seconds(seconds: Seconds, wall: float, cpu: float, before: float, replay: float) -> SecondsRecord:

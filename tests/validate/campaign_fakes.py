@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -232,3 +232,10 @@ def _fake_tools(score=_score) -> Tools:
 TOOLS = _fake_tools()
 STRICT = _fake_tools(_score_badly)
 STUMBLING = _fake_tools(_stumble)
+
+
+def _no_report(folder: Path) -> Path:
+    raise RuntimeError("the report room is on fire")
+
+
+BROKEN = replace(TOOLS, write_report=_no_report)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import io
 import os
 import sys
 import tempfile
@@ -83,7 +84,7 @@ def group() -> None:
 def run(arguments: Sequence[str]) -> int:
     """Run one command line; the exit code. Nothing but TOUCHSTONE_DEBUG=1 lets a traceback through."""
     for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
+        if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without our characters shows others instead of failing
     try:
         code = group.main(list(arguments), prog_name=PROGRAM, standalone_mode=False, obj=tuple(arguments))

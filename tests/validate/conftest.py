@@ -1,0 +1,57 @@
+"""The command line as a user has it: a process of its own, with the fakes of campaign_fakes.py within reach."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).parent
+
+
+@pytest.fixture(scope="session")
+def cli_environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    return {
+        **os.environ,
+        "PYTHONPATH": str(HERE),
+        "TOUCHSTONE_CACHE": str(tmp_path_factory.mktemp("cache")),
+        "NO_COLOR": "1",
+        "COLUMNS": "200",
+    }
+
+
+@pytest.fixture(scope="session")
+def cli(cli_environment: dict[str, str]) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """cli("list", "--json") runs `python -m validate list --json` to its end."""
+
+    def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "validate", *arguments]
+        return subprocess.run(
+            command, capture_output=True, text=True, errors="replace", env={**cli_environment, **environment}, stdin=subprocess.DEVNULL, check=False
+        )
+
+    return run
+
+
+@pytest.fixture
+def start_cli(cli_environment: dict[str, str]):
+    """The same without waiting: a Popen in a session of its own, killed at the end of the test."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(*arguments: str) -> subprocess.Popen[str]:
+        command = [sys.executable, "-m", "validate", *arguments]
+        process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=cli_environment, start_new_session=True
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()

@@ -1,0 +1,82 @@
+"""Real cells: solved, replayed through the FMU, scored, told; and the same again, bit for bit."""
+
+from __future__ import annotations
+
+import csv
+
+import pytest
+
+from models.catalog import load_scene
+from models.trajectory import write_csv
+from models.trajectory_netcdf import read_netcdf
+from reports.record import RunRecord
+
+CHOICE = ("all", "-k", "softplus_gd+relu_gd")
+
+
+@pytest.fixture(scope="module")
+def twice(cli, tmp_path_factory):
+    folders = [tmp_path_factory.mktemp(name) for name in ("first", "second")]
+    return folders, [cli(*CHOICE, "--out", str(folder)) for folder in folders]
+
+
+def _rows(folder) -> list[dict[str, str]]:
+    return list(csv.DictReader((folder / "results.csv").read_text().splitlines()))
+
+
+def test_results_are_equal_to_the_bit_apart_from_times(twice):
+    (first, second), _ = twice
+    rows = [[{name: value for name, value in row.items() if not name.endswith("_s")} for row in _rows(folder)] for folder in (first, second)]
+    assert rows[0] == rows[1]
+    assert len(rows[0]) == 4
+
+
+def test_the_papers_costs_come_out(twice):
+    (first, _), done = twice
+    assert done[0].returncode == 0, done[0].stderr + done[0].stdout
+    assert [float(row["cost"]) for row in _rows(first)] == pytest.approx([149.17, 166.45, 215.14, 309.42], abs=0.02)
+    assert [row["verdict"] for row in _rows(first)] == ["violates", "violates", "violates", "holds"]
+    assert _rows(first)[-1]["physics"] == "0.0"
+
+
+def test_the_second_run_finds_the_first(twice, cli):
+    (first, _), _ = twice
+    again = cli(*CHOICE, "--out", str(first))
+    assert again.stderr.splitlines()[0] == "1 stored, 0 to run"
+    before = (first / "results.csv").read_bytes()
+    cli("report", str(first))
+    assert (first / "results.csv").read_bytes() == before
+
+
+def test_the_folder_holds_everything(twice):
+    (first, _), _ = twice
+    (path,) = first.glob("runs/*/record.json")
+    record = RunRecord.model_validate_json(path.read_bytes())
+    names = {item.name for item in path.parent.iterdir()}
+    plans = {f"{kind}{stage}.nc" for kind in ("trajectory", "replay") for stage in ("", "_1", "_2", "_3")}
+    assert names == {"record.json", "log.txt", "cell.json", *plans}
+    last = record.stages[-1]
+    assert last.paper == {"cost": 309.42, "stability": 0.05, "physics": 0.21, "time": 2.38}
+    assert last.replay is not None
+    assert last.replay.error_estimate <= 1e-8
+    assert last.replay_trace is not None
+    assert max(len(last.replay_trace.t), len(last.plan_trace.t)) <= 1500
+    assert last.seconds.total == pytest.approx(sum(stage.seconds.stage for stage in record.stages))
+    assert (first / "report.html").stat().st_size > 10_000
+
+
+def test_a_stored_plan_scores_the_same_from_outside(twice, cli, tmp_path):
+    (first, _), _ = twice
+    (stored,) = first.glob("runs/*/trajectory.nc")
+    scene = load_scene("three_cart")
+    write_csv(tmp_path / "plan.csv", read_netcdf(stored, scene), scene)
+    done = cli("replay", str(tmp_path / "plan.csv"), "--scene", "three_cart")
+    assert done.returncode == 0, done.stderr
+    assert "holds" in done.stdout.splitlines()[-1]
+
+
+def test_an_fmu_is_exported(cli, tmp_path):
+    done = cli("fmu", "three_cart", "-o", str(tmp_path / "three_cart.fmu"))
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "three_cart.fmu").read_bytes()[:2] == b"PK"
+    assert cli("fmu", "three_cart", "-o", "/proc/no.fmu").returncode == 3

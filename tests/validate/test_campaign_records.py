@@ -1,0 +1,106 @@
+"""Scenes, plans and solutions as the report reads them."""
+
+import math
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import sympy as sp
+
+from models.catalog import load_scene
+from models.scene import Contact
+from models.trajectory import Trajectory, uniform_grid
+from reports.mathml import safe_mathml
+from validate.provenance import content_key, scene_text, source_digests
+from validate.records import _history, _plain, finite
+from validate.scene_record import presentation, scene_record
+from validate.traces import plan_trace, thin
+
+SCENE = load_scene("three_cart")
+
+
+def _plan(steps: int = 500) -> Trajectory:
+    q = np.tile([2.0, 2.6, 3.0], (steps + 1, 1))  # gaps 0.1 and -0.1
+    q[:, 0] += np.linspace(0.0, 0.05, steps + 1)
+    return Trajectory(t=uniform_grid(0.01, steps), q=q, v=np.zeros_like(q), u=np.ones((steps, 2)), lam=np.full((steps, 2), 2.0))
+
+
+def test_equations_are_mathml_the_report_accepts():
+    record = scene_record(SCENE)
+    captions = [equation.caption for equation in record.equations]
+    assert captions[:3] == ["motion of q1", "motion of q2", "motion of q3"]
+    assert captions[-1].startswith("cost")
+    assert len(captions) == 3 + 2 * 2 + 2 * 3 + 1
+    for equation in record.equations:
+        assert safe_mathml(equation.mathml) is not None
+        assert ElementTree.fromstring(equation.mathml).tag.endswith("math")
+
+
+def test_less_than_stays_escaped():
+    x = sp.Symbol("x")
+    assert "&lt;" in presentation(x < 1)
+    assert safe_mathml(presentation(x < 1)) is not None
+
+
+def test_scene_record_says_what_is_absent_and_drawn():
+    record = scene_record(SCENE)
+    assert "friction" in record.absent
+    assert [(shape.name, shape.size) for shape in record.shapes] == [(name, (0.5, 0.5)) for name in ("left", "middle", "right")]
+    assert [contact.value for contact in record.contacts] == [30.0, 30.0]
+
+
+def test_plan_trace_has_gaps_and_poses():
+    trace = plan_trace(SCENE, _plan())
+    assert set(trace.columns) == {"q1", "q2", "q3", "v1", "v2", "v3", "u1", "u3", "lam_left", "lam_right", "gap_left", "gap_right"}
+    assert len(trace.columns["q1"]) == len(trace.t) == 501
+    assert len(trace.columns["u1"]) == len(trace.columns["lam_left"]) == 500
+    assert trace.columns["gap_left"][0] == pytest.approx(0.1)
+    assert trace.columns["gap_left"][-1] == pytest.approx(0.05)
+    assert trace.columns["gap_right"][0] == pytest.approx(-0.1)
+    assert trace.poses["left"][-1] == pytest.approx((2.05, 0.25, 0.0))
+
+
+def test_long_traces_are_thinned_and_keep_their_ends():
+    trace = plan_trace(SCENE, _plan(steps=20_000))
+    assert len(trace.t) == 1500
+    assert trace.t[0] == 0.0
+    assert trace.t[-1] == pytest.approx(200.0)
+    assert len(trace.columns["u1"]) == 1499
+    assert thin(3).tolist() == [0, 1, 2]
+
+
+def test_numbers_that_are_none_never_reach_a_record():
+    assert finite(math.nan) is None
+    assert finite(math.inf) is None
+    assert _history({"loss": (1.0, math.nan, 3.0), "norm": (1.0, 2.0, 3.0)}) == {"loss": (1.0, 3.0), "norm": (1.0, 3.0)}
+    assert _plain((1, 2.5)) == [1.0, 2.5]
+    assert _plain(math.inf) == "inf"
+
+
+def test_a_key_is_content():
+    stages = [("strict_lcp", None, {"a": "1"})]
+    key = content_key(SCENE, stages, ["strict_lcp"])
+    assert key == content_key(load_scene("three_cart"), [list(stages[0])], ["strict_lcp"])
+    others = [
+        content_key(SCENE.with_parameters(k=31.0), stages, ["strict_lcp"]),
+        content_key(SCENE.with_task(steps=499), stages, ["strict_lcp"]),
+        content_key(SCENE, [("strict_lcp", None, {"a": "2"})], ["strict_lcp"]),
+        content_key(SCENE, stages, ["strict_lcp"], "another judge"),
+    ]
+    assert len({key, *others}) == 5
+
+
+def test_a_scene_text_sees_assumptions_and_every_field():
+    contact = SCENE.contacts[0]
+    weaker = Contact(name=contact.name, penetration=sp.Symbol("d") - sp.Symbol("q2"), stiffness=contact.stiffness)
+    stronger = Contact(name=contact.name, penetration=sp.Symbol("d", positive=True) - sp.Symbol("q2"), stiffness=contact.stiffness)
+    assert scene_text(weaker) != scene_text(stronger)
+    assert "physics_scaled" in scene_text(SCENE)
+
+
+def test_sources_of_other_methods_and_scenes_do_not_count():
+    digests = source_digests(["softplus_gd"])
+    assert "models/dynamics.py" in digests
+    assert "validate/cell.py" in digests
+    assert [name for name in digests if name.startswith(("models/scenes/", "validate/cli/"))] == []
+    assert [name for name in digests if name.startswith("formulations/methods/")] == ["formulations/methods/softplus_gd.py"]

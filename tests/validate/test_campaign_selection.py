@@ -1,0 +1,35 @@
+"""`-k` reads as pytest's does."""
+
+import pytest
+
+from validate.selection import SelectionError, matches
+
+NAMES = ("three_cart", "softplus_dc+strict", "softplus_dc", "strict_lcp")
+
+
+@pytest.mark.parametrize(
+    ("expression", "expected"),
+    [
+        ("strict", True),
+        ("STRICT", True),
+        ("softplus_dc+strict", True),
+        ("relaxed", False),
+        ("not relaxed", True),
+        ("strict and relaxed", False),
+        ("strict and not relaxed", True),
+        ("relaxed or three", True),
+        ("relaxed or gd and strict", False),
+        ("(relaxed or strict) and three", True),
+        ("not (relaxed or strict)", False),
+        ("not not strict", True),
+    ],
+)
+def test_expressions(expression, expected):
+    assert matches(expression, NAMES) is expected
+
+
+@pytest.mark.parametrize("expression", ["", "and", "strict and", "not", "(strict", "strict)", "strict relaxed", "or strict", "()"])
+def test_mistakes_are_one_sentence(expression):
+    with pytest.raises(SelectionError, match="-k") as caught:
+        matches(expression, NAMES)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,127 @@
+"""The store: whole folders only, nothing lost, and what of it can be used again."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+
+import pytest
+
+from models.errors import MachineError
+from reports.record import RunRecord
+from validate.campaign import Settings, select, with_stored
+from validate.provenance import gather
+from validate.records import run_record, unfinished_stage
+from validate.results import COLUMNS, results_text
+from validate.scene_record import scene_record
+from validate.store import Store, StoreError, disk_error, write_durably
+
+
+@pytest.fixture(scope="module")
+def entry():
+    """The cell three_cart x relu_gd of the real catalogs."""
+    entries, _ = select(Settings(out=None, scenes=("three_cart",), expression="relu_gd and not softplus and not relaxed"))
+    (found,) = entries
+    return found
+
+
+def _record(entry, outcome: str, message: str = "") -> RunRecord:
+    from formulations.solution import Outcome
+
+    stages = [unfinished_stage("three_cart", "relu_gd", planned, Outcome[outcome.upper()], message) for planned in entry.plan]
+    return run_record(entry.cell, scene_record(entry.scene), stages, gather("test"), wall=1.0, cpu=1.0, log="a\nb")
+
+
+def _stored(store: Store, entry, record: RunRecord, time_limit: float = 600.0) -> None:
+    store.prepare()
+    partial = store.open_partial(record.key, "token")
+    (partial / "record.json").write_text(record.model_dump_json())
+    (partial / "cell.json").write_text(json.dumps({"cell": {"time_limit": time_limit}}))
+    store.commit(partial, record.key)
+
+
+@pytest.mark.parametrize(
+    ("outcome", "time_limit", "used_again"),
+    [
+        ("solved", 600.0, True),
+        ("infeasible", 600.0, True),
+        ("refused", 600.0, True),
+        ("crashed", 600.0, False),
+        ("time_limit", 600.0, True),
+        ("time_limit", 599.0, False),
+    ],
+)
+def test_what_is_used_again(tmp_path, entry, outcome, time_limit, used_again):
+    store = Store(tmp_path)
+    _stored(store, entry, _record(entry, outcome), time_limit)
+    settings = Settings(out=tmp_path)
+    (found,) = with_stored([entry], store, settings)
+    assert (found.stored is not None) is used_again
+    (fresh,) = with_stored([entry], store, Settings(out=tmp_path, fresh=True))
+    assert fresh.stored is None
+
+
+def test_damaged_records_are_not_used(tmp_path, entry):
+    store = Store(tmp_path)
+    record = _record(entry, "solved")
+    _stored(store, entry, record)
+    path = tmp_path / "runs" / record.key / "record.json"
+    assert store.read(record.key) == record
+    path.write_text(path.read_text()[:-10])
+    assert store.read(record.key) is None
+    path.write_text(record.model_dump_json().replace(record.key, "0" * 64))
+    assert store.read(record.key) is None
+
+
+def test_a_newer_run_replaces_an_older_one(tmp_path, entry):
+    store = Store(tmp_path)
+    _stored(store, entry, _record(entry, "crashed"))
+    _stored(store, entry, _record(entry, "solved"))
+    found = store.read(entry.cell.key)
+    assert found is not None
+    assert found.outcome == "solved"
+    assert os.listdir(tmp_path / "runs") == [entry.cell.key]
+
+
+def test_leftovers_of_the_dead_go_and_those_of_the_living_stay(tmp_path):
+    runs = tmp_path / "runs"
+    host = socket.gethostname()
+    dead, living, elsewhere = f".partial-k-t-{2**22 + 1}-{host}", f".partial-k-t-{os.getpid()}-{host}", ".partial-k-t-1-another-machine"
+    for name in (dead, living, elsewhere, "a" * 64):
+        (runs / name).mkdir(parents=True)
+    Store(tmp_path).prepare()
+    assert set(os.listdir(runs)) == {living, elsewhere, "a" * 64}
+
+
+def test_a_file_in_the_way(tmp_path):
+    (tmp_path / "out").write_text("")
+    with pytest.raises(StoreError, match="there is a file of that name"):
+        Store(tmp_path / "out").prepare()
+
+
+def test_a_full_disk_is_said_so(tmp_path):
+    error = disk_error(tmp_path, OSError(28, "No space left on device"))
+    assert error.exit_code == 3
+    assert "the disk is full" in str(error)
+    with pytest.raises(MachineError, match="cannot write"):
+        write_durably(tmp_path / "no" / "such" / "folder", "text")
+
+
+def test_writing_leaves_no_second_file(tmp_path):
+    write_durably(tmp_path / "a.txt", "one")
+    write_durably(tmp_path / "a.txt", "two")
+    assert os.listdir(tmp_path) == ["a.txt"]
+    assert (tmp_path / "a.txt").read_text() == "two"
+
+
+def test_results_have_the_columns_of_the_design(entry):
+    design = (
+        "scene, pipeline, stage, method, eps, outcome, cost, terminal_error, physics, physics_scaled, defect, discrete_terminal_error, "
+        "replay_terminal_error, replay_error, ghost_impulse, missed_impulse, energy_residual, verdict, iterations, build_s, solve_s, "
+        "stage_s, total_s, replay_s"
+    )
+    assert tuple(design.split(", ")) == COLUMNS
+    header, row = results_text([_record(entry, "infeasible")]).splitlines()
+    assert header == ",".join(COLUMNS)
+    assert row == "three_cart,relu_gd,1,relu_gd,,infeasible," + "," * 11 + "no plan" + "," * 6

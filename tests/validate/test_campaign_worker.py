@@ -1,0 +1,172 @@
+"""Cells that misbehave: each is the right row, disturbs nothing else, and leaves neither process nor file behind."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from reports.record import RunRecord
+from validate.reaper import TOKEN_VARIABLE
+
+FAKES = ("--tools", "campaign_fakes:TOOLS")
+KEPT = {"cell.json", "log.txt", "record.json"}
+
+
+def _records(out: Path) -> dict[str, RunRecord]:
+    records = [RunRecord.model_validate_json(path.read_bytes()) for path in out.glob("runs/*/record.json")]
+    return {record.pipeline: record for record in records}
+
+
+def _cell_processes(out: Path) -> list[str]:
+    """Commands of living processes that belong to a cell of this folder, or that such a cell started."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            environment = (entry / "environ").read_bytes().decode(errors="replace")
+            if TOKEN_VARIABLE in environment and str(out) in environment:  # TMPDIR lies in the folder
+                found.append((entry / "cmdline").read_bytes().decode(errors="replace"))
+        except OSError:
+            continue
+    return found
+
+
+def _wait_until(condition: Callable[[], bool]) -> None:
+    """Wait for something that comes; a machine may be slow, so the patience is long and only ends a test that has failed."""
+    for _ in range(1200):
+        if condition():
+            return
+        time.sleep(0.1)
+    raise AssertionError("it never came")
+
+
+@pytest.fixture(scope="module")
+def misbehaved(cli, tmp_path_factory):
+    """One campaign over every kind of misbehaviour that ends by itself."""
+    out = tmp_path_factory.mktemp("misbehaved")
+    done = cli("all", *FAKES, "--out", str(out), "-j", "2", "-k", "not hang and not family and not slow")
+    return out, done
+
+
+@pytest.mark.parametrize(
+    ("pipeline", "outcome", "words"),
+    [
+        ("only_good", "solved", ""),
+        ("only_segfault", "crashed", "signal 11 (SIGSEGV) during stage 1 (segfault)"),
+        ("only_abort", "crashed", "signal 6 (SIGABRT)"),
+        ("only_exit_zero", "crashed", "exit code 0 during stage 1 (exit_zero); it left no result"),
+        ("only_exit_seven", "crashed", "exit code 7"),
+        ("only_spoiled", "crashed", "its result file cannot be read"),
+        ("only_raises", "crashed", "ValueError in raises: the method's own mistake"),
+        ("only_bad_soft", "crashed", "ValueError in bad_soft"),
+        ("only_refuses", "refused", "it wants friction"),
+        ("only_infeasible", "infeasible", ""),
+        ("only_garbage", "solved", ""),
+        ("only_litter", "solved", ""),
+    ],
+)
+def test_every_end_is_the_right_row(misbehaved, pipeline, outcome, words):
+    record = _records(misbehaved[0])[pipeline]
+    assert record.outcome == outcome
+    assert words in record.message
+    assert "\n" not in record.message
+    assert [stage.outcome for stage in record.stages] == [outcome]
+    assert (record.verdict == "no plan") == (outcome != "solved")
+
+
+def test_the_traceback_is_in_the_log_and_not_on_the_screen(misbehaved):
+    out, done = misbehaved
+    record = _records(out)["only_raises"]
+    assert "Traceback" in (out / "runs" / record.key / "log.txt").read_text()
+    assert "Traceback" in record.log_tail
+    assert "Traceback" not in done.stdout + done.stderr
+
+
+def test_nothing_is_left_behind(misbehaved):
+    out, _ = misbehaved
+    assert _cell_processes(out) == []
+    assert [path.name for path in (out / "runs").iterdir() if path.name.startswith(".")] == []
+    for record in _records(out).values():
+        names = {path.name for path in (out / "runs" / record.key).iterdir()}
+        assert names >= KEPT
+        assert {Path(name).suffix for name in names - KEPT} <= {".nc"}
+    assert {path.name for path in out.iterdir()} == {"runs", "campaign.json", "results.csv", "violation.csv", "report.html"}
+
+
+def test_crashes_and_missing_plans_fail_the_campaign_and_refusals_do_not(misbehaved):
+    _, done = misbehaved
+    assert done.returncode == 1
+    failed = {line.split(" x ")[1].split(":")[0] for line in done.stdout.splitlines() if line.startswith("does not hold")}
+    crashed = {"only_segfault", "only_abort", "only_exit_zero", "only_exit_seven", "only_spoiled", "only_raises", "only_bad_soft"}
+    assert failed == {*crashed, "only_infeasible"}
+
+
+def test_progress_is_one_plain_line_a_cell(misbehaved):
+    _, done = misbehaved
+    lines = done.stderr.splitlines()
+    assert lines[0] == "0 stored, 15 to run"
+    assert len(lines) == 16
+    assert all(line.startswith("[") for line in lines[1:])
+    assert "\x1b" not in done.stderr + done.stdout
+
+
+def test_a_chain_starts_each_stage_from_the_plan_before(misbehaved):
+    record = _records(misbehaved[0])["soft+good"]
+    assert [(stage.method, stage.eps, stage.cost) for stage in record.stages] == [("soft", 0.1, 0.0), ("soft", 0.01, 1000.0), ("good", None, 4000.0)]
+    assert [stage.options["iterations"] for stage in record.stages] == [2, 7, 7]
+    assert record.stages[2].seconds.total >= record.stages[2].seconds.stage
+    assert record.must_hold
+    assert not _records(misbehaved[0])["soft_alone"].must_hold
+
+
+def test_a_hanging_cell_ends_at_its_time_limit_with_its_family(cli, tmp_path):
+    done = cli("all", *FAKES, "--out", str(tmp_path), "-j", "2", "-k", "only_hang or only_family", "--time-limit", "4")
+    records = _records(tmp_path)
+    assert {record.outcome for record in records.values()} == {"time_limit"}
+    assert all("time" in record.message for record in records.values())
+    assert done.returncode == 1
+    assert _cell_processes(tmp_path) == []
+    assert sorted(path.name for path in (tmp_path / "runs").iterdir()) == sorted(record.key for record in records.values())
+
+
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_campaign_keeps_what_finished_and_resumes(cli, start_cli, tmp_path, ending):
+    arguments = ("all", *FAKES, "--out", str(tmp_path), "-k", "only_good or only_family")
+    process = start_cli(*arguments)
+    _wait_until(lambda: len(_cell_processes(tmp_path)) >= 3)  # the cell and both its children
+    process.send_signal(ending)
+    _, told = process.communicate()
+    assert process.returncode == 130
+    assert "interrupted: 1 of 2 cells are stored" in told
+    assert f"resume with: python -m validate all --tools campaign_fakes:TOOLS --out {tmp_path}" in told
+    assert _cell_processes(tmp_path) == []
+    assert [path.name for path in (tmp_path / "runs").iterdir()] == [_records(tmp_path)["only_good"].key]
+    assert len((tmp_path / "results.csv").read_text().splitlines()) == 2
+    again = cli("all", *FAKES, "--out", str(tmp_path), "-k", "only_good")
+    assert "1 stored, 0 to run" in again.stderr
+
+
+def test_a_killed_campaign_leaves_nothing_and_loses_nothing(cli, start_cli, tmp_path):
+    process = start_cli("all", *FAKES, "--out", str(tmp_path), "-k", "only_good or only_family")
+    _wait_until(lambda: len(_cell_processes(tmp_path)) >= 3)
+    process.kill()
+    process.communicate()
+    _wait_until(lambda: _cell_processes(tmp_path) == [] and len(os.listdir(tmp_path / "runs")) == 1)
+    again = cli("all", *FAKES, "--out", str(tmp_path), "-k", "only_good")
+    assert again.returncode == 0
+    assert "1 stored, 0 to run" in again.stderr
+
+
+def test_a_cell_knows_how_it_was_run(misbehaved):
+    out, _ = misbehaved
+    record = _records(out)["only_good"]
+    request = json.loads((out / "runs" / record.key / "cell.json").read_text())
+    assert request["cell"]["time_limit"] == 600.0
+    assert record.provenance.threads == 1
+    assert record.provenance.command.startswith("python -m validate all --tools")
+    assert record.provenance.packages["numpy"]

@@ -1,0 +1,168 @@
+"""The command line as a user meets it: help, lists, mistakes, exit codes."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from formulations.pipeline import pipeline_names
+
+FAKES = ("--tools", "campaign_fakes:TOOLS")
+GOOD = (*FAKES, "-k", "only_good")
+
+
+def test_help_shows_examples_and_exit_codes(cli):
+    overview = cli("--help")
+    assert overview.returncode == 0
+    for word in ("Examples:", "Exit codes:", "130", "all", "list", "report", "replay", "fmu"):
+        assert word in overview.stdout
+    for command in ("all", "list", "report", "replay", "fmu"):
+        done = cli(command, "--help")
+        assert done.returncode == 0
+        assert "xample" in done.stdout
+    assert "What fails a campaign" in cli("all", "--help").stdout
+
+
+def test_list_names_everything(cli):
+    data = json.loads(cli("list", "--json").stdout)
+    assert "three_cart" in [item["name"] for item in data["scenes"]]
+    assert [item["name"] for item in data["pipelines"]] == list(pipeline_names())
+    plain = cli("list").stdout
+    assert all(name in plain for name in pipeline_names())
+
+
+def test_list_imports_no_solver():
+    code = "import sys; from validate.cli.group import run; run(['list']); print([n for n in ('torch', 'pyomo', 'sympy', 'numpy') if n in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("al",), "did you mean all?"),
+        (("frobnicate",), "there are all, list"),
+        (("all", "--quik"), "Did you mean '--quick'?"),
+        (("all", "-j", "0"), "0 is not in the range x>=1"),
+        (("all", "-j", "two"), "'two' is not a valid integer"),
+        (("all", "--time-limit", "-1"), "not a positive number of seconds"),
+        (("all", "--time-limit", "nan"), "not a positive number of seconds"),
+        (("all", *FAKES, "-k", "only_goood"), "did you mean only_good?"),
+        (("all", *FAKES, "-k", "good and"), "a name is missing at its end"),
+        (("all", *FAKES, "--quick", "-k", "only_good"), "--quick leaves out all that"),
+        (("all", "--scene", "tree_cart"), "did you mean three_cart?"),
+        (("all", "--scene", "nowhere/at_all.py"), "there is no such file"),
+        (("all", "--tools", "no_such_module:TOOLS"), "cannot be imported"),
+        (("all", "--tools", "campaign_fakes:NOTHING"), "campaign_fakes has no NOTHING"),
+        (("report", "nowhere/at_all"), "there is no campaign in this folder"),
+        (("replay", "plan.csv"), "missing option '--scene'"),
+        (("replay", "no_plan.csv", "--scene", "three_cart"), "it cannot be read"),
+        (("fmu", "three_cart"), "missing option '-o'"),
+        (("fmu", "three_kart", "-o", "x.fmu"), "did you mean three_cart?"),
+    ],
+)
+def test_a_mistake_is_one_sentence_and_exit_code_2(cli, arguments, words):
+    done = cli(*arguments)
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert done.stderr.startswith("error: ")
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stdout == ""
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("SCENE = 3", "must define SCENE"),
+        ("import nothing_of_that_name", "ModuleNotFoundError"),
+        ("def broken(:", "SyntaxError"),
+        ("from models.scene import Parameter\nimport sympy as sp\nParameter(symbol=sp.Symbol('m'), value=1.0, unit='')", "the unit is missing"),
+    ],
+)
+def test_a_scene_file_with_a_mistake_is_named(cli, tmp_path, text, words):
+    path = tmp_path / "own_scene.py"
+    path.write_text(text)
+    done = cli("all", "--scene", str(path))
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert str(path) in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_no_command_shows_help(cli):
+    done = cli()
+    assert done.returncode == 2
+    assert "Usage:" in done.stderr
+
+
+def test_out_that_is_a_file(cli, tmp_path):
+    (tmp_path / "taken").write_text("mine")
+    done = cli("all", *GOOD, "--out", str(tmp_path / "taken"))
+    assert done.returncode == 2
+    assert "there is a file of that name" in done.stderr
+    assert (tmp_path / "taken").read_text() == "mine"
+
+
+@pytest.mark.parametrize("folder", ["/proc/nothing_goes_here", "/dev/null/below"])
+def test_out_that_cannot_be_written(cli, folder):
+    done = cli("all", *GOOD, "--out", folder)
+    assert done.returncode == 3
+    assert "cannot write" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_no_compiler(cli, tmp_path):
+    done = cli("all", *GOOD, "--out", str(tmp_path / "out"), CC="no_such_compiler")
+    assert done.returncode == 3
+    assert "no_such_compiler" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_unexpected_error_is_one_sentence_and_its_traceback_is_kept(cli, tmp_path):
+    broken = cli("all", "--tools", "campaign_fakes:BROKEN", "--out", str(tmp_path / "out"), "-k", "only_good", TMPDIR=str(tmp_path))
+    assert broken.returncode == 1
+    (last,) = [line for line in broken.stderr.splitlines() if line.startswith("error:")]
+    assert "RuntimeError: the report room is on fire" in last
+    log = Path(last.split("the traceback is in ")[1].split(". Please")[0])
+    assert "Traceback" in log.read_text()
+    shown = cli("all", "--tools", "campaign_fakes:BROKEN", "--out", str(tmp_path / "out"), "-k", "only_good", TOUCHSTONE_DEBUG="1")
+    assert "Traceback" in shown.stderr
+
+
+def test_a_scene_of_ones_own_by_path(cli, tmp_path):
+    source = Path(__file__).parents[1] / "scenes" / "bouncing_mass.py"
+    out = tmp_path / "out"
+    done = cli("all", *GOOD, "--scene", os.path.relpath(source), "--out", str(out))
+    assert done.returncode == 0, done.stderr
+    assert "bouncing_mass" in done.stdout
+    assert (out / "results.csv").read_text().splitlines()[1].startswith("bouncing_mass,only_good,1,good,,solved,")
+
+
+def test_data_on_stdout_progress_on_stderr(cli, tmp_path):
+    done = cli("all", *FAKES, "--quick", "--json", "--out", str(tmp_path))
+    data = json.loads(done.stdout)
+    assert [row["stage"] for row in data["results"]] == [1, 2, 3]
+    assert data["exit_code"] == done.returncode == 0
+    assert "three_cart x only_good" in data["left_out"]
+    assert done.stderr.splitlines()[0] == "0 stored, 1 to run"
+    assert json.loads((tmp_path / "campaign.json").read_text())["left_out"] == data["left_out"]
+
+
+def test_quick_says_what_it_left_out(cli, tmp_path):
+    done = cli("all", *FAKES, "--quick", "--out", str(tmp_path), "-k", "good")
+    assert "left out by --quick: three_cart x only_good" in done.stdout
+    assert "1 to run" in done.stderr
+
+
+@pytest.mark.parametrize(("tools", "words"), [("STRICT", "violates - the fake judge is strict"), ("STUMBLING", "not resolved - the judge ended with")])
+def test_a_direct_plan_that_does_not_hold_fails(cli, tmp_path, tools, words):
+    done = cli("all", "--tools", f"campaign_fakes:{tools}", "--out", str(tmp_path), "-k", "only_good or soft_alone")
+    assert done.returncode == 1
+    failures = [line for line in done.stdout.splitlines() if line.startswith("does not hold")]
+    assert len(failures) == 1, "the indirect cell is expected to violate"
+    assert f"three_cart x only_good: {words}" in failures[0]

@@ -1,0 +1,72 @@
+"""The pipelines of Table I are data: names, schedules, counts, and the paper's numbers beside them."""
+
+import pytest
+
+from formulations.catalog import load_method
+from formulations.pipeline import PIPELINES, QUICK, find_pipeline, pipeline_from_json, pipeline_names, pipeline_to_json, stage_plan
+from models.errors import UnknownNameError
+from reports.paper import TABLE_1
+from validate.records import planned_stages
+from validate.table_one import paper_row, table_rows
+
+
+def test_every_pipeline_of_table_one_is_there():
+    table = "strict relu_gd relaxed+strict relaxed+relu_gd softplus_dc+strict softplus_dc+relu_gd softplus_gd+strict softplus_gd+relu_gd"
+    assert pipeline_names() == (*table.split(), "gd_converged")
+
+
+def test_schedules_and_counts_are_the_papers():
+    stages = stage_plan(find_pipeline("softplus_gd+relu_gd"))
+    assert [(leg.method, eps, options) for leg, eps, options in stages] == [
+        ("softplus_gd", 1e-3, {"iterations": 15}),
+        ("softplus_gd", 1e-5, {"iterations": 14}),
+        ("softplus_gd", 1e-7, {"iterations": 11}),
+        ("relu_gd", None, {"iterations": 10}),
+    ]
+    assert [eps for _, eps, _ in stage_plan(find_pipeline("relaxed+strict"))] == [1e-2, 1e-3, 1e-4, None]
+    assert stage_plan(find_pipeline("relu_gd"))[0][2] == {"iterations": 200}
+    assert stage_plan(find_pipeline("softplus_dc+relu_gd"))[-1][2] == {"iterations": 6}
+
+
+def test_gd_converged_leaves_the_stopping_to_the_method():
+    assert all(options == {} for _, _, options in stage_plan(find_pipeline("gd_converged")))
+
+
+def test_quick_is_a_strict_subset():
+    assert set(QUICK) < set(pipeline_names())
+
+
+@pytest.mark.parametrize("pipeline", PIPELINES, ids=lambda pipeline: pipeline.name)
+def test_methods_know_their_stages(pipeline):
+    """Every method exists, takes its eps and knows its options."""
+    methods = {leg.method: load_method(leg.method) for leg in pipeline.legs}
+    planned = planned_stages(pipeline, methods)
+    assert [stage.index for stage in planned] == list(range(len(planned)))
+
+
+@pytest.mark.parametrize("pipeline", PIPELINES, ids=lambda pipeline: pipeline.name)
+def test_json_keeps_a_pipeline(pipeline):
+    assert stage_plan(pipeline_from_json(pipeline_to_json(pipeline))) == stage_plan(pipeline)
+
+
+def test_a_typo_is_answered():
+    with pytest.raises(UnknownNameError, match=r"did you mean softplus_dc\+strict\?"):
+        find_pipeline("softplus_dc+strickt")
+
+
+@pytest.mark.parametrize("pipeline", PIPELINES, ids=lambda pipeline: pipeline.name)
+def test_paper_rows_stand_one_a_stage(pipeline):
+    rows = table_rows(pipeline.name)
+    assert len(rows) in {0, len(stage_plan(pipeline))}
+    assert bool(rows) == (pipeline.name != "gd_converged")
+    assert paper_row("another_scene", pipeline.name, 0) == {}
+
+
+def test_paper_numbers_are_those_the_report_lists():
+    ours = {}
+    for pipeline in PIPELINES:
+        if pipeline.name != "gd_converged":
+            for index, (leg, eps, _) in enumerate(stage_plan(pipeline)):
+                before = [other.method for other in pipeline.legs[: pipeline.legs.index(leg)]]
+                ours[(*before, leg.method), eps] = paper_row("three_cart", pipeline.name, index)
+    assert ours == {(row.methods, row.eps): row.numbers for row in TABLE_1}
