@@ -79,7 +79,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
         finalize=_finalized,
     )
-    for name in ("number", "cost", "error", "seconds", "percent", "plain", "spaced", "clean", "verdict", "count"):
+    for name in ("number", "cost", "error", "seconds", "percent", "plain", "spaced", "clean", "verdict", "count", "small", "unit", "capital"):
         environment.filters[name] = getattr(wording, name)
     environment.globals["dash"] = wording.DASH
     return environment

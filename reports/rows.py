@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from reports.paper import TABLE_1, PaperRow
 from reports.paper import SCENE as PAPER_SCENE
 from reports.record import RunRecord, SceneRecord, StageRecord
-from reports.wording import number
+from reports.wording import small
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Row:
     def label(self) -> str:
         """softplus_dc 10⁻⁵; strict_lcp after softplus_dc."""
         before = self.methods[:-1]
-        eps = f" ε = {number(self.stage.eps)}" if self.stage.eps else ""
+        eps = f" ε = {small(self.stage.eps)}" if self.stage.eps else ""
         return f"{self.stage.method}{eps}" + (f" after {', '.join(before)}" if before else "")
 
     @property

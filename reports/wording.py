@@ -74,8 +74,32 @@ def cost(value: float | None) -> str:
 
 
 def error(value: float | None) -> str:
-    """Errors and residuals: two digits tell all."""
-    return number(value, 2)
+    """Errors and residuals: two digits tell all, and both are written (0.040, 2.0×10⁻⁸), so that columns read evenly."""
+    if value is None or value == 0 or not math.isfinite(value):
+        return number(value)
+    mantissa, exponent = f"{value:.1e}".split("e")
+    if -4 <= int(exponent) <= 5:
+        return _grouped(f"{float(f'{value:.1e}'):.{max(0, 1 - int(exponent))}f}")
+    return f"{mantissa.replace('-', '−')}×{power(int(exponent))}"
+
+
+def small(value: float | None) -> str:
+    """A relaxation eps: a power of ten where it is one."""
+    if value is not None and 0 < value < 1:
+        exponent = round(math.log10(value))
+        if abs(value / 10.0**exponent - 1) < 1e-9:
+            return power(exponent)
+    return number(value)
+
+
+def unit(text: str) -> str:
+    """N^2 -> N²; nothing for what has no unit."""
+    return "" if text in ("", "1") else re.sub(r"\^(-?\d+)", lambda found: found[1].translate(_SUPERSCRIPT), clean(text))
+
+
+def capital(text: str) -> str:
+    """A sentence that begins with a capital letter."""
+    return text[:1].upper() + text[1:]
 
 
 def seconds(value: float | None) -> str:

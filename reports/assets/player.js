@@ -27,11 +27,15 @@
     const strongest = Math.max(1e-9, ...forces.map((list) => Math.max(...list)));
     const bars = data.contacts.length * 34 + 16;
     const room = { width: 880, height: 0 };
-    const scale = Math.min((room.width - 40) / (right - left), 300 / (high - low));
-    room.height = Math.ceil((high - low) * scale + 24 + bars);
     const sharp = Math.min(2, window.devicePixelRatio || 1);
-    canvas.width = room.width * sharp;
-    canvas.height = room.height * sharp;
+    let scale = 1;
+    const measure = () => {
+      room.width = Math.min(880, Math.max(300, canvas.clientWidth));
+      scale = Math.min((room.width - 24) / (right - left), 300 / (high - low));
+      room.height = Math.ceil((high - low) * scale + 24 + bars);
+      canvas.width = room.width * sharp;
+      canvas.height = room.height * sharp;
+    };
     const place = (x, y) => [(x - (left + right) / 2) * scale + room.width / 2, 12 + (high - y) * scale];
 
     const body = (shape, [x, y, angle], filled) => {
@@ -67,7 +71,8 @@
     };
     const bar = (which, frame) => {
       const top = room.height - bars + 8 + which * 34;
-      const [from, full] = [150, room.width - 260];
+      const from = Math.min(150, room.width * 0.3);
+      const full = room.width - from - 90;
       pen.textAlign = "left";
       pen.fillStyle = colour("--soft");
       pen.fillText(`force ${data.contacts[which]}`, 16, top + 17);
@@ -79,13 +84,13 @@
       });
       const values = (data.replay_force && data.replay_force[which]) || (data.plan_force && data.plan_force[which]);
       pen.fillStyle = colour("--ink");
-      if (values) pen.fillText(`${values[frame].toFixed(2)} N`, room.width - 92, top + 17);
+      if (values) pen.fillText(`${values[frame].toFixed(2)} N`, room.width - 72, top + 17);
     };
     let frame = 0;
     const draw = () => {
       pen.setTransform(sharp, 0, 0, sharp, 0, 0);
       pen.clearRect(0, 0, room.width, room.height);
-      pen.font = "15px system-ui, sans-serif";
+      pen.font = room.width < 500 ? "12px system-ui, sans-serif" : "15px system-ui, sans-serif";
       data.shapes.forEach((shape, which) => { if (data.replay && data.replay[which]) body(shape, data.replay[which][frame], true); });
       data.shapes.forEach((shape, which) => { if (data.plan && data.plan[which]) body(shape, data.plan[which][frame], false); });
       data.contacts.forEach((_, which) => bar(which, frame));
@@ -119,6 +124,8 @@
     slider.addEventListener("keydown", (event) => { if (event.key === " ") { event.preventDefault(); play(); } });
     button.addEventListener("click", play);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
+    new ResizeObserver(() => { measure(); draw(); }).observe(canvas.parentElement);
+    measure();
     draw();
   };
   document.querySelectorAll("[data-player]").forEach((player) => {

@@ -9,7 +9,7 @@ from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
 from reports.record import SceneRecord
 from reports.rows import Row
-from reports.wording import cost, error
+from reports.wording import cost, count, error, listing
 
 _ERRORS = (
     ("replay_terminal_error", "After the replay (continuous dynamics)", "terminal error after replay"),
@@ -90,9 +90,7 @@ def _plot(scene: SceneRecord, title: str, quantity: str, points: list[tuple[floa
         marker = "square" if style == "direct" else "circle"
         tip = f"Row {row.number}, {row.label}: cost {cost(price)}, terminal error {error(missed)}, {row.stage.verdict}"
         plot.point(max(missed, _SMALLEST), price, style, marker, tip, row.anchor)
-    for missed, price, row in [*front, *(point for point in points if point not in front)]:
-        plot.label(max(missed, _SMALLEST) * 1.0, price, f"  {row.number}", "strong")
-    plot.words = "The front, from the smallest error: " + "; ".join(
-        f"row {row.number}, {row.label}, cost {cost(price)} at {error(missed)}" for missed, price, row in front
-    ) + "."
+    plot.name_points([(max(missed, _SMALLEST), price, str(row.number)) for missed, price, row in points])
+    steps = [f"row {row.number} (cost {cost(price)} at {error(missed)})" for missed, price, row in front]
+    plot.words = f"{count(len(points), 'row')}; on the front, from the smallest error: {listing(steps)}."
     return plot

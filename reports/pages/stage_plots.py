@@ -14,6 +14,16 @@ _KEYS = [Key("plan", "plan"), Key("replay", "replay"), Key("touch", "replay in c
 # More panels of history than this tell nothing more.
 _MOST_HISTORY = 8
 _MOST_COLOURS = 6
+# Ipopt's own column names say little to those who do not know them.
+_HISTORY_WORDS = {
+    "inf_pr": "primal infeasibility",
+    "inf_du": "dual infeasibility",
+    "mu": "barrier parameter µ",
+    "d_norm": "size of the step",
+    "alpha_pr": "primal step length",
+    "alpha_du": "dual step length",
+    "regularization_size": "regularisation",
+}
 
 
 @dataclass(frozen=True)
@@ -49,7 +59,7 @@ def stage_plots(scene: SceneRecord, stage: StageRecord) -> StagePlots:
         for contact in scene.contacts:
             motion.append(_contact(f"Gap, {contact.name}", "gap", "m", contact.name, x, plan, replay))
         motion.append(_inputs(scene, x, plan))
-    history = [_history(name, values) for name, values in list(stage.history.items())[:_MOST_HISTORY] if len(values) > 1]
+    history = [_history(name, values, stage.iterations) for name, values in list(stage.history.items())[:_MOST_HISTORY] if len(values) > 1]
     return StagePlots(_KEYS, [plot for plot in motion if plot is not None], history, absent)
 
 
@@ -57,25 +67,26 @@ def _positions(items: list[QuantityRecord], unit: str, x: Axis, plan: TraceRecor
     data = [
         (item, f"c{place % _MOST_COLOURS} {style}", name, trace, values)
         for place, item in enumerate(items)
-        for name, style, trace in (("plan", "ghost", plan), ("replay", "", replay))
+        for name, style, trace in (("replay", "", replay), ("plan", "ghost", plan))
         if trace is not None and (values := column(trace, item.name))
     ]
     if not data:
         return None
-    plot = Plot("Positions, plan dashed, replay solid", x, Axis.fitted("position", unit, [value for *_, values in data for value in values], margin=0.1))
+    plot = Plot("Positions: plan dotted, replay solid", x, Axis.fitted("position", unit, [value for *_, values in data for value in values], margin=0.1))
     for item, style, name, trace, values in data:
         plot.line(f"{item.name} {name}", style, trace.t, values)
     for item in items:
         mine = [entry for entry in data if entry[0] is item]
         if mine:
             plot.label(x.low, mine[0][4][0], item.name, f"strong {mine[0][1].split()[0]}")
-    plot.words = " ".join(f"{item.name} in the {name} ends at {number(values[-1], 5)} {unit}." for item, _, name, _, values in data)
+    ends = [(name, ", ".join(f"{item.name} {number(values[-1], 5)}" for item, _, other, _, values in data if other == name)) for name in ("plan", "replay")]
+    plot.words = " ".join(f"The {name} ends at {words} {unit}." for name, words in ends if words)
     return plot
 
 
 def _contact(title: str, quantity: str, unit: str, contact: str, x: Axis, plan: TraceRecord | None, replay: TraceRecord | None) -> Plot | None:
     read = force if quantity == "force" else gap
-    data = [(name, trace, values) for name, trace in (("plan", plan), ("replay", replay)) if trace is not None and (values := read(trace, contact))]
+    data = [(name, trace, values) for name, trace in (("replay", replay), ("plan", plan)) if trace is not None and (values := read(trace, contact))]
     if not data:
         return None
     plot = Plot(title, x, Axis.fitted(quantity, unit, [value for *_, values in data for value in values], zero=True))
@@ -121,13 +132,14 @@ def _inputs(scene: SceneRecord, x: Axis, plan: TraceRecord | None) -> Plot | Non
     return plot
 
 
-def _history(name: str, values: tuple[float, ...]) -> Plot:
-    """One column of the iteration history; logarithmic where it is positive and spans two powers of ten."""
-    name = clean(name).replace("_", " ")
+def _history(name: str, values: tuple[float, ...], iterations: int) -> Plot:
+    """One column of the iteration history, over all iterations if it was thinned; logarithmic where it is positive and spans two powers of ten."""
+    name = _HISTORY_WORDS.get(name, clean(name).replace("_", " "))
+    stride = max(1.0, iterations / (len(values) - 1))
     positive = [value for value in values if value > 0]
     log = len(positive) > 1 and min(values) >= 0 and max(positive) / min(positive) > 100
-    plot = Plot(name, Axis.fitted("iteration", "", [0, len(values) - 1], margin=0.0), Axis.fitted(name, "", values, log=log), width=340, height=180)
+    plot = Plot(name, Axis.fitted("iteration", "", [0, stride * (len(values) - 1)], margin=0.0), Axis.fitted(name, "", values, log=log), width=340, height=180)
     shown = [(place, value) for place, value in enumerate(values) if value > 0 or not log]
-    plot.line(name, "c0", [place for place, _ in shown], [value for _, value in shown])
-    plot.words = f"From {number(values[0], 3)} to {number(values[-1], 3)} in {len(values)} entries."
+    plot.line(name, "c0", [place * stride for place, _ in shown], [value for _, value in shown])
+    plot.words = f"From {number(values[0], 3)} to {number(values[-1], 3)}."
     return plot

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from reports.pages.section import Report, Section
 from reports.record import RunRecord, StageRecord
 from reports.rows import Row
-from reports.wording import cost, count, error, listing, seconds, spaced
+from reports.wording import capital, cost, count, error, listing, seconds, spaced
 
 # An outcome that came back with what was asked for; a limit of iterations is the paper's own stopping rule for gradient descent.
 _ANSWERED = frozenset({"solved", "iteration_limit"})
@@ -67,10 +67,9 @@ def _direct(runs: tuple[RunRecord, ...]) -> list[Sentence]:
         return [Sentence("holds", "✓", text)]
     said = [Sentence("holds", "✓", f"{len(judged) - len(bad)} of {len(judged)} pipelines that end in a direct method hold.")]
     for run in bad:
-        why = _why(run.stages[-1]) if run.stages else ""
-        reason = why or _failure(run) or "The record gives no reason."
+        reason = _failure(run) or (_why(run.stages[-1]) if run.stages else "") or "The record gives no reason."
         style, symbol = {"violates": ("violates", "✗"), "no plan": ("noplan", "○")}.get(run.verdict, ("unresolved", "?"))
-        said.append(Sentence(style, symbol, f"{_named(run)}: {run.verdict}. {reason}"))
+        said.append(Sentence(style, symbol, f"{_named(run)}: {run.verdict}. {capital(reason)}"))
     return said
 
 

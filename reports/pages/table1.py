@@ -41,19 +41,23 @@ def _reproduced(both: list[Row]) -> list[str]:
 
 
 def _failed(both: list[Row]) -> list[str]:
-    """Rows of the same problem whose cost in the paper is a multiple of ours, with our error beside it."""
-    said = []
+    """Rows of the same problem whose cost is a multiple of the other's, with our error beside it."""
+    dear, worse = [], []
     for row in both:
         theirs, ours = row.stage.paper.get("cost"), row.stage.cost
-        if theirs is None or ours is None or ours <= 0 or max(theirs / ours, ours / theirs) < _FAILED_COST:
+        if theirs is None or ours is None or min(ours, theirs) <= 0:
             continue
-        missed = error(row.figure("replay_terminal_error"))
-        if theirs > ours:
-            judged = f"the paper's is {times(theirs / ours)} ours: a solver that gave up, not a property of the method"
-        else:
-            judged = f"ours is {times(ours / theirs)} the paper's: here ours is the worse one"
-        said.append(f"{row.label} (row {row.number}): ours {cost(ours)} with a replayed terminal error of {missed}, the paper's {cost(theirs)}; {judged}.")
-    return said
+        pair = f"ours {cost(ours)} at a replayed terminal error of {error(row.figure('replay_terminal_error'))}, the paper's {cost(theirs)}"
+        if theirs / ours >= _FAILED_COST:
+            dear.append((row, f"{row.label} (row {row.number}): {pair}, {times(theirs / ours)} as much"))
+        elif ours / theirs >= _FAILED_COST:
+            worse.append(f"{row.label} (row {row.number}): {pair}, so ours is the worse one.")
+    said = []
+    if dear:
+        held = all(row.stage.verdict == "holds" for row, _ in dear)
+        judged = "Plans at a fraction of the paper's cost hold after the replay, so its solver stopped far from the optimum there; the method is not to blame." if held else ""
+        said.append(f"{'; '.join(text for _, text in dear)}. {judged}".strip())
+    return said + worse
 
 
 def _relaxed(rows: list[Row]) -> list[str]:

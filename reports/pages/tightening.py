@@ -12,7 +12,7 @@ from reports.plots.figure import Key, Plot
 from reports.record import QuantityRecord, SceneRecord, TraceRecord
 from reports.rows import Row
 from reports.traces import column, force, gap
-from reports.wording import error, number
+from reports.wording import error, number, small
 
 # Classes s0 (loosest) .. s5 (tightest) of the page's sequential colours.
 _SHADES = 6
@@ -53,9 +53,9 @@ def build(report: Report) -> Section | None:
 def _sweep(scene: SceneRecord, method: str, rows: list[Row], place: int, *, many: bool) -> Sweep:
     drawn = [(row, row.stage.plan_trace) for row in rows if row.stage.plan_trace is not None and row.stage.plan_trace.t]
     styles = {row.number: f"s{_shade(index, len(rows))}" for index, row in enumerate(rows)}
-    lines = [(f"ε = {number(row.stage.eps)}", styles[row.number], trace) for row, trace in drawn]
+    lines = [(f"ε = {small(row.stage.eps)}", styles[row.number], trace) for row, trace in drawn]
     title = f"{TIGHTENING_FIGURES[method]}: {rows[0].stage.method_title}" if method in TIGHTENING_FIGURES else rows[0].stage.method_title
-    missing = [f"ε = {number(row.stage.eps)}" for row in rows if row.number not in {other.number for other, _ in drawn}]
+    missing = [f"ε = {small(row.stage.eps)}" for row in rows if row.number not in {other.number for other, _ in drawn}]
     plots = [plot for plot in _plots(scene, lines) if plot is not None]
     return Sweep(
         title=f"{title} on {scene.name}" if many else title,

@@ -6,7 +6,7 @@ from reports.pages.section import Report, Section
 from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
 from reports.record import ViolationPoint
-from reports.wording import error, number
+from reports.wording import error, number, small
 
 _LAWS = {
     "softplus": ("softplus", "D = (k ln 2 / ln ε)²", "c0", "circle"),
@@ -33,14 +33,14 @@ def build(report: Report) -> Section | None:
         mine = sorted((point for point in points if point.law == law), key=lambda point: point.eps)
         plot.line(f"{name}, closed form", f"{style} soft", [point.eps for point in mine], [point.closed_form for point in mine])
         for point in mine:
-            plot.point(point.eps, point.measured, style, marker, f"{name}, ε = {number(point.eps)}: D = {number(point.measured, 6)} N²")
+            plot.point(point.eps, point.measured, style, marker, f"{name}, ε = {small(point.eps)}: D = {number(point.measured, 6)} N²")
         plot.keys += [Key(f"{style} soft", f"{name}: {formula}"), Key(style, f"{name}: measured", marker)]
         middle = mine[len(mine) // 3]
         plot.label(middle.eps, middle.closed_form, f"{name}: {formula}", style)
         laws.append((name, formula, mine))
         worst.append((name, len(mine), max(_difference(point) for point in mine)))
     plot.words = " ".join(
-        f"{name}: D falls from {error(mine[-1].measured)} N² at ε = {number(mine[-1].eps)} to {error(mine[0].measured)} N² at ε = {number(mine[0].eps)}."
+        f"{name}: D falls from {error(mine[-1].measured)} N² at ε = {small(mine[-1].eps)} to {error(mine[0].measured)} N² at ε = {small(mine[0].eps)}."
         for name, _, mine in laws
     )
     return Section("violation", "Fig. 2: worst-case violation", "violation.html", {"plot": plot, "laws": laws, "worst": worst})

@@ -9,10 +9,12 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from reports.wording import number, power
+from reports.wording import number, power, unit
 
 # Steps of a linear axis that a reader can add up in the head.
 _NICE = (1.0, 2.0, 2.5, 5.0, 10.0)
+# Values beyond this are drawn at the edge: room for margins before a float overflows.
+_LARGEST = 1e200
 
 
 @dataclass(frozen=True)
@@ -29,11 +31,12 @@ class Axis:
     @staticmethod
     def fitted(quantity: str, unit: str, values: Iterable[float], *, log: bool = False, margin: float = 0.05, zero: bool = False) -> Axis:
         """An axis that holds all values; `zero` makes a linear axis begin (or end) at zero."""
-        usable = [value for value in values if math.isfinite(value) and (value > 0 or not log)]
+        usable = [min(max(value, -_LARGEST), _LARGEST) for value in values if math.isfinite(value) and (value > 0 or not log)]
         if log:
             low, high = (min(usable), max(usable)) if usable else (1e-3, 1.0)
-            room = max(0.12, margin * math.log10(high / low))
-            return Axis(quantity, unit, low / 10**room, high * 10**room, True)
+            low = max(low, 1 / _LARGEST)
+            room = max(0.12, margin * (math.log10(high) - math.log10(low)))
+            return Axis(quantity, unit, low * 10**-room, high * 10**room, True)
         if zero:
             usable.append(0.0)
         low, high = (min(usable), max(usable)) if usable else (0.0, 1.0)
@@ -48,15 +51,16 @@ class Axis:
 
     @property
     def title(self) -> str:
-        unit = self.unit if self.unit not in ("", "1") else ""
+        words = unit(self.unit)
         if self.exponent:
-            unit = f"{power(self.exponent)} {unit}".strip()
-        return f"{self.quantity} [{unit}]" if unit else self.quantity
+            words = f"{power(self.exponent)} {words}".strip()
+        return f"{self.quantity} [{words}]" if words else self.quantity
 
     def fraction(self, value: float) -> float:
         """Where the value lies, 0 at the low end and 1 at the high end; values outside are moved to just outside."""
         if self.log:
-            position = math.log(max(value, 1e-300) / self.low) / math.log(self.high / self.low)
+            begin = math.log10(self.low)
+            position = (math.log10(max(value, 1 / _LARGEST)) - begin) / (math.log10(self.high) - begin)
         else:
             position = (value - self.low) / (self.high - self.low)
         return min(max(position, -0.5), 1.5)
@@ -68,7 +72,9 @@ class Axis:
         first, last = math.ceil(math.log10(self.low) - 1e-9), math.floor(math.log10(self.high) + 1e-9)
         if last - first >= 2:
             stride = max(1, math.ceil((last - first + 1) / most))
-            return [(10.0**exponent, number(10.0**exponent, 1)) for exponent in range(first, last + 1, stride)]
+            plain = -3 <= first and last <= 3
+            exponents = range(first, last + 1, stride)
+            return [(10.0**exponent, number(10.0**exponent, 1) if plain or 0 <= exponent <= 1 else power(exponent)) for exponent in exponents]
         values = [mantissa * 10.0**exponent for exponent in range(first - 1, last + 2) for mantissa in (1, 2, 3, 5)]
         inside = [value for value in values if self.low <= value <= self.high]
         return [(value, number(value, 2)) for value in (inside if 2 <= len(inside) <= most else inside[:: max(1, len(inside) // most)])]

@@ -17,11 +17,13 @@ from markupsafe import Markup, escape
 
 from reports.plots.axis import Axis
 from reports.plots.simplify import simplified
+from reports.wording import unit
 
 # Half of what a screen with four device pixels a CSS pixel can show.
 _TOLERANCE = 0.12
 # Width of a character of the 12 px font, for keeping labels apart; a little too wide rather than too narrow.
 _CHARACTER, _LINE = 6.6, 14.0
+_SHIFTS = (0, -_LINE, _LINE, -2 * _LINE, 2 * _LINE, -3 * _LINE, 3 * _LINE)
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,7 @@ class Plot:
     _under: list[str] = field(default_factory=list)
     _lines: list[str] = field(default_factory=list)
     _over: list[str] = field(default_factory=list)
+    _levels: list[tuple[float, str]] = field(default_factory=list)
     _taken: list[tuple[float, float, float, float]] = field(default_factory=list)
 
     _LEFT, _RIGHT, _TOP, _BOTTOM = 54, 14, 26, 38
@@ -83,7 +86,7 @@ class Plot:
         """A horizontal line with its label."""
         y = self.py(value)
         self._under.append(f'<path class="level" d="M{self._LEFT},{y:.1f}H{self.width - self._RIGHT}"/>')
-        self.label(self.width - self._RIGHT - 2, y - 4, words, "small", anchor="end", pixels=True)
+        self._levels.append((y, words))
 
     def point(self, x: float, y: float, style: str, marker: str, tip: str, href: str = "") -> None:
         """A marker that can be focused: `tip` is read out on hover and focus."""
@@ -97,13 +100,13 @@ class Plot:
         self._over.append(f'<a href="#{escape(href)}" aria-label="{escape(tip)}">{inner}</a>' if href else inner)
         self._taken.append((left - 6, top - 6, left + 6, top + 6))
 
-    def label(self, x: float, y: float, words: str, style: str = "", *, anchor: str = "start", pixels: bool = False) -> bool:
+    def label(self, x: float, y: float, words: str, style: str = "", *, anchor: str = "start", pixels: bool = False, shifts: Sequence[float] = _SHIFTS) -> bool:
         """Words at a point of the plot, moved up or down past other labels; left out (False) if there is no room."""
         left, top = (x, y) if pixels else (self.px(x), self.py(y) - 5)
         wide = len(words) * _CHARACTER
         start = left - {"start": 0.0, "middle": wide / 2, "end": wide}[anchor]
         start = min(max(start, self._LEFT + 2), self.width - 2 - wide)
-        for shift in (0, -_LINE, _LINE, -2 * _LINE, 2 * _LINE, -3 * _LINE, 3 * _LINE):
+        for shift in shifts:
             box = (start, top + shift - 11, start + wide, top + shift + 3)
             inside = box[1] >= self._TOP - 12 and box[3] <= self.height - self._BOTTOM + 2
             if inside and not any(_overlap(box, other) for other in self._taken):
@@ -112,13 +115,37 @@ class Plot:
                 return True
         return False
 
+    def name_points(self, named: list[tuple[float, float, str]]) -> None:
+        """Names beside points; points closer than their markers share one label."""
+        groups: list[tuple[float, float, list[str]]] = []
+        for x, y, name in named:
+            left, top = self.px(x), self.py(y)
+            near = next((names for gx, gy, names in groups if abs(gx - left) < 13 and abs(gy - top) < 13), None)
+            if near is None:
+                groups.append((left, top, [name]))
+            else:
+                near.append(name)
+        for left, top, names in groups:
+            words = ", ".join(names)
+            for dx, dy, anchor in ((9, 4, "start"), (0, -10, "middle"), (0, 19, "middle"), (-9, 4, "end"), (9, -8, "start"), (9, 17, "start")):
+                if self.label(left + dx, top + dy, words, "strong", anchor=anchor, pixels=True, shifts=(0,)):
+                    break
+            else:
+                self.label(left + 9, top + 4, words, "strong", pixels=True)
+
     def markup(self) -> Markup:
         """The SVG; hidden from assistive technology, because the figure around it says everything in words."""
         axes = {
             "x": [self.x.low, self.x.high, self._LEFT, self.width - self._RIGHT, self.x.log],
             "y": [self.y.low, self.y.high, self.height - self._BOTTOM, self._TOP, self.y.log],
-            "q": [self.x.quantity, self.x.unit, self.y.unit],
+            "q": [self.x.quantity, unit(self.x.unit), unit(self.y.unit)],
         }
+        # Last, so that they keep clear of points and names: words of levels, at whichever end has room.
+        for y, words in self._levels:
+            for left, anchor in ((self.width - self._RIGHT - 2, "end"), (self._LEFT + 4, "start"), (self.width / 2, "middle")):
+                if self.label(left, y - 4, words, "small", anchor=anchor, pixels=True, shifts=(0, _LINE + 4)):
+                    break
+        self._levels.clear()
         inside = "".join([*self._under, *self._grid(), *self._lines, *self._over])
         return Markup(
             f'<svg class="plot" viewBox="0 0 {self.width} {self.height}" width="{self.width}" height="{self.height}" '

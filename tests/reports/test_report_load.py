@@ -1,0 +1,65 @@
+"""Reading the records of a folder: what is broken is named, what is whole is kept."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from reports.load import ReportError, load
+
+_BROKEN = {
+    "cut short": lambda text: text[: len(text) // 2],
+    "empty": lambda _: "",
+    "not JSON": lambda _: "\x00\x01<html>",
+    "a number": lambda _: "1",
+    "another schema": lambda text: json.dumps(json.loads(text) | {"surprise": 1}),
+    "a string for a number": lambda text: json.dumps(json.loads(text) | {"wall_seconds": "soon"}),
+    "NaN": lambda text: json.dumps(json.loads(text) | {"wall_seconds": float("nan")}),
+    "infinity": lambda text: json.dumps(json.loads(text) | {"cpu_seconds": float("inf")}),
+    "deep": lambda _: "[" * 100_000,
+    "another key": lambda text: json.dumps(json.loads(text) | {"key": "../../etc"}),
+}
+
+
+@pytest.mark.parametrize("name", _BROKEN)
+def test_a_broken_record_is_named_and_the_rest_is_read(factory, tmp_path, name):
+    good, bad = factory.runs()[:2]
+    folder = factory.store(tmp_path / "all", [good, bad])
+    path = folder / "runs" / bad.key / "record.json"
+    path.write_text(_BROKEN[name](path.read_text()))
+    stored = load(folder)
+    assert [run.key for run in stored.runs] == [good.key]
+    assert [item.path for item in stored.unreadable] == [f"runs/{bad.key}/record.json"]
+    assert stored.unreadable[0].sentence.endswith(".")
+    assert stored.missing == ()
+
+
+def test_a_folder_without_its_record_is_named(factory, tmp_path):
+    folder = factory.store(tmp_path / "all", factory.runs()[:1])
+    (folder / "runs" / "half").mkdir()
+    (folder / "runs" / ".being-written").mkdir()
+    assert [item.path for item in load(folder).unreadable] == ["runs/half/record.json"]
+
+
+def test_without_the_campaign_every_run_is_shown(factory, tmp_path):
+    records = factory.runs()
+    folder = factory.store(tmp_path / "all", records)
+    (folder / "campaign.json").write_text("{")
+    stored = load(folder)
+    assert stored.campaign is None
+    assert {run.key for run in stored.runs} == {record.key for record in records}
+
+
+def test_the_order_is_the_campaigns_and_strangers_are_counted(factory, tmp_path):
+    records = factory.runs()
+    campaign = factory.campaign(records[:3], keys=(records[2].key, "lost", records[0].key))
+    stored = load(factory.store(tmp_path / "all", records, campaign))
+    assert [run.key for run in stored.runs] == [records[2].key, records[0].key]
+    assert stored.missing == ("lost",)
+    assert stored.foreign == len(records) - 2
+
+
+def test_no_folder_is_one_sentence(tmp_path):
+    with pytest.raises(ReportError, match="there is no such folder"):
+        load(tmp_path / "nowhere")

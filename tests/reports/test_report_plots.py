@@ -1,0 +1,130 @@
+"""Axes, the thinning of lines, the reading of traces, and what is let through as MathML."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from reports.mathml import safe_mathml
+from reports.plots.axis import Axis
+from reports.plots.figure import Plot
+from reports.plots.simplify import simplified
+from reports.record import TraceRecord
+from reports.traces import at, contact_phases
+from reports.wording import cost, error, number, percent, seconds, small
+
+_HEIGHTS = st.lists(st.floats(-300, 300), min_size=2, max_size=200)
+
+
+@given(_HEIGHTS)
+def test_no_dropped_point_is_farther_than_the_tolerance(heights):
+    points = [(place * 0.7, height) for place, height in enumerate(heights)]
+    kept = simplified(points, 0.12)
+    assert kept[0] == points[0]
+    assert kept[-1] == points[-1]
+    xs, ys = [x for x, _ in kept], [y for _, y in kept]
+    assert max(abs(at(xs, ys, x) - y) for x, y in points) <= 0.12 + 1e-9
+
+
+def test_a_straight_line_needs_two_points():
+    assert simplified([(place, 3.0 * place) for place in range(100)], 0.1) == [(0, 0.0), (99, 297.0)]
+
+
+@given(st.lists(st.floats(-1e12, 1e12), min_size=1, max_size=20), st.booleans())
+def test_a_fitted_axis_holds_its_values_and_its_ticks(values, zero):
+    axis = Axis.fitted("q", "m", values, zero=zero)
+    assert all(-1e-9 <= axis.fraction(value) <= 1 + 1e-9 for value in values)
+    ticks = axis.ticks()
+    assert 1 <= len(ticks) <= 9
+    assert all(-1e-6 <= axis.fraction(value) <= 1 + 1e-6 for value, _ in ticks)
+
+
+@given(st.lists(st.floats(1e-190, 1e190), min_size=1, max_size=20))
+def test_a_logarithmic_axis_holds_its_values(values):
+    axis = Axis.fitted("q", "m", values, log=True)
+    assert all(-1e-9 <= axis.fraction(value) <= 1 + 1e-9 for value in values)
+    assert axis.ticks()
+
+
+def test_a_path_reads_back_as_the_values_drawn():
+    times = [place / 100 for place in range(501)]
+    plot = Plot("sine", Axis.fitted("time", "s", times, margin=0.0), Axis.fitted("q", "m", [-1.0, 1.0]))
+    plot.line("q", "c0", times, [math.sin(t) for t in times])
+    path = re.search(r'data-n="q" d="M([^"]+)"', plot.markup())
+    assert path is not None
+    points = [tuple(map(float, pair.split(","))) for pair in path[1].split("L")]
+    for t in (0.0, 1.3, 4.99):
+        height = at([x for x, _ in points], [y for _, y in points], plot.px(t))
+        assert height == pytest.approx(plot.py(math.sin(t)), abs=0.25)
+
+
+def test_labels_keep_clear_of_each_other():
+    plot = Plot("labels", Axis.fitted("x", "", [0, 1]), Axis.fitted("y", "", [0, 1]))
+    placed = [plot.label(0.5, 0.5, "the same place") for _ in range(12)]
+    assert placed[0]
+    assert not placed[-1], "left out rather than drawn over another"
+    tops = sorted(float(top) for top in re.findall(r'class="tag [^"]*" x="[^"]+" y="([^"]+)"', plot.markup()))
+    assert all(second - first >= 14 for first, second in zip(tops, tops[1:], strict=False))
+
+
+def test_contact_phases_come_from_the_gap():
+    trace = TraceRecord(t=(0, 1, 2, 3, 4), columns={"gap_left": (0.1, -0.1, -0.2, 0.1, 0.0), "lam_left": (9, 9, 9, 9, 9)})
+    assert contact_phases(trace, "left") == [(1, 3), (4, 4)]
+    assert contact_phases(TraceRecord(t=(0, 1, 2), columns={"lam_left": (0.0, 2.0)}), "left") == [(1, 1)]
+    assert contact_phases(trace, "nothing") == []
+
+
+@pytest.mark.parametrize(
+    ("shown", "words"),
+    [
+        (number(0.00024419), "2.442×10⁻⁴"),
+        (number(-1234567.0), "−1.235×10⁶"),
+        (number(None), "–"),
+        (number(float("nan")), "–"),
+        (number(16619.35, 7), "16\u202f619.35"),
+        (cost(46415.2), "46\u202f415.20"),
+        (error(0.04), "0.040"),
+        (error(2e-8), "2.0×10⁻⁸"),
+        (error(0.0), "0"),
+        (error(0.0996), "0.10"),
+        (small(1e-7), "10⁻⁷"),
+        (small(3e-4), "3×10⁻⁴"),
+        (percent(-0.9705), "−97\u202f%"),
+        (percent(1e-6), "0.00\u202f%"),
+        (seconds(0.0021), "0.0021"),
+        (seconds(2821.4), "2821"),
+    ],
+)
+def test_numbers_are_said_with_the_digits_a_reader_needs(shown, words):
+    assert shown == words
+
+
+def test_mathml_is_let_through():
+    markup = safe_mathml('<math xmlns="http://www.w3.org/1998/Math/MathML" display="block"><mi>k</mi><mo>&lt;</mo><mn>1</mn></math>')
+    assert markup == '<math display="block"><mi>k</mi><mo>&lt;</mo><mn>1</mn></math>'
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "<math><script>1</script></math>",
+        '<math><annotation-xml encoding="text/html"><img src="x"/></annotation-xml></math>',
+        "<math><mtext><img/></mtext></math>",
+        '<!DOCTYPE math [<!ENTITY a "aaaa">]><math><mi>&a;</mi></math>',
+        "<math><mi>k</math>",
+        "<p>text</p>",
+        "",
+        "<math>" + "<mrow>" * 500 + "</mrow>" * 500 + "</math>",
+    ],
+)
+def test_what_is_not_mathml_is_not(text):
+    assert safe_mathml(text) is None
+
+
+def test_attributes_of_mathml_that_could_act_are_dropped():
+    markup = safe_mathml('<math onclick="alert(1)" href="javascript:1" style="x" display="block"><mi class="c">k</mi></math>')
+    assert markup == '<math display="block"><mi>k</mi></math>'

@@ -1,0 +1,237 @@
+"""The page as text: complete, self-contained, escaped, honest about what is missing."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+
+import pytest
+
+from reports.load import ReportError
+from reports.record import StageRecord, TraceRecord
+from reports.render import write_report
+
+
+class Parsed(HTMLParser):
+    """Elements with attributes, and the text of each element by id or tag."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.raw: dict[str, list[str]] = {"style": [], "script": []}
+        self.words: list[str] = []
+        self._stack: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        if tag in self.raw:
+            self._stack.append(tag)
+            self.raw[tag].append("")
+
+    def handle_endtag(self, tag: str) -> None:
+        if self._stack and self._stack[-1] == tag:
+            self._stack.pop()
+
+    def handle_data(self, data: str) -> None:
+        if self._stack:
+            self.raw[self._stack[-1]][-1] += data
+        else:
+            self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return re.sub(r"[ \n\t]+", " ", " ".join(self.words))
+
+
+def render(folder) -> tuple[str, Parsed]:
+    text = write_report(folder).read_text(encoding="utf-8")
+    return text, Parsed(text)
+
+
+@pytest.fixture(scope="module")
+def full(full_folder) -> tuple[str, Parsed]:
+    return render(full_folder)
+
+
+def test_every_section_is_there_and_the_contents_lead_to_it(full):
+    _, page = full
+    ids = [attributes["id"] for _, attributes in page.elements if attributes.get("id")]
+    assert len(ids) == len(set(ids))
+    links = [str(attributes["href"]) for tag, attributes in page.elements if tag == "a"]
+    assert links
+    assert all(link.startswith("#") and link[1:] in ids for link in links)
+    for name in ("summary", "matrix", "table1", "violation", "tightening", "front", "runs", "scene", "errata", "provenance"):
+        assert name in ids
+
+
+def test_the_page_asks_for_nothing_and_allows_only_its_own_style_and_script(full):
+    _, page = full
+    assert not [attributes for _, attributes in page.elements if {"src", "srcset", "style", "action", "data"} & set(attributes)]
+    assert not [tag for tag, _ in page.elements if tag in ("link", "img", "iframe", "object", "base", "form", "video")]
+    assert not [name for _, attributes in page.elements for name in attributes if name.startswith("on")]
+    assert not re.search(r"url\(|@import|https?:", page.raw["style"][0])
+    policy = next(str(attributes["content"]) for tag, attributes in page.elements if tag == "meta" and "Security" in str(attributes.get("http-equiv")))
+    assert policy.startswith("default-src 'none'")
+    assert "unsafe" not in policy
+    for kind, text in (("style", page.raw["style"][0]), ("script", page.raw["script"][-1])):
+        digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+        assert f"{kind}-src 'sha256-{digest}'" in policy
+
+
+def test_the_page_is_a_pure_function_of_the_records(full, full_folder):
+    assert render(full_folder)[0] == full[0]
+
+
+def test_numbers_are_written_for_readers(full):
+    _, page = full
+    assert not re.search(r"\b(None|nan|NaN|inf|Undefined)\b", page.text)
+    assert not re.search(r"\d\.\d{8,}", page.text), "a wall of digits"
+
+
+def test_table_1_shows_ours_beside_the_paper(full):
+    text, _ = full
+    rows = [re.sub(r"<[^>]+>|[ \n\t]+", " ", row) for row in re.findall(r"<tr class=\"(?:in)?direct\">.*?</tr>", text, re.S)]
+    assert len(rows) == 17, "shared stages are one row each"
+    first = next(row for row in rows if "softplus_dc" in row and "10⁻³" in row)
+    assert first.count("197.86") == 2
+    assert "2445.98" in first
+    warm = next(row for row in rows if "strict_lcp" in row and "after softplus_dc" in row)
+    for number in ("490.83", "16\u202f619.35", "−97\u202f%", "100", "134"):
+        assert number in re.sub(" +", " ", warm), number
+
+
+def test_rows_that_one_side_lacks_are_shown_as_such(factory, tmp_path):
+    only = factory.run("softplus_dc+strict", "softplus_dc", "strict_lcp")
+    ours = factory.stage(0, "strict_lcp", None, None, 0.0, paper={}).model_copy(update={"method": "mpcc"})
+    other = factory.run("mpcc", None, "strict_lcp", key="mpcc-0", stages=(ours,))
+    text, page = render(factory.store(tmp_path / "part", [only, other]))
+    assert text.count("not in our records") == 17 - 4 + 1
+    assert page.text.count("not in the paper") == 1
+
+
+def test_conclusions_are_computed(factory, tmp_path):
+    good = factory.run("softplus_dc+strict", "softplus_dc", "strict_lcp")
+    _, page = render(factory.store(tmp_path / "good", [good]))
+    assert "strict_lcp after softplus_dc (row 4): ours 490.83 at a replayed terminal error of 0.0040, the paper's 16\u202f619.35, 34 times as much" in page.text
+    assert "hold after the replay" in page.text
+    worse = good.stages[-1].model_copy(update={"cost": 40000.0, "verdict": "violates"})
+    bad = good.model_copy(update={"stages": (*good.stages[:-1], worse), "verdict": "violates"})
+    _, page = render(factory.store(tmp_path / "bad", [bad]))
+    assert "ours is the worse one" in page.text
+    assert "hold after the replay, so" not in page.text
+    assert "0 of 1 pipelines that end in a direct method hold" in page.text
+
+
+def test_physics_of_relu_rows_is_judged_by_the_records(factory, tmp_path):
+    run = factory.run("relu_gd", None, "relu_gd")
+    _, page = render(factory.store(tmp_path / "zero", [run]))
+    assert "is exactly 0, as it must be" in page.text
+    figures = tuple(figure.model_copy(update={"value": 0.16}) if figure.name == "physics" else figure for figure in run.stages[0].figures)
+    wrong = run.model_copy(update={"stages": (run.stages[0].model_copy(update={"figures": figures}),)})
+    _, page = render(factory.store(tmp_path / "wrong", [wrong]))
+    assert "must be exactly 0, but is not in row 1: 0.16" in page.text
+
+
+def test_failures_are_told_with_their_sentence_and_log(full):
+    _, page = full
+    for words in (
+        "The process ended with signal 11.",
+        "Segmentation fault",
+        "Stopped at its time limit; allow more time",
+        "The scene has friction, which this method does not know.",
+        "runs/cut-1/record.json",
+        "not complete JSON",
+        "gone-1",
+        "the multistart pipelines",
+    ):
+        assert words in page.text, words
+    assert "\x1b" not in page.text
+
+
+def test_hostile_strings_stay_text(factory, hostile_folder):
+    text, page = render(hostile_folder)
+    assert not [tag for tag, _ in page.elements if tag in ("img", "b", "iframe")]
+    assert page.text.count("<img src=x onerror=") > 20, "the strings are shown, as text"
+    assert sum(tag == "script" for tag, _ in page.elements) == 1 + sum(attributes.get("type") == "application/json" for tag, attributes in page.elements if tag == "script")
+    assert "\u202e" not in text
+    for data in page.raw["script"][:-1]:
+        assert json.loads(data)["t"][0] == 0.0
+        assert "<" not in data
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"plan_trace": None},
+        {"replay_trace": None, "replay": None},
+        {"plan_trace": None, "replay_trace": None, "replay": None, "figures": (), "cost": None, "verdict": "no plan", "history": {}, "residuals": {}, "options": {}},
+        {"plan_trace": TraceRecord(t=(), columns={})},
+        {"plan_trace": TraceRecord(t=(0.0, 1.0, 2.0), columns={"q1": (1.0,), "lam_left": (), "other": (1.0, 2.0)})},
+        {"replay_trace": TraceRecord(t=(1.0,), columns={"q1": (1.0,), "gap_left": (-1.0,)}, poses={"left": ((0.0, 0.0, 0.0),)})},
+        {"history": {"objective": ()}},
+        {"history": {"objective": (1.0,), "mu": (0.0, 0.0, 0.0), "step": (1e-300, 1e300)}},
+        {"cost": 0.0, "paper": {"cost": 0.0}},
+        {"cost": -1e300, "paper": {"time": 0.0}},
+        {"eps": 0.0},
+    ],
+    ids=lambda changes: "-".join(changes),
+)
+def test_missing_and_odd_data_are_a_dash_and_never_an_exception(factory, tmp_path, changes):
+    odd = StageRecord.model_validate(factory.stage(0, "softplus_dc", 1e-3, None, 0.0).model_dump() | changes)
+    run = factory.run("softplus_dc", None, "strict_lcp", stages=(odd,), must_hold=False)
+    _, page = render(factory.store(tmp_path / "odd", [run, factory.runs()[0]]))
+    if changes.get("plan_trace", odd) is None:
+        assert "No planned trajectory is stored" in page.text
+    assert "strict_lcp" in page.text
+
+
+def test_an_empty_campaign_is_a_page_too(factory, tmp_path):
+    _, page = render(factory.store(tmp_path / "none", []))
+    assert "No run is stored here yet" in page.text
+
+
+def test_a_large_campaign_stays_small(factory, tmp_path):
+    """1500 points a trace, which is the most a record holds."""
+    trace = factory.simulate(factory._relu, 2.5, every=1)
+    times = tuple(place * 5.0 / 1499 for place in range(1500))
+    long = TraceRecord(t=times, columns={name: tuple(values[place // 3] for place in range(1500)) for name, values in trace.columns.items()})
+    records = []
+    for run in factory.runs():
+        stages = tuple(stage.model_copy(update={"plan_trace": long, "replay_trace": long}) for stage in run.stages)
+        records.append(run.model_copy(update={"stages": stages}))
+    text, _ = render(factory.store(tmp_path / "large", records))
+    assert len(text.encode()) < 6e6
+
+
+def test_the_report_needs_no_solver(full_folder):
+    program = (
+        "import sys; from pathlib import Path; from reports.render import write_report; write_report(Path(sys.argv[1])); "
+        "print(sorted({'torch', 'pyomo', 'sympy', 'scipy', 'models', 'formulations', 'validate'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", program, str(full_folder)], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_the_command_rebuilds_the_page_or_says_why_not(full_folder, tmp_path):
+    (full_folder / "report.html").unlink(missing_ok=True)
+    done = subprocess.run([sys.executable, "-m", "reports", str(full_folder)], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout.strip()) == (0, str(full_folder / "report.html"))
+    assert (full_folder / "report.html").is_file()
+    lost = subprocess.run([sys.executable, "-m", "reports", str(tmp_path / "nowhere")], capture_output=True, text=True, check=False)
+    assert lost.returncode == 2
+    assert "there is no such folder" in lost.stderr
+    assert "Traceback" not in lost.stderr
+
+
+def test_a_folder_in_the_place_of_the_report_is_one_sentence(factory, tmp_path):
+    folder = factory.store(tmp_path / "blocked", [])
+    (folder / "report.html").mkdir()
+    with pytest.raises(ReportError, match="cannot be written"):
+        write_report(folder)
+    assert [path.name for path in folder.iterdir() if path.name.startswith(".report")] == []
