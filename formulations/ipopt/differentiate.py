@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from formulations.ipopt.graph import CONSTANT, VARIABLE, Graph
 
 
@@ -138,8 +140,8 @@ def split_linear(graph: Graph, root: int) -> Split:
 _LINEAR_OPERATIONS = frozenset({"add", "sub", "neg"})
 
 
-def hessian_sparsity(graph: Graph, root: int) -> list[tuple[int, int]]:
-    """Pairs (i, j), i >= j, of variable indices between which the root can be curved; a superset of the true pattern.
+def hessian_sparsity(graph: Graph, root: int) -> np.ndarray:
+    """(2, entries) pairs i >= j of variable indices between which the root can be curved; a superset of the true pattern.
 
     Index sets are bit masks in Python integers: a nonlinear operation joins the variables of its operands.
     """
@@ -147,7 +149,7 @@ def hessian_sparsity(graph: Graph, root: int) -> list[tuple[int, int]]:
     partners: dict[int, int] = {}
 
     def join(left: int, right: int) -> None:
-        for i in bits(left):
+        for i in bits(left).tolist():
             partners[i] = partners.get(i, 0) | right
 
     for node in graph.reachable(root):
@@ -172,9 +174,14 @@ def hessian_sparsity(graph: Graph, root: int) -> list[tuple[int, int]]:
                 join(masks[0], masks[1])
             else:
                 join(joined, joined)
-    return [(i, j) for i in sorted(partners) for j in bits(partners[i]) if j <= i]
+    found = [np.empty((2, 0), dtype=np.intp)]
+    for i in sorted(partners):
+        columns = bits(partners[i] & ((2 << i) - 1))
+        found.append(np.stack([np.full(len(columns), i), columns]))
+    return np.concatenate(found, axis=1)
 
 
-def bits(mask: int) -> list[int]:
+def bits(mask: int) -> np.ndarray:
     """Positions of the ones in a non-negative integer, ascending."""
-    return [k for k, digit in enumerate(reversed(bin(mask)[2:])) if digit == "1"]
+    octets = np.frombuffer(mask.to_bytes((mask.bit_length() + 7) // 8, "little"), dtype=np.uint8)
+    return np.flatnonzero(np.unpackbits(octets, bitorder="little"))

@@ -9,7 +9,7 @@ from pyomo.core.expr import value
 
 from formulations.ipopt.components import active_constraints, active_objective, sense_of
 from formulations.ipopt.errors import MissingValueError, StructureChangedError
-from formulations.ipopt.terms import EvaluatedExpression
+from formulations.ipopt.evaluated import EvaluatedExpression
 
 if TYPE_CHECKING:
     from formulations.ipopt.problem import Layout

@@ -16,19 +16,18 @@ import numpy as np
 from formulations.ipopt.codegen import generate, hoist
 from formulations.ipopt.differentiate import gradient, hessian_sparsity, split_linear
 from formulations.ipopt.graph import UNARY, Graph
+from formulations.ipopt.hessian_products import generate_by_products, product_nodes
 
 # Above this product of variables and operations a symbolic Hessian would cost more source than it saves; the Hessian is then evaluated
-# column by column through one generated Hessian-vector product. 20 000 operations compile in about 0.3 s.
+# through one generated Hessian-vector product. 20 000 operations compile in about 0.3 s.
 SYMBOLIC_HESSIAN_LIMIT = 20_000
-# Working set of one block of Hessian columns [numbers]: 64 MB.
-_SEED_BLOCK = 8_000_000
 # A process that builds new models for ever must not keep every shape it met; a scene needs about fifteen.
 CACHE_LIMIT = 20_000
 
 Signature = tuple[Hashable, ...]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Shape:
     """One analysed signature. Slots number the variables of a term; functions take rows over instances (see codegen).
 
@@ -42,7 +41,7 @@ class Shape:
     value: Callable[..., None] | None  # None: the term is affine
     slope_slots: tuple[int, ...]  # positions in `curved` of the gradient entries
     slope: Callable[..., None] | None
-    hessian_pairs: tuple[tuple[int, int], ...]  # positions in `curved`, (i, j) for each Hessian entry, in no order of i and j
+    hessian_pairs: np.ndarray  # (2, entries) positions in `curved` of each Hessian entry
     hessian: Callable[..., None] | None
 
     @property
@@ -126,26 +125,26 @@ def compile_shape(graph: Graph, root: int) -> Shape:
     curved = tuple(sorted(used))
     local = {slot: k for k, slot in enumerate(curved)}
     slope_nodes = list(slopes.values())
-    pattern = hessian_sparsity(graph, split.nonlinear) if slopes else []
 
     operations = len(graph.reachable(*slope_nodes, split.nonlinear))
     entries: dict[tuple[int, int], int] = {}
     products: dict[int, int] = {}
     directional = len(slopes) * operations > SYMBOLIC_HESSIAN_LIMIT
     if directional:
-        products = _hessian_vector_product(graph, slopes)
-        pairs = pattern
+        products = product_nodes(graph, slopes)
+        pairs = hessian_sparsity(graph, split.nonlinear)
     else:
-        entries = _symbolic_hessian(graph, slopes, set(pattern))
-        pairs = list(entries)
+        entries = _symbolic_hessian(graph, slopes)
+        pairs = np.array(list(entries), dtype=np.intp).reshape(-1, 2).T
 
     hoisted = hoist(graph, [split.nonlinear, *slope_nodes, *products.values(), *entries.values()])
     linear = tuple(sorted(split.linear))
     prepare = generate_prepare(graph, [split.constant, *(split.linear[s] for s in linear), *hoisted])
+    pairs = np.searchsorted(np.array(curved, dtype=np.intp), pairs)
     hessian = None
     if directional:
-        hessian = _directional_hessian(graph, products, pairs, hoisted, local, operations)
-    elif pairs:
+        hessian = generate_by_products(graph, products, pairs, hoisted, local, operations)
+    elif entries:
         hessian = generate(graph, list(entries.values()), hoisted, local, "hessian")
     return Shape(
         linear=linear,
@@ -155,7 +154,7 @@ def compile_shape(graph: Graph, root: int) -> Shape:
         value=generate(graph, [split.nonlinear], hoisted, local, "value") if curved else None,
         slope_slots=tuple(local[s] for s in slopes),
         slope=generate(graph, slope_nodes, hoisted, local, "slope") if slope_nodes else None,
-        hessian_pairs=tuple((local[i], local[j]) for i, j in pairs),
+        hessian_pairs=pairs,
         hessian=hessian,
     )
 
@@ -172,49 +171,11 @@ def generate_prepare(graph: Graph, outputs: list[int]) -> Callable[..., None]:
     return prepare
 
 
-def _symbolic_hessian(graph: Graph, slopes: dict[int, int], pattern: set[tuple[int, int]]) -> dict[tuple[int, int], int]:
+def _symbolic_hessian(graph: Graph, slopes: dict[int, int]) -> dict[tuple[int, int], int]:
     """{(i, j), i >= j: node of the second derivative}."""
     nodes: dict[tuple[int, int], int] = {}
     for i, slope in slopes.items():
         for j, node in gradient(graph, slope).items():
-            if j <= i and node != graph.zero and (i, j) in pattern:
+            if j <= i and node != graph.zero:
                 nodes[i, j] = node
     return nodes
-
-
-def _hessian_vector_product(graph: Graph, slopes: dict[int, int]) -> dict[int, int]:
-    """{i: node of sum_j H[i, j] seed[j]}, by differentiating the directional derivative once more."""
-    along = graph.zero
-    for slot, slope in slopes.items():
-        along = graph.add(along, graph.mul(slope, graph.seed(slot)))
-    return gradient(graph, along)
-
-
-def _directional_hessian(
-    graph: Graph,
-    rows: dict[int, int],
-    pairs: list[tuple[int, int]],
-    hoisted: list[int],
-    local: dict[int, int],
-    operations: int,
-) -> Callable[..., None]:
-    """Hessian entries by multiplying with unit vectors, in blocks small enough for the memory."""
-    order = list(rows)
-    product = generate(graph, [rows[i] for i in order], hoisted, local, "hessian_product")
-    row_of = {local[slot]: k for k, slot in enumerate(order)}
-    where = np.array([(row_of.get(local[i], -1), local[j]) for i, j in pairs], dtype=np.intp).reshape(-1, 2)
-    size = len(local)
-
-    def hessian(x: np.ndarray, p: list[np.ndarray], out: np.ndarray) -> None:
-        instances = out.shape[1]
-        block = max(1, min(size, _SEED_BLOCK // max(1, 6 * operations * instances)))
-        for start in range(0, size, block):
-            stop = min(size, start + block)
-            unit = np.zeros((size, stop - start, 1))
-            unit[np.arange(start, stop), np.arange(stop - start), 0] = 1.0
-            columns = np.empty((len(order), stop - start, instances))
-            product(x, p, columns, unit)
-            mine = np.flatnonzero((where[:, 1] >= start) & (where[:, 1] < stop))
-            out[mine] = np.where((where[mine, 0] >= 0)[:, None], columns[where[mine, 0], where[mine, 1] - start], 0.0)
-
-    return hessian

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from pyomo.common.numeric_types import native_numeric_types
 
 from formulations.ipopt import kinds
+from formulations.ipopt.evaluated import as_data
 from formulations.ipopt.graph import UNARY
 
 if TYPE_CHECKING:
@@ -67,7 +68,7 @@ def read_shared(reader: TermReader, root: Any) -> tuple[tuple, list[int], list[f
             operator = node.getname()
         else:
             tokens.append("p")
-            params.append(~reader.place(reader.as_data(node)))
+            params.append(~reader.place(as_data(node, reader.where)))
             continue
         stack.append((node, operator))
         stack.extend((operand, None) for operand in reversed(operands))

@@ -44,8 +44,7 @@ class TermGroup:
     @property
     def curvature_entries(self) -> tuple[np.ndarray, np.ndarray]:
         """(larger column, smaller column) of each Hessian entry."""
-        first = self._curved[[i for i, _ in self.shape.hessian_pairs]].ravel()
-        second = self._curved[[j for _, j in self.shape.hessian_pairs]].ravel()
+        first, second = (self._curved[slots].ravel() for slots in self.shape.hessian_pairs)
         return np.maximum(first, second), np.minimum(first, second)
 
     # -- values -----------------------------------------------------------------------------------------------------------------
@@ -84,7 +83,7 @@ class TermGroup:
 
     def curvatures(self, x: np.ndarray, multipliers: np.ndarray) -> np.ndarray:
         """Hessian entries times weight times the multiplier of each term's row, in the order of `curvature_entries`."""
-        out = np.empty((len(self.shape.hessian_pairs), len(self.rows)))
+        out = np.empty((self.shape.hessian_pairs.shape[1], len(self.rows)))
         if self.shape.hessian is not None:
             self.shape.hessian(x[self._curved], self._hoisted, out)
         return (self.weights * multipliers[self.rows] * out).ravel()

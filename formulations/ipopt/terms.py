@@ -13,10 +13,10 @@ from typing import Any
 
 from pyomo.common.numeric_types import native_numeric_types
 from pyomo.core.expr import numeric_expr as pe
-from pyomo.core.expr import value
 from pyomo.core.expr.visitor import identify_variables
 
 from formulations.ipopt.errors import ModelRefusedError
+from formulations.ipopt.evaluated import EvaluatedExpression, as_data
 from formulations.ipopt.graph import UNARY
 from formulations.ipopt.kinds import (
     DIVISION,
@@ -39,26 +39,13 @@ _ONE = ("c", 1.0)
 _SQUARE = ("^", 2.0)
 # A data factor is carried into a sum with more summands than this, so that p * (x1**2 + .. + x5000**2) is 5000 small terms, not a huge one.
 _WIDE_SUM = 16
+_SHORT_LOOK = 64
+# A sum that is met again and again inside one expression (e = e + 0.1 * e, sixty times) is a small graph but an astronomically large tree:
+# after this many repeated summands, sums are handed on whole to the reader of shared terms.
+_REPEATED = 100_000
 # A term longer than this is read again with every shared subexpression written once: expressions built by repeated substitution
 # (x_next = f(x), five hundred times) are small graphs but astronomically large trees.
 _LONG_TERM = 4_000
-
-
-class EvaluatedExpression:
-    """Data that is an expression rather than a Param: `value` evaluates it (Expr_if, max, abs, .. of data)."""
-
-    __slots__ = ("expression",)
-
-    def __init__(self, expression: Any) -> None:
-        self.expression = expression
-
-    @property
-    def value(self) -> float:
-        return value(self.expression)
-
-    @property
-    def name(self) -> str:
-        return str(self.expression)
 
 
 @dataclass
@@ -86,7 +73,7 @@ class TermReader:
         self.constants: list[float] = []
         self._place: dict[int, int] = {}  # id(leaf) -> column >= 0, or ~(data number)
         self._domains: dict[int, tuple[Any, bool]] = {}
-        self._where: Any = None
+        self.where: Any = None
 
     # -- leaves ---------------------------------------------------------------------------------------------------------------
 
@@ -122,16 +109,18 @@ class TermReader:
 
     def read(self, row: int, expression: Any, sign: float, where: Any) -> None:
         """Add sign * expression to a row; `where` is the component, for messages. constants[row] must exist."""
-        self._where = where
+        self.where = where
         place, kind = self._place.get, KIND.get
         rows, columns, slopes = self.rows, self.columns, self.slopes
-        stack: list[tuple[Any, float]] = [(expression, sign)]
+        met: set[int] = set()
+        repeated = 0
+        stack: list[tuple[Any, float, Any]] = [(expression, sign, None)]  # (summand, number, data or None): their product
         while stack:
-            node, weight = stack.pop()
+            node, weight, data = stack.pop()
             code = kind(node.__class__)
             if code is None:
                 code = kind_of(node)
-            if code == MONOMIAL:
+            if code == MONOMIAL and data is None:
                 factor, variable = node._args_ if node.__class__ is pe.MonomialTermExpression else node.args
                 if factor.__class__ in native_numeric_types:
                     column = place(id(variable))
@@ -142,8 +131,8 @@ class TermReader:
                         columns.append(column)
                         slopes.append(weight * factor)
                         continue
-                self._term(row, weight, node)
-            elif code == LEAF:
+                self._term(row, weight, node, None)
+            elif code == LEAF and data is None:
                 column = place(id(node))
                 if column is None:
                     column = self.place(node)
@@ -152,56 +141,48 @@ class TermReader:
                     columns.append(column)
                     slopes.append(weight)
                 else:
-                    self._term(row, weight, node)
+                    self._term(row, weight, node, None)
             elif code == SUM:
-                for child in reversed(node.args):
-                    stack.append((child, weight))
-            elif code == NUMBER:
+                if repeated > _REPEATED:
+                    self._term(row, weight, node, data)
+                    continue
+                children = node.args
+                if id(node) in met:
+                    repeated += len(children)
+                met.add(id(node))
+                stack.extend((child, weight, data) for child in reversed(children))
+            elif code == NUMBER and data is None:
                 self.constants[row] += weight * node
             elif code == NEGATION:
-                stack.append((node.args[0], -weight))
+                stack.append((node.args[0], -weight, data))
             elif code == NAMED:
-                stack.append((self.open_named(node), weight))
+                stack.append((self.open_named(node), weight, data))
             elif code in (PRODUCT, DIVISION):
-                self._factor(row, node, weight, code, stack)
+                self._factor(row, node, weight, data, stack)
             else:
-                self._term(row, weight, node)
+                self._term(row, weight, node, data)
 
-    def _factor(self, row: int, node: Any, weight: float, code: int, stack: list[tuple[Any, float]]) -> None:
+    def _factor(self, row: int, node: Any, weight: float, data: Any, stack: list[tuple[Any, float, Any]]) -> None:
         """A product or quotient on the top level: carry numbers into the weight, and data into wide sums."""
-        left, right = node.args
-        if code == DIVISION:
-            if right.__class__ in native_numeric_types and right != 0:
-                stack.append((left, weight / right))
-                return
-            if is_data(right) and self._is_wide(left):
-                stack.extend((child / right, weight) for child in reversed(left.args))
-                return
-        elif left.__class__ in native_numeric_types:
-            stack.append((right, weight * left))
-            return
-        elif right.__class__ in native_numeric_types:
-            stack.append((left, weight * right))
-            return
-        elif is_data(left) and self._is_wide(right):
-            stack.extend((left * child, weight) for child in reversed(right.args))
-            return
-        elif is_data(right) and self._is_wide(left):
-            stack.extend((right * child, weight) for child in reversed(left.args))
-            return
-        self._term(row, weight, node)
-
-    def _is_wide(self, node: Any) -> bool:
-        return kind_of(node) == SUM and node.nargs() > _WIDE_SUM
+        inside, factor, divides = _data_factor(node)
+        if factor.__class__ in native_numeric_types and not (divides and factor == 0):
+            stack.append((inside, weight / factor if divides else weight * factor, data))
+        elif factor is not None and (data is not None or _leads_to_wide_sum(inside)):
+            carried = 1.0 if data is None else data
+            stack.append((inside, weight, carried / factor if divides else carried * factor))
+        else:
+            self._term(row, weight, node, data)
 
     def open_named(self, named: Any) -> Any:
         inside = named.args[0]
         self.named[id(named)] = (named, inside)
         if inside is None:
-            raise ModelRefusedError(f"'{self._where.name}' uses the expression '{named.name}', which has not been given a value")
+            raise ModelRefusedError(f"'{self.where.name}' uses the expression '{named.name}', which has not been given a value")
         return inside
 
-    def _term(self, row: int, weight: float, node: Any) -> None:
+    def _term(self, row: int, weight: float, node: Any, data: Any) -> None:
+        if data is not None:
+            node = data * node
         signature, slots, numbers, params = self._tokens(node)
         bucket = self.buckets.get(signature)
         if bucket is None:
@@ -280,22 +261,39 @@ class TermReader:
             stack.append(node.args[0])
         else:
             tokens.append("p")
-            params.append(~self.place(self.as_data(node)))
-
-    def as_data(self, node: Any) -> EvaluatedExpression:
-        """A node of a kind that has no derivative rule, accepted where it depends on data alone."""
-        if not node.is_fixed():
-            name = node.getname() if hasattr(node, "getname") else type(node).__name__
-            raise ModelRefusedError(
-                f"'{self._where.name}' applies {name} to a variable: only smooth functions can be handed to Ipopt "
-                f"({_ADVICE.get(name, 'known are + - * / ** and ' + ' '.join(sorted(UNARY)))})"
-            )
-        return EvaluatedExpression(node)
+            params.append(~self.place(as_data(node, self.where)))
 
 
-_ADVICE = {
-    "abs": "write sqrt(x**2 + eps**2), or split x = xp - xn with xp, xn >= 0",
-    "max": "write an epigraph variable t >= each argument, or a smooth maximum",
-    "min": "write a hypograph variable t <= each argument, or a smooth minimum",
-    "Expr_if": "write the two cases as a complementarity or blend them smoothly",
-}
+def _data_factor(node: Any) -> tuple[Any, Any, bool]:
+    """(rest, data, whether it divides) of a product or quotient; (node, None, False) if neither operand is data."""
+    left, right = node.args
+    if kind_of(node) == DIVISION:
+        return (left, right, True) if is_data(right) else (node, None, False)
+    if left.__class__ in native_numeric_types:
+        return right, left, False
+    if right.__class__ in native_numeric_types:
+        return left, right, False
+    if is_data(left):
+        return right, left, False
+    return (left, right, False) if is_data(right) else (node, None, False)
+
+
+def _leads_to_wide_sum(node: Any) -> bool:
+    """Whether nothing but sums, signs, names, numbers and data stands between the node and a wide sum, as far as a short look tells."""
+    stack = [node]
+    for _ in range(_SHORT_LOOK):
+        if not stack:
+            return False
+        node = stack.pop()
+        code = kind_of(node)
+        if code == SUM:
+            if node.nargs() > _WIDE_SUM:
+                return True
+            stack.extend(node.args)
+        elif code in (NEGATION, NAMED):
+            stack.append(node.args[0])
+        elif code in (PRODUCT, DIVISION):
+            inside, factor, _ = _data_factor(node)
+            if factor is not None:
+                stack.append(inside)
+    return False
