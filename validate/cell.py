@@ -99,7 +99,8 @@ def run_cell(cell: Cell, provenance: ProvenanceRecord, folder: Path, began: floa
     stages += [unfinished_stage(scene.name, cell.pipeline.name, planned, outcome, message) for planned, outcome, message in rest]
     log = (folder / "log.txt").read_text(encoding="utf-8", errors="replace") if (folder / "log.txt").exists() else ""
     wall = time.monotonic() - began
-    return run_record(cell, scene_record(scene), stages, provenance, wall=wall, cpu=time.process_time(), log=log)
+    cause = rest[0][2] if rest else None  # the stages after it only say that it came before them
+    return run_record(cell, scene_record(scene), stages, provenance, wall=wall, cpu=time.process_time(), log=log, message=cause)
 
 
 def _progress(folder: Path, text: str) -> None:
@@ -134,7 +135,7 @@ def _solve(scene: Scene, pipeline: Pipeline, plan: tuple[Planned, ...], deadline
                 traceback.print_exc()
                 outcome = Outcome.FAILED if isinstance(error, TouchstoneError) else Outcome.CRASHED
                 message = str(error) if isinstance(error, TouchstoneError) else f"{type(error).__name__} in {planned.name}: {_first_line(error)}"
-                later = f"not begun, because stage {planned.index + 1} ({_stage_name(planned)}) gave no answer: {message}"
+                later = f"not begun, because stage {planned.index + 1} ({_stage_name(planned)}) gave no answer."
                 rest = [(other, outcome, message if other is planned else later) for other in plan[planned.index :]]
                 return solved, rest
             solved.append(item)

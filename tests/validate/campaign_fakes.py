@@ -131,6 +131,11 @@ PIPELINES = (
         title="fake chain",
         legs=(Leg(method="soft", schedule=(1e-1, 1e-2), stage_options=({"iterations": 2},)), Leg(method="good")),
     ),
+    Pipeline(
+        name="broken_chain",
+        title="fake chain whose middle breaks",
+        legs=(Leg(method="soft", schedule=(1e-1,)), Leg(method="bad_soft", schedule=(1e-1,)), Leg(method="good")),
+    ),
     Pipeline(name="soft_alone", title="fake indirect", legs=(Leg(method="soft", schedule=(1e-1,)),)),
     *(
         Pipeline(name=f"only_{name}", title=f"only {name}", legs=(Leg(method=name, schedule=(1e-1,) if METHODS[name].needs_eps else (None,)),))

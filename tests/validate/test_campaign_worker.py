@@ -49,7 +49,7 @@ def _wait_until(condition: Callable[[], bool]) -> None:
 def misbehaved(cli, tmp_path_factory):
     """One campaign over every kind of misbehaviour that ends by itself."""
     out = tmp_path_factory.mktemp("misbehaved")
-    done = cli("all", *FAKES, "--out", str(out), "-j", "2", "-k", "not hang and not family and not slow")
+    done = cli("all", *FAKES, "--out", str(out), "-j", "2", "-k", "not hang and not family and not slow and not chain")
     return out, done
 
 
@@ -85,6 +85,16 @@ def test_the_traceback_is_in_the_log_and_not_on_the_screen(misbehaved):
     assert "Traceback" in (out / "runs" / record.key / "log.txt").read_text()
     assert "Traceback" in record.log_tail
     assert "Traceback" not in done.stdout + done.stderr
+
+
+def test_stages_after_a_failed_one_are_rows_too(cli, tmp_path):
+    cli("all", *FAKES, "--out", str(tmp_path), "-k", "broken_chain")
+    record = _records(tmp_path)["broken_chain"]
+    assert [stage.outcome for stage in record.stages] == ["solved", "crashed", "crashed"]
+    assert record.message == record.stages[1].message == "ValueError in bad_soft: the method's own mistake"
+    assert record.stages[2].message == "not begun, because stage 2 (bad_soft, eps 0.1) gave no answer."
+    assert record.stages[0].verdict == "holds"
+    assert (tmp_path / "runs" / record.key / "trajectory_1.nc").exists()
 
 
 def test_nothing_is_left_behind(misbehaved):

@@ -116,6 +116,17 @@ def test_out_that_cannot_be_written(cli, folder):
     assert len(done.stderr.splitlines()) == 1
 
 
+def test_a_full_disk_is_one_sentence(cli, cli_environment, tmp_path):
+    """A limit on the size of files stands for the disk's end: the record of a cell does not fit, log and request do."""
+    arguments = [sys.executable, "-m", "validate", "all", *GOOD, "--out", str(tmp_path / "out")]
+    cli("all", *GOOD, "--out", str(tmp_path / "before"))  # so that the scene is compiled already
+    done = subprocess.run(["sh", "-c", 'ulimit -f 24; exec "$@"', "sh", *arguments], capture_output=True, text=True, env=cli_environment, check=False)
+    assert done.returncode == 3
+    (sentence,) = [line for line in done.stderr.splitlines() if line.startswith("error:")]
+    assert "written" in sentence or "cannot write" in sentence
+    assert os.listdir(tmp_path / "out" / "runs") == []
+
+
 def test_no_compiler(cli, tmp_path):
     done = cli("all", *GOOD, "--out", str(tmp_path / "out"), CC="no_such_compiler")
     assert done.returncode == 3
