@@ -212,7 +212,7 @@ def test_another_fmu_is_replayed_by_a_map_of_names():
         replay(scene, build_fmu(renamed), plan, {"q": "y", "v": "w", "u": "f"})
     with pytest.raises(FmuError, match="the map names 'qq'"):
         replay(scene, build_fmu(renamed), plan, {"qq": "x"})
-    with pytest.raises(FmuError, match="x .* is no input"):
+    with pytest.raises(FmuError, match=r"x .* is no input"):
         replay(scene, build_fmu(renamed), plan, {"q": "x", "v": "w", "u": "x"})
 
 

@@ -64,6 +64,8 @@ def replay(
     error = estimate(
         tolerance=difference(loose, tight), step=difference(coarse, fine), everyday=difference(fine, tight), has_reference=bool(reference)
     )
+    if refusal is None and reference:
+        refusal = next((run.message for run in everyday if run.outcome is not ReplayOutcome.OK), None)
     return _assemble(
         scene, variables, judged, error=error, refusal=refusal, has_reference=bool(reference), event_budget=event_budget, fmu=package.digest,
         seconds=(reference_seconds, everyday_seconds),
@@ -94,7 +96,7 @@ def _assemble(
     names = [contact.name for contact in scene.contacts]
     notes = [run.message] if run.message else []
     if refusal is not None:
-        notes.append(f"No everyday replay: {refusal}.")
+        notes.append(f"No everyday replay: {refusal.rstrip('.')}.")
     if not has_reference:
         notes.append("No reference replay: the FMU offers no Model Exchange.")
     indicators = {index for _, index, _ in run.events}

@@ -122,4 +122,4 @@ def _quote(figure: Figure) -> str:
 
 def _number(value: float, unit: str) -> str:
     # A norm over positions and velocities has no unit of its own; its number is quoted bare.
-    return f"{value:.2g}" if unit == "1" or "," in unit else f"{value:.2g} {unit}"
+    return f"{value:.3g}" if unit == "1" or "," in unit else f"{value:.3g} {unit}"
