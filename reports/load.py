@@ -1,6 +1,6 @@
 """Reads the records of a campaign's folder. A record that cannot be read is listed with a sentence, and the rest is shown.
 
-    stored = load(Path("runs/all"));  stored.campaign, stored.runs, stored.unreadable, stored.missing
+stored = load(Path("runs/all"));  stored.campaign, stored.runs, stored.unreadable, stored.missing
 """
 
 from __future__ import annotations

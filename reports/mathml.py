@@ -9,16 +9,26 @@ from markupsafe import Markup, escape
 from reports.wording import clean
 
 _NAMESPACE = "{http://www.w3.org/1998/Math/MathML}"
+# fmt: off
 _ELEMENTS = frozenset(
-    "math mrow mi mn mo mtext mspace ms mfrac msqrt mroot mstyle merror mpadded mphantom mfenced menclose "
-    "msub msup msubsup munder mover munderover mmultiscripts mtable mtr mtd mlabeledtr".split()
+    {
+        "math", "mrow", "mi", "mn", "mo", "mtext", "mspace", "ms", "mfrac", "msqrt", "mroot", "mstyle", "merror", "mpadded",
+        "mphantom", "mfenced", "menclose", "msub", "msup", "msubsup", "munder", "mover", "munderover", "mmultiscripts", "mtable",
+        "mtr", "mtd", "mlabeledtr",
+    }
 )
 _ATTRIBUTES = frozenset(
-    "display mathvariant stretchy fence separator lspace rspace linethickness accent accentunder form open close separators "
-    "columnalign rowalign columnspacing rowspacing width height depth largeop movablelimits displaystyle scriptlevel notation".split()
+    {
+        "display", "mathvariant", "stretchy", "fence", "separator", "lspace", "rspace", "linethickness", "accent", "accentunder",
+        "form", "open", "close", "separators", "columnalign", "rowalign", "columnspacing", "rowspacing", "width", "height", "depth",
+        "largeop", "movablelimits", "displaystyle", "scriptlevel", "notation",
+    }
 )
+# fmt: on
 # Deeper than any equation, shallower than what would exhaust the stack.
 _DEEPEST, _LONGEST = 60, 200_000
+# A hyphen is no minus sign, and the double-struck d of derivatives is in few fonts.
+_SIGNS = {"-": "−", "ⅆ": "d", "&dd;": "d"}
 
 
 def safe_mathml(text: str) -> Markup | None:
@@ -44,7 +54,7 @@ def _markup(element: ElementTree.Element, depth: int) -> str | None:
     if name not in _ELEMENTS or depth > _DEEPEST:
         return None
     attributes = "".join(f' {key}="{escape(value)}"' for key, value in element.attrib.items() if key in _ATTRIBUTES)
-    parts = [f"<{name}{attributes}>", str(escape(element.text or ""))]
+    parts = [f"<{name}{attributes}>", str(escape(_SIGNS.get(element.text or "", element.text or "")))]
     for child in element:
         inside = _markup(child, depth + 1)
         if inside is None:

@@ -36,7 +36,9 @@ def write_report(folder: Path) -> Path:
         os.replace(part, target)
     except OSError as problem:
         part.unlink(missing_ok=True)
-        raise ReportError(f"{target}: the report cannot be written ({problem.strerror}); free the place or choose another folder.") from problem
+        raise ReportError(
+            f"{target}: the report cannot be written ({problem.strerror}); free the place or choose another folder."
+        ) from problem
     return target
 
 
@@ -79,7 +81,21 @@ def _environment() -> Environment:
         lstrip_blocks=True,
         finalize=_finalized,
     )
-    for name in ("number", "cost", "error", "seconds", "percent", "plain", "spaced", "clean", "verdict", "count", "small", "unit", "capital"):
+    for name in (
+        "number",
+        "cost",
+        "error",
+        "seconds",
+        "percent",
+        "plain",
+        "spaced",
+        "clean",
+        "verdict",
+        "count",
+        "small",
+        "unit",
+        "capital",
+    ):
         environment.filters[name] = getattr(wording, name)
     environment.globals["dash"] = wording.DASH
     return environment

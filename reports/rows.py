@@ -1,15 +1,15 @@
 """Rows of the tables: each stage once, although several pipelines begin with the same stages.
 
-    softplus_dc+strict and softplus_dc+relu_gd share softplus_dc at 1e-3, 1e-5, 1e-7: five rows, not eight.
+softplus_dc+strict and softplus_dc+relu_gd share softplus_dc at 1e-3, 1e-5, 1e-7: five rows, not eight.
 """
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from reports.paper import TABLE_1, PaperRow
 from reports.paper import SCENE as PAPER_SCENE
+from reports.paper import TABLE_1, PaperRow
 from reports.record import RunRecord, SceneRecord, StageRecord
 from reports.wording import small
 
@@ -23,6 +23,7 @@ class Row:
     stage: StageRecord
     chain: tuple[StageRecord, ...]
     anchor: str
+    twin: bool = False  # another row has the same methods and eps, but other options: only the pipeline tells them apart
 
     @property
     def methods(self) -> tuple[str, ...]:
@@ -35,7 +36,8 @@ class Row:
         """softplus_dc 10⁻⁵; strict_lcp after softplus_dc."""
         before = self.methods[:-1]
         eps = f" ε = {small(self.stage.eps)}" if self.stage.eps else ""
-        return f"{self.stage.method}{eps}" + (f" after {', '.join(before)}" if before else "")
+        after = f" after {', '.join(before)}" if before else ""
+        return f"{self.stage.method}{eps}{after}" + (f" ({self.run.pipeline})" if self.twin else "")
 
     @property
     def paper_total(self) -> float | None:
@@ -75,7 +77,8 @@ def rows_of(runs: tuple[RunRecord, ...]) -> list[Row]:
             if key not in rows:
                 chain = run.stages[: place + 1]
                 rows[key] = Row(len(rows) + 1, run, stage, chain, run_anchor(runs, run))
-    return list(rows.values())
+    labels = [(row.run.scene.name, row.label) for row in rows.values()]
+    return [replace(row, twin=not row.stage.paper and labels.count((row.run.scene.name, row.label)) > 1) for row in rows.values()]
 
 
 def _head(run: RunRecord) -> tuple[str, str]:

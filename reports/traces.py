@@ -62,7 +62,9 @@ def at(times: Sequence[float], values: Sequence[float], t: float) -> float:
     return values[place - 1] + part * (values[place] - values[place - 1])
 
 
-def position_error(scene: SceneRecord, plan: TraceRecord | None, replay: TraceRecord | None) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
+def position_error(
+    scene: SceneRecord, plan: TraceRecord | None, replay: TraceRecord | None
+) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
     """Times and the largest difference over the coordinates between plan and replay; stored, or computed at the plan's times."""
     stored = column(replay, "position_error")
     if replay is not None and stored is not None:

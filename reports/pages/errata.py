@@ -11,7 +11,12 @@ def build(report: Report) -> Section | None:
     rows = [row for row in report.rows if row.run.scene.name == SCENE]
     if not rows:
         return None
-    return Section("errata", "Errata of the paper, and what it leaves open", "errata.html", {"closed_form": _closed_form(report), "physics": _physics(report), "clock": _clock(report)})
+    return Section(
+        "errata",
+        "Errata of the paper, and what it leaves open",
+        "errata.html",
+        {"closed_form": _closed_form(report), "physics": _physics(report), "clock": _clock(report)},
+    )
 
 
 def _closed_form(report: Report) -> str:
@@ -24,8 +29,12 @@ def _closed_form(report: Report) -> str:
 
 
 def _physics(report: Report) -> str:
-    told = [f"row {row.number} {number(value, 3)}" for row in report.rows if row.stage.method == "relu_gd" and (value := row.figure("physics")) is not None]
-    return f"Here: {listing(told)}." if told else ""
+    found = [(row.number, value) for row in report.rows if row.stage.method == "relu_gd" and (value := row.figure("physics")) is not None]
+    if not found:
+        return ""
+    if all(value == 0 for _, value in found):
+        return f"Here it is exactly 0 in {'row' if len(found) == 1 else 'rows'} {listing([str(place) for place, _ in found])}."
+    return f"Here: {listing([f'{number(value, 3)} in row {place}' for place, value in found])}."
 
 
 def _clock(report: Report) -> str:

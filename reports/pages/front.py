@@ -59,14 +59,18 @@ def _front(scene: SceneRecord, rows: list[Row]) -> Front:
     return Front(scene, plots, best, absent)
 
 
-def _plot(scene: SceneRecord, title: str, quantity: str, points: list[tuple[float, float, Row]], front: list[tuple[float, float, Row]]) -> Plot:
+def _plot(
+    scene: SceneRecord, title: str, quantity: str, points: list[tuple[float, float, Row]], front: list[tuple[float, float, Row]]
+) -> Plot:
     known = next((answer for answer in scene.answers if "cost" in answer.name and answer.value is not None), None)
     costs = [point[1] for point in points] + ([known.value] if known and known.value is not None else [])
     units = {figure.unit for _, _, row in points if (figure := row.stage.figure("replay_terminal_error"))}
     wide = min(costs) > 0 and max(costs) / min(costs) > _WIDE
     plot = Plot(
         title,
-        Axis.fitted(quantity, units.pop() if len(units) == 1 else "", [max(point[0], _SMALLEST) for point in points], log=True, margin=0.06),
+        Axis.fitted(
+            quantity, units.pop() if len(units) == 1 else "", [max(point[0], _SMALLEST) for point in points], log=True, margin=0.06
+        ),
         Axis.fitted("cost", "", costs, log=wide, margin=0.1),
         width=720,
         height=400,

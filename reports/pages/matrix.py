@@ -26,7 +26,9 @@ def build(report: Report) -> Section | None:
         return None
     cells = {(run.pipeline, run.scene.name): _cell(report, run) for run in runs}
     titles = {run.pipeline: run.pipeline_title for run in runs}
-    return Section("matrix", "Scenes and pipelines", "matrix.html", {"scenes": report.scenes, "titles": titles, "cells": cells, "verdicts": VERDICTS})
+    return Section(
+        "matrix", "Scenes and pipelines", "matrix.html", {"scenes": report.scenes, "titles": titles, "cells": cells, "verdicts": VERDICTS}
+    )
 
 
 def _cell(report: Report, run: RunRecord) -> Cell:

@@ -14,7 +14,9 @@ def build(report: Report) -> Section | None:
     if first is None:
         return None
     runs = [(run, report.anchor(run), differences(first, run.provenance)) for run in stored.runs]
-    return Section("provenance", "Provenance", "provenance.html", {"first": first, "runs": runs, "campaign": stored.campaign, "folder": stored.folder})
+    return Section(
+        "provenance", "Provenance", "provenance.html", {"first": first, "runs": runs, "campaign": stored.campaign, "folder": stored.folder}
+    )
 
 
 def differences(first: ProvenanceRecord, other: ProvenanceRecord) -> list[str]:

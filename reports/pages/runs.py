@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 
 from reports.pages.player import Film, film
@@ -30,6 +31,7 @@ class RunView:
     stages: list[StageView]
     film: Film | None
     log: str
+    again: str
 
 
 def build(report: Report) -> Section | None:
@@ -48,4 +50,26 @@ def _view(report: Report, run: RunRecord) -> RunView:
     stages = [
         StageView(stage, numbers.get(id(stage)), stage_plots(run.scene, stage), place == last) for place, stage in enumerate(run.stages)
     ]
-    return RunView(run, report.anchor(run), stages, film(run), tail(run.log_tail))
+    return RunView(run, report.anchor(run), stages, film(run), tail(run.log_tail), again(report, run))
+
+
+def again(report: Report, run: RunRecord) -> str:
+    """The command that runs this cell again, and no other cell of the campaign."""
+    try:
+        recorded = shlex.split(run.provenance.command)
+    except ValueError:
+        return run.provenance.command
+    if recorded[1:4] != ["-m", "validate", "all"]:
+        return run.provenance.command
+    words = [run.pipeline, run.scene.name]
+    # A word of -k is true of every cell with a name that contains it: the others are named to be left out.
+    for other in dict.fromkeys(
+        other.pipeline for other in report.stored.runs if other.pipeline != run.pipeline and _contains(other, run.pipeline)
+    ):
+        words.append(f"not {other}")
+    # Into a folder of its own, because a campaign of one cell would take the place of the whole one.
+    return shlex.join([*recorded[:4], "-k", " and ".join(words), "--fresh", "--out", "runs/again"])
+
+
+def _contains(run: RunRecord, word: str) -> bool:
+    return any(word in name for name in (run.pipeline, *(stage.method for stage in run.stages)))

@@ -10,7 +10,12 @@ from reports.record import QuantityRecord, SceneRecord, StageRecord, TraceRecord
 from reports.traces import column, contact_phases, force, gap, position_error
 from reports.wording import clean, error, number
 
-_KEYS = [Key("plan", "plan"), Key("replay", "replay"), Key("touch", "replay in contact", "swatch"), Key("planned-touch", "plan in contact", "swatch")]
+_KEYS = [
+    Key("plan", "plan"),
+    Key("replay", "replay"),
+    Key("touch", "replay in contact", "swatch"),
+    Key("planned-touch", "plan in contact", "swatch"),
+]
 # More panels of history than this tell nothing more.
 _MOST_HISTORY = 8
 _MOST_COLOURS = 6
@@ -72,21 +77,34 @@ def _positions(items: list[QuantityRecord], unit: str, x: Axis, plan: TraceRecor
     ]
     if not data:
         return None
-    plot = Plot("Positions: plan dotted, replay solid", x, Axis.fitted("position", unit, [value for *_, values in data for value in values], margin=0.1))
+    plot = Plot(
+        "Positions: plan dotted, replay solid",
+        x,
+        Axis.fitted("position", unit, [value for *_, values in data for value in values], margin=0.1),
+    )
     for item, style, name, trace, values in data:
         plot.line(f"{item.name} {name}", style, trace.t, values)
     for item in items:
         mine = [entry for entry in data if entry[0] is item]
         if mine:
             plot.label(x.low, mine[0][4][0], item.name, f"strong {mine[0][1].split()[0]}")
-    ends = [(name, ", ".join(f"{item.name} {number(values[-1], 5)}" for item, _, other, _, values in data if other == name)) for name in ("plan", "replay")]
+    ends = [
+        (name, ", ".join(f"{item.name} {number(values[-1], 5)}" for item, _, other, _, values in data if other == name))
+        for name in ("plan", "replay")
+    ]
     plot.words = " ".join(f"The {name} ends at {words} {unit}." for name, words in ends if words)
     return plot
 
 
-def _contact(title: str, quantity: str, unit: str, contact: str, x: Axis, plan: TraceRecord | None, replay: TraceRecord | None) -> Plot | None:
+def _contact(
+    title: str, quantity: str, unit: str, contact: str, x: Axis, plan: TraceRecord | None, replay: TraceRecord | None
+) -> Plot | None:
     read = force if quantity == "force" else gap
-    data = [(name, trace, values) for name, trace in (("replay", replay), ("plan", plan)) if trace is not None and (values := read(trace, contact))]
+    data = [
+        (name, trace, values)
+        for name, trace in (("replay", replay), ("plan", plan))
+        if trace is not None and (values := read(trace, contact))
+    ]
     if not data:
         return None
     plot = Plot(title, x, Axis.fitted(quantity, unit, [value for *_, values in data for value in values], zero=True))
@@ -119,16 +137,22 @@ def _error(scene: SceneRecord, x: Axis, plan: TraceRecord | None, replay: TraceR
 
 
 def _inputs(scene: SceneRecord, x: Axis, plan: TraceRecord | None) -> Plot | None:
-    data = [(item, values) for item in scene.inputs if plan is not None and (values := column(plan, item.name))]
-    if plan is None or not data:
+    if plan is None:
+        return None
+    data = [(item, values) for item in scene.inputs if (values := column(plan, item.name))]
+    if not data:
         return None
     units = list(dict.fromkeys(item.unit for item, _ in data))
-    plot = Plot("Inputs of the plan", x, Axis.fitted("input", "/".join(units), [value for _, values in data for value in values], zero=True))
+    plot = Plot(
+        "Inputs of the plan", x, Axis.fitted("input", "/".join(units), [value for _, values in data for value in values], zero=True)
+    )
     for place, (item, values) in enumerate(data):
         plot.line(item.name, f"c{place % _MOST_COLOURS}", plan.t, values)
-        peak = max(range(len(values)), key=lambda index: abs(values[index]))
+        peak = max(range(len(values)), key=[abs(value) for value in values].__getitem__)
         plot.label(plan.t[min(peak, len(plan.t) - 1)], values[peak], item.name, f"strong c{place % _MOST_COLOURS}")
-    plot.words = " ".join(f"{item.name} lies between {number(min(values), 3)} and {number(max(values), 3)} {item.unit}." for item, values in data)
+    plot.words = " ".join(
+        f"{item.name} lies between {number(min(values), 3)} and {number(max(values), 3)} {item.unit}." for item, values in data
+    )
     return plot
 
 
@@ -138,7 +162,13 @@ def _history(name: str, values: tuple[float, ...], iterations: int) -> Plot:
     stride = max(1.0, iterations / (len(values) - 1))
     positive = [value for value in values if value > 0]
     log = len(positive) > 1 and min(values) >= 0 and max(positive) / min(positive) > 100
-    plot = Plot(name, Axis.fitted("iteration", "", [0, stride * (len(values) - 1)], margin=0.0), Axis.fitted(name, "", values, log=log), width=340, height=180)
+    plot = Plot(
+        name,
+        Axis.fitted("iteration", "", [0, stride * (len(values) - 1)], margin=0.0),
+        Axis.fitted(name, "", values, log=log),
+        width=340,
+        height=180,
+    )
     shown = [(place, value) for place, value in enumerate(values) if value > 0 or not log]
     plot.line(name, "c0", [place * stride for place, _ in shown], [value for _, value in shown])
     plot.words = f"From {number(values[0], 3)} to {number(values[-1], 3)}."

@@ -63,7 +63,11 @@ def _direct(runs: tuple[RunRecord, ...]) -> list[Sentence]:
         return []
     bad = [run for run in judged if run.verdict != "holds"]
     if not bad:
-        text = "The one pipeline that ends in a direct method holds." if len(judged) == 1 else f"All {len(judged)} pipelines that end in a direct method hold."
+        text = (
+            "The one pipeline that ends in a direct method holds."
+            if len(judged) == 1
+            else f"All {len(judged)} pipelines that end in a direct method hold."
+        )
         return [Sentence("holds", "✓", text)]
     said = [Sentence("holds", "✓", f"{len(judged) - len(bad)} of {len(judged)} pipelines that end in a direct method hold.")]
     for run in bad:
@@ -77,7 +81,9 @@ def _why(stage: StageRecord) -> str:
     if stage.why:
         return stage.why
     broken = [
-        f"{spaced(figure.name)} is {error(figure.value)} {figure.unit} (limit {error(figure.limit)})" for figure in stage.figures if figure.ok is False
+        f"{spaced(figure.name)} is {error(figure.value)} {figure.unit} (limit {error(figure.limit)})"
+        for figure in stage.figures
+        if figure.ok is False
     ]
     return f"{listing(broken)}." if broken else ""
 
@@ -109,7 +115,9 @@ def _cheapest(rows: list[Row]) -> list[Sentence]:
         if exact:
             strictest = min(exact, key=lambda row: row.stage.cost or 0.0)
             if strictest is not best:
-                parts.append(f"The cheapest that also reaches the goal on its own grid is row {strictest.number}, {strictest.label}: {_price(strictest)}.")
+                parts.append(
+                    f"The cheapest that also reaches the goal on its own grid is row {strictest.number}, {strictest.label}: {_price(strictest)}."
+                )
         said.append(Sentence("plain", "•", " ".join(parts)))
     return said
 
@@ -123,20 +131,44 @@ def _times(runs: tuple[RunRecord, ...]) -> list[Sentence]:
     if not runs:
         return []
     wall, cpu = sum(run.wall_seconds for run in runs), sum(run.cpu_seconds for run in runs)
-    return [Sentence("plain", "•", f"All cells together took {seconds(cpu)} CPU seconds ({seconds(wall)} seconds of the clock, each cell counted alone).")]
+    return [
+        Sentence(
+            "plain",
+            "•",
+            f"All cells together took {seconds(cpu)} CPU seconds ({seconds(wall)} seconds of the clock, each cell counted alone).",
+        )
+    ]
 
 
 def _stored(report: Report) -> list[Sentence]:
     stored = report.stored
     said = []
     if stored.campaign is None:
-        said.append(Sentence("unresolved", "!", "The campaign's own record is missing or unreadable: the page shows every run it finds, in the order of their names."))
+        said.append(
+            Sentence(
+                "unresolved",
+                "!",
+                "The campaign's own record is missing or unreadable: the page shows every run it finds, in the order of their names.",
+            )
+        )
     if not stored.runs:
         said.append(Sentence("noplan", "○", "No run is stored here yet; there is nothing to judge."))
     if stored.missing:
-        said.append(Sentence("noplan", "○", f"{count(len(stored.missing), 'cell')} of the campaign {'has' if len(stored.missing) == 1 else 'have'} no stored record yet."))
+        said.append(
+            Sentence(
+                "noplan",
+                "○",
+                f"{count(len(stored.missing), 'cell')} of the campaign {'has' if len(stored.missing) == 1 else 'have'} no stored record yet.",
+            )
+        )
     if stored.unreadable:
         said.append(Sentence("unresolved", "!", f"{count(len(stored.unreadable), 'file')} could not be read; see below."))
     if stored.foreign:
-        said.append(Sentence("plain", "•", f"{count(stored.foreign, 'stored run')} in this folder {'belongs' if stored.foreign == 1 else 'belong'} to another campaign and {'is' if stored.foreign == 1 else 'are'} left out."))
+        said.append(
+            Sentence(
+                "plain",
+                "•",
+                f"{count(stored.foreign, 'stored run')} in this folder {'belongs' if stored.foreign == 1 else 'belong'} to another campaign and {'is' if stored.foreign == 1 else 'are'} left out.",
+            )
+        )
     return said

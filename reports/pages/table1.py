@@ -19,7 +19,13 @@ def build(report: Report) -> Section | None:
         return None
     conclusions = {scene.name: conclude(rows) for scene, rows, _ in tables}
     entries = tuple((f"table-{place}", scene.name) for place, (scene, _, _) in enumerate(tables, 1)) if len(tables) > 1 else ()
-    return Section("table1", "Table I: ours beside the paper", "table1.html", {"tables": tables, "conclusions": conclusions, "paper_scene": SCENE}, entries)
+    return Section(
+        "table1",
+        "Table I: ours beside the paper",
+        "table1.html",
+        {"tables": tables, "conclusions": conclusions, "paper_scene": SCENE},
+        entries,
+    )
 
 
 def conclude(rows: list[Row]) -> list[str]:
@@ -37,7 +43,9 @@ def _reproduced(both: list[Row]) -> list[str]:
     if not same or not other:
         return [text + "."]
     far = max(other, key=lambda row: abs(row.cost_difference or 0.0))
-    return [f"{text}: rows {listing([str(row.number) for row in same])}. The largest relative difference is {percent(far.cost_difference)}, row {far.number}, {far.label}."]
+    return [
+        f"{text}: rows {listing([str(row.number) for row in same])}. The largest relative difference is {percent(far.cost_difference)}, row {far.number}, {far.label}."
+    ]
 
 
 def _failed(both: list[Row]) -> list[str]:
@@ -55,7 +63,11 @@ def _failed(both: list[Row]) -> list[str]:
     said = []
     if dear:
         held = all(row.stage.verdict == "holds" for row, _ in dear)
-        judged = "Plans at a fraction of the paper's cost hold after the replay, so its solver stopped far from the optimum there; the method is not to blame." if held else ""
+        judged = (
+            "Plans at a fraction of the paper's cost hold after the replay, so its solver stopped far from the optimum there; the method is not to blame."
+            if held
+            else ""
+        )
         said.append(f"{'; '.join(text for _, text in dear)}. {judged}".strip())
     return said + worse
 
@@ -70,7 +82,7 @@ def _relaxed(rows: list[Row]) -> list[str]:
         if cold is None or not warm or cold.stage.cost is None:
             continue
         parts = [
-            f"{row.methods[0]} {percent((row.stage.cost or 0.0) / cold.stage.cost - 1)} cost at {error(row.figure('replay_terminal_error'))} terminal error, "
+            f"{row.methods[0]}{f' ({row.run.pipeline})' if row.twin else ''} {percent((row.stage.cost or 0.0) / cold.stage.cost - 1)} cost at {error(row.figure('replay_terminal_error'))} terminal error, "
             f"{seconds(row.stage.seconds.total)} s in all"
             for row in warm
         ]
@@ -101,7 +113,9 @@ def _physics(rows: list[Row]) -> list[str]:
         return []
     nonzero = [row for row in descended if row.figure("physics") != 0]
     if not nonzero:
-        return ["The physics of every ReLU gradient-descent row is exactly 0, as it must be when force and penetration have the same time index (erratum 5)."]
+        return [
+            "The physics of every ReLU gradient-descent row is exactly 0, as it must be when force and penetration have the same time index (erratum 5)."
+        ]
     parts = [f"row {row.number}: {error(row.figure('physics'))}" for row in nonzero]
     return [f"The physics of a ReLU gradient-descent row must be exactly 0, but is not in {listing(parts)}."]
 
@@ -112,7 +126,13 @@ def _bought(rows: list[Row]) -> list[str]:
     for scene in {row.run.scene.name: row.run.scene for row in rows}.values():
         known = next((answer for answer in scene.answers if "cost" in answer.name and answer.value is not None), None)
         below = [
-            row for row in rows if known and known.value and row.stage.kind == "direct" and row.stage.cost is not None and row.stage.cost < known.value * (1 - 1e-6)
+            row
+            for row in rows
+            if known
+            and known.value
+            and row.stage.kind == "direct"
+            and row.stage.cost is not None
+            and row.stage.cost < known.value * (1 - 1e-6)
         ]
         if known is None or not below:
             continue
@@ -132,4 +152,6 @@ def _clock(both: list[Row]) -> list[str]:
     if ours <= 0:
         return []
     lacks = "" if len(timed) == len(TABLE_1) else f" ({len(timed)} of its {len(TABLE_1)} rows)"
-    return [f"All stages alone take {seconds(ours)} s here and {seconds(theirs)} s in the paper{lacks}, on other machines: {times(theirs / ours)} as long."]
+    return [
+        f"All stages alone take {seconds(ours)} s here and {seconds(theirs)} s in the paper{lacks}, on other machines: {times(theirs / ours)} as long."
+    ]

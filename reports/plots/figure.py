@@ -62,7 +62,10 @@ class Plot:
 
     def line(self, name: str, style: str, xs: Sequence[float], ys: Sequence[float]) -> None:
         """A line; the shorter of the two sequences decides (quantities of steps are one shorter than those of nodes)."""
-        points = [(self.px(x), self.py(y)) for x, y in zip(xs, ys, strict=False)]
+        length = min(len(xs), len(ys))
+        across = self.x.pixels(xs[:length], self._LEFT, self.width - self._RIGHT)
+        down = self.y.pixels(ys[:length], self.height - self._BOTTOM, self._TOP)
+        points = list(zip(across, down, strict=True))
         if not points:
             return
         path = "L".join(f"{x:.1f},{y:.1f}" for x, y in simplified(points, _TOLERANCE))
@@ -100,7 +103,17 @@ class Plot:
         self._over.append(f'<a href="#{escape(href)}" aria-label="{escape(tip)}">{inner}</a>' if href else inner)
         self._taken.append((left - 6, top - 6, left + 6, top + 6))
 
-    def label(self, x: float, y: float, words: str, style: str = "", *, anchor: str = "start", pixels: bool = False, shifts: Sequence[float] = _SHIFTS) -> bool:
+    def label(
+        self,
+        x: float,
+        y: float,
+        words: str,
+        style: str = "",
+        *,
+        anchor: str = "start",
+        pixels: bool = False,
+        shifts: Sequence[float] = _SHIFTS,
+    ) -> bool:
         """Words at a point of the plot, moved up or down past other labels; left out (False) if there is no room."""
         left, top = (x, y) if pixels else (self.px(x), self.py(y) - 5)
         wide = len(words) * _CHARACTER
@@ -127,7 +140,14 @@ class Plot:
                 near.append(name)
         for left, top, names in groups:
             words = ", ".join(names)
-            for dx, dy, anchor in ((9, 4, "start"), (0, -10, "middle"), (0, 19, "middle"), (-9, 4, "end"), (9, -8, "start"), (9, 17, "start")):
+            for dx, dy, anchor in (
+                (7, -6, "start"),
+                (9, 4, "start"),
+                (0, -10, "middle"),
+                (0, 19, "middle"),
+                (-9, 4, "end"),
+                (7, 16, "start"),
+            ):
                 if self.label(left + dx, top + dy, words, "strong", anchor=anchor, pixels=True, shifts=(0,)):
                     break
             else:

@@ -1,8 +1,8 @@
 """A small client of the DevTools protocol over a pipe: opens a page in headless Chromium and listens to all it says and asks for.
 
-    with Browser(executable, profile_folder) as browser:
-        page = browser.open(path_of_page, width=390, dark=True)
-        page.evaluate("document.title");  page.messages;  page.requests
+with Browser(executable, profile_folder) as browser:
+    page = browser.open(path_of_page, width=390, dark=True)
+    page.evaluate("document.title");  page.messages;  page.requests
 """
 
 from __future__ import annotations
@@ -56,7 +56,13 @@ class Page:
 
     def press(self, key: str) -> None:
         for kind in ("rawKeyDown", "keyUp"):
-            self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode={"Tab": 9, "ArrowRight": 39, "End": 35}.get(key, 0))
+            self.call(
+                "Input.dispatchKeyEvent",
+                type=kind,
+                key=key,
+                code=key,
+                windowsVirtualKeyCode={"Tab": 9, "ArrowRight": 39, "End": 35}.get(key, 0),
+            )
 
     def screenshot(self, path: Path, *, whole: bool = False) -> None:
         picture = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
@@ -125,7 +131,9 @@ class Browser:
         os.close(self._to)
         os.close(self._from)
 
-    def open(self, path: Path, *, width: int = 1400, height: int = 1000, dark: bool = False, script: bool = True, fragment: str = "") -> Page:
+    def open(
+        self, path: Path, *, width: int = 1400, height: int = 1000, dark: bool = False, script: bool = True, fragment: str = ""
+    ) -> Page:
         """Open a file of this machine and wait until it is loaded."""
         target = self.call("Target.createTarget", None, url="about:blank")["targetId"]
         session = self.call("Target.attachToTarget", None, targetId=target, flatten=True)["sessionId"]

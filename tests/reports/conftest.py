@@ -47,7 +47,8 @@ def chromium(tmp_path_factory: pytest.TempPathFactory):
 @pytest.fixture(scope="session")
 def full_folder(factory, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """All eight pipelines, a crash, a time limit, a refusal, a cut record, and a cell without one."""
-    records = [*factory.runs(), factory.crashed(), factory.out_of_time(), factory.refused()]
+    odd = _load("odd_records")
+    records = [*factory.runs(), odd.crashed(factory), odd.out_of_time(factory), odd.refused(factory)]
     keys = (*(record.key for record in records), "gone-1")
     campaign = factory.campaign(records, keys=keys, quick=True, left_out=("the multistart pipelines",))
     folder = factory.store(tmp_path_factory.mktemp("full") / "all", records, campaign)
@@ -59,7 +60,7 @@ def full_folder(factory, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def hostile_folder(factory, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One good run beside one whose every string is markup that would run if it were not escaped."""
-    records = [factory.runs()[0], factory.hostile()]
+    records = [factory.runs()[0], _load("odd_records").hostile(factory)]
     campaign = factory.campaign(records, title=factory.HOSTILE, command=factory.HOSTILE, left_out=(factory.HOSTILE,), quick=True)
     campaign = campaign.model_copy(update={"keys": (*campaign.keys, factory.HOSTILE)})
     return factory.store(tmp_path_factory.mktemp("hostile") / "all", records, campaign)

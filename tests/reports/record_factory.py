@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+from reports.paper import TABLE_1
 from reports.record import (
     CampaignRecord,
     EquationRecord,
@@ -28,7 +29,7 @@ STEP, STEPS, STIFFNESS, DAMPING, LENGTH = 0.01, 500, 30.0, 2.0, 0.5
 HOSTILE = "</script></style><img src=x onerror=\"document.title='owned'\"><b>'&\u202e"
 
 
-def _quantity(name: str, unit: str, description: str = "", value: float | None = None) -> QuantityRecord:
+def quantity(name: str, unit: str, description: str = "", value: float | None = None) -> QuantityRecord:
     return QuantityRecord(name=name, unit=unit, description=description, value=value)
 
 
@@ -37,11 +38,11 @@ def scene(name: str = "three_cart", title: str = "Three carts: the outer two pus
         name=name,
         title=title,
         source="Suh and Wang, section V",
-        coordinates=tuple(_quantity(f"q{i}", "m", f"position of cart {i}") for i in (1, 2, 3)),
-        velocities=tuple(_quantity(f"v{i}", "m/s", f"velocity of cart {i}") for i in (1, 2, 3)),
-        inputs=tuple(_quantity(f"u{i}", "N", f"force on cart {i}") for i in (1, 3)),
-        contacts=(_quantity("left", "N", "left cart against middle cart"), _quantity("right", "N", "middle cart against right cart")),
-        parameters=(_quantity("k", "N/m", "contact stiffness", STIFFNESS), _quantity("d", "m", "length of a cart", LENGTH)),
+        coordinates=tuple(quantity(f"q{i}", "m", f"position of cart {i}") for i in (1, 2, 3)),
+        velocities=tuple(quantity(f"v{i}", "m/s", f"velocity of cart {i}") for i in (1, 2, 3)),
+        inputs=tuple(quantity(f"u{i}", "N", f"force on cart {i}") for i in (1, 3)),
+        contacts=(quantity("left", "N", "left cart against middle cart"), quantity("right", "N", "middle cart against right cart")),
+        parameters=(quantity("k", "N/m", "contact stiffness", STIFFNESS), quantity("d", "m", "length of a cart", LENGTH)),
         start=(2.0, 3.0, 4.0, 0.0, 0.0, 0.0),
         goal=(2.5, 3.5, 4.5, 0.0, 0.0, 0.0),
         step=STEP,
@@ -54,7 +55,7 @@ def scene(name: str = "three_cart", title: str = "Three carts: the outer two pus
             ),
         ),
         absent=("no friction: no tangential force is formed", "a constant mass matrix: it is factorised once"),
-        answers=(_quantity("best known cost of an exact plan", "1", "convex QP with fixed contact windows", 490.5495305),),
+        answers=(quantity("best known cost of an exact plan", "1", "convex QP with fixed contact windows", 490.5495305),),
         shapes=tuple(ShapeRecord(name=word, kind="box", size=(LENGTH, LENGTH)) for word in ("left", "middle", "right")),
     )
 
@@ -91,9 +92,7 @@ def simulate(law, push: float, every: int = 2) -> TraceRecord:
         force = (u[0] - lam[0], lam[0] - lam[1], u[1] + lam[1])
         v = [speed + STEP * (pull - DAMPING * speed) for speed, pull in zip(v, force, strict=True)]
         q = [place + STEP * speed for place, speed in zip(q, v, strict=True)]
-    poses = {
-        word: tuple((x, LENGTH / 2, 0.0) for x in columns[name]) for word, name in (("left", "q1"), ("middle", "q2"), ("right", "q3"))
-    }
+    poses = {word: tuple((x, LENGTH / 2, 0.0) for x in columns[name]) for word, name in (("left", "q1"), ("middle", "q2"), ("right", "q3"))}
     return TraceRecord(t=tuple(times), columns={name: tuple(values) for name, values in columns.items()}, poses=poses)
 
 
@@ -109,25 +108,7 @@ def _figure(name: str, value: float | None, unit: str, limit: float | None = Non
     )
 
 
-PAPER = {
-    ("strict_lcp", None, None): (40779.28, 0.0, 0.0, 31.56),
-    ("relu_gd", None, None): (542.56, 0.04, 0.16, 49.59),
-    ("relaxed_lcp", 1e-2, None): (484.21, 0.0, 2.99, 1407.9),
-    ("relaxed_lcp", 1e-3, None): (561.0, 0.0, 0.34, 580.77),
-    ("relaxed_lcp", 1e-4, None): (469.94, 0.0, 0.03, 430.16),
-    ("strict_lcp", None, "relaxed_lcp"): (46415.2, 0.0, 0.0, 20.73),
-    ("relu_gd", None, "relaxed_lcp"): (492.06, 0.0, 0.2, 0.27),
-    ("softplus_dc", 1e-3, None): (197.86, 0.0, 2445.98, 11.64),
-    ("softplus_dc", 1e-5, None): (261.23, 0.0, 625.11, 9.78),
-    ("softplus_dc", 1e-7, None): (339.53, 0.0, 239.5, 12.4),
-    ("strict_lcp", None, "softplus_dc"): (16619.35, 0.0, 0.0, 100.07),
-    ("relu_gd", None, "softplus_dc"): (360.31, 0.0, 0.2, 1.43),
-    ("softplus_gd", 1e-3, None): (149.18, 0.41, 0.01, 4.07),
-    ("softplus_gd", 1e-5, None): (166.45, 0.27, 0.11, 3.77),
-    ("softplus_gd", 1e-7, None): (215.14, 0.2, 0.12, 2.94),
-    ("strict_lcp", None, "softplus_gd"): (3748.3, 0.0, 0.0, 151.54),
-    ("relu_gd", None, "softplus_gd"): (309.42, 0.05, 0.21, 2.38),
-}
+PAPER = {(row.methods[-1], row.eps, row.methods[0] if len(row.methods) > 1 else None): row.numbers for row in TABLE_1}
 # cost, terminal error of the plan, on the grid, after the replay, physics: near what PAPER.md says was measured.
 OURS = {
     ("strict_lcp", None, None): (496.63, 2e-10, 3e-8, 4.1e-3, 4e-6),
@@ -182,8 +163,21 @@ def stage(index: int, method: str, eps: float | None, before: str | None, total:
         "iterations": iterations,
         "residuals": {"defect": 2e-13, "complementarity": 4e-9, "terminal": planned},
         "options": {"tolerance": 1e-8, "max_iterations": 3000, "hessian": "exact", "bounds": [0.1, 0.1]},
-        "history": {"objective": tuple(cost * (1 + 2.0 * 0.8**place) for place in range(iterations)), "inf_pr": tuple(10.0 * 0.4**place for place in range(iterations))},
-        "seconds": SecondsRecord(build=0.08, translate=0.05, evaluate=0.2, linear_algebra=0.4, solve=0.6, stage=0.73, stage_cpu=0.71, total=total + 0.73, replay=0.5),
+        "history": {
+            "objective": tuple(cost * (1 + 2.0 * 0.8**place) for place in range(iterations)),
+            "inf_pr": tuple(10.0 * 0.4**place for place in range(iterations)),
+        },
+        "seconds": SecondsRecord(
+            build=0.08,
+            translate=0.05,
+            evaluate=0.2,
+            linear_algebra=0.4,
+            solve=0.6,
+            stage=0.73,
+            stage_cpu=0.71,
+            total=total + 0.73,
+            replay=0.5,
+        ),
         "figures": (
             _figure("physics", physics, "N^2"),
             _figure("physics_scaled", physics * STEP / 225.0, "s", 1e-6),
@@ -196,10 +190,19 @@ def stage(index: int, method: str, eps: float | None, before: str | None, total:
         ),
         "verdict": "violates" if violates else "holds",
         "why": f"physics scaled is {physics * STEP / 225.0:.2g} s, but at most 1e-06 s holds." if violates else "",
-        "replay": ReplayRecord(error_estimate=3e-9, tolerance_difference=2e-9, step_difference=4e-5, everyday_difference=4e-5, events=6, seconds_reference=0.31, seconds_everyday=0.09, fmu="0f3c" * 16),
+        "replay": ReplayRecord(
+            error_estimate=3e-9,
+            tolerance_difference=2e-9,
+            step_difference=4e-5,
+            everyday_difference=4e-5,
+            events=6,
+            seconds_reference=0.31,
+            seconds_everyday=0.09,
+            fmu="0f3c" * 16,
+        ),
         "plan_trace": plan,
         "replay_trace": replay,
-        "paper": dict(zip(("cost", "stability", "physics", "time"), theirs, strict=True)),
+        "paper": theirs,
     }
     return StageRecord.model_validate(values | changes)
 
@@ -247,57 +250,6 @@ def run(pipeline: str, before: str | None, last: str, **changes: object) -> RunR
 
 def runs() -> list[RunRecord]:
     return [run(*pipeline) for pipeline in PIPELINES]
-
-
-def crashed() -> RunRecord:
-    return run("crashing", None, "strict_lcp", key="crashing-0", stages=(), outcome="crashed", message="The process ended with signal 11.", verdict="no plan", log_tail="\x1b[31mSegmentation fault\x1b[0m")
-
-
-def out_of_time() -> RunRecord:
-    bare = {"plan_trace": None, "replay_trace": None, "replay": None, "figures": (), "history": {}, "residuals": {}, "cost": None, "verdict": "no plan"}
-    late = stage(0, "strict_lcp", None, None, 0.0, outcome="time_limit", advice="Stopped at its time limit; allow more time, or start it warm.", why="there is no plan to score.", **bare)
-    return run("late", None, "strict_lcp", key="late-0", stages=(late,), outcome="time_limit", verdict="no plan", log_tail="")
-
-
-def refused() -> RunRecord:
-    return run("refusing", None, "strict_lcp", key="refusing-0", stages=(), outcome="refused", message="The scene has friction, which this method does not know.", verdict="no plan", must_hold=False)
-
-
-def hostile() -> RunRecord:
-    """Every string that a scene, a method or a log can bring, made of markup."""
-    bad = stage(0, "strict_lcp", None, None, 0.0)
-    trace = bad.plan_trace
-    assert trace is not None
-    bad = bad.model_copy(
-        update={
-            "method": HOSTILE,
-            "method_title": HOSTILE,
-            "outcome": HOSTILE,
-            "advice": HOSTILE,
-            "message": HOSTILE,
-            "why": HOSTILE,
-            "options": {HOSTILE: HOSTILE},
-            "residuals": {HOSTILE: 1.0},
-            "history": {HOSTILE: (3.0, 2.0, 1.0)},
-            "figures": (FigureRecord(name=HOSTILE, value=None, unit=HOSTILE, meaning=HOSTILE, reason=HOSTILE),),
-            "paper": {},
-            "plan_trace": trace.model_copy(update={"poses": {HOSTILE: trace.poses["left"]}}),
-        }
-    )
-    where = scene(HOSTILE, HOSTILE).model_copy(
-        update={
-            "source": HOSTILE,
-            "contacts": (_quantity(HOSTILE, HOSTILE, HOSTILE),),
-            "equations": (EquationRecord(caption=HOSTILE, mathml=f"<math><mi>{HOSTILE}</mi></math>"), EquationRecord(caption="script", mathml="<math><script>document.title='owned'</script></math>")),
-            "absent": (HOSTILE,),
-            "answers": (_quantity(HOSTILE, HOSTILE, HOSTILE, 1.0),),
-            "shapes": (ShapeRecord(name=HOSTILE, kind=HOSTILE, size=(1.0,)),),
-        }
-    )
-    origin = provenance(commit=HOSTILE, cpu=HOSTILE, platform=HOSTILE, command=HOSTILE, packages={HOSTILE: HOSTILE})
-    return run("strict", None, "strict_lcp", key="hostile-0", pipeline_title=HOSTILE, scene=where, stages=(bad,), outcome=HOSTILE, message=HOSTILE, provenance=origin, log_tail=HOSTILE).model_copy(
-        update={"pipeline": HOSTILE}
-    )
 
 
 def violation() -> tuple[ViolationPoint, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 
 import pytest
 
@@ -58,7 +59,9 @@ def test_no_complaint_no_request_no_sideways_scrolling(chromium, page_file, widt
     assert page.messages == []
     assert page.requests == [page_file.resolve().as_uri()]
     assert page.evaluate("document.documentElement.scrollWidth") <= width
-    wide = page.evaluate("[...document.querySelectorAll('main > section > *:not(.scroll)')].filter((e) => e.getBoundingClientRect().right > innerWidth + 1).length")
+    wide = page.evaluate(
+        "[...document.querySelectorAll('main > section > *:not(.scroll)')].filter((e) => e.getBoundingClientRect().right > innerWidth + 1).length"
+    )
     assert wide == 0
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == ("rgb(20, 23, 27)" if dark else "rgb(255, 255, 255)")
 
@@ -75,14 +78,28 @@ def test_all_text_has_contrast(chromium, page_file, dark):
 def test_structure_for_those_who_do_not_see_it(desk):
     levels = desk.evaluate(_OUTLINE)
     assert levels.count(1) == 1
-    assert all(after <= before + 1 for before, after in zip(levels, levels[1:], strict=False))
-    assert desk.evaluate("['main', 'nav', 'header', 'footer'].map((name) => document.querySelectorAll('body > ' + name + ', .frame-of-page > ' + name).length)") == [1, 1, 1, 1]
+    assert all(after <= before + 1 for before, after in pairwise(levels))
+    assert desk.evaluate(
+        "['main', 'nav', 'header', 'footer'].map((name) => document.querySelectorAll('body > ' + name + ', .frame-of-page > ' + name).length)"
+    ) == [1, 1, 1, 1]
     assert desk.evaluate("[...document.querySelectorAll('table')].filter((t) => !t.caption || !t.caption.textContent.trim()).length") == 0
     assert desk.evaluate("[...document.querySelectorAll('th')].filter((h) => !h.scope).length") == 0
-    assert desk.evaluate("[...document.querySelectorAll('.draw')].filter((d) => !(d.getAttribute('aria-label').length > 40 && d.tabIndex === 0)).length") == 0
+    assert (
+        desk.evaluate(
+            "[...document.querySelectorAll('.draw')].filter((d) => !(d.getAttribute('aria-label').length > 40 && d.tabIndex === 0)).length"
+        )
+        == 0
+    )
     assert desk.evaluate("document.querySelectorAll('svg.plot').length") > 100
-    assert desk.evaluate("[...document.querySelectorAll('.sign')].filter((s) => !/\\S+ \\S+/.test(s.textContent)).length") == 0, "a symbol and a word"
-    assert desk.evaluate("[...document.querySelectorAll('button, input, canvas')].filter((e) => !(e.textContent.trim() || e.ariaLabel || e.labels?.length)).length") == 0
+    assert desk.evaluate("[...document.querySelectorAll('.sign')].filter((s) => !/\\S+ \\S+/.test(s.textContent)).length") == 0, (
+        "a symbol and a word"
+    )
+    assert (
+        desk.evaluate(
+            "[...document.querySelectorAll('button, input, canvas')].filter((e) => !(e.textContent.trim() || e.ariaLabel || e.labels?.length)).length"
+        )
+        == 0
+    )
 
 
 def test_values_are_read_off_a_plot_by_keyboard(desk, factory):
@@ -105,7 +122,9 @@ def test_points_of_the_front_tell_their_row_on_focus(desk):
 
 def test_the_filter_follows_the_address(chromium, page_file):
     page = chromium.open(page_file, fragment="#runs?crashed")
-    assert page.evaluate("[...document.querySelectorAll('article.run')].filter((run) => !run.hidden).map((run) => run.querySelector('h3').textContent.trim().split(' ')[0])") == ["crashing"]
+    assert page.evaluate(
+        "[...document.querySelectorAll('article.run')].filter((run) => !run.hidden).map((run) => run.querySelector('h3').textContent.trim().split(' ')[0])"
+    ) == ["crashing"]
     page.evaluate("location.hash = '#run-1'")
     page.evaluate("new Promise((done) => setTimeout(done, 50))")
     assert page.evaluate("document.getElementById('run-1').hidden") is False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from itertools import pairwise
 
 import pytest
 from hypothesis import given
@@ -68,7 +69,7 @@ def test_labels_keep_clear_of_each_other():
     assert placed[0]
     assert not placed[-1], "left out rather than drawn over another"
     tops = sorted(float(top) for top in re.findall(r'class="tag [^"]*" x="[^"]+" y="([^"]+)"', plot.markup()))
-    assert all(second - first >= 14 for first, second in zip(tops, tops[1:], strict=False))
+    assert all(second - first >= 14 for first, second in pairwise(tops))
 
 
 def test_contact_phases_come_from_the_gap():

@@ -76,7 +76,9 @@ def test_the_page_asks_for_nothing_and_allows_only_its_own_style_and_script(full
     assert not [tag for tag, _ in page.elements if tag in ("link", "img", "iframe", "object", "base", "form", "video")]
     assert not [name for _, attributes in page.elements for name in attributes if name.startswith("on")]
     assert not re.search(r"url\(|@import|https?:", page.raw["style"][0])
-    policy = next(str(attributes["content"]) for tag, attributes in page.elements if tag == "meta" and "Security" in str(attributes.get("http-equiv")))
+    policy = next(
+        str(attributes["content"]) for tag, attributes in page.elements if tag == "meta" and "Security" in str(attributes.get("http-equiv"))
+    )
     assert policy.startswith("default-src 'none'")
     assert "unsafe" not in policy
     for kind, text in (("style", page.raw["style"][0]), ("script", page.raw["script"][-1])):
@@ -118,7 +120,10 @@ def test_rows_that_one_side_lacks_are_shown_as_such(factory, tmp_path):
 def test_conclusions_are_computed(factory, tmp_path):
     good = factory.run("softplus_dc+strict", "softplus_dc", "strict_lcp")
     _, page = render(factory.store(tmp_path / "good", [good]))
-    assert "strict_lcp after softplus_dc (row 4): ours 490.83 at a replayed terminal error of 0.0040, the paper's 16\u202f619.35, 34 times as much" in page.text
+    assert (
+        "strict_lcp after softplus_dc (row 4): ours 490.83 at a replayed terminal error of 0.0040, the paper's 16\u202f619.35, 34 times as much"
+        in page.text
+    )
     assert "hold after the replay" in page.text
     worse = good.stages[-1].model_copy(update={"cost": 40000.0, "verdict": "violates"})
     bad = good.model_copy(update={"stages": (*good.stages[:-1], worse), "verdict": "violates"})
@@ -158,7 +163,9 @@ def test_hostile_strings_stay_text(factory, hostile_folder):
     text, page = render(hostile_folder)
     assert not [tag for tag, _ in page.elements if tag in ("img", "b", "iframe")]
     assert page.text.count("<img src=x onerror=") > 20, "the strings are shown, as text"
-    assert sum(tag == "script" for tag, _ in page.elements) == 1 + sum(attributes.get("type") == "application/json" for tag, attributes in page.elements if tag == "script")
+    assert sum(tag == "script" for tag, _ in page.elements) == 1 + sum(
+        attributes.get("type") == "application/json" for tag, attributes in page.elements if tag == "script"
+    )
     assert "\u202e" not in text
     for data in page.raw["script"][:-1]:
         assert json.loads(data)["t"][0] == 0.0
@@ -170,7 +177,17 @@ def test_hostile_strings_stay_text(factory, hostile_folder):
     [
         {"plan_trace": None},
         {"replay_trace": None, "replay": None},
-        {"plan_trace": None, "replay_trace": None, "replay": None, "figures": (), "cost": None, "verdict": "no plan", "history": {}, "residuals": {}, "options": {}},
+        {
+            "plan_trace": None,
+            "replay_trace": None,
+            "replay": None,
+            "figures": (),
+            "cost": None,
+            "verdict": "no plan",
+            "history": {},
+            "residuals": {},
+            "options": {},
+        },
         {"plan_trace": TraceRecord(t=(), columns={})},
         {"plan_trace": TraceRecord(t=(0.0, 1.0, 2.0), columns={"q1": (1.0,), "lam_left": (), "other": (1.0, 2.0)})},
         {"replay_trace": TraceRecord(t=(1.0,), columns={"q1": (1.0,), "gap_left": (-1.0,)}, poses={"left": ((0.0, 0.0, 0.0),)})},
@@ -200,7 +217,9 @@ def test_a_large_campaign_stays_small(factory, tmp_path):
     """1500 points a trace, which is the most a record holds."""
     trace = factory.simulate(factory._relu, 2.5, every=1)
     times = tuple(place * 5.0 / 1499 for place in range(1500))
-    long = TraceRecord(t=times, columns={name: tuple(values[place // 3] for place in range(1500)) for name, values in trace.columns.items()})
+    long = TraceRecord(
+        t=times, columns={name: tuple(values[place // 3] for place in range(1500)) for name, values in trace.columns.items()}
+    )
     records = []
     for run in factory.runs():
         stages = tuple(stage.model_copy(update={"plan_trace": long, "replay_trace": long}) for stage in run.stages)
