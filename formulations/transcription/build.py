@@ -26,7 +26,7 @@ What the scene does not need is not there: no variable_u without inputs, no vari
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import pyomo.environ as pyo
 from pyomo.common.gc_manager import PauseGC
@@ -97,7 +97,7 @@ def build_block(
     if steps is not None or step is not None:
         task = chosen.task
         chosen = chosen.with_task(steps=task.steps if steps is None else steps, step=task.step if step is None else step)
-    b = sharpness(eps) if contact is ContactLaw.SOFTPLUS else None  # checks eps before anything is built
+    b = sharpness(cast(float, eps)) if contact is ContactLaw.SOFTPLUS else None  # checks eps before anything is built
     with PauseGC():
         _add_sets(block, chosen)
         _add_parameters(block, chosen)

@@ -6,8 +6,8 @@ import math
 from enum import Enum
 from typing import Any
 
+import numpy as np
 import pyomo.environ as pyo
-from pyomo.mpec import Complementarity
 
 from models.contact_law import sharpness
 from models.errors import TouchstoneError
@@ -54,19 +54,29 @@ def tighten(block: Any, eps: float) -> None:
         raise ModelError(f"{_name(block)} has no relaxation to tighten; build it with an eps, or relax(model, eps) first.")
 
 
-def is_complementarity(block: Any) -> bool:
-    """Whether the block holds complementarity pairs, relaxed or not."""
-    return hasattr(block, "complementarity_contact")
+def hold_modes(block: Any, closed: np.ndarray) -> None:
+    """Decide every pair of a relaxed block: closed (steps, nc) is True where lam = k phi, False where lam = 0. The products are switched off.
+
+    What is left has no complementarity: for a linear scene a convex quadratic program.
+    """
+    pairs = zip(block.variable_lam.values(), block.complementarity_contact.values(), closed.ravel().tolist(), strict=True)
+    for lam, pair, is_closed in pairs:
+        pair.ccon.deactivate()
+        lam.setub(None if is_closed else 0.0)
+        pair.v.setub(0.0 if is_closed else None)
+
+
+def release_modes(block: Any) -> None:
+    """Undo `hold_modes`: the pairs are open to choice again, and their products are bounded by mpec_bound."""
+    for lam, pair in zip(block.variable_lam.values(), block.complementarity_contact.values(), strict=True):
+        pair.ccon.activate()
+        lam.setub(None)
+        pair.v.setub(None)
 
 
 def is_relaxed(block: Any) -> bool:
     """Whether the block's complementarity went through `relax`."""
     return hasattr(block, "mpec_bound")
-
-
-def has_untransformed(block: Any) -> bool:
-    """Whether an active Complementarity is left, which no NLP solver can read."""
-    return next(iter(block.component_data_objects(Complementarity, active=True, descend_into=True)), None) is not None
 
 
 def _checked_bound(block: Any, eps: Any) -> float:

@@ -34,6 +34,10 @@ class PlanResiduals:
         """lam - k phi (steps, nc) [N]: at least 0 under the true law, and 0 where a contact is closed."""
         return plan.lam - self._stiffness * self._penetration(plan.q[:-1])
 
+    def modes(self, plan: Trajectory) -> np.ndarray:
+        """(steps, nc) whether a contact is closed: its force is larger than its separation force."""
+        return plan.lam > np.maximum(self.separation(plan), 0.0)
+
     def cost(self, plan: Trajectory) -> float:
         """Sum of the running cost over the steps."""
         return float(self._cost(plan.q[:-1], plan.v[:-1], plan.u).sum())
@@ -78,6 +82,7 @@ MEANING = {
     "complementarity": "largest abs(lam (lam - k phi)) [N^2]",
     "force_sign": "by how much lam or lam - k phi is negative [N]",
     "contact_law": "largest miss of the softplus law [N]",
+    "discrete_terminal_error": "norm of x[T] - goal after the plan's inputs ran through its own time step with the true contact law",
 }
 
 

@@ -1,0 +1,143 @@
+"""Strict complementarity: Ipopt attacks the model at a tiny bound, the modes of the contacts are read off, and the rest is solved exactly.
+
+1. attack: lam * v <= attack_bound at once, from the given plan or cold (no smoother problem is solved first). A plan that
+   meets this bound already goes straight to 2.
+2. modes: every pair is decided, closed (lam = k phi) or open (lam = 0), and the problem without any complementarity is solved. Pairs at
+   lam = 0 = lam - k phi whose multiplier says that the other mode is cheaper are switched, and the problem is solved again.
+3. If those modes have no plan: the bound is tightened by 100, warm, and the modes are read again.
+
+The plan is judged on its own: residuals from the scene, and the goal after a replay of its inputs through true contact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from formulations.ipopt import IpoptProblem, IpoptResult
+from formulations.solution import Outcome
+from formulations.transcription.contact_laws import ContactLaw, hold_modes, release_modes, tighten
+from formulations.transcription.method import TranscriptionMethod
+from formulations.transcription.plans import load_first_guess, load_plan, read_plan
+from formulations.transcription.session import Ending, TranscriptionSession, cold_barrier
+from formulations.transcription.workbench import Account, Workbench, primal_dual
+from models.codegen.kernel import Kernel, load_kernel
+from models.scene import Scene
+from models.trajectory import Trajectory
+
+# Step 3: the factor between two bounds, and the last one; below it Ipopt's own tolerance (1e-8) is coarser than the bound.
+_TIGHTENING, _LAST_BOUND = 1e-2, 1e-8
+# A pair counts as undecided where both forces are below this [N], and as wanting the other mode where that would lower the cost by
+# more than this a newton: both well above Ipopt's 1e-8 and far below any force that moves a cart.
+_UNDECIDED, _WANTING = 1e-5, 1e-5
+
+
+class StrictSession(TranscriptionSession):
+    contact = ContactLaw.COMPLEMENTARITY
+
+    def __init__(self, method: TranscriptionMethod, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> None:
+        super().__init__(method, scene, options, opening)
+        self._kernel: Kernel = load_kernel(scene)
+        self._modes_bench: Workbench | None = None
+
+    def first_eps(self, eps: float | None) -> float:
+        return self.number("attack_bound")
+
+    def cold_options(self) -> dict[str, Any]:
+        return cold_barrier(self)
+
+    def ipopt_options(self, warm_start: Trajectory | None) -> dict[str, Any]:
+        return {**super().ipopt_options(warm_start), "bound_relax_factor": 0.0}
+
+    def certificate(self, plan: Trajectory, eps: float | None) -> dict[str, float]:
+        task = self._scene.task
+        replay = self._kernel.rollout(np.array(task.start), plan.u, task.step)
+        end = np.concatenate([replay.q[-1], replay.v[-1]])
+        return {**self._residuals.of(plan), "discrete_terminal_error": float(np.linalg.norm(end - np.array(task.goal)))}
+
+    def promises(self, eps: float | None) -> dict[str, float]:
+        return {
+            **super().promises(eps),
+            "force_sign": self.number("plan_tolerance"),
+            "physics": self.number("physics_tolerance"),
+            "terminal_error": self.number("terminal_tolerance"),
+            "discrete_terminal_error": self.number("replay_tolerance"),
+        }
+
+    # -- the three steps --------------------------------------------------------------------------------------------------------
+
+    def run(self, bench: Workbench, account: Account, eps: float | None, warm_start: Trajectory | None) -> Ending:
+        if not self._scene.nc:
+            return self.ending(bench.run(account, self.ipopt_options(warm_start)))
+        bound = self.number("attack_bound")
+        if warm_start is not None and self._is_nearly_strict(warm_start, bound):
+            exact = self._solve_modes(bench, account, self._residuals.modes(warm_start))
+            if exact.outcome is Outcome.SOLVED:
+                return self.ending(exact)
+            load_plan(bench.model, warm_start)
+        result = self._attack(bench, account, warm_start, bound)
+        while result.outcome is Outcome.SOLVED:
+            plan = read_plan(bench.model)
+            exact = self._solve_modes(bench, account, self._residuals.modes(plan))
+            if exact.outcome is Outcome.SOLVED:
+                return self.ending(exact)
+            load_plan(bench.model, plan)
+            bound *= _TIGHTENING
+            if bound < _LAST_BOUND or account.is_over:
+                break
+            tighten(bench.model, bound)
+            release_modes(bench.model)
+            result = bench.run(account, self.ipopt_options(plan), primal_dual(result))
+        return self.ending(result)
+
+    def _is_nearly_strict(self, plan: Trajectory, bound: float) -> bool:
+        found, tolerance = self._residuals.of(plan), self.number("plan_tolerance")
+        return found["complementarity"] <= bound + tolerance and max(found["terminal_error"], found["dynamics_defect"]) <= tolerance
+
+    def _attack(self, bench: Workbench, account: Account, warm_start: Trajectory | None, bound: float) -> IpoptResult:
+        """Step 1; a plan that leads nowhere is left for the first guess."""
+        release_modes(bench.model)
+        tighten(bench.model, bound)
+        result = bench.run(account, self.ipopt_options(warm_start))
+        if warm_start is not None and result.outcome is not Outcome.SOLVED and not account.is_over:
+            load_first_guess(bench.model)
+            result = bench.run(account, self.ipopt_options(None))
+        return result
+
+    def _solve_modes(self, bench: Workbench, account: Account, closed: np.ndarray) -> IpoptResult:
+        """Step 2: the last solved problem without complementarity, its plan left in the model."""
+        if self._modes_bench is None:
+            self._modes_bench = Workbench(bench.model)
+        options = self.ipopt_options(read_plan(bench.model))
+        hold_modes(bench.model, closed)
+        best = self._modes_bench.run(account, options)
+        for _ in range(int(self.number("mode_switches"))):
+            if best.outcome is not Outcome.SOLVED or account.is_over:
+                return best
+            switch = _cheaper_modes(self._modes_bench.problem(account), best, bench.model, closed)
+            if not switch.any():
+                return best
+            plan, closed = read_plan(bench.model), closed ^ switch
+            hold_modes(bench.model, closed)
+            again = self._modes_bench.run(account, options)
+            if again.outcome is not Outcome.SOLVED or again.objective >= best.objective:
+                load_plan(bench.model, plan)  # no gain beyond rounding: keep what was there
+                return best
+            best = again
+        return best
+
+
+def _cheaper_modes(problem: IpoptProblem, result: IpoptResult, model: Any, closed: np.ndarray) -> np.ndarray:
+    """(steps, nc) pairs at lam = 0 = v that would lower the cost in the other mode: the force held at zero there has a negative multiplier."""
+    place = {id(variable): column for column, variable in enumerate(problem.variables)}
+    lam = np.array([place[id(variable)] for variable in model.variable_lam.values()])
+    separation = np.array([place[id(pair.v)] for pair in model.complementarity_contact.values()])
+    rows, columns = problem.jacobianstructure()
+    slope = problem.gradient(result.x) + np.bincount(columns, problem.jacobian(result.x) * result.lagrange[rows], problem.n)
+    undecided = np.maximum(result.x[lam], result.x[separation]) < _UNDECIDED
+    held = np.where(closed.ravel(), separation, lam)
+    return (undecided & (slope[held] < -_WANTING)).reshape(closed.shape)
+
+
