@@ -1,0 +1,282 @@
+"""SolverFactory("touchstone_ipopt") on models that have nothing to do with contact, with the manners Pyomo's users expect."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+
+import pyomo.environ as pyo
+import pytest
+from pyomo.opt import SolverStatus, TerminationCondition
+
+import formulations.ipopt
+from formulations.ipopt import ModelRefusedError, UnknownOptionError
+
+
+@pytest.fixture
+def solver():
+    return pyo.SolverFactory("touchstone_ipopt")
+
+
+def hs71(m):
+    """Hock and Schittkowski (1981), problem 71; optimum 17.0140173."""
+    m.x = pyo.Var([1, 2, 3, 4], bounds=(1, 5), initialize={1: 1, 2: 5, 3: 5, 4: 1})
+    x = m.x
+    m.product = pyo.Constraint(expr=x[1] * x[2] * x[3] * x[4] >= 25)
+    m.sphere = pyo.Constraint(expr=sum(x[i] ** 2 for i in x) == 40)
+    m.cost = pyo.Objective(expr=x[1] * x[4] * (x[1] + x[2] + x[3]) + x[3])
+    return 17.0140173
+
+
+def hs6(m):
+    """Problem 6; optimum 0."""
+    m.x = pyo.Var([1, 2], initialize={1: -1.2, 2: 1})
+    m.c = pyo.Constraint(expr=10 * (m.x[2] - m.x[1] ** 2) == 0)
+    m.cost = pyo.Objective(expr=(1 - m.x[1]) ** 2)
+    return 0.0
+
+
+def hs26(m):
+    """Problem 26; optimum 0."""
+    m.x = pyo.Var([1, 2, 3], initialize={1: -2.6, 2: 2, 3: 2})
+    m.c = pyo.Constraint(expr=(1 + m.x[2] ** 2) * m.x[1] + m.x[3] ** 4 - 3 == 0)
+    m.cost = pyo.Objective(expr=(m.x[1] - m.x[2]) ** 2 + (m.x[2] - m.x[3]) ** 4)
+    return 0.0
+
+
+def hs39(m):
+    """Problem 39; optimum -1."""
+    m.x = pyo.Var([1, 2, 3, 4], initialize=2)
+    m.a = pyo.Constraint(expr=m.x[2] - m.x[1] ** 3 - m.x[3] ** 2 == 0)
+    m.b = pyo.Constraint(expr=m.x[1] ** 2 - m.x[2] - m.x[4] ** 2 == 0)
+    m.cost = pyo.Objective(expr=-m.x[1])
+    return -1.0
+
+
+def hs65(m):
+    """Problem 65; optimum 0.9535289."""
+    m.x = pyo.Var([1, 2, 3], initialize={1: -5, 2: 5, 3: 0}, bounds=lambda m, i: (-4.5, 4.5) if i < 3 else (-5, 5))
+    m.c = pyo.Constraint(expr=48 - m.x[1] ** 2 - m.x[2] ** 2 - m.x[3] ** 2 >= 0)
+    m.cost = pyo.Objective(expr=(m.x[1] - m.x[2]) ** 2 + (m.x[1] + m.x[2] - 10) ** 2 / 9 + (m.x[3] - 5) ** 2)
+    return 0.9535289
+
+
+def hs78(m):
+    """Problem 78; optimum -2.91970041."""
+    m.x = pyo.Var(range(1, 6), initialize={1: -2, 2: 1.5, 3: 2, 4: -1, 5: -1})
+    m.a = pyo.Constraint(expr=sum(m.x[i] ** 2 for i in m.x) == 10)
+    m.b = pyo.Constraint(expr=m.x[2] * m.x[3] - 5 * m.x[4] * m.x[5] == 0)
+    m.c = pyo.Constraint(expr=m.x[1] ** 3 + m.x[2] ** 3 == -1)
+    m.cost = pyo.Objective(expr=m.x[1] * m.x[2] * m.x[3] * m.x[4] * m.x[5])
+    return -2.91970041
+
+
+def hs100(m):
+    """Problem 100; optimum 680.6300573."""
+    m.x = pyo.Var(range(1, 8), initialize={1: 1, 2: 2, 3: 0, 4: 4, 5: 0, 6: 1, 7: 1})
+    x = m.x
+    m.a = pyo.Constraint(expr=127 - 2 * x[1] ** 2 - 3 * x[2] ** 4 - x[3] - 4 * x[4] ** 2 - 5 * x[5] >= 0)
+    m.b = pyo.Constraint(expr=282 - 7 * x[1] - 3 * x[2] - 10 * x[3] ** 2 - x[4] + x[5] >= 0)
+    m.c = pyo.Constraint(expr=196 - 23 * x[1] - x[2] ** 2 - 6 * x[6] ** 2 + 8 * x[7] >= 0)
+    m.d = pyo.Constraint(expr=-4 * x[1] ** 2 - x[2] ** 2 + 3 * x[1] * x[2] - 2 * x[3] ** 2 - 5 * x[6] + 11 * x[7] >= 0)
+    m.cost = pyo.Objective(
+        expr=(x[1] - 10) ** 2 + 5 * (x[2] - 12) ** 2 + x[3] ** 4 + 3 * (x[4] - 11) ** 2 + 10 * x[5] ** 6 + 7 * x[6] ** 2 + x[7] ** 4
+        - 4 * x[6] * x[7] - 10 * x[6] - 8 * x[7]
+    )  # fmt: skip
+    return 680.6300573
+
+
+@pytest.mark.parametrize("problem", [hs6, hs26, hs39, hs65, hs71, hs78, hs100])
+def test_hock_and_schittkowski(solver, problem):
+    m = pyo.ConcreteModel()
+    optimum = problem(m)
+    pyo.assert_optimal_termination(solver.solve(m))
+    # The book prints its optima to seven digits or so; those at 0 are degenerate, where 1e-8 in x is what the tolerance leaves.
+    assert pyo.value(m.cost) == pytest.approx(optimum, rel=2e-7, abs=2e-7)
+
+
+def linear(sense):
+    """min 2a + 3b (or max of its negative) with a + b >= 1 - and a <= 0.4 - solved by hand: a = 0.4, b = 0.6, duals 3 and -1."""
+    sign = 1 if sense == pyo.minimize else -1
+    m = pyo.ConcreteModel()
+    m.a = pyo.Var(bounds=(0, 0.4), initialize=0.2)
+    m.b = pyo.Var(bounds=(0, None), initialize=0.2)
+    m.demand = pyo.Constraint(expr=m.a + m.b >= 1)
+    m.cost = pyo.Objective(expr=sign * (2 * m.a + 3 * m.b), sense=sense)
+    m.dual = pyo.Suffix(direction=pyo.Suffix.IMPORT_EXPORT)
+    m.ipopt_zL_out = pyo.Suffix(direction=pyo.Suffix.IMPORT)
+    m.ipopt_zU_out = pyo.Suffix(direction=pyo.Suffix.IMPORT)
+    return m
+
+
+@pytest.mark.parametrize("sense", [pyo.minimize, pyo.maximize])
+def test_duals_are_the_change_of_the_objective(solver, sense):
+    sign = 1 if sense == pyo.minimize else -1
+    m = linear(sense)
+    solver.solve(m)
+    assert (m.a.value, m.b.value) == pytest.approx((0.4, 0.6), abs=1e-6)
+    assert m.dual[m.demand] == pytest.approx(sign * 3.0, abs=1e-5)
+    assert m.ipopt_zU_out[m.a] == pytest.approx(-sign, abs=1e-5)
+    assert m.ipopt_zL_out[m.b] == pytest.approx(0.0, abs=1e-5)
+    before = pyo.value(m.cost)
+    m.demand.set_value(m.a + m.b >= 1.01)
+    dual = m.dual[m.demand]
+    solver.solve(m)
+    assert (pyo.value(m.cost) - before) / 0.01 == pytest.approx(dual, rel=1e-4)
+
+
+def test_duals_start_the_next_solve(solver):
+    m = linear(pyo.minimize)
+    m.ipopt_zL_in = pyo.Suffix(direction=pyo.Suffix.EXPORT)
+    m.ipopt_zU_in = pyo.Suffix(direction=pyo.Suffix.EXPORT)
+    solver.solve(m)
+    cold = solver.last_result.iterations
+    m.ipopt_zL_in.update(m.ipopt_zL_out)
+    m.ipopt_zU_in.update(m.ipopt_zU_out)
+    solver.solve(m, warmstart=True)
+    assert solver.last_result.options["warm_start_init_point"] == "yes"
+    assert solver.last_result.iterations <= 2 < cold
+    solver.solve(m)
+    assert "warm_start_init_point" not in solver.last_result.options
+
+
+def test_results_tell_what_happened(solver):
+    m = pyo.ConcreteModel(name="seventy-one")
+    optimum = hs71(m)
+    results = solver.solve(m)
+    assert results.solver.status == SolverStatus.ok
+    assert results.solver.termination_condition == TerminationCondition.optimal
+    assert results.problem.upper_bound == pytest.approx(optimum)
+    assert (results.problem.number_of_variables, results.problem.number_of_constraints) == (4, 2)
+    assert results.solver.statistics.black_box.number_of_iterations == solver.last_result.iterations > 0
+    assert results.problem.name == "seventy-one"
+
+
+def test_a_solution_can_be_loaded_later(solver):
+    m = linear(pyo.minimize)
+    results = solver.solve(m, load_solutions=False)
+    assert m.a.value == 0.2
+    assert len(m.dual) == 0
+    m.solutions.load_from(results)
+    assert m.b.value == pytest.approx(0.6, abs=1e-6)
+    assert m.dual[m.demand] == pytest.approx(3.0, abs=1e-5)
+    assert m.ipopt_zU_out[m.a] == pytest.approx(-1.0, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "condition"),
+    [
+        (lambda m: m.demand.set_value(m.a + m.b**2 <= -1), {}, TerminationCondition.infeasible),
+        (lambda m: (m.b.setlb(None), m.demand.deactivate()), {}, TerminationCondition.unbounded),
+        (lambda m: None, {"max_iter": 1}, TerminationCondition.maxIterations),
+        (
+            lambda m: m.add_component("e", pyo.Constraint([1, 2, 3], rule=lambda m, i: m.a * i == i * m.b)),
+            {},
+            TerminationCondition.invalidProblem,
+        ),
+    ],
+)
+def test_a_solve_without_solution_is_a_warning(solver, change, options, condition, caplog):
+    m = linear(pyo.minimize)
+    change(m)
+    results = solver.solve(m, options=options)
+    assert results.solver.termination_condition == condition
+    assert results.solver.status == SolverStatus.warning
+    assert not pyo.check_optimal_termination(results)
+    assert str(condition) in caplog.text
+
+
+def test_an_error_is_raised_unless_nothing_is_to_be_loaded(solver):
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var(initialize=-1.0)
+    m.cost = pyo.Objective(expr=pyo.log(m.x))
+    with pytest.raises(ValueError, match="no solution to load"):
+        solver.solve(m)
+    assert m.x.value == -1.0
+    results = solver.solve(m, load_solutions=False)
+    assert results.solver.status == SolverStatus.error
+
+
+def test_options_stay_and_can_be_given_for_one_solve(solver):
+    m = linear(pyo.minimize)
+    solver.options["tol"] = 1e-5
+    solver.solve(m, options={"max_iter": 77}, options_string="mu_init=0.01")
+    used = solver.last_result.options
+    assert (used["tol"], used["max_iter"], used["mu_init"]) == (1e-5, 77, 0.01)
+    solver.solve(m)
+    assert "max_iter" not in solver.last_result.options
+    with pytest.raises(UnknownOptionError, match="max_iter"):
+        solver.solve(m, options={"maxiter": 3})
+    assert dict(pyo.SolverFactory("touchstone_ipopt", options={"tol": 1e-4}).options) == {"tol": 1e-4}
+
+
+def test_a_time_limit_reaches_ipopt(solver):
+    solver.solve(linear(pyo.minimize), timelimit=12)
+    assert solver.last_result.options["max_wall_time"] == 12.0
+
+
+def test_tee_shows_the_log_and_silence_is_silent(solver, capsys):
+    solver.solve(linear(pyo.minimize))
+    assert capsys.readouterr().out == ""
+    solver.solve(linear(pyo.minimize), tee=True)
+    assert "inf_pr" in capsys.readouterr().out
+
+
+def test_the_manners_of_a_pyomo_solver(solver):
+    assert solver.available()
+    assert solver.license_is_valid()
+    assert solver.warm_start_capable()
+    assert solver.version() >= (3, 14)
+    assert not solver.has_capability("integer")
+    with pyo.SolverFactory("touchstone_ipopt") as opened:
+        opened.solve(linear(pyo.minimize), symbolic_solver_labels=True, keepfiles=False)
+    with pytest.raises(TypeError, match="tea"):
+        solver.solve(linear(pyo.minimize), tea=True)
+
+
+def test_refusals_come_before_anything_runs(solver):
+    m = linear(pyo.minimize)
+    m.n = pyo.Var(domain=pyo.Binary)
+    m.more = pyo.Constraint(expr=m.n <= m.a)
+    with pytest.raises(ModelRefusedError, match="'n'"):
+        solver.solve(m)
+    assert solver.last_result is None
+
+
+def test_fixed_and_absent_variables_are_left_alone(solver):
+    m = linear(pyo.minimize)
+    m.absent = pyo.Var(initialize=9.0)
+    m.f = pyo.Var(initialize=0.5)
+    m.f.fix()
+    m.more = pyo.Constraint(expr=m.b >= m.f + 0.3)
+    solver.solve(m)
+    assert (m.absent.value, m.f.value) == (9.0, 0.5)
+    assert m.absent.stale
+    assert m.b.value == pytest.approx(0.8, abs=1e-6)
+
+
+def test_a_block_can_be_solved_alone(solver):
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var(initialize=3.0)
+    m.part = pyo.Block()
+    m.part.y = pyo.Var(initialize=1.0)
+    m.part.cost = pyo.Objective(expr=(m.part.y - m.x) ** 2 + pyo.exp(-m.x))
+    m.x.fix()
+    solver.solve(m.part)
+    assert m.part.y.value == pytest.approx(3.0)
+
+
+def test_a_feasibility_problem(solver):
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var([1, 2], initialize=1.0)
+    m.circle = pyo.Constraint(expr=m.x[1] ** 2 + m.x[2] ** 2 == 4)
+    results = solver.solve(m)
+    pyo.assert_optimal_termination(results)
+    assert math.hypot(m.x[1].value, m.x[2].value) == pytest.approx(2.0)
+
+
+def test_importing_the_bridge_is_what_registers_it():
+    program = "import pyomo.environ as pyo, formulations.ipopt; assert pyo.SolverFactory('touchstone_ipopt').available()"
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=120)
+    assert formulations.ipopt.TouchstoneIpopt is not None
