@@ -194,14 +194,13 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
     def campaign() -> CampaignRecord:
         from reports.record import CampaignRecord
 
-        keys = tuple(entry.cell.key for entry in entries if entry.cell.key in records)
         return CampaignRecord(
             title=TITLE,
             command=settings.command,
             started=provenance.started,
             quick=settings.quick,
             left_out=left_out,
-            keys=keys,
+            keys=tuple(entry.cell.key for entry in entries),
             violation=violation,
             provenance=provenance,
         )

@@ -3,7 +3,7 @@
     record = run_cell(cell, provenance, folder)        # in a child process of its own: see validate.worker
 
 Each stage starts from the plan of the stage before it (or of the last one that had a plan). Beside the record the folder holds
-`trajectory.nc` and `replay.nc` of the last stage, `trajectory_<n>.nc` and `replay_<n>.nc` of the n-th stage before it.
+`trajectory.nc` and `replay.nc` of the last stage, and `trajectory_<n>.nc` and `replay_<n>.nc` of every other stage n (from 1).
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from formulations.pipeline import Pipeline, pipeline_from_json, pipeline_to_json
+from formulations.method import Pipeline
+from formulations.pipeline import pipeline_from_json, pipeline_to_json
 from models.errors import MachineError, TouchstoneError
 from validate.store import PROGRESS
 
@@ -174,6 +175,8 @@ class _Opened:
         self._open: tuple[Method, dict[str, object]] | None = None
 
     def run(self, planned: Planned, warm_start: Any, time_limit: float) -> _Solved:
+        from formulations.solution import Solution
+
         wall, cpu = time.perf_counter(), time.process_time()
         wanted = (planned.method, dict(planned.options))
         if self._session is None or self._open != wanted:
@@ -181,7 +184,12 @@ class _Opened:
             self._session = planned.method.open(self._scene, planned.options)
             self._open = wanted
         solution = self._session.solve(eps=planned.eps, warm_start=warm_start, time_limit=time_limit)
-        return _Solved(planned, solution, time.perf_counter() - wall, time.process_time() - cpu)
+        solved = _Solved(planned, solution, time.perf_counter() - wall, time.process_time() - cpu)
+        if not isinstance(solution, Solution):
+            raise TypeError(f"it must hand back a Solution, not {type(solution).__name__}.")
+        if solution.trajectory is not None:
+            solution.trajectory.check_fits(self._scene)
+        return solved
 
     def close(self) -> None:
         session, self._session = self._session, None
@@ -211,6 +219,8 @@ def _judge(tools: Tools, scene: Scene, fmu: Path | None, item: _Solved, folder: 
     try:
         replay = tools.replay(scene, fmu, trajectory)
         score = tools.score(scene, trajectory, replay)
+        seconds = time.perf_counter() - began
+        tools.write_replay(folder / f"replay{ending}.nc", replay, scene)
     except MachineError:
         raise
     except Exception as error:  # noqa: BLE001 - the plan is kept even if the judge stumbles; the verdict is then not resolved
@@ -218,6 +228,4 @@ def _judge(tools: Tools, scene: Scene, fmu: Path | None, item: _Solved, folder: 
         return Judged(
             replay=replay, seconds=time.perf_counter() - began, problem=f"the judge ended with {type(error).__name__}: {_first_line(error)}"
         )
-    seconds = time.perf_counter() - began
-    tools.write_replay(folder / f"replay{ending}.nc", replay, scene)
     return Judged(replay=replay, score=score, seconds=seconds)

@@ -63,7 +63,8 @@ def watch() -> None:
             living.pop(token, None)
     for token, path in living.items():
         end_all(token)
-        shutil.rmtree(path, ignore_errors=True)
+        if Path(path).name.startswith(".partial-"):  # nothing else is ours to remove, whatever the pipe said
+            shutil.rmtree(path, ignore_errors=True)
 
 
 if __name__ == "__main__":

@@ -39,6 +39,8 @@ def replay_trace(scene: Scene, trajectory: Trajectory, replay: Replay) -> TraceR
     q = np.asarray(replay.q)[keep]
     columns = _columns(scene, q=q, v=np.asarray(replay.v)[keep], lam=np.asarray(replay.lam)[keep], gap=_gap(scene, q))
     knots = np.asarray(replay.knots)
+    if len(knots) == 0:
+        return TraceRecord(t=_numbers(replay.t[keep]), columns=columns, poses=poses(scene, q))
     difference = np.abs(np.asarray(replay.q)[knots] - trajectory.q[: len(knots)]).max(axis=1)
     # The plan is known at its nodes only: between them its error is drawn as a line.
     columns["position_error"] = _numbers(np.interp(replay.t[keep], replay.t[knots], difference))

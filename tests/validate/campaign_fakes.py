@@ -30,6 +30,8 @@ class _Session(Session):
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
         outcome = self._act() or Outcome.SOLVED
+        if not isinstance(outcome, Outcome):
+            return outcome
         trajectory = None
         if outcome.has_answer:
             scene, nodes = self._scene, self._scene.task.steps + 1
@@ -98,6 +100,11 @@ def _spoil_result() -> None:
     os._exit(0)
 
 
+def _plan_of_another_scene() -> Solution:
+    two = np.zeros((2, 1))
+    return Solution(method="misfit", outcome=Outcome.SOLVED, trajectory=Trajectory(t=np.arange(2.0), q=two, v=two, u=two[:1], lam=two[:1]))
+
+
 def _linger() -> None:
     time.sleep(0.6)
 
@@ -120,6 +127,9 @@ METHODS = {
         FakeMethod("garbage", _garbage),
         FakeMethod("raises", _raise),
         FakeMethod("spoiled", _spoil_result),
+        FakeMethod("misfit", _plan_of_another_scene),
+        FakeMethod("no_solution", lambda: "solved!"),
+        FakeMethod("quits", lambda: sys.exit(0)),
         FakeMethod("slow", _linger),
         FakeMethod("violating"),
     )

@@ -64,6 +64,9 @@ def misbehaved(cli, tmp_path_factory):
         ("only_spoiled", "crashed", "its result file cannot be read"),
         ("only_raises", "crashed", "ValueError in raises: the method's own mistake"),
         ("only_bad_soft", "crashed", "ValueError in bad_soft"),
+        ("only_misfit", "failed", "q has 1 columns, but scene three_cart has 3 positions"),
+        ("only_no_solution", "crashed", "it must hand back a Solution, not str"),
+        ("only_quits", "crashed", "its last words: SystemExit: 0"),
         ("only_refuses", "refused", "it wants friction"),
         ("only_infeasible", "infeasible", ""),
         ("only_garbage", "solved", ""),
@@ -113,14 +116,14 @@ def test_crashes_and_missing_plans_fail_the_campaign_and_refusals_do_not(misbeha
     assert done.returncode == 1
     failed = {line.split(" x ")[1].split(":")[0] for line in done.stdout.splitlines() if line.startswith("does not hold")}
     crashed = {"only_segfault", "only_abort", "only_exit_zero", "only_exit_seven", "only_spoiled", "only_raises", "only_bad_soft"}
-    assert failed == {*crashed, "only_infeasible"}
+    assert failed == {*crashed, "only_infeasible", "only_misfit", "only_no_solution", "only_quits"}
 
 
 def test_progress_is_one_plain_line_a_cell(misbehaved):
     _, done = misbehaved
     lines = done.stderr.splitlines()
-    assert lines[0] == "0 stored, 15 to run"
-    assert len(lines) == 16
+    assert lines[0] == "0 stored, 18 to run"
+    assert len(lines) == 19
     assert all(line.startswith("[") for line in lines[1:])
     assert "\x1b" not in done.stderr + done.stdout
 

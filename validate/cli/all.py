@@ -106,10 +106,9 @@ def command(
 
 def _print_table(outcome, settings, resume: str) -> None:
     from validate.cli.table import one_line, results_table
-    from validate.results import rows
 
     colour = use_colour()
-    click.echo(results_table(rows(outcome.records)), color=colour)
+    click.echo(results_table(outcome.records), color=colour)
     click.echo()
     if settings.quick:
         click.echo(f"left out by --quick: {', '.join(outcome.left_out) or 'nothing'}")

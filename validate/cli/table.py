@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+
+if TYPE_CHECKING:
+    from reports.record import RunRecord
 
 _COLOURS = {"holds": "green", "violates": "red", "not resolved": "yellow", "no plan": "red"}
 
@@ -59,7 +62,13 @@ _TITLES = (
 _NUMBERS = ("stage", "eps", "cost", "terminal error", "replayed", "physics", "seconds")
 
 
-def results_table(rows: Sequence[dict[str, Any]]) -> str:
-    """The rows of results.csv that a terminal has room for; `replayed` is the terminal error after the replay."""
-    cells = [[one_line(short(row[name], pattern)) for name, _, pattern in _TITLES] for row in rows]
+def results_table(records: Sequence[RunRecord]) -> str:
+    """What of results.csv a terminal has room for; `replayed` is the terminal error after the replay."""
+    from validate.results import rows
+
+    cells = [[one_line(short(row[name], pattern)) for name, _, pattern in _TITLES] for row in rows(records)]
+    place = [name for name, _, _ in _TITLES].index("verdict")
+    for line, stage in zip(cells, [stage for record in records for stage in record.stages], strict=True):
+        if stage.kind == "indirect" and stage.verdict == "violates":
+            line[place] = "as expected: violates"
     return table([title for _, title, _ in _TITLES], cells, _NUMBERS)
