@@ -20,9 +20,6 @@ from formulations.shooting.objective import Objective
 from formulations.shooting.stopping import Progress, StoppingRule
 from formulations.solution import Outcome
 
-# One more step would change the inputs by less than this share of their norm: the descent has come to rest.
-_AT_REST = 1e-3
-
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
@@ -100,9 +97,9 @@ def descend(objective: Objective, u0: np.ndarray, settings: Settings, time_limit
     plan = (best if settings.iterations is None else values).copy()
     objective.value(plan)
     gradient = objective.gradient().copy()
-    step = _norm(np.clip(plan - settings.learning_rate * gradient, lower, upper) - plan)
     if outcome is Outcome.SOLVED:
-        outcome, message = _settled(rule, step, _norm(plan))
+        step = np.clip(plan - settings.learning_rate * gradient, lower, upper) - plan
+        outcome, message = _settled(rule, -float((gradient * step).sum()))
     dead = dead_contact_message(objective, sensitivity(objective), settings.learning_rate)
     if dead:
         outcome = Outcome.STALLED if outcome is Outcome.SOLVED else outcome
@@ -134,15 +131,19 @@ def _limit_message(settings: Settings, rule: StoppingRule) -> str:
     )
 
 
-def _settled(rule: StoppingRule, step: float, size: float) -> tuple[Outcome, str]:
-    """SOLVED if the descent has also come to rest, STALLED if it keeps jumping to and fro (across kinks of the loss)."""
+def _settled(rule: StoppingRule, promise: float) -> tuple[Outcome, str]:
+    """SOLVED if the gradient agrees that there is nothing left to gain, else STALLED.
+
+    promise: the decrease that one more step would bring if the loss were linear. Where the loss has settled although every step
+    promises more than the tolerance, the steps are too long for its curvature or its kinks, and it is no minimum.
+    """
     if rule.exhausted:
         return Outcome.SOLVED, f"the loss is down to {rule.best:.2g}, from {rule.losses[0]:.2g}"
     facts = f"the loss fell by {100.0 * rule.decrease():.2g} % over the last {rule.window} iterations"
-    share = step / size if size > 0.0 else (0.0 if step == 0.0 else np.inf)
-    if share <= _AT_REST:
-        return Outcome.SOLVED, f"{facts}, and one more step would change the inputs by {100.0 * share:.2g} %"
-    return Outcome.STALLED, f"{facts}, but each step still changes the inputs by {100.0 * share:.2g} %; use a smaller learning rate"
+    share = promise / rule.best
+    if share <= rule.tolerance:
+        return Outcome.SOLVED, f"{facts}, and one more step promises {100.0 * share:.2g} %"
+    return Outcome.STALLED, f"{facts}, although each step promises {100.0 * share:.2g} %: it jumps to and fro; use a smaller learning rate"
 
 
 def _sentence(text: str) -> str:

@@ -103,7 +103,7 @@ def test_a_command_that_is_no_compiler_is_named(tmp_path: Path):
 
 
 def test_refused_code_shows_the_compilers_words(tmp_path: Path):
-    with pytest.raises(MachineError, match="refused the generated code of broken.c"):
+    with pytest.raises(MachineError, match=r"refused the generated code of broken\.c"):
         compile_shared(find_compiler(), {"broken.c": "int broken( { return 0; }"}, tmp_path / "broken.so")
 
 

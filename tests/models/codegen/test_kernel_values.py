@@ -105,7 +105,7 @@ def test_rollout_is_semi_implicit_euler_with_the_forces_of_the_start_of_each_ste
 def test_true_contact_forces_of_a_rollout_have_no_physics_residual_at_all():
     """The score multiplies lam by lam - k*phi: with the kernel on both sides the product is zero to the last bit."""
     kernel = kernel_of("three_cart")
-    u = np.zeros((500, 2)) + [3.0, -3.0]
+    u = np.tile([3.0, -3.0], (500, 1))
     plan = kernel.rollout(np.array(kernel.scene.task.start), u, 0.01)
     assert plan.lam.max() > 0.1
     assert (plan.lam == kernel.stiffness() * np.maximum(kernel.penetration(plan.q[:-1]), 0.0)).all()

@@ -1,0 +1,143 @@
+"""Why a descent ended: dead contacts, divergence and its numbers."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import sympy as sp
+
+from formulations.catalog import load_method
+from formulations.shooting.diagnosis import sensitivity, stable_rate
+from formulations.shooting.objective import Objective
+from formulations.solution import Outcome, Solution
+from models.catalog import load_scene
+from models.codegen.kernel import load_kernel
+from models.contact_law import ContactLaw
+from models.scene import Contact, Coordinate, Input, Scene, Task
+
+SCENES = Path(__file__).parents[2] / "scenes"
+SCENE = load_scene("three_cart")
+APART = SCENE.with_task(start=(0.0, 3.0, 6.0, 0.0, 0.0, 0.0), goal=(0.5, 3.5, 6.5, 0.0, 0.0, 0.0))
+
+
+def _solve(scene: Scene, method: str = "relu_gd", eps: float | None = None, **options: object) -> Solution:
+    with load_method(method).open(scene, options) as session:
+        return session.solve(eps=eps, warm_start=None, time_limit=60.0)
+
+
+@pytest.mark.parametrize("options", [{}, {"iterations": 30}])
+def test_dead_relu_is_told_with_its_numbers(options: dict[str, object]):
+    solution = _solve(APART, **options)
+    assert solution.outcome is (Outcome.ITERATION_LIMIT if options else Outcome.STALLED)
+    assert solution.trajectory is not None
+    assert (solution.trajectory.lam == 0.0).all()
+    assert "no contact is made anywhere on the trajectory" in solution.message
+    assert "no gradient towards moving q2 (it misses its goal by 0.5 m; |d q2/d u| = 0)" in solution.message
+    assert "start from a softplus stage" in solution.message
+    gaps = re.search(r"smallest gap left ([\d.]+) m at t = ([\d.]+) s, right ([\d.]+) m", solution.message)
+    assert gaps is not None
+    phi = load_kernel(APART).penetration(solution.trajectory.q[:-1])
+    assert float(gaps[1]) == pytest.approx(-phi[:, 0].max(), rel=5e-3)
+    assert float(gaps[3]) == pytest.approx(-phi[:, 1].max(), rel=5e-3)
+
+
+def test_faint_softplus_is_told_too():
+    solution = _solve(APART, "softplus_gd", 1e-7)
+    assert solution.outcome is Outcome.STALLED
+    assert "the relaxed contact is too faint" in solution.message
+    assert "start from a larger eps" in solution.message
+
+
+def _row_of_three() -> Scene:
+    """A driven cart far from two passive ones, which overlap and push each other apart."""
+    a, b, c, va, vb, vc, u = sp.symbols("a b c va vb vc u", real=True)
+    return Scene(
+        name="row_of_three",
+        title="One driven cart and two passive ones",
+        source="this test",
+        coordinates=tuple(Coordinate(symbol=q, velocity=v, unit="m") for q, v in ((a, va), (b, vb), (c, vc))),
+        inputs=(Input(symbol=u, unit="N"),),
+        parameters=(),
+        kinetic_energy=(va**2 + vb**2 + vc**2) / 2,
+        potential_energy=sp.Integer(0),
+        forces=(u - va, -vb, -vc),
+        contacts=(
+            Contact(name="ab", penetration=1 - (b - a), stiffness=sp.Integer(30)),
+            Contact(name="bc", penetration=1 - (c - b), stiffness=sp.Integer(30)),
+        ),
+        task=Task(start=(0.0, 5.0, 5.9, 0.0, 0.0, 0.0), goal=(0.5, 5.5, 6.5, 0.0, 0.0, 0.0), running_cost=u**2, step=0.01, steps=200),
+    )
+
+
+def test_the_one_contact_that_is_never_made_is_named():
+    solution = _solve(_row_of_three(), learning_rate=50.0)
+    assert solution.outcome is Outcome.STALLED
+    assert "contact ab is never made (smallest gap ab" in solution.message
+    assert "towards moving b (it misses" in solution.message
+    assert " and c (it misses" in solution.message
+
+
+def test_no_diagnosis_where_nothing_is_missed():
+    """No contact is made here either, but the middle cart is where it should be."""
+    solution = _solve(APART.with_task(goal=(0.5, 3.0, 5.5, 0.0, 0.0, 0.0)))
+    assert solution.outcome is Outcome.SOLVED
+    assert "no contact" not in solution.message
+
+
+@pytest.mark.parametrize(("name", "eps"), [("relu_gd", None), ("softplus_gd", 1e-3)])
+def test_a_learning_rate_that_is_too_large_is_named_and_a_good_one_is_given(name: str, eps: float | None):
+    """Twice the horizon has more than twice the curvature: the paper's rate overshoots, and the rate of the message does not."""
+    scene = SCENE.with_task(steps=1000)
+    solution = _solve(scene, name, eps)
+    assert solution.outcome is Outcome.DIVERGED
+    assert solution.trajectory is None
+    assert "learning rate 500" in solution.message
+    assert "grows by a factor of" in solution.message
+    rate = re.search(r"a learning rate below ([\d.e-]+) would not overshoot", solution.message)
+    assert rate is not None
+    again = _solve(scene, name, eps, learning_rate=0.75 * float(rate[1]), iterations=60)
+    assert again.history["loss"][-1] == min(again.history["loss"]) < 0.2 * again.history["loss"][0]
+
+
+def test_divergence_of_an_unstable_scene_is_an_outcome_and_no_warning():
+    """The arm's gradients grow over the horizon, and far too large a step makes the rollout itself overflow."""
+    solution = _solve(load_scene(str(SCENES / "two_link_arm.py")), learning_rate=500.0, iterations=200)
+    assert solution.outcome is Outcome.DIVERGED
+    assert "learning rate 500" in solution.message
+    assert all(np.isfinite(column).all() for column in solution.history.values())
+
+
+@pytest.mark.parametrize("reference", ["three_cart", str(SCENES / "two_link_arm.py")])
+def test_sensitivity_rows_are_finite_differences(reference: str):
+    scene = load_scene(reference).with_task(steps=40)
+    objective = Objective(load_kernel(scene), law=ContactLaw.SOFTPLUS, eps=1e-3)
+    u = np.random.default_rng(0).normal(size=(40, scene.nu))
+    objective.value(u)
+    rows = sensitivity(objective)
+    direction = np.random.default_rng(1).normal(size=u.shape)
+    ends = []
+    for sign in (1.0, -1.0):
+        objective.value(u + sign * 1e-6 * direction)
+        ends.append(objective.error.copy())
+    assert rows.to_inputs @ direction.ravel() == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=1e-6, abs=1e-8)
+
+
+def test_growth_is_the_norm_of_the_transition_matrix():
+    """Free carts: a velocity decays as (1 - c h)^n and leaves a displacement of sum h (1 - c h)^n behind it."""
+    objective = Objective(load_kernel(APART), law=ContactLaw.RELU)
+    objective.value(np.zeros((500, 2)))
+    rows = sensitivity(objective)
+    decay = 0.98 ** np.arange(1, 501)
+    single = np.array([[1.0, 0.01 * decay.sum()], [0.0, decay[-1]]])
+    assert rows.growth == pytest.approx(np.linalg.norm(single, 2), rel=1e-10)
+
+
+def test_stable_rate_is_two_over_the_largest_curvature():
+    """Without contact the loss is quadratic, and its Hessian can be written out."""
+    objective = Objective(load_kernel(APART), law=ContactLaw.RELU)
+    u = np.zeros((500, 2))
+    objective.value(u)
+    rows = sensitivity(objective).to_inputs
+    hessian = 2.0 / 6.0 * rows.T @ rows + 2.0 * 5e-6 * np.eye(rows.shape[1])
+    assert stable_rate(objective, u) == pytest.approx(2.0 / np.linalg.eigvalsh(hessian)[-1], rel=1e-4)

@@ -1,0 +1,203 @@
+"""softplus_gd and relu_gd through the method protocol: options, refusals, limits, bounds, other scenes, starts, steps and horizons."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from formulations.catalog import load_method
+from formulations.method import Kind, OptionError
+from formulations.shooting.descent import Settings, descend
+from formulations.shooting.objective import Objective
+from formulations.solution import Outcome, Solution
+from models.catalog import load_scene
+from models.codegen.kernel import load_kernel
+from models.contact_law import ContactLaw
+from models.errors import TrajectoryError
+from models.scene import Scene
+from models.trajectory import Trajectory
+
+SCENES = Path(__file__).parents[2] / "scenes"
+SCENE = load_scene("three_cart")
+METHODS = (("relu_gd", None), ("softplus_gd", 1e-3))
+
+
+def _solve(scene: Scene, method: str = "relu_gd", eps: float | None = None, plan: Trajectory | None = None, **options: object) -> Solution:
+    with load_method(method).open(scene, options) as session:
+        return session.solve(eps=eps, warm_start=plan, time_limit=60.0)
+
+
+def test_what_they_are():
+    relu, softplus = load_method("relu_gd"), load_method("softplus_gd")
+    assert (relu.kind, relu.needs_eps) == (Kind.DIRECT, False)
+    assert (softplus.kind, softplus.needs_eps) == (Kind.INDIRECT, True)
+
+
+@pytest.mark.parametrize("name", ["relu_gd", "softplus_gd"])
+def test_scenes_without_inputs_are_refused_with_the_reason(name: str):
+    scene = load_scene(str(SCENES / "oscillator.py"))
+    assert load_method(name).accepts(SCENE) is None
+    assert "no inputs" in (load_method(name).accepts(scene) or "")
+    with pytest.raises(OptionError, match="no inputs"):
+        load_method(name).open(scene)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"learning_rat": 1.0}, "did you mean learning_rate"),
+        ({"learning_rate": 0.0}, "learning_rate is 0.0"),
+        ({"learning_rate": float("inf")}, "learning_rate is inf"),
+        ({"learning_rate": float("nan")}, "learning_rate is nan"),
+        ({"learning_rate": None}, "learning_rate is None"),
+        ({"iterations": 0}, "iterations is 0"),
+        ({"iterations": 1.5}, "whole number"),
+        ({"iterations": True}, "iterations is True"),
+        ({"max_iterations": 2.5}, "whole number"),
+        ({"input_weight": -1.0}, "input_weight is -1.0"),
+        ({"tolerance": "small"}, "tolerance is 'small'"),
+    ],
+)
+def test_impossible_options_are_named(options: dict[str, object], words: str):
+    with pytest.raises(OptionError, match=words):
+        load_method("relu_gd").open(SCENE, options)
+
+
+@pytest.mark.parametrize(
+    ("name", "eps"), [("relu_gd", 1e-3), ("softplus_gd", None), ("softplus_gd", 0.0), ("softplus_gd", 1.0), ("softplus_gd", True)]
+)
+def test_impossible_eps_is_named(name: str, eps: float | None):
+    with load_method(name).open(SCENE) as session, pytest.raises(OptionError, match="eps"):
+        session.solve(eps=eps, warm_start=None, time_limit=1.0)
+
+
+def test_repetition_gives_the_same_bits():
+    first, second = (_solve(SCENE, "softplus_gd", 1e-5, iterations=40) for _ in range(2))
+    assert first.trajectory is not None
+    assert second.trajectory is not None
+    assert all((getattr(first.trajectory, name) == getattr(second.trajectory, name)).all() for name in ("u", "q", "v", "lam"))
+    assert (first.history, first.residuals, first.message) == (second.history, second.residuals, second.message)
+
+
+def test_threads_of_pytorch_are_left_alone():
+    before = torch.get_num_threads()
+    _solve(SCENE, iterations=2)
+    assert torch.get_num_threads() == before
+
+
+def test_the_step_is_that_of_pytorchs_sgd_bit_for_bit():
+    objective = Objective(load_kernel(SCENE), law=ContactLaw.RELU)
+    u = torch.zeros(500, 2, dtype=torch.float64, requires_grad=True)
+    optimizer = torch.optim.SGD([u], lr=500.0)
+    for _ in range(30):
+        optimizer.zero_grad()
+        objective(u).backward()
+        optimizer.step()
+    found = descend(objective, np.zeros((500, 2)), Settings(learning_rate=500.0, iterations=30), 60.0)
+    assert found.u is not None
+    assert (found.u == u.detach().numpy()).all()
+
+
+def test_history_and_figures_belong_together():
+    solution = _solve(SCENE, iterations=25)
+    plan = solution.trajectory
+    assert plan is not None
+    assert {len(column) for column in solution.history.values()} == {26}
+    assert solution.cost == solution.history["cost"][-1]
+    assert solution.residuals["terminal_error"] == pytest.approx(solution.history["terminal_error"][-1], rel=1e-14)
+    assert solution.residuals["gradient_norm"] == pytest.approx(solution.history["gradient_norm"][-1], rel=1e-14)
+    assert np.linalg.norm(plan.end - np.array(SCENE.task.goal)) == pytest.approx(solution.residuals["terminal_error"], rel=1e-14)
+    loss = solution.residuals["terminal_error"] ** 2 / 6 + 5e-6 * (plan.u**2).sum()
+    assert solution.history["loss"][-1] == pytest.approx(loss, rel=1e-12)
+    assert solution.options["iterations"] == 25
+    assert 0.0 < solution.seconds.evaluate < solution.seconds.wall
+    assert solution.seconds.build > 0.0
+
+
+def test_the_plan_is_a_rollout_of_the_methods_own_law():
+    kernel = load_kernel(SCENE)
+    for name, eps, law in (("relu_gd", None, ContactLaw.RELU), ("softplus_gd", 1e-3, ContactLaw.SOFTPLUS)):
+        plan = _solve(SCENE, name, eps, iterations=5).trajectory
+        assert plan is not None
+        assert (plan.lam == kernel.contact_force(plan.q[:-1], law, eps)).all()
+
+
+def test_time_limit_is_kept_and_leaves_a_plan():
+    with load_method("relu_gd").open(SCENE, {"tolerance": 0.0}) as session:
+        solution = session.solve(eps=None, warm_start=None, time_limit=0.05)
+        assert solution.outcome is Outcome.TIME_LIMIT
+        assert solution.trajectory is not None
+        assert "time limit of 0.05 s" in solution.message
+        with pytest.raises(OptionError, match="time limit"):
+            session.solve(eps=None, warm_start=None, time_limit=0.0)
+
+
+def test_iteration_limit_of_our_own_rule_says_how_much_was_still_moving():
+    solution = _solve(SCENE, max_iterations=120)
+    assert solution.outcome is Outcome.ITERATION_LIMIT
+    assert "max_iterations = 120" in solution.message
+    assert "still fell by" in solution.message
+
+
+def test_a_converged_plan_is_recognised_when_it_starts_there():
+    first = _solve(SCENE, "softplus_gd", 1e-3)
+    again = _solve(SCENE, "softplus_gd", 1e-3, first.trajectory)
+    assert first.outcome is again.outcome is Outcome.SOLVED
+    assert again.iterations < first.iterations / 4
+    assert again.cost == pytest.approx(first.cost, rel=1e-3)
+
+
+def test_warm_start_on_another_grid_is_refused():
+    plan = _solve(SCENE.with_task(steps=250), iterations=1).trajectory
+    with pytest.raises(TrajectoryError, match=r"250 steps over 2\.5 s.*500 steps of 0\.01 s"):
+        _solve(SCENE, plan=plan)
+    finer = _solve(SCENE.with_task(step=0.005), iterations=1).trajectory
+    with pytest.raises(TrajectoryError, match="resample"):
+        _solve(SCENE, plan=finer)
+
+
+@pytest.mark.parametrize(("name", "eps"), METHODS)
+@pytest.mark.parametrize(
+    ("changes", "rate"),
+    [
+        ({"steps": 400}, 500.0),
+        ({"steps": 250, "step": 0.02}, 150.0),
+        ({"goal": (1.5, 2.5, 3.5, 0.0, 0.0, 0.0)}, 500.0),
+        ({"start": (2.0, 2.6, 4.0, 0.5, 0.0, -0.5)}, 300.0),
+    ],
+)
+def test_other_tasks_end_at_rest_and_nearer_to_the_goal(name: str, eps: float | None, changes: dict, rate: float):
+    solution = _solve(SCENE.with_task(**changes), name, eps, learning_rate=rate, tolerance=1e-3)
+    assert solution.outcome is Outcome.SOLVED, solution.message
+    assert solution.history["terminal_error"][-1] < 0.15 * solution.history["terminal_error"][0]
+    assert np.linalg.norm(solution.history["gradient_norm"][-1]) < 1e-2 * solution.history["gradient_norm"][0]
+
+
+def test_jumping_across_a_kink_is_not_called_solved():
+    """Ten times stiffer contact, the same step: the loss settles above its minimum, and a smaller step gets further down."""
+    stiff = SCENE.with_parameters(k=300.0)
+    solution = _solve(stiff)
+    assert solution.outcome is Outcome.STALLED
+    assert "jumps to and fro; use a smaller learning rate" in solution.message
+    smaller = _solve(stiff, plan=solution.trajectory, learning_rate=100.0, max_iterations=2000)
+    assert min(smaller.history["loss"]) < 0.999 * min(solution.history["loss"])
+
+
+def test_bounds_of_the_inputs_are_kept_where_the_descent_would_leave_them():
+    """In one second the carts cannot get there within the bounds: the descent wants to push harder than it may."""
+    inputs = SCENE.inputs
+    task = SCENE.with_task(steps=100)
+    free = _solve(task, "softplus_gd", 1e-7)
+    assert free.trajectory is not None
+    assert np.abs(free.trajectory.u).max() == inputs[0].upper
+    assert free.residuals["input_bound_excess"] == 0.0
+    assert "inputs are held at their bound" in free.message
+
+
+def test_a_start_that_cannot_be_simulated_is_an_evaluation_error():
+    scene = SCENE.with_parameters(c=1e308)
+    solution = _solve(scene.with_task(start=(2.0, 3.0, 4.0, 1e10, 0.0, 0.0)))
+    assert solution.outcome is Outcome.EVALUATION_ERROR
+    assert solution.trajectory is None
+    assert "no longer finite beyond step 0" in solution.message
