@@ -38,7 +38,7 @@ def plan(scene: Scene) -> Trajectory:
 
 @pytest.fixture(scope="module")
 def replayed(scene: Scene, plan: Trajectory) -> Replay:
-    return replay(scene, build_fmu(scene), plan)
+    return replay(scene, build_fmu(load_scene("three_cart")), plan)
 
 
 def edited(path: Path, change: Callable[[h5netcdf.File], None]) -> Path:
