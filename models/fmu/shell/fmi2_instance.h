@@ -9,6 +9,14 @@
 #include "equations.h"
 #include "fmi2Functions.h"
 
+/* Static libraries need names of their own: FMI2_FUNCTION_PREFIX, which some copies of the standard header ignore. */
+#ifdef FMI2_FUNCTION_PREFIX
+#undef fmi2FullName
+#define PREFIXED_AGAIN(prefix, name) prefix##name
+#define PREFIXED(prefix, name) PREFIXED_AGAIN(prefix, name)
+#define fmi2FullName(name) PREFIXED(FMI2_FUNCTION_PREFIX, name)
+#endif
+
 /* Phases of the state machine; bits, so that a set of them says where a call is allowed. */
 enum {
     PHASE_INSTANTIATED = 1,

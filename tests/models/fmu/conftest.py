@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import runpy
+import types
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -180,6 +182,12 @@ def any_scene(request: pytest.FixtureRequest) -> Scene:
 @pytest.fixture
 def scene_of() -> Callable[[str], Scene]:
     return _scene
+
+
+@pytest.fixture
+def constants() -> Callable[[str], types.SimpleNamespace]:
+    """Scene name -> the numbers that its file in tests/scenes states about itself, by their names there."""
+    return lambda name: types.SimpleNamespace(**runpy.run_path(str(_SCENES / f"{name}.py")))
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,146 @@
+"""The FMU file: valid, reproducible, complete; and what a user does wrong is said in one sentence."""
+
+import dataclasses
+import hashlib
+import zipfile
+
+import fmpy
+import pytest
+import sympy as sp
+from fmpy.validation import validate_fmu
+
+from models.errors import MachineError, SceneError, TouchstoneError, UnknownNameError
+from models.fmu import build_fmu, variable_names
+from models.fmu.rendering import render
+from models.scene import Parameter
+from models.units import base_exponents
+
+
+def test_fmpy_finds_no_problem(any_scene):
+    assert validate_fmu(str(build_fmu(any_scene))) == []
+
+
+def test_built_once_and_equal_bytes_anywhere(scene_of, tmp_path, monkeypatch):
+    scene = scene_of("three_cart")
+    digests = []
+    for name in ("one", "another"):
+        monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path / name))
+        path = build_fmu(scene)
+        stamp = path.stat().st_mtime_ns
+        assert build_fmu(scene) == path
+        assert path.stat().st_mtime_ns == stamp
+        digests.append(hashlib.sha256(path.read_bytes()).hexdigest())
+    assert digests[0] == digests[1]
+
+
+def test_another_scene_or_date_is_another_fmu(scene_of, monkeypatch, tmp_path):
+    monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path))
+    scene = scene_of("bouncing_mass")
+    guid = fmpy.read_model_description(str(build_fmu(scene))).guid
+    other = fmpy.read_model_description(str(build_fmu(scene.with_parameters(k=2000.0))))
+    assert other.guid != guid
+    assert next(variable.start for variable in other.modelVariables if variable.name == "k") == "2000.0"
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    dated = build_fmu(scene)
+    assert fmpy.read_model_description(str(dated)).generationDateAndTime == "2023-11-14T22:13:20Z"
+    with zipfile.ZipFile(dated) as archive:
+        assert {entry.date_time for entry in archive.infolist()} == {(2023, 11, 14, 22, 13, 20)}
+
+
+def test_archive_has_everything_deflated_and_no_links(any_scene):
+    with zipfile.ZipFile(build_fmu(any_scene)) as archive:
+        entries = archive.infolist()
+        names = [entry.filename for entry in entries]
+        text = archive.read("documentation/index.html").decode()
+        licenses = archive.read("documentation/licenses/license.txt").decode()
+    assert names[0] == "modelDescription.xml"
+    assert {f"binaries/linux64/{any_scene.name}.so", "sources/scene_model.h", "sources/model_config.h", "sources/fmi2Functions.h"} <= set(names)
+    assert len(set(names)) == len(names)
+    assert not any("\\" in name or name.startswith("/") for name in names)
+    assert {entry.compress_type for entry in entries} == {zipfile.ZIP_DEFLATED}
+    assert not any((entry.external_attr >> 16) & 0o170000 == 0o120000 for entry in entries)
+    assert any_scene.title.split("'")[0] in text
+    assert "MIT" in licenses
+    assert "2-clause BSD" in licenses
+
+
+def test_description_says_what_an_importer_needs(any_scene):
+    description = fmpy.read_model_description(str(build_fmu(any_scene)))
+    names = variable_names(any_scene)
+    by_name = {variable.name: variable for variable in description.modelVariables}
+    for part in (description.coSimulation, description.modelExchange):
+        assert part.canGetAndSetFMUstate
+        assert part.canSerializeFMUstate
+        assert part.providesDirectionalDerivative
+    assert description.coSimulation.canInterpolateInputs
+    assert description.coSimulation.canHandleVariableCommunicationStepSize
+    assert float(description.defaultExperiment.stepSize) == any_scene.task.step
+    assert float(description.defaultExperiment.stopTime) == any_scene.task.horizon
+    assert float(description.defaultExperiment.tolerance) > 0
+    assert all(variable.unit for variable in description.modelVariables)
+    for unit in description.unitDefinitions:
+        found = {base: getattr(unit.baseUnit, base) for base in ("kg", "m", "s", "rad")}
+        assert {base: exponent for base, exponent in found.items() if exponent} == base_exponents(unit.name)
+    assert [by_name[name].causality for name in (*names.q, *names.v)] == ["output"] * (2 * any_scene.nq)
+    assert [by_name[name].derivative.name for name in (*names.der_q, *names.der_v)] == [*names.q, *names.v]
+    assert float(by_name["internal_step"].start) == any_scene.task.step / 100
+
+
+def test_only_what_the_scene_has(scene_of):
+    bare = variable_names(scene_of("oscillator"))
+    assert (bare.u, bare.lam, bare.gap, bare.parameters) == ((), (), (), ())
+    assert (bare.contact_energy, bare.input_power, bare.dissipated_power) == (None, None, None)
+    assert bare.potential_energy == "potential_energy"
+    count = len(fmpy.read_model_description(str(build_fmu(scene_of("oscillator")))).modelVariables)
+    assert count == 8  # time, q, v, der(q), der(v), two energies, internal_step
+    carts = variable_names(scene_of("three_cart"))
+    assert carts.potential_energy is None
+    assert carts.lam == ("lam_left", "lam_right")
+    assert carts.gap == ("gap_left", "gap_right")
+
+
+def test_templates_are_strict():
+    with pytest.raises(Exception, match="undefined"):
+        render("licenses.txt.j2")
+
+
+def test_texts_are_escaped(scene_of, tmp_path, monkeypatch):
+    monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path))
+    scene = dataclasses.replace(scene_of("oscillator"), title='a < b & "c"')
+    path = str(build_fmu(scene))
+    assert validate_fmu(path) == []
+    assert fmpy.read_model_description(path).description == scene.title
+
+
+def test_unknown_version_is_refused(scene_of):
+    with pytest.raises(UnknownNameError, match=r"FMI version '1\.0' is not offered; choose 2\.0"):
+        build_fmu(scene_of("three_cart"), version="1.0")
+
+
+def test_no_compiler_is_a_sentence(scene_of, monkeypatch):
+    monkeypatch.setenv("CC", "no-such-compiler")
+    with pytest.raises(MachineError, match="no-such-compiler"):
+        build_fmu(scene_of("three_cart"))
+
+
+def test_cache_that_cannot_be_written_is_a_sentence(scene_of, monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path / "file" / "cache"))
+    with pytest.raises(MachineError, match="TOUCHSTONE_CACHE"):
+        build_fmu(scene_of("three_cart"))
+
+
+def test_names_an_fmu_cannot_carry_are_refused(scene_of):
+    scene = scene_of("oscillator")
+    taken = Parameter(symbol=sp.Symbol("kinetic_energy"), value=1.0, unit="1")
+    with pytest.raises(SceneError, match="'kinetic_energy' is also that of a variable every FMU has"):
+        build_fmu(dataclasses.replace(scene, parameters=(taken,)))
+    with pytest.raises(SceneError, match="ASCII"):
+        build_fmu(dataclasses.replace(scene, name="schwingerä"))
+
+
+@pytest.mark.parametrize("epoch", ["yesterday", "-5", "12"])
+def test_bad_date_is_refused(scene_of, monkeypatch, epoch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", epoch)
+    with pytest.raises(TouchstoneError, match="SOURCE_DATE_EPOCH"):
+        build_fmu(scene_of("three_cart"))
