@@ -61,6 +61,18 @@ def test_cold_relu_row():
     assert "no contact" not in solution.message  # it gets into contact by overshooting, after some iterations
 
 
+def test_relu_row_after_softplus_collocation():
+    """The warm start is softplus collocation at 1e-3, 1e-5, 1e-7, each from the one before."""
+    plan = None
+    with load_method("softplus_dc").open(SCENE) as session:
+        for eps in (1e-3, 1e-5, 1e-7):
+            plan = session.solve(eps=eps, warm_start=plan, time_limit=60.0).trajectory
+    assert plan is not None
+    solution = _solve("relu_gd", None, plan, iterations=6)
+    assert solution.cost == pytest.approx(360.31, abs=TOLERANCE)
+    assert solution.residuals["terminal_position_error"] == pytest.approx(0.047, abs=5e-4)
+
+
 def test_relu_rows_have_no_physics_residual_at_all(chain: list[Solution]):
     kernel = load_kernel(SCENE)
     for plan in (chain[-1].trajectory, _solve("relu_gd", None, None, iterations=200).trajectory):
