@@ -1,0 +1,261 @@
+"""The Pyomo models themselves: what is in them, that they say what the compiled time step does, and that they are plain Pyomo."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import io
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyomo.environ as pyo
+import pytest
+import sympy as sp
+from pyomo.mpec import Complementarity
+
+from formulations import ContactLaw, ModelError, build_block, build_model, load_plan, read_plan, relax, tighten
+from models.catalog import load_scene
+from models.codegen.kernel import load_kernel
+from models.contact_law import ContactLaw as ForceLaw
+from models.contact_law import RelaxationError
+from models.errors import SceneError
+from models.scene import Scene
+from models.trajectory import Trajectory, uniform_grid
+
+TEST_SCENES = Path(__file__).parents[2] / "scenes"
+# A residual is a difference of numbers of this size: what rounding leaves, with two digits to spare.
+ROUNDING = 1e-13
+
+
+def scene_of(name: str) -> Scene:
+    return load_scene(name) if name == "three_cart" else load_scene(str(TEST_SCENES / f"{name}.py"))
+
+
+def in_contact(scene: Scene) -> Scene:
+    """The scene started close to (or in) contact, so that forty steps see both modes."""
+    starts = {
+        "three_cart": (2.0, 2.48, 3.0, 0.3, 0.0, -0.2),
+        "bouncing_mass": (0.01, -1.0),
+        "two_body_collision": (0.0, 0.21, 2.0, -1.0),
+        "two_link_arm": (0.9, -0.1, -1.5, 0.2),
+    }
+    return scene.with_task(start=starts.get(scene.name, scene.task.start), steps=40)
+
+
+def probe_inputs(scene: Scene) -> dict[str, np.ndarray]:
+    """Zeros, ones, 0101.., 0123.. and random inputs: the patterns find index mistakes."""
+    steps, nu = scene.task.steps, scene.nu
+    count = np.arange(steps * nu, dtype=float).reshape(steps, nu)
+    return {
+        "zeros": np.zeros((steps, nu)),
+        "ones": np.ones((steps, nu)),
+        "0101": count % 2,
+        "0123": count / max(1, steps),
+        "random": np.random.default_rng(7).normal(size=(steps, nu)),
+    }
+
+
+def rollout_plan(scene: Scene, u: np.ndarray, law: ForceLaw, eps: float | None) -> Trajectory:
+    rollout = load_kernel(scene).rollout(np.array(scene.task.start), u, scene.task.step, law, eps)
+    return Trajectory(t=uniform_grid(scene.task.step, scene.task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+
+
+def largest_violation(model: pyo.ConcreteModel) -> float:
+    """Of all active constraints and bounds but those of the goal."""
+    worst = 0.0
+    for row in model.component_data_objects(pyo.Constraint, active=True, descend_into=True):
+        if "goal" not in row.name:
+            worst = max(worst, -min(row.slack(), 0.0))
+    for variable in model.component_data_objects(pyo.Var, descend_into=True):
+        if variable.lb is not None and not variable.name.startswith("variable_u"):  # the probes go where they like
+            worst = max(worst, variable.lb - variable.value)
+    return worst
+
+
+@pytest.mark.parametrize("name", ["three_cart", "bouncing_mass", "two_body_collision", "two_link_arm", "oscillator"])
+def test_rollout_satisfies_the_model(name: str) -> None:
+    scene = in_contact(scene_of(name))
+    for law, eps in ((ContactLaw.SOFTPLUS, 1e-3), (ContactLaw.COMPLEMENTARITY, 0.0)):
+        model = build_model(scene, law, eps=eps)
+        for label, u in probe_inputs(scene).items():
+            plan = rollout_plan(scene, u, ForceLaw.SOFTPLUS if law is ContactLaw.SOFTPLUS else ForceLaw.RELU, eps or None)
+            load_plan(model, plan)
+            scale = max(1.0, float(np.abs(plan.lam).max(initial=0.0)), float(np.abs(plan.v).max()))
+            assert largest_violation(model) <= ROUNDING * scale**2, (law, label)
+            assert pyo.value(model.objective_cost) == pytest.approx(load_kernel(scene).cost(plan.q, plan.v, u), rel=1e-13, abs=1e-13)
+            back = read_plan(model)
+            for field in ("t", "q", "v", "u", "lam"):
+                assert np.array_equal(getattr(back, field), getattr(plan, field)), field
+
+
+def test_probe_rollouts_see_contact() -> None:
+    """Else the test above would hold for a model without any contact law."""
+    for name in ("three_cart", "bouncing_mass", "two_body_collision", "two_link_arm"):
+        scene = in_contact(scene_of(name))
+        lam = rollout_plan(scene, np.zeros((40, scene.nu)), ForceLaw.RELU, None).lam
+        assert (lam > 0).any() and (lam == 0).any(), name
+
+
+def test_a_wrong_step_is_seen() -> None:
+    scene = in_contact(scene_of("three_cart"))
+    model = build_model(scene, ContactLaw.COMPLEMENTARITY, eps=0.0)
+    load_plan(model, rollout_plan(scene, np.ones((40, 2)), ForceLaw.RELU, None))
+    model.variable_v[20, "q2"].value += 1e-6
+    assert largest_violation(model) >= 1e-9
+
+
+@pytest.mark.parametrize(
+    ("name", "contact", "variables", "constraints"),
+    [
+        # by hand, with T steps: q and v at T+1 nodes, u and lam at T; ends 4 nq, steps 2 nq T, contact nc T
+        ("three_cart", ContactLaw.SOFTPLUS, lambda T: 6 * (T + 1) + 4 * T, lambda T: 12 + 6 * T + 2 * T),
+        # Pyomo's relaxation: one separation force a pair, its definition and its product
+        ("three_cart", ContactLaw.COMPLEMENTARITY, lambda T: 6 * (T + 1) + 4 * T + 2 * T, lambda T: 12 + 6 * T + 4 * T),
+        ("two_link_arm", ContactLaw.SOFTPLUS, lambda T: 4 * (T + 1) + 3 * T, lambda T: 8 + 4 * T + T),
+        ("bouncing_mass", ContactLaw.SOFTPLUS, lambda T: 2 * (T + 1) + T, lambda T: 4 + 2 * T + T),
+        ("oscillator", ContactLaw.SOFTPLUS, lambda T: 2 * (T + 1), lambda T: 4 + 2 * T),
+    ],
+)
+def test_counts_are_those_on_paper(name, contact, variables, constraints) -> None:
+    for steps in (1, 7, 40):
+        model = build_model(scene_of(name), contact, eps=1e-2, steps=steps)
+        assert sum(1 for _ in model.component_data_objects(pyo.Var, descend_into=True)) == variables(steps)
+        assert sum(1 for _ in model.component_data_objects(pyo.Constraint, active=True, descend_into=True)) == constraints(steps)
+
+
+def test_what_a_scene_does_not_need_is_not_there() -> None:
+    bouncing = build_model(scene_of("bouncing_mass"), ContactLaw.SOFTPLUS, eps=1e-2, steps=2)
+    bare = build_model(scene_of("oscillator"), ContactLaw.COMPLEMENTARITY, eps=1e-2, steps=2)
+    assert bouncing.component("variable_u") is None
+    for absent in ("variable_u", "variable_lam", "parameter_scene", "complementarity_contact", "mpec_bound", "parameter_sharpness"):
+        assert bare.component(absent) is None, absent
+    cart = build_model("three_cart", ContactLaw.SOFTPLUS, eps=1e-2, steps=1)
+    text = str(cart.constraint_velocity_step[0, "q1"].expr)
+    assert "sin" not in text and "q2]" not in text, "no trigonometry, no inertial coupling, no distant position in a cart's step"
+    arm = build_model(scene_of("two_link_arm"), ContactLaw.SOFTPLUS, eps=1e-2, steps=1)
+    assert "variable_v[1,q2]" in str(arm.constraint_velocity_step[0, "q1"].expr), "a coupled mass matrix is multiplied, not inverted"
+
+
+def test_parameters_start_and_goal_are_data() -> None:
+    model = build_model("three_cart", ContactLaw.SOFTPLUS, eps=1e-3, steps=3)
+    step, goal = model.constraint_velocity_step[1, "q1"], model.constraint_goal_position["q2"]
+    model.variable_v[1, "q1"].value = 0.7
+    before = pyo.value(step.body)
+    model.parameter_scene["c"].value = 5.0
+    assert pyo.value(step.body) == pytest.approx(before + 0.01 * 3.0 * 0.7, rel=1e-12)
+    force = model.constraint_contact_softplus[0, "left"]
+    law = pyo.value(force.body)
+    model.parameter_scene["k"].value = 300.0
+    assert pyo.value(force.body) != law
+    model.parameter_goal_position["q2"].value = 9.0
+    assert pyo.value(goal.upper) == 9.0
+    model.parameter_start_velocity["q3"].value = -1.0
+    assert pyo.value(model.constraint_start_velocity["q3"].lower) == -1.0
+    model.parameter_step.value = 0.02
+    assert pyo.value(step.body) == pytest.approx(-0.7 + 0.02 * 5.0 * 0.7, rel=1e-12)
+
+
+def test_tightening_moves_the_bound_in_place() -> None:
+    model = build_model("three_cart", ContactLaw.COMPLEMENTARITY, eps=1e-2, steps=3)
+    row = model.complementarity_contact[1, "right"].ccon
+    assert pyo.value(row.upper) == 1e-2
+    tighten(model, 1e-5)
+    assert model.complementarity_contact[1, "right"].ccon is row
+    assert pyo.value(row.upper) == 1e-5
+    tighten(model, 0.0)
+    assert pyo.value(row.upper) == 0.0
+    soft = build_model("three_cart", ContactLaw.SOFTPLUS, eps=1e-3, steps=3)
+    tighten(soft, 1e-7)
+    assert pyo.value(soft.parameter_sharpness) == pytest.approx(7 * np.log(10))
+
+
+def test_the_separation_force_starts_at_its_own_value() -> None:
+    model = build_model("three_cart", ContactLaw.COMPLEMENTARITY, eps=1e-2, steps=3)
+    assert model.complementarity_contact[0, "left"].v.value == pytest.approx(30 * 0.5)
+
+
+def test_relaxing_twice_is_refused_and_a_clone_keeps_the_original() -> None:
+    model = build_model("three_cart", ContactLaw.COMPLEMENTARITY, steps=3)
+    relaxed = model.clone()
+    relax(relaxed, 1e-2)
+    assert isinstance(model.complementarity_contact, Complementarity)
+    assert model.component("mpec_bound") is None
+    with pytest.raises(ModelError, match="tighten"):
+        relax(relaxed, 1e-3)
+    with pytest.raises(ModelError, match="relax"):
+        tighten(model, 1e-3)
+    with pytest.raises(ModelError, match="complementarity"):
+        relax(build_model("three_cart", ContactLaw.SOFTPLUS, eps=1e-2, steps=3), 1e-2)
+
+
+@pytest.mark.parametrize("eps", [0.0, 1.0, -1e-3, float("nan"), None, "1e-3", True])
+def test_impossible_sharpness_is_refused(eps) -> None:
+    with pytest.raises(RelaxationError, match="0 < eps < 1"):
+        build_model("three_cart", ContactLaw.SOFTPLUS, eps=eps, steps=2)
+
+
+@pytest.mark.parametrize("eps", [-1e-3, float("nan"), float("inf"), "1e-3", True])
+def test_impossible_bounds_are_refused(eps) -> None:
+    with pytest.raises(ModelError, match="at least 0"):
+        build_model("three_cart", ContactLaw.COMPLEMENTARITY, eps=eps, steps=2)
+
+
+def test_a_scene_that_is_not_smooth_is_refused_by_name() -> None:
+    scene = load_scene("three_cart")
+    rough = replace(scene, forces=(*scene.forces[:2], scene.forces[2] - sp.Abs(sp.Symbol("v3", real=True))))
+    with pytest.raises(SceneError, match=r"Abs\(v3\)"):
+        build_model(rough, ContactLaw.SOFTPLUS, eps=1e-2, steps=2)
+    with pytest.raises(ModelError, match="ContactLaw"):
+        build_model("three_cart", "softplus", eps=1e-2)  # pyright: ignore[reportArgumentType]
+
+
+def test_other_solvers_can_read_the_models(tmp_path: Path) -> None:
+    """Pyomo's own writers: NL for the relaxed models, complementarity rows for PATH or Knitro, and a mixed-integer LP file."""
+    for contact in ContactLaw:
+        model = build_model("three_cart", contact, eps=1e-2, steps=4)
+        model.own = pyo.Constraint(expr=model.variable_q[2, "q2"] <= 3.2)
+        model.write(str(tmp_path / "model.nl"), format="nl_v2")
+        assert (tmp_path / "model.nl").read_text().startswith("g3")
+    pairs = build_model("three_cart", ContactLaw.COMPLEMENTARITY, steps=4)
+    pyo.TransformationFactory("mpec.nl").apply_to(pairs)
+    pairs.write(str(tmp_path / "pairs.nl"), format="nl_v1")
+    complements = re.findall(r"^5 1 \d+$", (tmp_path / "pairs.nl").read_text(), flags=re.MULTILINE)
+    assert len(complements) == 8, "one complementarity row for each of 2 contacts at 4 times"
+    binary = build_model("three_cart", ContactLaw.COMPLEMENTARITY, steps=4)
+    pyo.TransformationFactory("mpec.simple_disjunction").apply_to(binary)
+    pyo.TransformationFactory("gdp.bigm").apply_to(binary, bigM=1e3)
+    binary.write(str(tmp_path / "binary.lp"))
+    assert "binary" in (tmp_path / "binary.lp").read_text()
+
+
+def test_two_blocks_live_in_one_model() -> None:
+    model = pyo.ConcreteModel()
+    model.first, model.second = pyo.Block(), pyo.Block()
+    build_block(model.first, "three_cart", ContactLaw.COMPLEMENTARITY, eps=1e-2, steps=3)
+    build_block(model.second, "three_cart", ContactLaw.COMPLEMENTARITY, eps=1e-3, steps=3)
+    tighten(model.first, 1e-6)
+    bounds = [pyo.value(block.complementarity_contact[0, "left"].ccon.upper) for block in (model.first, model.second)]
+    assert bounds == [1e-6, 1e-3]
+    assert next(model.component_data_objects(pyo.Objective, active=True), None) is None
+    model.cost = pyo.Objective(expr=model.first.expression_cost + model.second.expression_cost)
+    model.pprint(ostream=io.StringIO())
+
+
+@pytest.mark.parametrize("module", ["build"])
+def test_examples_in_docstrings(module: str) -> None:
+    results = doctest.testmod(importlib.import_module(f"formulations.transcription.{module}"))
+    assert results.attempted > 5
+    assert results.failed == 0
+
+
+def test_importing_formulations_and_its_methods_costs_neither_pyomo_nor_torch() -> None:
+    code = (
+        "import sys, formulations, formulations.catalog as c; [c.load_method(n) for n in c.method_names()];"
+        "sys.exit(','.join(m for m in ('pyomo', 'torch') if m in sys.modules) or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
