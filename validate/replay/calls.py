@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,9 +16,14 @@ from validate.replay.package import FmuError, Package
 def load_instance(kind: type, package: Package, identifier: str) -> Any:
     """An instance of FMPy's class `kind`. Raises FmuError."""
     try:
-        fmu = kind(
-            guid=package.description.guid, modelIdentifier=identifier, unzipDirectory=str(package.folder), instanceName=f"replay_{identifier}"
-        )
+        # FMPy goes to the library's folder to load it, and stays there if that fails - in a folder that is about to be removed.
+        with contextlib.chdir(os.getcwd()):
+            fmu = kind(
+                guid=package.description.guid,
+                modelIdentifier=identifier,
+                unzipDirectory=str(package.folder),
+                instanceName=f"replay_{identifier}",
+            )
         fmu.instantiate()
     except Exception as error:  # FMPy raises a bare Exception where a binary is missing or does not load
         raise FmuError(f"FMU {package.path}: it cannot be loaded on this machine ({error}).") from error
