@@ -13,7 +13,13 @@ from formulations.ipopt.errors import ModelRefusedError
 
 _TREATED = frozenset({Block, Constraint, Objective, Var, Param, Expression, Set, RangeSet, Suffix, ExternalFunction})
 
+# A component of another kind changes the problem if it can be active, or if it is a special variable or expression (a derivative that has
+# not been discretised would be a free variable).
+_MATTERS = (ActiveComponent, Var, Expression)
+
 _WHAT_TO_DO = {
+    "DerivativeVar": "apply a dae transformation such as 'dae.collocation' first",
+    "Integral": "apply a dae transformation such as 'dae.collocation' first",
     "Complementarity": "apply a transformation such as 'mpec.simple_nonlinear' to a clone first, or use SolverFactory('touchstone_mpec')",
     "Disjunction": "apply a gdp transformation first; its binary variables then need a mixed-integer solver",
     "Disjunct": "apply a gdp transformation first; its binary variables then need a mixed-integer solver",
@@ -28,9 +34,11 @@ def refuse_unknown_components(model: Any) -> None:
     """Raise ModelRefusedError if the model holds an active component that is neither an equation, an objective nor data."""
     if not isinstance(model, BlockData):
         raise ModelRefusedError(f"expected a Pyomo ConcreteModel or Block, got {type(model).__name__}")
+    if not model.is_constructed():
+        raise ModelRefusedError(f"the model '{model.name}' is abstract: call create_instance() first")
     for block in model.block_data_objects(active=True, descend_into=Block):
         for ctype in block.collect_ctypes(active=None, descend_into=False):
-            if ctype in _TREATED or not issubclass(ctype, ActiveComponent):
+            if ctype in _TREATED or not issubclass(ctype, _MATTERS):
                 continue
             for component in block.component_data_objects(ctype, active=True, descend_into=False):
                 name = ctype.__name__

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pyomo.environ as pyo
 import pytest
+from pyomo.dae import ContinuousSet, DerivativeVar
 from pyomo.gdp import Disjunct, Disjunction
 from pyomo.mpec import Complementarity, complements
 
-from formulations.ipopt import MissingValueError, ModelRefusedError, StructureChangedError, compile_model, solve
+from formulations.ipopt import MissingValueError, ModelRefusedError, StructureChangedError, compile_model, load, solve
 
 
 def small():
@@ -216,9 +217,46 @@ def test_constraints_without_variables_are_checked_not_sent():
     assert "'true'" in result.message
 
 
-def test_an_undiscretised_model_of_another_kind_is_refused():
+def test_something_else_than_a_constructed_model_is_refused():
     with pytest.raises(ModelRefusedError, match="ConcreteModel"):
         compile_model({"not": "a model"})
+    abstract = pyo.AbstractModel()
+    abstract.x = pyo.Var()
+    with pytest.raises(ModelRefusedError, match="create_instance"):
+        compile_model(abstract)
+
+
+def test_a_differential_equation_needs_its_discretisation():
+    m = pyo.ConcreteModel()
+    m.t = ContinuousSet(bounds=(0, 1))
+    m.x = pyo.Var(m.t, initialize=1.0)
+    m.slope = DerivativeVar(m.x, wrt=m.t)
+    m.decay = pyo.Constraint(m.t, rule=lambda m, t: m.slope[t] == -m.x[t])
+    m.x[0].fix(1.0)
+    with pytest.raises(ModelRefusedError, match=r"DerivativeVar.*dae\.collocation"):
+        compile_model(m)
+    pyo.TransformationFactory("dae.collocation").apply_to(m, nfe=5, ncp=3)
+    problem = compile_model(m)
+    load(problem, solve(problem))
+    assert m.x[1].value == pytest.approx(np.exp(-1.0), abs=1e-6)
+
+
+def test_a_transformed_complementarity_follows_its_bound():
+    """min (x-1)^2 + (y-2)^2 with 0 <= x, 0 <= y, xy <= eps: 1 at eps = 0, and less by the multiplier 1 * eps to first order."""
+    m = pyo.ConcreteModel()
+    m.x, m.y = pyo.Var(initialize=1.0), pyo.Var(initialize=1.0)
+    m.pair = Complementarity(expr=complements(m.x >= 0, m.y >= 0))
+    m.cost = pyo.Objective(expr=(m.x - 1) ** 2 + (m.y - 2) ** 2)
+    relaxed = pyo.TransformationFactory("mpec.simple_nonlinear").create_using(m)
+    bound = next(p for p in relaxed.component_data_objects(pyo.Param) if "mpec_bound" in p.name)
+    problem = compile_model(relaxed)
+    costs = []
+    for eps in (1e-2, 1e-4, 1e-6):
+        bound.value = eps
+        problem.refresh()
+        costs.append(solve(problem).objective)
+    assert costs == pytest.approx([1 - 1e-2, 1 - 1e-4, 1 - 1e-6], abs=1e-4)
+    assert costs[0] < costs[1] < costs[2]
 
 
 def test_compiling_and_refreshing_leave_the_model_as_it_was():
