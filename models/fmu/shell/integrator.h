@@ -125,7 +125,7 @@ static inline double crossing(const Model *m, const int *active, const Point *fr
     const double band = HYSTERESIS * CONTACT_NOMINALS[contact];
     const double e0 = start->excess[contact], r0 = start->rate[contact], e1 = end->excess[contact], r1 = end->rate[contact];
     double low = 0.0, high = s, at_low = e0, at_high = e1;
-    if (e0 > band) return 0.0;
+    if (e0 > band) return 0.0; /* as after a step that was finished with the true law */
     if (e1 <= band) {
         if (!(r0 > 0.0 && r1 < 0.0)) return -1.0;
         high = cubic_extremum(e0, r0, e1, r1, s);
@@ -142,14 +142,6 @@ static inline double crossing(const Model *m, const int *active, const Point *fr
         if (!(at_low < 0.0)) return 0.0;
     }
     return locate(m, active, from, offset, low, high, at_low, at_high, contact);
-}
-
-/* The modes of the true law at x. */
-static inline void set_true_modes(const Model *m, const Point *x, int *active)
-{
-    double phi[ROOM(NC)];
-    scene_penetration(x->q, m->p, phi);
-    for (int i = 0; i < NC; i++) active[i] = phi[i] > 0.0;
 }
 
 /* One internal step, divided where contacts change their modes. x and active are brought to its end. */
@@ -178,7 +170,6 @@ static inline StepResult internal_step(const Model *m, int *active, Point *x, do
         }
         if (contact < 0) {
             *x = end;
-            if (!locating) set_true_modes(m, x, active);
             return STEP_OK;
         }
         if (first > 0.0) {
