@@ -153,7 +153,7 @@ TABLE = (
     ),
     Entry(
         name="physics_scaled", unit=_unit("s"), measure=_physics_scaled, applies=_has_contacts,
-        meaning="the same weighed with h and divided by (k L)^2, with L the nominal penetration of the contact: does not depend on grid or stiffness",
+        meaning="sum of h |lam (lam - k phi)| / (k L)^2, with L the nominal penetration of the contact: physics, but the same on any grid and stiffness",
     ),
     Entry(
         name="defect", unit=_state_unit, measure=_defect,
@@ -172,11 +172,11 @@ TABLE = (
     ),
     Entry(
         name="discrete_terminal_position_error", unit=_position_unit, measure=_discrete_terminal_position_error,
-        meaning="norm of q_T - q_f in the same run (the paper's stability of gradient descent)",
+        meaning="norm of q_T - q_f in the plan's own time step with the true contact law (the paper's stability of gradient descent)",
     ),
     Entry(
         name="law_error", unit=_position_unit, measure=_law_error,
-        meaning="largest position difference between the plan and that run: the contact law's share of replay_error",
+        meaning="largest position difference between the plan and its inputs under the true law on the same grid: the contact law's share of replay_error",
     ),
     Entry(
         name="replay_terminal_error", unit=_state_unit, measure=_replay_terminal_error,
