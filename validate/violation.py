@@ -37,10 +37,9 @@ def measure(scene: Scene) -> tuple[ViolationPoint, ...]:
         return ()
     kernel = load_kernel(scene)
     stiffness = float(kernel.stiffness()[0])
+    path = _through_contact(scene, kernel)
     softplus = tuple(
-        ViolationPoint(
-            law="softplus", eps=eps, measured=softplus_violation(scene, kernel, eps), closed_form=worst_case_violation(stiffness, eps)
-        )
+        ViolationPoint(law="softplus", eps=eps, measured=softplus_violation(kernel, path, eps), closed_form=worst_case_violation(stiffness, eps))
         for eps in SOFTPLUS_EPS
     )
     relaxed = tuple(
@@ -49,10 +48,9 @@ def measure(scene: Scene) -> tuple[ViolationPoint, ...]:
     return softplus + relaxed
 
 
-def softplus_violation(scene: Scene, kernel: Kernel, eps: float) -> float:
-    """The largest lam*(lam - k*phi) [N^2] of the compiled softplus law at the first contact of a scene."""
+def softplus_violation(kernel: Kernel, path: Callable[[np.ndarray], np.ndarray], eps: float) -> float:
+    """The largest lam*(lam - k*phi) [N^2] of the compiled softplus law at the first contact along a path through it."""
     stiffness = kernel.stiffness()
-    path = _through_contact(scene, kernel)
 
     def violation(depth: np.ndarray) -> np.ndarray:
         q = path(depth)
@@ -95,22 +93,17 @@ def _golden_section(function: Callable[[float], float], left: float, right: floa
 
 def relaxed_violation(stiffness: float, eps: float) -> float:
     """The largest lam*(lam - k*phi) [N^2] over the feasible set of the relaxed LCP, by search over phi and bisection in lam."""
-    scale = math.sqrt(eps) / stiffness
-    largest = 0.0
-    for phi in np.linspace(-100.0 * scale, 100.0 * scale, 401):
-        # The product grows with lam from the smallest feasible force; the largest feasible one is bracketed and cut in half.
-        low = max(0.0, stiffness * phi)
-        high = low + math.sqrt(eps) + 1.0
-        while high * (high - stiffness * phi) <= eps:
-            high = low + 2.0 * (high - low)
-        for _ in range(100):
-            middle = (low + high) / 2.0
-            if middle * (middle - stiffness * phi) <= eps:
-                low = middle
-            else:
-                high = middle
-        largest = max(largest, low * (low - stiffness * phi))
-    return largest
+    phi = np.linspace(-100.0, 100.0, 401) * math.sqrt(eps) / stiffness
+    # The product grows with lam from the smallest feasible force on; the largest feasible one is bracketed, and the bracket cut in half.
+    low = np.maximum(0.0, stiffness * phi)
+    high = low + math.sqrt(eps) + 1.0
+    while (feasible := high * (high - stiffness * phi) <= eps).any():
+        high = np.where(feasible, low + 2.0 * (high - low), high)
+    for _ in range(100):
+        middle = (low + high) / 2.0
+        feasible = middle * (middle - stiffness * phi) <= eps
+        low, high = np.where(feasible, middle, low), np.where(feasible, high, middle)
+    return float((low * (low - stiffness * phi)).max())
 
 
 def write_violation(path: Path, points: tuple[ViolationPoint, ...]) -> None:
