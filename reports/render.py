@@ -93,6 +93,7 @@ def _environment() -> Environment:
         "verdict",
         "count",
         "small",
+        "product",
         "unit",
         "capital",
     ):

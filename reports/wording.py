@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 DASH = "–"
 _THIN = "\u202f"
+# Sums of numbers near 1 are not better than this in double precision: what is smaller is zero, give or take rounding.
+_ROUNDING = 1e-15
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 # Escape sequences of terminals, control characters, and the marks that turn the direction of text: none of them belongs on a page.
 _TERMINAL = re.compile(r"\x1b(\[[0-9;?]*[ -/]*[@-~]|[@-Z\\-_])")
@@ -77,10 +79,17 @@ def error(value: float | None) -> str:
     """Errors and residuals: two digits tell all, and both are written (0.040, 2.0×10⁻⁸), so that columns read evenly."""
     if value is None or value == 0 or not math.isfinite(value):
         return number(value)
+    if abs(value) < _ROUNDING:
+        return f"<{power(-15)}"
     mantissa, exponent = f"{value:.1e}".split("e")
     if -4 <= int(exponent) <= 5:
         return _grouped(f"{float(f'{value:.1e}'):.{max(0, 1 - int(exponent))}f}")
     return f"{mantissa.replace('-', '−')}×{power(int(exponent))}"
+
+
+def product(value: float | None) -> str:
+    """Sums of complementarity products: two decimals as the paper prints them, two digits where that would be nothing."""
+    return cost(value) if value is not None and abs(value) >= 1 else error(value)
 
 
 def small(value: float | None) -> str:

@@ -43,7 +43,7 @@ def film(run: RunRecord) -> Film | None:
         "plan_force": _forces(stage.plan_trace, [contact.name for contact in run.scene.contacts], times),
         "replay_force": _forces(stage.replay_trace, [contact.name for contact in run.scene.contacts], times),
     }
-    words = f"The bodies of {run.scene.name} moving as planned (dashed outline) and as replayed (filled), with the contact forces as bars."
+    words = f"The bodies of {run.scene.name} moving as planned (dashed outline) and as replayed (filled), with the contact forces as bars (above: planned, below: replayed)."
     return Film(script_json(data), stage, words)
 
 

@@ -133,7 +133,7 @@ class Plot:
         groups: list[tuple[float, float, list[str]]] = []
         for x, y, name in named:
             left, top = self.px(x), self.py(y)
-            near = next((names for gx, gy, names in groups if abs(gx - left) < 13 and abs(gy - top) < 13), None)
+            near = next((names for gx, gy, names in groups if abs(gx - left) < 9 and abs(gy - top) < 9), None)
             if near is None:
                 groups.append((left, top, [name]))
             else:
@@ -153,8 +153,8 @@ class Plot:
             else:
                 self.label(left + 9, top + 4, words, "strong", pixels=True)
 
-    def markup(self) -> Markup:
-        """The SVG; hidden from assistive technology, because the figure around it says everything in words."""
+    def markup(self, hidden: bool = True) -> Markup:
+        """The SVG; hidden from assistive technology unless it holds links, because the figure around it says everything in words."""
         axes = {
             "x": [self.x.low, self.x.high, self._LEFT, self.width - self._RIGHT, self.x.log],
             "y": [self.y.low, self.y.high, self.height - self._BOTTOM, self._TOP, self.y.log],
@@ -166,10 +166,11 @@ class Plot:
                 if self.label(left, y - 4, words, "small", anchor=anchor, pixels=True, shifts=(0, _LINE + 4)):
                     break
         self._levels.clear()
+        quiet = ' aria-hidden="true"' if hidden else ""
         inside = "".join([*self._under, *self._grid(), *self._lines, *self._over])
         return Markup(
             f'<svg class="plot" viewBox="0 0 {self.width} {self.height}" width="{self.width}" height="{self.height}" '
-            f'data-axes="{escape(json.dumps(axes))}" focusable="false">{inside}</svg>'
+            f'data-axes="{escape(json.dumps(axes))}" focusable="false"{quiet}>{inside}</svg>'
         )
 
     def _grid(self) -> list[str]:

@@ -16,7 +16,7 @@ from reports.plots.figure import Plot
 from reports.plots.simplify import simplified
 from reports.record import TraceRecord
 from reports.traces import at, contact_phases
-from reports.wording import cost, error, number, percent, seconds, small
+from reports.wording import cost, error, number, percent, product, seconds, small
 
 _HEIGHTS = st.lists(st.floats(-300, 300), min_size=2, max_size=200)
 
@@ -91,6 +91,9 @@ def test_contact_phases_come_from_the_gap():
         (error(0.04), "0.040"),
         (error(2e-8), "2.0×10⁻⁸"),
         (error(0.0), "0"),
+        (error(7.7e-34), "<10⁻¹⁵"),
+        (product(2445.8953), "2445.90"),
+        (product(0.0436), "0.044"),
         (error(0.0996), "0.10"),
         (small(1e-7), "10⁻⁷"),
         (small(3e-4), "3×10⁻⁴"),

@@ -1,0 +1,91 @@
+"""What the sections compute: rows, fronts, sweeps, the command that runs a cell again, and the paper's numbers."""
+
+from __future__ import annotations
+
+import shlex
+
+import pytest
+
+from reports.load import load
+from reports.pages import front, table1, tightening
+from reports.pages.runs import again
+from reports.pages.section import Report
+from reports.paper import TABLE_1
+from reports.rows import lacking
+from validate.selection import matches
+from validate.table_one import table_rows
+
+
+def report_of(factory, folder, runs) -> Report:
+    return Report(load(factory.store(folder, runs)))
+
+
+@pytest.fixture
+def converged(factory):
+    """The same methods and eps as softplus_gd+relu_gd, other options, no row of the paper."""
+    run = factory.run("softplus_gd+relu_gd", "softplus_gd", "relu_gd", key="converged-0")
+    stages = tuple(stage.model_copy(update={"paper": {}, "options": {"iterations": "until converged"}}) for stage in run.stages)
+    return run.model_copy(update={"pipeline": "gd_converged", "stages": stages})
+
+
+def test_the_papers_table_is_the_one_that_records_carry():
+    pipelines = [
+        "strict",
+        "relu_gd",
+        *(f"{start}+{end}" for start in ("relaxed", "softplus_dc", "softplus_gd") for end in ("strict", "relu_gd")),
+    ]
+    carried = {row for pipeline in pipelines for row in table_rows(pipeline)}
+    assert carried == {tuple(row.numbers.values()) for row in TABLE_1}
+
+
+def test_rows_follow_the_papers_order_and_share_stages(factory, tmp_path):
+    report = report_of(factory, tmp_path / "all", factory.runs())
+    assert [(row.methods, row.stage.eps) for row in report.rows] == [(row.methods, row.eps) for row in TABLE_1]
+    assert lacking(report.scenes[0], report.rows) == []
+    warm = report.rows[10]
+    assert warm.paper_total == pytest.approx(11.64 + 9.78 + 12.40 + 100.07)
+
+
+def test_the_same_methods_with_other_options_are_other_rows_and_another_sweep(factory, tmp_path, converged):
+    report = report_of(factory, tmp_path / "all", [*factory.runs(), converged])
+    assert len(report.rows) == len(TABLE_1) + 4
+    assert len({row.label for row in report.rows}) == len(report.rows), "labels tell rows apart"
+    section = tightening.build(report)
+    assert section is not None
+    sweeps = section.values["sweeps"]
+    assert [sweep.title.split(":")[0] for sweep in sweeps[:3]] == ["Fig. 4", "Fig. 5", "Fig. 6"]
+    assert sweeps[3].title.endswith("(gd_converged)")
+    assert all(len(sweep.keys) == 3 for sweep in sweeps)
+
+
+def test_the_front_is_unbeaten(factory, tmp_path):
+    report = report_of(factory, tmp_path / "all", factory.runs())
+    points = [(row.figure("replay_terminal_error"), row.stage.cost, row) for row in report.rows]
+    best = front.unbeaten(points)
+    for missed, price, row in points:
+        beaten = any(m <= missed and c <= price and (m, c) != (missed, price) for m, c, _ in best)
+        assert beaten != any(row is other for _, _, other in best)
+    assert len(best) < len(points)
+
+
+def test_the_command_runs_this_cell_again_and_no_other(factory, tmp_path, converged):
+    report = report_of(factory, tmp_path / "all", [*factory.runs(), converged])
+    for run in report.stored.runs:
+        words = shlex.split(again(report, run))
+        expression = words[words.index("-k") + 1]
+        names = {other.pipeline: ["three_cart", other.pipeline, *(stage.method for stage in other.stages)] for other in report.stored.runs}
+        assert [pipeline for pipeline, own in names.items() if matches(expression, own)] == [run.pipeline]
+
+
+def test_a_recorded_command_of_another_kind_is_repeated_as_it_is(factory, tmp_path):
+    own = factory.provenance(command="python -m validate run mine.toml")
+    report = report_of(factory, tmp_path / "all", [factory.run("strict", None, "strict_lcp", provenance=own)])
+    assert again(report, report.stored.runs[0]) == own.command
+
+
+def test_a_cost_below_the_best_exact_one_is_never_told_without_its_error(factory, tmp_path):
+    report = report_of(factory, tmp_path / "all", factory.runs())
+    told = next(text for text in table1.conclude(report.rows) if "best known cost" in text)
+    assert "row 12 (360.31 at 0.047)" in told
+    assert "row 17 (309.42 at 0.047)" in told
+    assert "row 11" not in told
