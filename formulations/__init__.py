@@ -1,7 +1,8 @@
 """How a plan is found: methods, the pipelines that chain them, and the Pyomo models they are built from.
 
     from formulations import build_model, ContactLaw
-    model = build_model("three_cart", ContactLaw.COMPLEMENTARITY)     # a plain pyomo ConcreteModel
+    model = build_model("three_cart", ContactLaw.SOFTPLUS, eps=1e-3)     # a plain pyomo ConcreteModel
+    pyomo.environ.SolverFactory("touchstone_ipopt").solve(model)         # or any other solver
 
 Pyomo is imported when a model is built, PyTorch when a shooting method runs: importing this package costs neither.
 """
@@ -35,4 +36,5 @@ __all__ = ["ContactLaw", "ModelError", "PlanResiduals", "build_block", "build_mo
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    importlib.import_module("formulations.ipopt")  # whoever builds a model may solve it: registers SolverFactory("touchstone_ipopt")
     return getattr(importlib.import_module(f"formulations.transcription.{_HOME[name]}"), name)
