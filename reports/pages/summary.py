@@ -30,7 +30,13 @@ def build(report: Report) -> Section:
         "Summary",
         "summary.html",
         {
-            "sentences": [*_direct(runs), *_indirect(report.rows), *_cheapest(report.rows), *_times(runs), *_stored(report)],
+            "sentences": [
+                *_direct(runs, whole=not (stored.missing or stored.unreadable)),
+                *_indirect(report.rows),
+                *_cheapest(report.rows),
+                *_times(runs),
+                *_stored(report),
+            ],
             "counts": _counts(runs),
             "failures": [(run, report.anchor(run), _failure(run)) for run in runs if _failure(run)],
             "campaign": stored.campaign,
@@ -57,19 +63,18 @@ def _named(run: RunRecord) -> str:
     return f"{run.pipeline} on {run.scene.name}"
 
 
-def _direct(runs: tuple[RunRecord, ...]) -> list[Sentence]:
+def _direct(runs: tuple[RunRecord, ...], *, whole: bool) -> list[Sentence]:
+    """Of the cells that must hold: how many do, and why the others do not; `whole` if no cell of the campaign is missing."""
     judged = [run for run in runs if run.must_hold]
     if not judged:
         return []
     bad = [run for run in judged if run.verdict != "holds"]
+    stored = "" if whole else "stored "
+    if not bad and len(judged) == 1:
+        return [Sentence("holds", "✓", f"The one {stored}cell that ends in a direct method holds.")]
     if not bad:
-        text = (
-            "The one pipeline that ends in a direct method holds."
-            if len(judged) == 1
-            else f"All {len(judged)} pipelines that end in a direct method hold."
-        )
-        return [Sentence("holds", "✓", text)]
-    said = [Sentence("holds", "✓", f"{len(judged) - len(bad)} of {len(judged)} pipelines that end in a direct method hold.")]
+        return [Sentence("holds", "✓", f"All {len(judged)} {stored}cells that end in a direct method hold.")]
+    said = [Sentence("plain", "•", f"{len(judged) - len(bad)} of {len(judged)} {stored}cells that end in a direct method hold.")]
     for run in bad:
         reason = _failure(run) or (_why(run.stages[-1]) if run.stages else "") or "The record gives no reason."
         style, symbol = {"violates": ("violates", "✗"), "no plan": ("noplan", "○")}.get(run.verdict, ("unresolved", "?"))

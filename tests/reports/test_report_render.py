@@ -130,7 +130,7 @@ def test_conclusions_are_computed(factory, tmp_path):
     _, page = render(factory.store(tmp_path / "bad", [bad]))
     assert "ours is the worse one" in page.text
     assert "hold after the replay, so" not in page.text
-    assert "0 of 1 pipelines that end in a direct method hold" in page.text
+    assert "0 of 1 cells that end in a direct method hold" in page.text
 
 
 def test_physics_of_relu_rows_is_judged_by_the_records(factory, tmp_path):
@@ -146,6 +146,7 @@ def test_physics_of_relu_rows_is_judged_by_the_records(factory, tmp_path):
 def test_failures_are_told_with_their_sentence_and_log(full):
     _, page = full
     for words in (
+        "8 of 10 stored cells that end in a direct method hold.",
         "The process ended with signal 11.",
         "Segmentation fault",
         "Stopped at its time limit; allow more time",
