@@ -39,9 +39,17 @@ def relax(block: Any, eps: float) -> None:
     bound = _checked_bound(block, eps)
     pyo.TransformationFactory(_TRANSFORMATION).apply_to(block, mpec_bound=bound)
     for pair in block.complementarity_contact.values():
-        pair.v.value = 0.0  # the transformation leaves it without a value
-        pair.v.value = -pyo.value(pair.ve.body)  # ve: v - (lam - k phi) == 0
         pair.c.deactivate()  # lam >= 0 is the bound of variable_lam already; as a row it would cost a slack each
+    settle_separation(block)  # the transformation leaves v without a value
+
+
+def settle_separation(block: Any) -> None:
+    """Give the separation force v = lam - k phi of each relaxed pair the value that its own equation asks for (at least 0)."""
+    if not is_relaxed(block):
+        return
+    for pair in block.complementarity_contact.values():
+        pair.v.set_value(0.0, skip_validation=True)
+        pair.v.set_value(max(0.0, -pyo.value(pair.ve.body)), skip_validation=True)  # ve: v - (lam - k phi) == 0
 
 
 def tighten(block: Any, eps: float) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pyomo.environ as pyo
 
-from formulations.transcription.contact_laws import is_relaxed
+from formulations.transcription.contact_laws import settle_separation
 from models.errors import TrajectoryError
 from models.trajectory import Trajectory, uniform_grid
 
@@ -45,15 +45,6 @@ def load_first_guess(block: Any) -> None:
     if block.component("variable_lam") is not None:
         write_values(block.variable_lam, np.zeros((len(block.variable_lam), 1)))
     settle_separation(block)
-
-
-def settle_separation(block: Any) -> None:
-    """Give the separation force v = lam - k phi of each relaxed pair the value that its own equation asks for (at least 0)."""
-    if not is_relaxed(block):
-        return
-    for pair in block.complementarity_contact.values():
-        pair.v.set_value(0.0, skip_validation=True)
-        pair.v.set_value(max(0.0, -pyo.value(pair.ve.body)), skip_validation=True)  # ve: v - (lam - k phi) == 0
 
 
 def read_plan(block: Any) -> Trajectory:

@@ -76,9 +76,7 @@ class TranscriptionSession(Session):
             raise OptionError(f"method {self._method.name}: the time limit is {time_limit!r}, but must be a positive number of seconds.")
         account, self._opening = Account(time_limit, self._opening), (0.0, 0.0)
         begin = perf_counter()
-        if self._bench is None:
-            self._bench = Workbench(build_model(self._scene, self.contact, eps=self.first_eps(eps)))
-        bench = self._bench
+        bench = self.bench(eps)
         if warm_start is None:
             load_first_guess(bench.model)
         else:
@@ -86,6 +84,12 @@ class TranscriptionSession(Session):
         account.build += perf_counter() - begin
         ending = self.run(bench, account, eps, warm_start)
         return self._solution(bench, account, eps, ending)
+
+    def bench(self, eps: float | None) -> Workbench:
+        """The model, built at its first use."""
+        if self._bench is None:
+            self._bench = Workbench(build_model(self._scene, self.contact, eps=self.first_eps(eps)))
+        return self._bench
 
     def run(self, bench: Workbench, account: Account, eps: float | None, warm_start: Trajectory | None) -> Ending:
         """Solve the model, which holds the warm start or the first guess already."""

@@ -66,6 +66,12 @@ class StrictSession(TranscriptionSession):
             "discrete_terminal_error": self.number("replay_tolerance"),
         }
 
+    def solve_modes(self, closed: np.ndarray, time_limit: float = 60.0) -> IpoptResult:
+        """Step 2 alone, from the paper's first guess: closed (steps, nc) is True where lam = k phi."""
+        bench = self.bench(None)
+        load_first_guess(bench.model)
+        return self._solve_modes(bench, Account(time_limit), closed)
+
     # -- the three steps --------------------------------------------------------------------------------------------------------
 
     def run(self, bench: Workbench, account: Account, eps: float | None, warm_start: Trajectory | None) -> Ending:

@@ -69,10 +69,6 @@ class Workbench:
         account.translate += perf_counter() - begin
         return self._problem
 
-    def forget(self) -> None:
-        """Translate again at the next run: constraints were switched on or off."""
-        self._problem = None
-
     def run(self, account: Account, options: Mapping[str, Any], start: Start | None = None) -> IpoptResult:
         """Solve from `start` (default: the values of the model's variables), and write the point where it ended into the model."""
         problem = self.problem(account)

@@ -1,0 +1,137 @@
+"""What every method must do, run over the catalog: a new file in formulations/methods is tested by existing."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from formulations.catalog import load_method, method_names
+from formulations.method import Kind, Method, OptionError, OptionSpec
+from formulations.solution import Outcome, Solution
+from models.catalog import load_scene
+from models.errors import TrajectoryError
+from models.scene import Scene
+from models.trajectory import Trajectory
+
+ALL = method_names()
+BARE = load_scene(str(Path(__file__).parents[1] / "scenes" / "oscillator.py"))
+SCENE = load_scene("three_cart").with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100)
+
+
+def solved(method: Method, scene: Scene = SCENE, warm_start: Trajectory | None = None) -> Solution:
+    few = {"iterations": 5} if any(option.name == "iterations" for option in method.options) else {}
+    with method.open(scene, few) as session:
+        return session.solve(eps=1e-2 if method.needs_eps else None, warm_start=warm_start, time_limit=600.0)
+
+
+@cache
+def plan_of(name: str) -> Trajectory:
+    plan = solved(load_method(name)).trajectory
+    assert plan is not None
+    return plan
+
+
+def test_there_are_methods() -> None:
+    assert {"softplus_dc", "relaxed_lcp", "strict_lcp"} <= set(ALL)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_it_says_what_it_is(name: str) -> None:
+    method = load_method(name)
+    assert method.name == name
+    assert re.fullmatch(r"[a-z][a-z0-9_]*", name)
+    assert method.title
+    assert isinstance(method.kind, Kind)
+    assert isinstance(method.needs_eps, bool)
+    names = [option.name for option in method.options]
+    assert len(names) == len(set(names))
+    for option in method.options:
+        assert isinstance(option, OptionSpec)
+        assert option.description
+    filled = method.filled_options({})
+    assert list(filled) == names
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_it_refuses_a_scene_without_inputs_with_a_reason(name: str) -> None:
+    method = load_method(name)
+    assert method.accepts(SCENE) is None
+    reason = method.accepts(BARE)
+    assert isinstance(reason, str)
+    assert "input" in reason
+    with pytest.raises(OptionError, match="input"):
+        method.open(BARE)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_it_refuses_options_it_does_not_know(name: str) -> None:
+    with pytest.raises(OptionError, match="colour"):
+        load_method(name).open(SCENE, {"colour": "red"})
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_it_checks_eps(name: str) -> None:
+    method = load_method(name)
+    wrong = 0.0 if method.needs_eps else 1e-2
+    with method.open(SCENE) as session, pytest.raises(OptionError, match="eps"):
+        session.solve(eps=wrong, warm_start=None, time_limit=1.0)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_its_answer_is_whole(name: str) -> None:
+    solution = solved(load_method(name))
+    assert isinstance(solution, Solution)
+    assert solution.method == name
+    assert isinstance(solution.outcome, Outcome)
+    assert solution.outcome.has_answer, solution.message
+    plan = solution.trajectory
+    assert plan is not None
+    plan.check_fits(SCENE)
+    assert plan.steps == SCENE.task.steps
+    assert plan.has_uniform_grid()
+    for array in (plan.t, plan.q, plan.v, plan.u, plan.lam):
+        assert np.isfinite(array).all()
+    np.testing.assert_allclose(plan.start, SCENE.task.start, rtol=0, atol=1e-9)
+    assert solution.cost == pytest.approx(float((plan.u**2).sum()), rel=1e-12)
+    assert solution.iterations >= 0
+    assert set(solution.options) == {option.name for option in load_method(name).options}
+    assert solution.residuals
+    assert all(np.isfinite(value) for value in solution.residuals.values())
+    assert "terminal_error" in solution.residuals
+    assert len({len(column) for column in solution.history.values()}) == 1, "columns of the history are equally long"
+    assert all(np.isfinite(column).all() for column in solution.history.values())
+    seconds = solution.seconds
+    assert min(seconds.build, seconds.translate, seconds.evaluate, seconds.linear_algebra) >= 0
+    assert seconds.wall > 0
+    assert seconds.build + seconds.translate + seconds.solve <= seconds.wall * 1.001 + 1e-3
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_it_repeats_itself_bit_for_bit(name: str) -> None:
+    first, second = solved(load_method(name)), solved(load_method(name))
+    assert first.outcome is second.outcome
+    assert first.iterations == second.iterations
+    assert first.residuals == second.residuals
+    assert first.history == second.history
+    assert first.trajectory is not None
+    assert second.trajectory is not None
+    for field in ("t", "q", "v", "u", "lam"):
+        assert np.array_equal(getattr(first.trajectory, field), getattr(second.trajectory, field)), field
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_it_starts_from_the_plan_of_any_other(name: str) -> None:
+    for other in ALL:
+        assert solved(load_method(name), warm_start=plan_of(other)).trajectory is not None, other
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_it_refuses_a_plan_that_does_not_fit(name: str) -> None:
+    plan = plan_of(name)
+    shorter = Trajectory(t=plan.t[:-1], q=plan.q[:-1], v=plan.v[:-1], u=plan.u[:-1], lam=plan.lam[:-1])
+    with pytest.raises(TrajectoryError, match="steps"):
+        solved(load_method(name), warm_start=shorter)

@@ -1,0 +1,223 @@
+"""The three transcription methods on the paper's scene: its rows, warm starts from anywhere, and what cannot be done."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from formulations.catalog import load_method
+from formulations.method import OptionError
+from formulations.solution import Outcome, Solution
+from formulations.transcription.residuals import PlanResiduals
+from formulations.transcription.strict import StrictSession
+from models.catalog import load_scene
+from models.codegen.kernel import load_kernel
+from models.contact_law import ContactLaw, worst_case_violation
+from models.errors import TrajectoryError
+from models.scene import Scene
+from models.trajectory import Trajectory, uniform_grid
+
+SCENE = load_scene("three_cart")
+PATIENCE = 600.0  # wall seconds; never reached, only so that a broken solver ends
+METHODS = ("softplus_dc", "relaxed_lcp", "strict_lcp")
+
+# Two carts in reach of each other and a second of time: contact is needed, and a solve takes half a second at most.
+SMALL = SCENE.with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100)
+
+
+def chain(method: str, schedule: tuple[float | None, ...], scene: Scene = SCENE, warm_start: Trajectory | None = None, **options) -> list[Solution]:
+    found = []
+    with load_method(method).open(scene, options) as session:
+        for eps in schedule:
+            found.append(session.solve(eps=eps, warm_start=warm_start, time_limit=PATIENCE))
+            warm_start = found[-1].trajectory
+    return found
+
+
+def discrete_terminal_error(solution: Solution, scene: Scene = SCENE) -> float:
+    """Recomputed here: the plan's inputs through the plan's own time step with the true contact law."""
+    plan = solution.trajectory
+    assert plan is not None
+    replay = load_kernel(scene).rollout(np.array(scene.task.start), plan.u, scene.task.step)
+    return float(np.linalg.norm(np.concatenate([replay.q[-1], replay.v[-1]]) - np.array(scene.task.goal)))
+
+
+def physics(solution: Solution, scene: Scene = SCENE) -> float:
+    """The paper's (10) over t = 0..T-1, with lam and phi at the same time."""
+    plan, kernel = solution.trajectory, load_kernel(scene)
+    assert plan is not None
+    return float(np.abs(plan.lam * (plan.lam - kernel.stiffness() * kernel.penetration(plan.q[:-1]))).sum())
+
+
+def descent_plan() -> Trajectory:
+    """Softplus gradient descent as the paper ran it (15 / 14 / 11 steps, rate 500): its end is 0.2 m away from the goal."""
+    kernel, task = load_kernel(SCENE), SCENE.task
+    u, goal = np.zeros((task.steps, 2)), np.array(task.goal)
+    rollout = None
+    for eps, count in ((1e-3, 15), (1e-5, 14), (1e-7, 11)):
+        for _ in range(count):
+            rollout = kernel.rollout(np.array(task.start), u, task.step, ContactLaw.SOFTPLUS, eps)
+            miss = np.concatenate([rollout.q[-1], rollout.v[-1]]) - goal
+            q_bar, v_bar = np.zeros_like(rollout.q), np.zeros_like(rollout.v)
+            q_bar[-1], v_bar[-1] = miss[:3] / 3, miss[3:] / 3
+            u = u - 500 * (kernel.adjoint(rollout, u, q_bar, v_bar)[0] + 2 * 5e-6 * u)
+        rollout = kernel.rollout(np.array(task.start), u, task.step, ContactLaw.SOFTPLUS, eps)
+    assert rollout is not None
+    return Trajectory(t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+
+
+@pytest.fixture(scope="module")
+def softplus_rows() -> list[Solution]:
+    return chain("softplus_dc", (1e-3, 1e-5, 1e-7))
+
+
+@pytest.fixture(scope="module")
+def relaxed_rows() -> list[Solution]:
+    return chain("relaxed_lcp", (1e-2, 1e-3, 1e-4))
+
+
+@pytest.fixture(scope="module")
+def strict_rows(softplus_rows: list[Solution], relaxed_rows: list[Solution]) -> dict[str, Solution]:
+    starts = {
+        "cold": None,
+        "softplus_dc": softplus_rows[-1].trajectory,
+        "softplus_gd": descent_plan(),
+        "relaxed_lcp": relaxed_rows[-1].trajectory,
+    }
+    return {name: chain("strict_lcp", (None,), warm_start=start)[0] for name, start in starts.items()}
+
+
+def test_softplus_rows_are_those_of_the_paper(softplus_rows: list[Solution]) -> None:
+    """Table I prints two digits of the cost; the three further figures were measured on this formulation (0.01, 0.1 %, 0.002)."""
+    rows = ((197.863, 2445.90, 0.449), (261.228, 625.14, 0.265), (339.524, 239.53, 0.119))
+    for solution, (cost, sum_of_products, miss) in zip(softplus_rows, rows, strict=True):
+        assert solution.outcome is Outcome.SOLVED
+        assert solution.cost == pytest.approx(cost, abs=0.001)
+        assert physics(solution) == pytest.approx(sum_of_products, abs=0.006)
+        assert solution.residuals["physics"] == pytest.approx(physics(solution), rel=1e-12)
+        assert discrete_terminal_error(solution) == pytest.approx(miss, abs=0.001)
+        assert solution.residuals["terminal_error"] <= 1e-9
+        assert solution.residuals["contact_law"] <= 1e-8
+
+
+def test_relaxed_rows_tighten(relaxed_rows: list[Solution]) -> None:
+    for solution, eps in zip(relaxed_rows, (1e-2, 1e-3, 1e-4), strict=True):
+        assert solution.outcome is Outcome.SOLVED
+        assert solution.residuals["complementarity"] <= eps + 1e-9
+        assert solution.residuals["complementarity"] >= 0.9 * eps, "the bound is used: a wider one would have been cheaper"
+        assert solution.residuals["force_sign"] <= 1e-9
+        assert solution.residuals["terminal_error"] <= 1e-9
+        assert 440 <= (solution.cost or 0) <= 500  # cheating costs less: below the exact plans' 490.55 at 1e-2, about there at 1e-4
+    costs = [solution.cost or 0.0 for solution in relaxed_rows]
+    assert costs == sorted(costs)
+
+
+@pytest.mark.parametrize("start", ["cold", "softplus_dc", "softplus_gd", "relaxed_lcp"])
+def test_strict_rows_hold(strict_rows: dict[str, Solution], start: str) -> None:
+    solution = strict_rows[start]
+    assert solution.outcome is Outcome.SOLVED, solution.message
+    assert physics(solution) <= 1e-9  # the issue asks for 1e-3; modes that are decided leave rounding only
+    assert solution.residuals["terminal_error"] <= 1e-8
+    assert discrete_terminal_error(solution) <= 1e-8
+    assert solution.residuals["discrete_terminal_error"] == pytest.approx(discrete_terminal_error(solution), abs=1e-12)
+    assert solution.cost is not None
+    assert 490.5495 <= solution.cost <= (510 if start == "cold" else 497)  # no exact plan below the best known one
+
+
+def test_one_pipeline_comes_near_the_best_known_plan(strict_rows: dict[str, Solution]) -> None:
+    assert min(solution.cost or np.inf for solution in strict_rows.values()) <= 491
+
+
+@pytest.mark.parametrize("eps", [1e-1, 1e-4, 1e-9])
+def test_softplus_plans_never_violate_more_than_the_closed_form(eps: float) -> None:
+    solution = chain("softplus_dc", (1e-1, eps), SMALL)[-1]
+    plan, kernel = solution.trajectory, load_kernel(SMALL)
+    assert plan is not None
+    products = plan.lam * (plan.lam - kernel.stiffness() * kernel.penetration(plan.q[:-1]))
+    assert products.max() <= worst_case_violation(30.0, eps) * (1 + 1e-9)
+    assert products.max() >= 0.5 * worst_case_violation(30.0, eps), "the carts touch, so the worst place is nearly met"
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    "impossible",
+    [
+        SMALL.with_task(goal=(2.1, 2.7, 9.3, 0.0, 0.0, 0.0)),  # far beyond what 10 N do in a second
+        SMALL.with_task(steps=10),
+    ],
+    ids=["far", "short"],
+)
+def test_an_unreachable_goal_has_no_plan(method: str, impossible: Scene) -> None:
+    solution = chain(method, (None if method == "strict_lcp" else 1e-2,), impossible)[0]
+    assert solution.outcome is Outcome.INFEASIBLE
+    assert solution.trajectory is None
+    assert solution.cost is None
+    assert "reaches the goal" in solution.message
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_no_time_ends_in_a_time_limit(method: str) -> None:
+    with load_method(method).open(SCENE) as session:
+        solution = session.solve(eps=None if method == "strict_lcp" else 1e-3, warm_start=None, time_limit=1e-3)
+    assert solution.outcome is Outcome.TIME_LIMIT
+    assert solution.seconds.wall < 30
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_iterations_are_counted_and_limited(method: str) -> None:
+    solution = chain(method, (None if method == "strict_lcp" else 1e-3,), SMALL, max_iterations=2)[0]
+    assert solution.outcome is Outcome.ITERATION_LIMIT
+    assert solution.iterations == 2
+
+
+@pytest.mark.parametrize("eps", [0.0, 1.0, -1e-3, float("nan"), None])
+@pytest.mark.parametrize("method", ["softplus_dc", "relaxed_lcp"])
+def test_impossible_eps_is_refused(method: str, eps: float | None) -> None:
+    with load_method(method).open(SMALL) as session, pytest.raises(OptionError, match="0 < eps < 1"):
+        session.solve(eps=eps, warm_start=None, time_limit=1.0)
+
+
+def test_strict_takes_no_eps_and_no_time_is_refused() -> None:
+    with load_method("strict_lcp").open(SMALL) as session:
+        with pytest.raises(OptionError, match="takes no eps"):
+            session.solve(eps=1e-3, warm_start=None, time_limit=1.0)
+        with pytest.raises(OptionError, match="time limit"):
+            session.solve(eps=None, warm_start=None, time_limit=0.0)
+
+
+def test_a_plan_of_another_grid_is_refused() -> None:
+    other = chain("softplus_dc", (1e-1,), SMALL.with_task(steps=99))[0].trajectory
+    with load_method("softplus_dc").open(SMALL) as session, pytest.raises(TrajectoryError, match="resample"):
+        session.solve(eps=1e-1, warm_start=other, time_limit=PATIENCE)
+
+
+@pytest.mark.parametrize(("change", "at_least"), [({"k": 300.0}, 1.0), ({"c": 3.0}, 1.0), ({"m": 2.0}, 1.0), ({"d": 0.45}, 1.0)])
+def test_every_parameter_reaches_the_plan(change: dict[str, float], at_least: float) -> None:
+    """Stiffer, more damped, heavier, shorter carts: another plan, another cost."""
+    before, after = chain("strict_lcp", (None,), SMALL)[0], chain("strict_lcp", (None,), SMALL.with_parameters(**change))[0]
+    assert before.outcome is after.outcome is Outcome.SOLVED
+    assert abs((after.cost or 0) - (before.cost or 0)) >= at_least
+
+
+def test_a_tightened_session_finds_what_a_fresh_one_finds() -> None:
+    """Moving the mutable Param is the same problem as building with it: the convex half of the carts has one answer."""
+    tightened = chain("softplus_dc", (1e-1, 1e-3), SMALL)[-1]
+    fresh = chain("softplus_dc", (1e-3,), SMALL)[0]
+    assert tightened.cost == pytest.approx(fresh.cost, rel=1e-7)
+
+
+@pytest.mark.parametrize(("contact", "shift"), [(0, -2), (0, 2), (1, -1), (1, 1)])
+def test_wrong_modes_are_switched_by_their_multipliers(contact: int, shift: int) -> None:
+    """A contact closed too early or too late costs; the multiplier of the force held at zero says so, and its mode is switched back."""
+    best = chain("strict_lcp", (None,), SMALL)[0]
+    assert best.trajectory is not None
+    closed = PlanResiduals(SMALL).modes(best.trajectory)
+    first = int(np.flatnonzero(closed[:, contact])[0])
+    closed[min(first, first + shift) : max(first, first + shift), contact] = shift < 0
+    costs = []
+    for switches in (0, 20):
+        with load_method("strict_lcp").open(SMALL, {"mode_switches": switches}) as session:
+            assert isinstance(session, StrictSession)
+            costs.append(session.solve_modes(closed).objective)
+    assert costs[0] > (best.cost or 0) * (1 + 1e-6)
+    assert costs[1] == pytest.approx(best.cost, rel=1e-9)
