@@ -36,11 +36,11 @@ def _falling_power(base, exponent, order):
     factor = np.ones_like(exponent)
     for k in range(int(order)):
         factor = factor * (exponent - k)
-    return np.where(factor == 0.0, 0.0, factor * np.power(base, np.where(factor == 0.0, 1.0, exponent - order)))
+    return np.where(factor == 0.0, 0.0, factor * np.power(base, exponent - order))
 
 
 _NAMESPACE = {
-    "softplus": _softplus, "logistic": expit, "sech2": _sech2, "falling_power": _falling_power, "power": np.power,
+    "softplus": _softplus, "logistic": expit, "sech2": _sech2, "falling_power": _falling_power, "power": np.power, "divide": np.divide,
     "negative": np.negative, "inf": np.inf, "nan": np.nan, **{f"{name}_": getattr(np, target) for name, target in _NUMPY.items()},
 }  # fmt: skip
 
@@ -59,6 +59,8 @@ def _statement(graph: Graph, node: int, hoisted: Mapping[int, int], row: Mapping
     if op == SEED:
         return f"t{node} = seed[{row[args[0]]}]"
     names = [_name(graph, a, hoisted) for a in args]
+    if op == "div" and all(graph.op[a] == CONSTANT for a in args):  # Python would raise where numpy gives inf or NaN
+        return f"t{node} = divide({names[0]}, {names[1]})"
     if op in _INFIX:
         return f"t{node} = {names[0]} {_INFIX[op]} {names[1]}"
     if op == "neg":
@@ -116,6 +118,7 @@ def generate(graph: Graph, outputs: Sequence[int], hoisted: Sequence[int], row: 
     lines = [f"def {name}(x, p, out, seed=None):"]
     lines += [f"    {_statement(graph, node, slot, row)}" for node in sorted(order)]
     lines += [f"    out[{k}] = {_name(graph, node, slot)}" for k, node in enumerate(outputs)]
+    lines.append("    return")
     namespace = dict(_NAMESPACE)
     exec(compile("\n".join(lines), f"<term shape: {name}>", "exec"), namespace)  # source made above from numbers and known names
     return namespace[name]

@@ -151,6 +151,21 @@ def test_softplus_never_overflows_and_keeps_its_digits(write, z):
     assert dense(problem, x, np.zeros(0), 1.0)[0, 0] == pytest.approx(float(second), rel=1e-13, abs=1e-300)
 
 
+def test_the_logarithm_of_two_exponentials_is_a_smooth_maximum():
+    _, problem, x = one_expression(lambda m: pyo.log(pyo.exp(m.x[0]) + pyo.exp(3 * m.x[1])), [800.0, 267.0])
+    # max(800, 801) + log(1 + e^-1), and the weights of a softmax
+    assert problem.objective(x) == pytest.approx(801 + math.log1p(math.exp(-1)), rel=1e-14)
+    share = 1 / (1 + math.exp(-1))
+    assert problem.gradient(x) == pytest.approx([1 - share, 3 * share], rel=1e-13)
+
+
+def test_a_data_factor_is_carried_through_a_difference():
+    m, problem, x = one_expression(lambda m: m.p[0] * (m.x[0] - 2 * m.x[1] - m.p[1]) / m.p[1], [3.0, 5.0])
+    assert problem.objective(x) == pytest.approx(pyo.value(m.cost))
+    assert problem.gradient(x) == pytest.approx([3.0, -6.0])
+    assert len(problem.hessianstructure()[0]) == 0
+
+
 def test_logistic_survives_a_huge_argument():
     _, problem, x = one_expression(lambda m: 3 / (1 + pyo.exp(m.x[0])), [900.0])
     assert problem.objective(x) == pytest.approx(0.0, abs=1e-300)

@@ -114,10 +114,12 @@ def test_data_in_front_of_a_wide_sum_keeps_the_terms_apart():
     assert problem.objective(x) == pytest.approx(pyo.value(m.cost), rel=1e-12)
 
 
-def test_a_sparse_hessian_of_a_large_term_is_found_sparse():
+@pytest.mark.parametrize("first", [True, False])
+def test_a_sparse_hessian_of_a_large_term_is_found_sparse(first):
     m = model_with(300, 0.4)
     m.y = pyo.Var(initialize=0.7)
-    m.cost = pyo.Objective(expr=m.y * sum(m.x[i] ** 3 for i in range(300)))
+    cubes = sum(m.x[i] ** 3 for i in range(300))
+    m.cost = pyo.Objective(expr=m.y * cubes if first else cubes * m.y)
     problem = compile_model(m)
     x, _ = problem.start()
     assert len(problem.hessianstructure()[0]) == 600

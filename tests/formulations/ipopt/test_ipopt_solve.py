@@ -22,6 +22,7 @@ from formulations.ipopt import (
     solve,
 )
 from formulations.ipopt.backend import Answer, Cyipopt
+from formulations.ipopt.evaluations import Evaluations
 from formulations.solution import Outcome
 
 
@@ -88,7 +89,7 @@ def test_history_has_one_line_an_iteration_and_seconds_add_up():
     assert result.history[-1].objective == pytest.approx(result.objective, rel=1e-6)
     assert 0 < result.seconds.evaluate < result.seconds.wall
     assert result.seconds.linear_algebra <= result.seconds.wall
-    assert result.backend == "cyipopt"
+    assert result.backend in {"cyipopt", "ipyopt"}
     assert "Ipopt 3." in result.version
     assert result.calls["hessians"] >= result.iterations
 
@@ -284,6 +285,30 @@ def test_residuals_by_hand():
     assert found.complementarity == pytest.approx(1.0)  # |x1 - 1| * 2; the constraint: 6.5 * 0.1
     wrong = residuals(problem, x, np.array([-3.0]), zl, np.zeros(2))
     assert wrong.dual_infeasibility >= 3.0  # there is no lower bound that a negative multiplier could belong to
+
+
+def test_a_variable_between_equal_bounds_takes_any_multiplier():
+    m = quadratic()
+    m.x[1].setlb(0.5)
+    m.x[1].setub(0.5)
+    m.x[2].set_value(2.0)
+    problem = compile_model(m)
+    zero = np.zeros(2)
+    found = residuals(problem, problem.start()[0], np.zeros(0), zero, zero)
+    assert found.dual_infeasibility == 0.0
+    assert solve(problem).outcome is Outcome.SOLVED
+
+
+@pytest.mark.parametrize("function", ["objective", "gradient", "constraints", "jacobian", "hessian"])
+def test_a_number_that_is_not_finite_reaches_the_back_end_as_its_own_error(function):
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var(initialize=-1.0)
+    m.c = pyo.Constraint(expr=pyo.sqrt(m.x) + m.x**1.5 <= 3)
+    m.cost = pyo.Objective(expr=pyo.log(m.x))
+    functions = Evaluations(compile_model(m), FloatingPointError)
+    arguments = (np.array([-1.0]), np.ones(1), 1.0) if function == "hessian" else (np.array([-1.0] if function != "gradient" else [0.0]),)
+    with pytest.raises(FloatingPointError):
+        getattr(functions, function)(*arguments)
 
 
 # -- options ----------------------------------------------------------------------------------------------------------------------
