@@ -1,13 +1,14 @@
 """The seam between this package and an Ipopt: a back end is anything with `name`, `version()`, `available()` and `run(...)`.
 
-cyipopt is the one we require. Another wrapper of Ipopt (some are built on a faster linear algebra) fits here by one class and an entry in
-`BACKENDS`; what ran is named in every result.
+cyipopt is the one we require. Another wrapper of Ipopt fits here by one class and an entry in `backends`, which lists them fastest first;
+what ran is named in every result.
 """
 
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable, Mapping
+import os
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -15,7 +16,9 @@ import numpy as np
 
 from formulations.ipopt.errors import UnknownOptionError
 from formulations.ipopt.evaluations import Evaluations
+from formulations.ipopt.guard import Guard
 from formulations.ipopt.problem import IpoptProblem
+from models.errors import MachineError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +52,13 @@ class Backend(Protocol):
 
     def available(self) -> bool: ...
 
+    def ipopt_version(self) -> tuple[int, ...]: ...
+
     def version(self) -> str: ...
+
+    def knows(self, option: str) -> bool:
+        """Whether its Ipopt has an option of that name."""
+        ...
 
     @property
     def evaluation_error(self) -> type[Exception]: ...
@@ -72,10 +81,18 @@ class Cyipopt:
     def available(self) -> bool:
         return importlib.util.find_spec("cyipopt") is not None
 
+    def ipopt_version(self) -> tuple[int, ...]:
+        import cyipopt
+
+        return tuple(int(part) for part in cyipopt.IPOPT_VERSION)
+
     def version(self) -> str:
         import cyipopt
 
-        return f"cyipopt {cyipopt.__version__}, Ipopt {'.'.join(str(part) for part in cyipopt.IPOPT_VERSION)}"
+        return f"cyipopt {cyipopt.__version__}, Ipopt {'.'.join(str(part) for part in self.ipopt_version())}"
+
+    def knows(self, option: str) -> bool:
+        return True  # `options.known_options` is the list of its Ipopt
 
     @property
     def evaluation_error(self) -> type[Exception]:
@@ -86,7 +103,8 @@ class Cyipopt:
     def run(self, problem, functions, start, options, intermediate) -> Answer:
         import cyipopt
 
-        callbacks = _Callbacks(functions, intermediate)
+        guard = Guard(intermediate, self.evaluation_error)
+        callbacks = _Callbacks(functions, guard)
         nlp = cyipopt.Problem(
             n=problem.n,
             m=problem.m,
@@ -103,6 +121,7 @@ class Cyipopt:
             x, info = nlp.solve(start.x, **duals)
         finally:
             nlp.close()
+        guard.raise_kept()
         message = info["status_msg"]
         return Answer(
             status=int(info["status"]),
@@ -124,23 +143,37 @@ def _set_option(nlp, name: str, value: str | int | float) -> None:
 class _Callbacks:
     """The attributes cyipopt looks for."""
 
-    def __init__(self, functions: Evaluations, intermediate: Intermediate) -> None:
-        self.objective = functions.objective
-        self.gradient = functions.gradient
-        self.constraints = functions.constraints
-        self.jacobian = functions.jacobian
+    def __init__(self, functions: Evaluations, guard: Guard) -> None:
+        self.objective = guard.function(functions.objective)
+        self.gradient = guard.function(functions.gradient)
+        self.constraints = guard.function(functions.constraints)
+        self.jacobian = guard.function(functions.jacobian)
         self.jacobianstructure = functions.jacobianstructure
-        self.hessian = functions.hessian
+        self.hessian = guard.function(functions.hessian)
         self.hessianstructure = functions.hessianstructure
-        self.intermediate = intermediate
+        self.intermediate = guard.intermediate
 
 
-BACKENDS: tuple[Backend, ...] = (Cyipopt(),)
+def backends() -> tuple[Backend, ...]:
+    """All back ends, fastest first."""
+    from formulations.ipopt.backend_ipyopt import Ipyopt
+
+    return (Ipyopt(), Cyipopt())
 
 
-def default_backend() -> Backend:
-    """The first installed back end."""
-    for backend in BACKENDS:
-        if backend.available():
+def default_backend(options: Iterable[str] = ()) -> Backend:
+    """The fastest installed back end that knows all these options; $TOUCHSTONE_IPOPT names one to insist on.
+
+    Raises MachineError if there is none.
+    """
+    wanted = os.environ.get("TOUCHSTONE_IPOPT", "")
+    names = tuple(options)
+    for backend in backends():
+        if wanted in ("", backend.name) and backend.available() and all(backend.knows(name) for name in names):
             return backend
-    raise ModuleNotFoundError("no Ipopt back end is installed: pip install cyipopt-wheels")
+    if wanted:
+        known = ", ".join(backend.name for backend in backends())
+        raise MachineError(
+            f"the environment variable TOUCHSTONE_IPOPT asks for {wanted!r}, which is not installed or lacks an option; there are {known}."
+        )
+    raise MachineError("no Ipopt is installed; install it with: pip install cyipopt-wheels==1.7.0.dev0")

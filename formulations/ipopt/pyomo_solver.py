@@ -29,6 +29,7 @@ from formulations.ipopt.pyomo_results import has_point, solver_results, with_sol
 from formulations.ipopt.pyomo_suffixes import dual_start, fill_suffixes
 from formulations.ipopt.result import IpoptResult, load
 from formulations.ipopt.solve import solve
+from models.errors import MachineError
 
 logger = logging.getLogger(__name__)
 
@@ -56,7 +57,7 @@ class TouchstoneIpopt:
         """Whether an Ipopt back end is installed; with exception_flag, raise if not."""
         try:
             default_backend()
-        except ModuleNotFoundError:
+        except MachineError:
             if exception_flag:
                 raise
             return False
@@ -72,10 +73,8 @@ class TouchstoneIpopt:
         return capability in {"linear", "quadratic_objective", "quadratic_constraint"}
 
     def version(self) -> tuple[int, ...]:
-        """Version of Ipopt."""
-        import cyipopt
-
-        return tuple(int(part) for part in cyipopt.IPOPT_VERSION)
+        """Version of the Ipopt that would run."""
+        return default_backend().ipopt_version()
 
     def set_options(self, text: str) -> None:
         """Options as 'name=value name=value'."""

@@ -39,8 +39,8 @@ def solve(
     time_limit: wall time [s], checked once an iteration
     """
     begin, cpu = time.perf_counter(), time.process_time()
-    backend = backend or default_backend()
     asked = checked_options(options or {})
+    backend = backend or default_backend(asked)
     start, missing = complete_start(problem, warm_start)
     used: dict[str, str | int | float] = {**DEFAULTS, **warm_options(problem, start), **asked}
     if time_limit is not None:
