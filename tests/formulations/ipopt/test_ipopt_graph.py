@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from formulations.ipopt.codegen import generate, hoist
+from formulations.ipopt.differentiate import hessian_sparsity
 from formulations.ipopt.graph import Graph
 
 X, P = 0.625, -1.75
@@ -68,6 +69,15 @@ def test_equal_expressions_are_one_node():
     assert graph.neg(graph.sub(x, p)) == graph.sub(p, x)
     assert graph.mul(graph.constant(2), graph.mul(graph.constant(3), x)) == graph.mul(graph.constant(6), x)
     assert graph.call("cos", graph.constant(0.0)) == graph.one
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0)])
+def test_the_sparsity_of_a_product_has_both_triangles(order):
+    graph = Graph()
+    x = {i: graph.variable(i) for i in order}
+    curved = graph.call("exp", graph.add(x[1], x[2]))
+    found = {tuple(pair) for pair in hessian_sparsity(graph, graph.mul(x[0], curved)).T.tolist()}
+    assert found == {(1, 0), (2, 0), (1, 1), (2, 1), (2, 2)}
 
 
 def test_what_has_no_value_is_kept_for_the_evaluation_to_report():
