@@ -1,0 +1,226 @@
+"""Every way a solve can end, and the check that does not take Ipopt's word."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pyomo.environ as pyo
+import pytest
+
+from formulations.ipopt import STATUS_MAP, STATUS_NAMES, Start, compile_model, outcome_of, residuals, solve
+from formulations.ipopt.backend import Answer, Cyipopt
+from formulations.ipopt.evaluations import Evaluations
+from formulations.solution import Outcome
+
+
+def quadratic(**keywords):
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var([1, 2], initialize=0.5, **keywords)
+    m.cost = pyo.Objective(expr=(m.x[1] - 1) ** 2 + (m.x[2] - 2) ** 2)
+    return m
+
+
+def test_every_status_of_ipopt_has_a_name_and_an_outcome():
+    # IpReturnCodes_inc.h of Ipopt 3.14
+    codes = [0, 1, 2, 3, 4, 5, 6, -1, -2, -3, -4, -5, -10, -11, -12, -13, -100, -101, -102, -199]
+    assert sorted(codes) == sorted(STATUS_MAP) == sorted(STATUS_NAMES)
+    assert {code for code in codes if STATUS_MAP[code] is Outcome.SOLVED} == {0, 1, 6}
+    for unknown in (7, -6, 42, -1000, 10**6):
+        assert outcome_of(unknown) is Outcome.FAILED
+
+
+def test_infeasible():
+    m = quadratic(bounds=(0, 1))
+    m.c = pyo.Constraint(expr=m.x[1] * m.x[2] >= 3)
+    assert solve(compile_model(m)).outcome is Outcome.INFEASIBLE
+
+
+def test_unbounded():
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var(initialize=0.0)
+    m.cost = pyo.Objective(expr=-m.x - pyo.sqrt(1 + m.x**2))
+    assert solve(compile_model(m)).outcome is Outcome.DIVERGED
+
+
+def test_iteration_limit():
+    m = quadratic()
+    m.c = pyo.Constraint(expr=pyo.exp(m.x[1] * m.x[2]) == 9)
+    assert solve(compile_model(m), options={"max_iter": 1}).outcome is Outcome.ITERATION_LIMIT
+
+
+def test_time_limit(three_carts):
+    import time
+
+    problem = compile_model(three_carts(60))
+    result = solve(problem, time_limit=1e-3, callback=lambda line: time.sleep(2e-3))
+    assert result.outcome is Outcome.TIME_LIMIT
+    assert result.options["max_wall_time"] == 1e-3
+
+
+def test_a_callback_may_stop():
+    seen = []
+
+    def stop(line):
+        seen.append(line.iteration)
+        return line.iteration < 1
+
+    m = quadratic()
+    m.c = pyo.Constraint(expr=pyo.exp(m.x[1] * m.x[2]) == 9)
+    result = solve(compile_model(m), callback=stop)
+    assert result.outcome is Outcome.INTERRUPTED
+    assert seen == [0, 1]
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError])
+def test_an_exception_in_the_callback_propagates_and_the_model_stays(error):
+    m = quadratic()
+
+    def fail(line):
+        raise error
+
+    with pytest.raises(error):
+        solve(compile_model(m), callback=fail)
+    assert m.x[1].value == 0.5
+
+
+def test_a_start_outside_the_domain_is_an_evaluation_error():
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var(initialize=-1.0)
+    m.cost = pyo.Objective(expr=pyo.log(m.x))
+    assert solve(compile_model(m)).outcome is Outcome.EVALUATION_ERROR
+
+
+def test_a_step_outside_the_domain_is_cut():
+    """The full Newton step for x - log(x) from 5 leads to -15."""
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var(initialize=5.0)
+    m.cost = pyo.Objective(expr=m.x - pyo.log(m.x))
+    result = solve(compile_model(m))
+    assert result.outcome is Outcome.SOLVED
+    assert result.x[0] == pytest.approx(1.0)
+    assert max(line.trials for line in result.history) > 1
+
+
+def test_more_equations_than_variables():
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var(initialize=1.0)
+    m.c = pyo.Constraint([1, 2], rule=lambda m, i: m.x * i == i)
+    result = solve(compile_model(m))
+    assert result.outcome is Outcome.REFUSED
+    assert result.status == -10
+
+
+def test_a_square_system_without_objective():
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var([1, 2], initialize=1.0)
+    m.a = pyo.Constraint(expr=m.x[1] ** 2 + m.x[2] ** 2 == 4)
+    m.b = pyo.Constraint(expr=m.x[1] == m.x[2])
+    result = solve(compile_model(m))
+    assert result.outcome is Outcome.SOLVED
+    assert result.x == pytest.approx([math.sqrt(2)] * 2)
+
+
+def test_no_variable_at_all():
+    m = quadratic()
+    m.x.fix(1.0)
+    result = solve(compile_model(m))
+    assert (result.outcome, result.objective, result.x.size) == (Outcome.SOLVED, 1.0, 0)
+    m.c = pyo.Constraint(expr=m.x[1] >= 2)
+    result = solve(compile_model(m))
+    assert result.outcome is Outcome.INFEASIBLE
+    assert "'c'" in result.message
+
+
+def test_crossed_bounds_are_named():
+    m = quadratic()
+    m.x[2].setlb(3)
+    m.x[2].setub(1)
+    result = solve(compile_model(m))
+    assert result.outcome is Outcome.INFEASIBLE
+    assert "x[2]" in result.message
+
+
+def test_variables_without_value_start_at_the_bound_nearest_zero_and_it_is_said():
+    m = quadratic()
+    m.x[1].set_value(None)
+    m.x[1].setlb(0.25)
+    problem = compile_model(m)
+    x, missing = problem.start()
+    assert missing == 1
+    assert x[list(problem.variables).index(m.x[1])] == 0.25
+    assert "1 variable(s) without a value" in solve(problem).message
+
+
+class _Liar(Cyipopt):
+    """A back end that claims success wherever it stands."""
+
+    def __init__(self, status, x=None):
+        self._status, self._x = status, x
+
+    def run(self, problem, functions, start, options, intermediate):
+        zeros = np.zeros(problem.n)
+        x = start.x if self._x is None else np.full(problem.n, self._x)
+        return Answer(status=self._status, message="", x=x, lagrange=np.zeros(problem.m), zl=zeros, zu=zeros)
+
+
+@pytest.mark.parametrize("status", [0, 1, 6])
+def test_success_is_checked_not_believed(status):
+    problem = compile_model(quadratic())
+    result = solve(problem, backend=_Liar(status))
+    assert result.outcome is Outcome.STALLED
+    assert "does not meet" in result.message
+    assert solve(problem, backend=_Liar(status, np.nan)).outcome is Outcome.EVALUATION_ERROR
+    solution = solve(problem).x
+    assert solve(problem, backend=_Liar(status), warm_start=Start(x=solution)).outcome is Outcome.SOLVED
+
+
+def test_an_unknown_status_is_never_success():
+    problem = compile_model(quadratic())
+    solution = solve(problem).x
+    result = solve(problem, backend=_Liar(17), warm_start=Start(x=solution))
+    assert result.outcome is Outcome.FAILED
+    assert "unknown Ipopt status 17" in result.message
+
+
+def test_residuals_by_hand():
+    """min x1 + x2 with x1 >= 1, x1 x2 = 6 <= 8 upper, at x = (0.5, 3): every residual is a number one can write down."""
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var([1, 2], initialize={1: 0.5, 2: 3.0})
+    m.x[1].setlb(1.0)
+    m.c = pyo.Constraint(expr=m.x[1] * m.x[2] <= 8)
+    m.cost = pyo.Objective(expr=m.x[1] + m.x[2])
+    problem = compile_model(m)
+    x, _ = problem.start()
+    order = [v.name for v in problem.variables]
+    zl = np.array([2.0 if name == "x[1]" else 0.0 for name in order])
+    found = residuals(problem, x, np.array([0.1]), zl, np.zeros(2))
+    assert found.constraint_violation == pytest.approx(0.5)
+    assert found.dual_infeasibility == pytest.approx(1.05)  # d/dx2: 1 + 0.1 * 0.5; d/dx1: 1 + 0.3 - 2
+    assert found.complementarity == pytest.approx(1.0)  # |x1 - 1| * 2; the constraint: 6.5 * 0.1
+    wrong = residuals(problem, x, np.array([-3.0]), zl, np.zeros(2))
+    assert wrong.dual_infeasibility >= 3.0  # there is no lower bound that a negative multiplier could belong to
+
+
+def test_a_variable_between_equal_bounds_takes_any_multiplier():
+    m = quadratic()
+    m.x[1].setlb(0.5)
+    m.x[1].setub(0.5)
+    m.x[2].set_value(2.0)
+    problem = compile_model(m)
+    zero = np.zeros(2)
+    found = residuals(problem, problem.start()[0], np.zeros(0), zero, zero)
+    assert found.dual_infeasibility == 0.0
+    assert solve(problem).outcome is Outcome.SOLVED
+
+
+@pytest.mark.parametrize("function", ["objective", "gradient", "constraints", "jacobian", "hessian"])
+def test_a_number_that_is_not_finite_reaches_the_back_end_as_its_own_error(function):
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var(initialize=-1.0)
+    m.c = pyo.Constraint(expr=pyo.sqrt(m.x) + m.x**1.5 <= 3)
+    m.cost = pyo.Objective(expr=pyo.log(m.x))
+    functions = Evaluations(compile_model(m), FloatingPointError)
+    arguments = (np.array([-1.0]), np.ones(1), 1.0) if function == "hessian" else (np.array([-1.0] if function != "gradient" else [0.0]),)
+    with pytest.raises(FloatingPointError):
+        getattr(functions, function)(*arguments)
