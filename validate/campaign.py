@@ -146,7 +146,9 @@ def _entry(cell: Cell, scene: Scene, tools: Tools) -> Entry:
 
 def _nothing(settings: Settings, seen: list[str], left_out: list[str]) -> CampaignError:
     if left_out:
-        return CampaignError(f"nothing to run: --quick leaves out all that -k {settings.expression!r} selects ({', '.join(left_out)}); drop --quick.")
+        return CampaignError(
+            f"nothing to run: --quick leaves out all that -k {settings.expression!r} selects ({', '.join(left_out)}); drop --quick."
+        )
     names = list(dict.fromkeys(seen))
     close = difflib.get_close_matches(settings.expression, names, n=1)
     hint = f"did you mean {close[0]}?" if close else f"the names are {', '.join(names)}."
@@ -260,9 +262,13 @@ def stored_campaign(folder: Path) -> tuple[CampaignRecord, tuple[RunRecord, ...]
     try:
         campaign = CampaignRecord.model_validate_json(path.read_bytes())
     except OSError as error:
-        raise CampaignError(f"{folder}: there is no campaign in this folder ({CAMPAIGN} cannot be read); run one with --out {folder}.") from error
+        raise CampaignError(
+            f"{folder}: there is no campaign in this folder ({CAMPAIGN} cannot be read); run one with --out {folder}."
+        ) from error
     except ValidationError as error:
-        raise CampaignError(f"{path}: it is damaged, or of another version ({error.error_count()} fields do not fit); run the campaign again.") from error
+        raise CampaignError(
+            f"{path}: it is damaged, or of another version ({error.error_count()} fields do not fit); run the campaign again."
+        ) from error
     store = Store(folder)
     found = (store.read(key) for key in campaign.keys)
     return campaign, tuple(record for record in found if record is not None)

@@ -94,7 +94,9 @@ def run_cell(cell: Cell, provenance: ProvenanceRecord, folder: Path, began: floa
     before = 0.0
     for item, verdict in zip(solved, judged, strict=True):
         stages.append(
-            stage_record(scene, cell.pipeline.name, item.planned, item.solution, wall=item.wall, cpu=item.cpu, before=before, judged=verdict)
+            stage_record(
+                scene, cell.pipeline.name, item.planned, item.solution, wall=item.wall, cpu=item.cpu, before=before, judged=verdict
+            )
         )
         before += item.wall
     stages += [unfinished_stage(scene.name, cell.pipeline.name, planned, outcome, message) for planned, outcome, message in rest]
@@ -135,7 +137,9 @@ def _solve(scene: Scene, pipeline: Pipeline, plan: tuple[Planned, ...], deadline
             except Exception as error:  # noqa: BLE001 - a method may fail in any way; the log has the traceback, the row has the sentence
                 traceback.print_exc()
                 outcome = Outcome.FAILED if isinstance(error, TouchstoneError) else Outcome.CRASHED
-                message = str(error) if isinstance(error, TouchstoneError) else f"{type(error).__name__} in {planned.name}: {_first_line(error)}"
+                message = (
+                    str(error) if isinstance(error, TouchstoneError) else f"{type(error).__name__} in {planned.name}: {_first_line(error)}"
+                )
                 later = f"not begun, because stage {planned.index + 1} ({_stage_name(planned)}) gave no answer."
                 rest = [(other, outcome, message if other is planned else later) for other in plan[planned.index :]]
                 return solved, rest

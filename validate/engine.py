@@ -36,7 +36,9 @@ class LocalEngine:
     each look.
     """
 
-    def __init__(self, start: Callable[[Cell], Worker], jobs: int, watch: Callable[[Sequence[Worker]], None] = lambda workers: None) -> None:
+    def __init__(
+        self, start: Callable[[Cell], Worker], jobs: int, watch: Callable[[Sequence[Worker]], None] = lambda workers: None
+    ) -> None:
         self._start, self._jobs, self._watch = start, jobs, watch
 
     def run(self, cells: Sequence[Cell]) -> Generator[tuple[Cell, RunRecord], None, None]:

@@ -33,7 +33,14 @@ SEED = 0
 THREADS = 1
 LIBRARIES = ("numpy", "scipy", "sympy", "pyomo", "cyipopt-wheels", "torch", "fmpy", "scikit-sundae")
 # Parts of us that cannot change a number of a cell: how cells are chosen, run side by side, listed and told.
-_NO_INFLUENCE = ("validate/cli", "validate/__main__.py", "validate/campaign.py", "validate/engine.py", "validate/results.py", "validate/selection.py")
+_NO_INFLUENCE = (
+    "validate/cli",
+    "validate/__main__.py",
+    "validate/campaign.py",
+    "validate/engine.py",
+    "validate/results.py",
+    "validate/selection.py",
+)
 # Scenes and methods count one by one: a cell depends on its own.
 _ONE_BY_ONE = ("models/scenes", "formulations/methods")
 _SOURCE_SUFFIXES = frozenset({".py", ".c", ".h", ".template", ".jinja", ".j2", ".xml"})
@@ -175,7 +182,14 @@ def gather(command: str) -> ProvenanceRecord:
 def child_environment(token_variable: str, token: str, temporary: Path) -> dict[str, str]:
     """The environment of a cell: one thread for every library, no hash randomisation, temporary files inside its own folder."""
     one = str(THREADS)
-    threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "NUMEXPR_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+    threads = (
+        "OMP_NUM_THREADS",
+        "OPENBLAS_NUM_THREADS",
+        "MKL_NUM_THREADS",
+        "BLIS_NUM_THREADS",
+        "NUMEXPR_NUM_THREADS",
+        "VECLIB_MAXIMUM_THREADS",
+    )
     given = [str(Path(part).resolve()) for part in os.environ.get("PYTHONPATH", "").split(os.pathsep) if part]
     # What the parent can import because it was started with `python -m`, the child can import too.
     here = [os.getcwd()] if {"", os.getcwd()} & set(sys.path) else []

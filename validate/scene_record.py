@@ -21,7 +21,9 @@ def scene_record(scene: Scene) -> SceneRecord:
     """The record of a scene; deriving its equations is what costs (some 10 ms)."""
     dynamics = derive(scene)
     contacts = [
-        QuantityRecord(name=contact.name, unit="N/m", description=contact.description, value=float(sp.sympify(stiffness).subs(scene.parameter_values)))
+        QuantityRecord(
+            name=contact.name, unit="N/m", description=contact.description, value=float(sp.sympify(stiffness).subs(scene.parameter_values))
+        )
         for contact, stiffness in zip(scene.contacts, dynamics.stiffness, strict=True)
     ]
     return SceneRecord(
@@ -48,7 +50,9 @@ def scene_record(scene: Scene) -> SceneRecord:
             QuantityRecord(name=answer.quantity, unit="", description=answer.source, value=float(answer.value)) for answer in scene.answers
         ),
         shapes=tuple(
-            ShapeRecord(name=shape.name, kind=shape.kind, size=tuple(float(sp.sympify(size).subs(scene.parameter_values)) for size in shape.size))
+            ShapeRecord(
+                name=shape.name, kind=shape.kind, size=tuple(float(sp.sympify(size).subs(scene.parameter_values)) for size in shape.size)
+            )
             for shape in scene.shapes
         ),
     )

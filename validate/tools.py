@@ -99,7 +99,9 @@ def load_tools(reference: str) -> Tools:
     try:
         module = importlib.import_module(module_name)
     except ImportError as error:
-        raise UnknownNameError(f"--tools {reference}: the module {module_name!r} cannot be imported ({error}); write module:NAME.") from error
+        raise UnknownNameError(
+            f"--tools {reference}: the module {module_name!r} cannot be imported ({error}); write module:NAME."
+        ) from error
     tools = getattr(module, name or "TOOLS", None)
     if not isinstance(tools, Tools):
         raise UnknownNameError(f"--tools {reference}: {module_name} has no {name or 'TOOLS'} that is a validate.tools.Tools.")

@@ -39,7 +39,9 @@ def measure(scene: Scene) -> tuple[ViolationPoint, ...]:
     stiffness = float(kernel.stiffness()[0])
     path = _through_contact(scene, kernel)
     softplus = tuple(
-        ViolationPoint(law="softplus", eps=eps, measured=softplus_violation(kernel, path, eps), closed_form=worst_case_violation(stiffness, eps))
+        ViolationPoint(
+            law="softplus", eps=eps, measured=softplus_violation(kernel, path, eps), closed_form=worst_case_violation(stiffness, eps)
+        )
         for eps in SOFTPLUS_EPS
     )
     relaxed = tuple(

@@ -42,7 +42,13 @@ class Watchdog:
     def __init__(self) -> None:
         command = [sys.executable, "-I", "-S", reaper.__file__]
         self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True, text=True, bufsize=1
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+            text=True,
+            bufsize=1,
         )
 
     def tell(self, *words: str) -> None:
@@ -188,7 +194,11 @@ class Worker:
             message = f"ended at its time limit of {self.cell.time_limit:g} s, during {place}."
         else:
             outcome = Outcome.CRASHED
-            words = [f"the process ended with {_exit_in_words(self._process.returncode)} during {place}", problem, _last_words(log, self._process.returncode)]
+            words = [
+                f"the process ended with {_exit_in_words(self._process.returncode)} during {place}",
+                problem,
+                _last_words(log, self._process.returncode),
+            ]
             message = "; ".join(filter(None, words)) + "."
         stages = [unfinished_stage(self._scene.name, self.cell.pipeline.name, planned, outcome, message) for planned in self._plan]
         record = run_record(

@@ -45,7 +45,9 @@ def _find(cc: str, path: str) -> Compiler:
         if version is None:
             raise MachineError(f"no C compiler: the environment variable CC is {cc!r}, which does not run; correct it or unset it.")
         return Compiler(command, version)
-    candidates: list[tuple[str, ...]] = [(found,) for found in (shutil.which(name, path=path or None) for name in ("cc", "gcc", "clang")) if found]
+    candidates: list[tuple[str, ...]] = [
+        (found,) for found in (shutil.which(name, path=path or None) for name in ("cc", "gcc", "clang")) if found
+    ]
     if importlib.util.find_spec("ziglang") is not None:
         candidates.append((sys.executable, "-m", "ziglang", "cc"))
     for command in candidates:

@@ -38,7 +38,9 @@ def source_epoch() -> int:
     if text is None:
         return DEFAULT_EPOCH
     if not text.isdigit() or int(text) < DEFAULT_EPOCH:
-        raise TouchstoneError(f"SOURCE_DATE_EPOCH is {text!r}; it must be whole seconds since 1970, from {DEFAULT_EPOCH} (1980) on. Correct it or unset it.")
+        raise TouchstoneError(
+            f"SOURCE_DATE_EPOCH is {text!r}; it must be whole seconds since 1970, from {DEFAULT_EPOCH} (1980) on. Correct it or unset it."
+        )
     return int(text)
 
 
@@ -101,7 +103,9 @@ def describe(scene: Scene, sources: Mapping[str, str]) -> Description:
     identifier = model_identifier(scene)
     nominals = [coordinate.nominal for coordinate in scene.coordinates]
     numbers = {variable.name: position for position, variable in enumerate(table, start=1)}
-    state_of = {variable.name: numbers[variable.name[4:-1]] for variable in table if variable.kind in (Kind.POSITION_RATE, Kind.VELOCITY_RATE)}
+    state_of = {
+        variable.name: numbers[variable.name[4:-1]] for variable in table if variable.kind in (Kind.POSITION_RATE, Kind.VELOCITY_RATE)
+    }
 
     def texts(guid: str) -> Description:
         config = render(

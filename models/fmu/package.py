@@ -70,7 +70,9 @@ def standard_headers() -> dict[str, str]:
     try:
         return {name: (folder / name).read_text(encoding="utf-8") for name in _HEADERS}
     except OSError as error:
-        raise MachineError(f"the headers of the FMI standard cannot be read from FMPy ({error}); reinstall it with: pip install --force-reinstall fmpy") from error
+        raise MachineError(
+            f"the headers of the FMI standard cannot be read from FMPy ({error}); reinstall it with: pip install --force-reinstall fmpy"
+        ) from error
 
 
 def _platform_folder() -> str:

@@ -1,6 +1,6 @@
 """Which variable depends on which: the model structure of an FMU, computed from the equations.
 
-    dependencies(scene)["lam_left"]      {"q1": FIXED, "q2": ...}
+dependencies(scene)["lam_left"]      {"q1": FIXED, "q2": ...}
 """
 
 from __future__ import annotations

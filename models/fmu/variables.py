@@ -1,7 +1,7 @@
 """The variables of a scene's FMU: one table, from which C, XML and the documentation are written.
 
-    variable_names(scene).q          ("q1", "q2", "q3")
-    variable_table(scene)            every variable with unit, start, range; its position is its value reference
+variable_names(scene).q          ("q1", "q2", "q3")
+variable_table(scene)            every variable with unit, start, range; its position is its value reference
 """
 
 from __future__ import annotations
@@ -158,7 +158,9 @@ def _states(scene: Scene) -> list[Variable]:
         q, v, unit = coordinate.name, coordinate.velocity_name, coordinate.unit
         what = coordinate.description or f"coordinate {q}"
         start, nominal = scene.task.start, coordinate.nominal
-        positions.append(Variable(name=q, kind=Kind.POSITION, index=index, unit=unit, start=start[index], nominal=nominal, description=what))
+        positions.append(
+            Variable(name=q, kind=Kind.POSITION, index=index, unit=unit, start=start[index], nominal=nominal, description=what)
+        )
         velocities.append(
             Variable(
                 name=v,
@@ -228,7 +230,13 @@ def _energies(scene: Scene) -> list[Variable]:
         ("potential_energy", Kind.POTENTIAL_ENERGY, "J", "potential energy without contacts", dynamics.potential_energy != 0),
         ("contact_energy", Kind.CONTACT_ENERGY, "J", "energy stored in the contacts, sum of k/2 max(phi, 0)^2", scene.nc > 0),
         ("input_power", Kind.INPUT_POWER, "W", "power put in by the inputs", dynamics.input_power != 0),
-        ("dissipated_power", Kind.DISSIPATED_POWER, "W", "power taken out by forces that remain without inputs", dynamics.dissipated_power != 0),
+        (
+            "dissipated_power",
+            Kind.DISSIPATED_POWER,
+            "W",
+            "power taken out by forces that remain without inputs",
+            dynamics.dissipated_power != 0,
+        ),
     )
     return [Variable(name=name, kind=kind, unit=unit, description=text) for name, kind, unit, text, present in rows if present]
 

@@ -1,6 +1,6 @@
 """Methods that behave and methods that misbehave in every way, and a judge that is quick, for tests of the campaign's machinery.
 
-    python -m validate all --tools campaign_fakes:TOOLS        # with this folder on PYTHONPATH
+python -m validate all --tools campaign_fakes:TOOLS        # with this folder on PYTHONPATH
 """
 
 from __future__ import annotations
@@ -49,7 +49,9 @@ class _Session(Session):
 
 
 class FakeMethod(Method):
-    def __init__(self, name: str, act=lambda: None, *, kind: Kind = Kind.DIRECT, needs_eps: bool = False, refuses: str | None = None) -> None:
+    def __init__(
+        self, name: str, act=lambda: None, *, kind: Kind = Kind.DIRECT, needs_eps: bool = False, refuses: str | None = None
+    ) -> None:
         self.name, self.title, self.kind, self.needs_eps = name, f"fake method {name}", kind, needs_eps
         self.options = (OptionSpec(name="iterations", default=7, description="does nothing", lower=1),)
         self._act, self._refuses = act, refuses
@@ -148,7 +150,9 @@ PIPELINES = (
     ),
     Pipeline(name="soft_alone", title="fake indirect", legs=(Leg(method="soft", schedule=(1e-1,)),)),
     *(
-        Pipeline(name=f"only_{name}", title=f"only {name}", legs=(Leg(method=name, schedule=(1e-1,) if METHODS[name].needs_eps else (None,)),))
+        Pipeline(
+            name=f"only_{name}", title=f"only {name}", legs=(Leg(method=name, schedule=(1e-1,) if METHODS[name].needs_eps else (None,)),)
+        )
         for name in METHODS
         if name not in {"soft"}
     ),

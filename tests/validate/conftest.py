@@ -31,7 +31,13 @@ def cli(cli_environment: dict[str, str]) -> Callable[..., subprocess.CompletedPr
     def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "validate", *arguments]
         return subprocess.run(
-            command, capture_output=True, text=True, errors="replace", env={**cli_environment, **environment}, stdin=subprocess.DEVNULL, check=False
+            command,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            env={**cli_environment, **environment},
+            stdin=subprocess.DEVNULL,
+            check=False,
         )
 
     return run

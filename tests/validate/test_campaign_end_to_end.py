@@ -26,7 +26,9 @@ def _rows(folder) -> list[dict[str, str]]:
 
 def test_results_are_equal_to_the_bit_apart_from_times(twice):
     (first, second), _ = twice
-    rows = [[{name: value for name, value in row.items() if not name.endswith("_s")} for row in _rows(folder)] for folder in (first, second)]
+    rows = [
+        [{name: value for name, value in row.items() if not name.endswith("_s")} for row in _rows(folder)] for folder in (first, second)
+    ]
     assert rows[0] == rows[1]
     assert len(rows[0]) == 4
 

@@ -130,7 +130,11 @@ def test_progress_is_one_plain_line_a_cell(misbehaved):
 
 def test_a_chain_starts_each_stage_from_the_plan_before(misbehaved):
     record = _records(misbehaved[0])["soft+good"]
-    assert [(stage.method, stage.eps, stage.cost) for stage in record.stages] == [("soft", 0.1, 0.0), ("soft", 0.01, 1000.0), ("good", None, 4000.0)]
+    assert [(stage.method, stage.eps, stage.cost) for stage in record.stages] == [
+        ("soft", 0.1, 0.0),
+        ("soft", 0.01, 1000.0),
+        ("good", None, 4000.0),
+    ]
     assert [stage.options["iterations"] for stage in record.stages] == [2, 7, 7]
     assert record.stages[2].seconds.total >= record.stages[2].seconds.stage
     assert record.must_hold

@@ -81,7 +81,10 @@ def test_a_mistake_is_one_sentence_and_exit_code_2(cli, arguments, words):
         ("SCENE = 3", "must define SCENE"),
         ("import nothing_of_that_name", "ModuleNotFoundError"),
         ("def broken(:", "SyntaxError"),
-        ("from models.scene import Parameter\nimport sympy as sp\nParameter(symbol=sp.Symbol('m'), value=1.0, unit='')", "the unit is missing"),
+        (
+            "from models.scene import Parameter\nimport sympy as sp\nParameter(symbol=sp.Symbol('m'), value=1.0, unit='')",
+            "the unit is missing",
+        ),
     ],
 )
 def test_a_scene_file_with_a_mistake_is_named(cli, tmp_path, text, words):
@@ -120,7 +123,9 @@ def test_a_full_disk_is_one_sentence(cli, cli_environment, tmp_path):
     """A limit on the size of files stands for the disk's end: the record of a cell does not fit, log and request do."""
     arguments = [sys.executable, "-m", "validate", "all", *GOOD, "--out", str(tmp_path / "out")]
     cli("all", *GOOD, "--out", str(tmp_path / "before"))  # so that the scene is compiled already
-    done = subprocess.run(["sh", "-c", 'ulimit -f 24; exec "$@"', "sh", *arguments], capture_output=True, text=True, env=cli_environment, check=False)
+    done = subprocess.run(
+        ["sh", "-c", 'ulimit -f 24; exec "$@"', "sh", *arguments], capture_output=True, text=True, env=cli_environment, check=False
+    )
     assert done.returncode == 3
     (sentence,) = [line for line in done.stderr.splitlines() if line.startswith("error:")]
     assert "written" in sentence or "cannot write" in sentence
@@ -170,7 +175,9 @@ def test_quick_says_what_it_left_out(cli, tmp_path):
     assert "1 to run" in done.stderr
 
 
-@pytest.mark.parametrize(("tools", "words"), [("STRICT", "violates - the fake judge is strict"), ("STUMBLING", "not resolved - the judge ended with")])
+@pytest.mark.parametrize(
+    ("tools", "words"), [("STRICT", "violates - the fake judge is strict"), ("STUMBLING", "not resolved - the judge ended with")]
+)
 def test_a_direct_plan_that_does_not_hold_fails(cli, tmp_path, tools, words):
     done = cli("all", "--tools", f"campaign_fakes:{tools}", "--out", str(tmp_path), "-k", "only_good or soft_alone")
     assert done.returncode == 1

@@ -152,7 +152,9 @@ def _other_hold(file: h5netcdf.File) -> None:
         (_other_hold, "hold is 'cubic'"),
     ],
 )
-def test_a_stale_plan_is_refused_by_name(tmp_path: Path, scene: Scene, plan: Trajectory, change: Callable[[h5netcdf.File], None], sentence: str):
+def test_a_stale_plan_is_refused_by_name(
+    tmp_path: Path, scene: Scene, plan: Trajectory, change: Callable[[h5netcdf.File], None], sentence: str
+):
     path = tmp_path / "stale.nc"
     write_netcdf(path, plan, scene)
     with pytest.raises(TrajectoryError, match=sentence):

@@ -142,7 +142,9 @@ def test_events_are_points_of_the_grid_and_knots_stay_the_plan():
 
 def test_a_bouncing_ball_that_comes_to_rest_ends_with_its_event_budget():
     """Zeno: restitution 1/2 from 1 m at 10 m/s^2 rests after sqrt(0.2)*3 = 1.34 s, after infinitely many events."""
-    run = integrate(Point(lambda q, v, u, closed: -10.0, gap=lambda q: q, bounce=0.5), np.array([1.0, 0.0]), plan([0.0] * 200, 0.01), RTOL, 12)
+    run = integrate(
+        Point(lambda q, v, u, closed: -10.0, gap=lambda q: q, bounce=0.5), np.array([1.0, 0.0]), plan([0.0] * 200, 0.01), RTOL, 12
+    )
     assert run.outcome is ReplayOutcome.EVENT_BUDGET
     assert "12" in run.message
     first = math.sqrt(0.2)

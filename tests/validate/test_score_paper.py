@@ -100,7 +100,8 @@ def scores(scene: Scene, plans: dict[str, Trajectory]) -> dict[str, Score]:
 
 
 @pytest.mark.parametrize(
-    ("name", "physics", "miss"), [("softplus_dc 0.001", 2445.90, 0.449), ("softplus_dc 1e-05", 625.14, 0.265), ("softplus_dc 1e-07", 239.53, 0.119)]
+    ("name", "physics", "miss"),
+    [("softplus_dc 0.001", 2445.90, 0.449), ("softplus_dc 1e-05", 625.14, 0.265), ("softplus_dc 1e-07", 239.53, 0.119)],
 )
 def test_softplus_collocation_rows(scores: dict[str, Score], name: str, physics: float, miss: float):
     result = scores[name]

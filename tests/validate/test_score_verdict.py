@@ -30,7 +30,9 @@ from validate.score.verdict import CONTACT, GRID, compare, explain, verdict_of
         (0.0, 0.0, 0.0, (True, True)),
     ],
 )
-def test_a_figure_is_judged_only_ten_errors_away_from_its_limit(value: float, error: float, limit: float, expected: tuple[bool | None, bool]):
+def test_a_figure_is_judged_only_ten_errors_away_from_its_limit(
+    value: float, error: float, limit: float, expected: tuple[bool | None, bool]
+):
     assert compare(value, error, limit) == expected
 
 
@@ -85,7 +87,10 @@ def test_a_miss_by_the_grid_alone_is_not_blamed_on_contact():
         Figure(name="ghost_impulse", value=3.1, unit="N s", meaning=""),
     )
     why = explain(figures, Verdict.VIOLATES, planned_impulse=4.0)
-    assert why == "the replay misses the goal by 0.08 m, limit 0.06 m: contact physics holds, but the time step is 0.079 m off the continuous motion."
+    assert (
+        why
+        == "the replay misses the goal by 0.08 m, limit 0.06 m: contact physics holds, but the time step is 0.079 m off the continuous motion."
+    )
 
 
 def test_what_is_not_resolved_says_why():

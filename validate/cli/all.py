@@ -41,15 +41,43 @@ configuration or nothing selected; 3 this machine cannot; 130 interrupted.
 
 
 @click.command(epilog=_EPILOG)
-@click.option("--quick", is_flag=True, help="Only the pipelines softplus_dc+strict and softplus_gd+relu_gd; the table says what was left out.")
+@click.option(
+    "--quick", is_flag=True, help="Only the pipelines softplus_dc+strict and softplus_gd+relu_gd; the table says what was left out."
+)
 @click.option("--fresh", is_flag=True, help="Run cells again that are stored.")
-@click.option("-k", "expression", default="", metavar="EXPR", help="Only cells whose scene, pipeline or method names match: words joined with and, or, not.")
-@click.option("-j", "--jobs", type=click.IntRange(min=1), default=1, show_default=True, metavar="N", help="Cells at a time. With more than one, times are less comparable.")
-@click.option("--scene", "scenes", multiple=True, metavar="NAME|FILE.py", help="Only this scene, by name or by the path of a scene file; may be repeated.")
-@click.option("--out", type=click.Path(path_type=Path), default=_DEFAULT_OUT, show_default=True, metavar="DIR", help="The folder of the campaign.")
-@click.option("--time-limit", type=float, default=600.0, show_default=True, metavar="SECONDS", help="For each cell, all its stages and replays.")
+@click.option(
+    "-k",
+    "expression",
+    default="",
+    metavar="EXPR",
+    help="Only cells whose scene, pipeline or method names match: words joined with and, or, not.",
+)
+@click.option(
+    "-j",
+    "--jobs",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    metavar="N",
+    help="Cells at a time. With more than one, times are less comparable.",
+)
+@click.option(
+    "--scene",
+    "scenes",
+    multiple=True,
+    metavar="NAME|FILE.py",
+    help="Only this scene, by name or by the path of a scene file; may be repeated.",
+)
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=_DEFAULT_OUT, show_default=True, metavar="DIR", help="The folder of the campaign."
+)
+@click.option(
+    "--time-limit", type=float, default=600.0, show_default=True, metavar="SECONDS", help="For each cell, all its stages and replays."
+)
 @click.option("--json", "as_json", is_flag=True, help="The results as JSON on stdout instead of a table.")
-@click.option("--tools", default=DEFAULT_TOOLS, metavar="MODULE:NAME", help="Methods, pipelines and judge from elsewhere (see validate/tools.py).")
+@click.option(
+    "--tools", default=DEFAULT_TOOLS, metavar="MODULE:NAME", help="Methods, pipelines and judge from elsewhere (see validate/tools.py)."
+)
 @click.pass_obj
 def command(
     arguments: tuple[str, ...],
@@ -133,4 +161,3 @@ def _print_json(outcome, settings) -> None:
         "exit_code": outcome.exit_code,
     }
     click.echo(json.dumps(data, indent=1, allow_nan=False))
-

@@ -10,7 +10,9 @@ import click
 
 @click.command(epilog="Example: python -m validate fmu three_cart -o three_cart.fmu")
 @click.argument("scene", metavar="NAME|FILE.py")
-@click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), required=True, metavar="FILE", help="Where to write the FMU.")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), required=True, metavar="FILE", help="Where to write the FMU."
+)
 def command(scene: str, output: Path) -> int:
     """Export a scene as an FMU (FMI 2.0, Co-Simulation and Model Exchange)."""
     from models.catalog import load_scene

@@ -57,7 +57,12 @@ class BarNarrator(PlainNarrator):
 
         self._console = Console(stderr=True)
         self._progress = Progress(
-            BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}", markup=False), console=self._console, transient=True
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("{task.description}", markup=False),
+            console=self._console,
+            transient=True,
         )
         super().begins(total, stored)
         self._task = self._progress.add_task("", total=total, completed=stored)

@@ -24,7 +24,10 @@ def command(folder: Path, as_json: bool) -> int:
     report = DEFAULT.write_report(folder)
     missing = len(campaign.keys) - len(records)
     if missing:
-        click.echo(f"{missing} of {len(campaign.keys)} cells have no readable record; the command of the campaign runs them: {campaign.command}", err=True)
+        click.echo(
+            f"{missing} of {len(campaign.keys)} cells have no readable record; the command of the campaign runs them: {campaign.command}",
+            err=True,
+        )
     if as_json:
         click.echo(json.dumps({"results": rows(records), "report": str(report)}, indent=1, allow_nan=False))
     else:

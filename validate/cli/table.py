@@ -29,7 +29,9 @@ def table(titles: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[
     widths = [max(len(title), *(len(row[place]) for row in rows)) if rows else len(title) for place, title in enumerate(titles)]
 
     def line(cells: Sequence[str]) -> str:
-        padded = [cell.rjust(width) if title in right else cell.ljust(width) for cell, width, title in zip(cells, widths, titles, strict=True)]
+        padded = [
+            cell.rjust(width) if title in right else cell.ljust(width) for cell, width, title in zip(cells, widths, titles, strict=True)
+        ]
         return "  ".join(padded).rstrip()
 
     return "\n".join([line(titles), line(["-" * width for width in widths]), *(_coloured(line(row), row) for row in rows)])

@@ -1,7 +1,7 @@
 """Replays in NetCDF-4 files, with units, and back.
 
-    write_replay(path, replay, scene)
-    replay = read_replay(path, scene)            # bit for bit what was written
+write_replay(path, replay, scene)
+replay = read_replay(path, scene)            # bit for bit what was written
 """
 
 from __future__ import annotations
@@ -34,7 +34,9 @@ def _groups(scene: Scene) -> dict[str, list[tuple[str, str, str]]]:
         "v": [(item.velocity_name, item.velocity_unit, f"velocity of {item.name}") for item in scene.coordinates],
         "lam": [(item.force_name, "N", f"contact force, {item.description or item.name}") for item in scene.contacts],
         "gap": [(item.gap_name, "m", f"gap, negative in contact, {item.description or item.name}") for item in scene.contacts],
-        "contact_impulse": [(f"impulse_{item.name}", "N s", f"impulse since the start, {item.description or item.name}") for item in scene.contacts],
+        "contact_impulse": [
+            (f"impulse_{item.name}", "N s", f"impulse since the start, {item.description or item.name}") for item in scene.contacts
+        ],
     }
 
 
@@ -112,7 +114,9 @@ def read_replay(path: Path, scene: Scene) -> Replay:
             fmu=str(attributes.get("fmu_sha256", "")),
         )
     except (KeyError, TypeError, ValueError) as error:
-        raise TrajectoryError(f"file {path}: its facts are not those of a replay ({type(error).__name__}: {error}); replay the plan again.") from error
+        raise TrajectoryError(
+            f"file {path}: its facts are not those of a replay ({type(error).__name__}: {error}); replay the plan again."
+        ) from error
 
 
 def _facts(path: Path, attributes: dict[str, str | int | float]) -> dict[str, Any]:

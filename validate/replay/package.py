@@ -1,7 +1,7 @@
 """An FMU file opened for replay: unpacked, described, and its variables found by the scene's names.
 
-    with open_package(path) as package:
-        variables = find_variables(package, scene, {"q1": "cart_1.s"})
+with open_package(path) as package:
+    variables = find_variables(package, scene, {"q1": "cart_1.s"})
 """
 
 from __future__ import annotations
@@ -111,10 +111,16 @@ def find_variables(package: Package, scene: Scene, names: Mapping[str, str] | No
         "lam": tuple(item.force_name for item in scene.contacts),
         "gap": tuple(item.gap_name for item in scene.contacts),
     }
-    known = {name for group in groups.values() for name in group} | {item.name for item in scene.parameters} | {*ENERGIES, *POWERS, INTERNAL_STEP}
+    known = (
+        {name for group in groups.values() for name in group}
+        | {item.name for item in scene.parameters}
+        | {*ENERGIES, *POWERS, INTERNAL_STEP}
+    )
     for name in names:
         if name not in known:
-            raise FmuError(f"FMU {package.path}: the map names {name!r}, which scene {scene.name} does not have; it has {', '.join(sorted(known))}.")
+            raise FmuError(
+                f"FMU {package.path}: the map names {name!r}, which scene {scene.name} does not have; it has {', '.join(sorted(known))}."
+            )
     by_name = {variable.name: variable for variable in package.description.modelVariables}
 
     def reference(name: str) -> int | None:
@@ -130,7 +136,9 @@ def find_variables(package: Package, scene: Scene, names: Mapping[str, str] | No
         references = [reference(name) for name in group]
         missing = [name for name, item in zip(group, references, strict=True) if item is None]
         if missing and field in ("q", "v", "u"):
-            raise FmuError(f"FMU {package.path}: it has no variable {missing[0]!r} of scene {scene.name}; give its name in the FMU by a map.")
+            raise FmuError(
+                f"FMU {package.path}: it has no variable {missing[0]!r} of scene {scene.name}; give its name in the FMU by a map."
+            )
         found[field] = () if missing else tuple(item for item in references if item is not None)
     for name, item in zip(groups["u"], found["u"], strict=True):
         if by_name[names.get(name, name)].causality != "input":

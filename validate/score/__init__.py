@@ -57,7 +57,9 @@ def _check_belongs(scene: Scene, trajectory: Trajectory, replay: Replay) -> None
     if replay.scene != scene.name:
         raise TrajectoryError(f"replay: it is of scene {replay.scene}, but the plan is judged as one of {scene.name}.")
     if replay.ok and (len(replay.knots) != len(trajectory.t) or not (replay.t[replay.knots] == trajectory.t).all()):
-        raise TrajectoryError(f"replay: its {len(replay.knots)} nodes are not the {len(trajectory.t)} of the plan; it is the replay of another plan.")
+        raise TrajectoryError(
+            f"replay: its {len(replay.knots)} nodes are not the {len(trajectory.t)} of the plan; it is the replay of another plan."
+        )
 
 
 def _figure(entry: Entry, case: Evidence) -> Figure:
@@ -73,7 +75,9 @@ def _figure(entry: Entry, case: Evidence) -> Figure:
     value, error = measured if isinstance(measured, tuple) else (measured, 0.0)
     if not math.isfinite(value):
         reason = "the figure is too large to be a number."
-        return Figure(name=entry.name, value=None, unit=unit, meaning=entry.meaning, limit=bound, reason=reason, ok=None, resolved=bound is None)
+        return Figure(
+            name=entry.name, value=None, unit=unit, meaning=entry.meaning, limit=bound, reason=reason, ok=None, resolved=bound is None
+        )
     ok, resolved = (None, True) if bound is None else compare(value, error, bound)
     return Figure(
         name=entry.name, value=value, unit=unit, meaning=entry.meaning, error=error, limit=bound,

@@ -128,7 +128,9 @@ def test_far_from_the_origin_rounding_does_not_trap_the_switch_location(scene_of
     for n in range(300):
         near.fmu.doStep(n * 0.01, 0.01)
         far.fmu.doStep(n * 0.01, 0.01)
-        np.testing.assert_allclose(far.get("gap_left", "gap_right", "v1", "v2"), near.get("gap_left", "gap_right", "v1", "v2"), rtol=0, atol=2e-5)
+        np.testing.assert_allclose(
+            far.get("gap_left", "gap_right", "v1", "v2"), near.get("gap_left", "gap_right", "v1", "v2"), rtol=0, atol=2e-5
+        )
 
 
 def test_symmetric_carts_stay_symmetric(scene_of, drive):

@@ -1,6 +1,5 @@
 """Model Exchange: contact modes are frozen between events, and CVODE with root finding meets the closed forms."""
 
-
 import numpy as np
 import pytest
 from fmpy import simulate_fmu

@@ -54,7 +54,9 @@ def test_archive_has_everything_deflated_and_no_links(any_scene):
         text = archive.read("documentation/index.html").decode()
         licenses = archive.read("documentation/licenses/license.txt").decode()
     assert names[0] == "modelDescription.xml"
-    assert {f"binaries/linux64/{any_scene.name}.so", "sources/scene_model.h", "sources/model_config.h", "sources/fmi2Functions.h"} <= set(names)
+    assert {f"binaries/linux64/{any_scene.name}.so", "sources/scene_model.h", "sources/model_config.h", "sources/fmi2Functions.h"} <= set(
+        names
+    )
     assert len(set(names)) == len(names)
     assert not any("\\" in name or name.startswith("/") for name in names)
     assert {entry.compress_type for entry in entries} == {zipfile.ZIP_DEFLATED}

@@ -81,12 +81,26 @@ def test_two_models_in_one_program_under_sanitizers(scene_of, unpacked, tmp_path
         used = sorted(set(re.findall(r"\bfmi2[A-Z]\w+(?=\()", DRIVER.read_text())))
         own = tmp_path / name
         own.mkdir()
-        (own / "names.h").write_text("".join(f"#define {function} {name}_{function}\nextern {function}TYPE {function};\n" for function in used))
+        (own / "names.h").write_text(
+            "".join(f"#define {function} {name}_{function}\nextern {function}TYPE {function};\n" for function in used)
+        )
         for source in sorted((folder / "sources").glob("*.c")):
             objects.append(tmp_path / f"{name}_{source.stem}.o")
             run([compiler, *flags, *include, f"-DFMI2_FUNCTION_PREFIX={name}_", "-c", source, "-o", objects[-1]])
         objects.append(tmp_path / f"{name}_driver.o")
-        run([compiler, *flags, *include, f"-I{own}", *(f"-D{key}={value}" for key, value in macros.items()), "-c", DRIVER, "-o", objects[-1]])
+        run(
+            [
+                compiler,
+                *flags,
+                *include,
+                f"-I{own}",
+                *(f"-D{key}={value}" for key, value in macros.items()),
+                "-c",
+                DRIVER,
+                "-o",
+                objects[-1],
+            ]
+        )
     main = tmp_path / "main.c"
     calls = " || ".join(f"check_{name}()" for name in names)
     main.write_text("".join(f"int check_{name}(void);\n" for name in names) + f"int main(void) {{ return {calls}; }}\n")

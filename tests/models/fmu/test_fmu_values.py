@@ -72,12 +72,16 @@ def test_directional_derivatives_in_either_contact_mode(any_scene, drive, probe_
 
 def _apart(scene):
     """Positions without contact."""
-    return {"three_cart": [0.0, 1.0, 2.0], "bouncing_mass": [1.0], "two_body_collision": [0.0, 1.0], "two_link_arm": [1.57, 0.0]}.get(scene.name, [0.3])
+    return {"three_cart": [0.0, 1.0, 2.0], "bouncing_mass": [1.0], "two_body_collision": [0.0, 1.0], "two_link_arm": [1.57, 0.0]}.get(
+        scene.name, [0.3]
+    )
 
 
 def _in_contact(scene):
     """Positions with every contact closed."""
-    return {"three_cart": [0.0, 0.4, 0.8], "bouncing_mass": [-0.1], "two_body_collision": [0.0, 0.1], "two_link_arm": [0.1, 0.1]}[scene.name]
+    return {"three_cart": [0.0, 0.4, 0.8], "bouncing_mass": [-0.1], "two_body_collision": [0.0, 0.1], "two_link_arm": [0.1, 0.1]}[
+        scene.name
+    ]
 
 
 def test_directional_derivatives_by_parameters_during_initialization(any_scene, drive):
@@ -119,7 +123,9 @@ def test_declared_dependencies_are_those_of_the_equations(any_scene, drive):
             unknowns, knowns = (*calculated(names), *names.q, *names.v), (*names.q, *names.v, *names.u)
             jacobian = np.column_stack([me.directional(unknowns, knowns, row) for row in np.eye(len(knowns))])
             seen = (jacobian != 0) if seen is None else seen | (jacobian != 0)
-    declared = {row.variable.name: {known.name for known in row.dependencies} for row in me.description.outputs + me.description.derivatives}
+    declared = {
+        row.variable.name: {known.name for known in row.dependencies} for row in me.description.outputs + me.description.derivatives
+    }
     assert set(declared) == set(unknowns)
     for row, unknown in enumerate(unknowns):
         influences = {known for column, known in enumerate(knowns) if seen[row, column]}
