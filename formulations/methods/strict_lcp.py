@@ -29,7 +29,16 @@ class StrictLCP(TranscriptionMethod):
             lower=1e-8,
             upper=1.0,
         ),
-        OptionSpec(name="mode_switches", default=20, description="most rounds of switching contacts to a cheaper mode", lower=0, upper=10**6),
+        OptionSpec(
+            name="attack_iterations",
+            default=2000,
+            description="most Ipopt iterations of the search for modes; where it is cut off, its modes are tried as they are",
+            lower=1,
+            upper=10**9,
+        ),
+        OptionSpec(
+            name="mode_switches", default=20, description="most rounds of switching contacts to a cheaper mode", lower=0, upper=10**6
+        ),
         OptionSpec(
             name="physics_tolerance",
             default=1e-3,

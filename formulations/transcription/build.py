@@ -151,7 +151,9 @@ def _add_ends(block: Any, scene: Scene) -> None:
             value = block.component(f"parameter_{end}_{part}")
             rows = pyo.Constraint(
                 block.set_coordinates,
-                rule=lambda b, name, node=node, equation=equation, variable=variable, value=value: equation(variable[node, name], value[name]),
+                rule=lambda b, name, node=node, equation=equation, variable=variable, value=value: equation(
+                    variable[node, name], value[name]
+                ),
             )
             block.add_component(f"constraint_{end}_{part}", rows)
 

@@ -41,7 +41,9 @@ def load_first_guess(block: Any) -> None:
         write_values(block.component(name), np.tile(start, (len(block.set_nodes), 1)))
     if block.component("variable_u") is not None:
         for data in block.variable_u.values():
-            data.set_value(min(max(0.0, -np.inf if data.lb is None else data.lb), np.inf if data.ub is None else data.ub), skip_validation=True)
+            data.set_value(
+                min(max(0.0, -np.inf if data.lb is None else data.lb), np.inf if data.ub is None else data.ub), skip_validation=True
+            )
     if block.component("variable_lam") is not None:
         write_values(block.variable_lam, np.zeros((len(block.variable_lam), 1)))
     settle_separation(block)

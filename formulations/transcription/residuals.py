@@ -1,8 +1,8 @@
 """How far a plan is from its equations: recomputed from the scene, unscaled, knowing neither Pyomo model nor solver.
 
-    residuals = PlanResiduals(scene)
-    residuals.of(plan)                                         # against the true contact law
-    residuals.of(plan, law=ContactLaw.SOFTPLUS, eps=1e-3)
+residuals = PlanResiduals(scene)
+residuals.of(plan)                                         # against the true contact law
+residuals.of(plan, law=ContactLaw.SOFTPLUS, eps=1e-3)
 """
 
 from __future__ import annotations

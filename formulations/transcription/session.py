@@ -51,6 +51,10 @@ class TranscriptionSession(Session):
         """The relaxation the model is built with."""
         return cast(float, eps)
 
+    def common_options(self) -> dict[str, Any]:
+        """Ipopt options of every run."""
+        return {"tol": self.number("tolerance"), "max_iter": int(self.number("max_iterations"))}
+
     def cold_options(self) -> dict[str, Any]:
         """Ipopt options of a start without a plan."""
         return {}
@@ -116,8 +120,7 @@ class TranscriptionSession(Session):
         return Ending(outcome=result.outcome, message=message, dual_infeasibility=result.residuals.dual_infeasibility)
 
     def ipopt_options(self, warm_start: Trajectory | None) -> dict[str, Any]:
-        common = {"tol": self.number("tolerance"), "max_iter": int(self.number("max_iterations"))}
-        return {**common, **({} if warm_start is not None else self.cold_options())}
+        return {**self.common_options(), **({} if warm_start is not None else self.cold_options())}
 
     def number(self, option: str) -> float:
         return float(cast(float, self._options[option]))  # checked by filled_options
@@ -179,9 +182,9 @@ class RelaxedSession(TranscriptionSession):
     def cold_options(self) -> dict[str, Any]:
         return cold_barrier(self)
 
-    def ipopt_options(self, warm_start: Trajectory | None) -> dict[str, Any]:
+    def common_options(self) -> dict[str, Any]:
         # Relaxed bounds (Ipopt's default) would let a force be -1e-8 N and the product exceed eps.
-        return {**super().ipopt_options(warm_start), "bound_relax_factor": 0.0}
+        return {**super().common_options(), "bound_relax_factor": 0.0}
 
     def takes_duals(self, eps: float | None) -> bool:
         return cast(float, eps) <= self.number("duals_from")

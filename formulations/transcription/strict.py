@@ -4,7 +4,8 @@
    meets this bound already goes straight to 2.
 2. modes: every pair is decided, closed (lam = k phi) or open (lam = 0), and the problem without any complementarity is solved. Pairs at
    lam = 0 = lam - k phi whose multiplier says that the other mode is cheaper are switched, and the problem is solved again.
-3. If those modes have no plan: the bound is tightened by 100, warm, and the modes are read again.
+3. If those modes have no plan: the bound is tightened by 100, warm, and the modes are read again. An attack that was cut off by a limit
+   has its modes tried once.
 
 The plan is judged on its own: residuals from the scene, and the goal after a replay of its inputs through true contact.
 """
@@ -12,6 +13,7 @@ The plan is judged on its own: residuals from the scene, and the goal after a re
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,6 +31,10 @@ from models.trajectory import Trajectory
 
 # Step 3: the factor between two bounds, and the last one; below it Ipopt's own tolerance (1e-8) is coarser than the bound.
 _TIGHTENING, _LAST_BOUND = 1e-2, 1e-8
+# Modes that have a plan are solved in 6 to 20 iterations; more are spent only on proving that there is none.
+_MODE_ITERATIONS = 100
+# Part of the remaining time an attack may take: a cut-off attack leaves modes that can still be solved exactly, in a twentieth of its time.
+_ATTACK_SHARE = 0.8
 # A pair counts as undecided where both forces are below this [N], and as wanting the other mode where that would lower the cost by
 # more than this a newton: both well above Ipopt's 1e-8 and far below any force that moves a cart.
 _UNDECIDED, _WANTING = 1e-5, 1e-5
@@ -48,8 +54,8 @@ class StrictSession(TranscriptionSession):
     def cold_options(self) -> dict[str, Any]:
         return cold_barrier(self)
 
-    def ipopt_options(self, warm_start: Trajectory | None) -> dict[str, Any]:
-        return {**super().ipopt_options(warm_start), "bound_relax_factor": 0.0}
+    def common_options(self) -> dict[str, Any]:
+        return {**super().common_options(), "bound_relax_factor": 0.0}
 
     def certificate(self, plan: Trajectory, eps: float | None) -> dict[str, float]:
         task = self._scene.task
@@ -84,19 +90,26 @@ class StrictSession(TranscriptionSession):
                 return self.ending(exact)
             load_plan(bench.model, warm_start)
         result = self._attack(bench, account, warm_start, bound)
-        while result.outcome is Outcome.SOLVED:
+        while result.outcome.has_answer and not account.is_over:
             plan = read_plan(bench.model)
             exact = self._solve_modes(bench, account, self._residuals.modes(plan))
             if exact.outcome is Outcome.SOLVED:
-                return self.ending(exact)
+                return self._exact_ending(exact, result)
             load_plan(bench.model, plan)
             bound *= _TIGHTENING
-            if bound < _LAST_BOUND or account.is_over:
+            if result.outcome is not Outcome.SOLVED or bound < _LAST_BOUND or account.is_over:
                 break
             tighten(bench.model, bound)
             release_modes(bench.model)
             result = bench.run(account, self.ipopt_options(plan), primal_dual(result))
         return self.ending(result)
+
+    def _exact_ending(self, exact: IpoptResult, attack: IpoptResult) -> Ending:
+        ending = self.ending(exact)
+        if attack.outcome is Outcome.SOLVED:
+            return ending
+        cut = "The search for contact modes was cut off by its limit or stalled; with more time, or a warm start, a cheaper plan may be found."
+        return replace(ending, message=f"{ending.message} {cut}")
 
     def _is_nearly_strict(self, plan: Trajectory, bound: float) -> bool:
         found, tolerance = self._residuals.of(plan), self.number("plan_tolerance")
@@ -106,19 +119,22 @@ class StrictSession(TranscriptionSession):
         """Step 1; a plan that leads nowhere is left for the first guess."""
         release_modes(bench.model)
         tighten(bench.model, bound)
-        result = bench.run(account, self.ipopt_options(warm_start))
-        if warm_start is not None and result.outcome is not Outcome.SOLVED and not account.is_over:
+        result = bench.run(account, self._attack_options(account, warm_start), share=_ATTACK_SHARE)
+        if warm_start is not None and not result.outcome.has_answer and not account.is_over:
             load_first_guess(bench.model)
-            result = bench.run(account, self.ipopt_options(None))
+            result = bench.run(account, self._attack_options(account, None), share=_ATTACK_SHARE)
         return result
+
+    def _attack_options(self, account: Account, warm_start: Trajectory | None) -> dict[str, Any]:
+        options = self.ipopt_options(warm_start)
+        return {**options, "max_iter": min(options["max_iter"], account.iterations + int(self.number("attack_iterations")))}
 
     def _solve_modes(self, bench: Workbench, account: Account, closed: np.ndarray) -> IpoptResult:
         """Step 2: the last solved problem without complementarity, its plan left in the model."""
         if self._modes_bench is None:
             self._modes_bench = Workbench(bench.model)
-        options = self.ipopt_options(read_plan(bench.model))
         hold_modes(bench.model, closed)
-        best = self._modes_bench.run(account, options)
+        best = self._modes_bench.run(account, self._modes_options(account))
         for _ in range(int(self.number("mode_switches"))):
             if best.outcome is not Outcome.SOLVED or account.is_over:
                 return best
@@ -127,12 +143,16 @@ class StrictSession(TranscriptionSession):
                 return best
             plan, closed = read_plan(bench.model), closed ^ switch
             hold_modes(bench.model, closed)
-            again = self._modes_bench.run(account, options)
+            again = self._modes_bench.run(account, self._modes_options(account))
             if again.outcome is not Outcome.SOLVED or again.objective >= best.objective:
                 load_plan(bench.model, plan)  # no gain beyond rounding: keep what was there
                 return best
             best = again
         return best
+
+    def _modes_options(self, account: Account) -> dict[str, Any]:
+        options = self.common_options()
+        return {**options, "max_iter": min(options["max_iter"], account.iterations + _MODE_ITERATIONS)}
 
 
 def _cheaper_modes(problem: IpoptProblem, result: IpoptResult, model: Any, closed: np.ndarray) -> np.ndarray:
@@ -145,5 +165,3 @@ def _cheaper_modes(problem: IpoptProblem, result: IpoptResult, model: Any, close
     undecided = np.maximum(result.x[lam], result.x[separation]) < _UNDECIDED
     held = np.where(closed.ravel(), separation, lam)
     return (undecided & (slope[held] < -_WANTING)).reshape(closed.shape)
-
-

@@ -69,10 +69,14 @@ class Workbench:
         account.translate += perf_counter() - begin
         return self._problem
 
-    def run(self, account: Account, options: Mapping[str, Any], start: Start | None = None) -> IpoptResult:
-        """Solve from `start` (default: the values of the model's variables), and write the point where it ended into the model."""
+    def run(self, account: Account, options: Mapping[str, Any], start: Start | None = None, *, share: float = 1.0) -> IpoptResult:
+        """Solve from `start` (default: the values of the model's variables), and write the point where it ended into the model.
+
+        options: Ipopt's; max_iter counts for the whole stage. share: part of the remaining time this run may take.
+        """
         problem = self.problem(account)
-        result = solve(problem, options=options, warm_start=start, time_limit=account.remaining)
+        left = {**options, "max_iter": max(0, options["max_iter"] - account.iterations)}
+        result = solve(problem, options=left, warm_start=start, time_limit=share * account.remaining)
         account.add(result)
         if np.all(np.isfinite(result.x)):
             load(problem, result)

@@ -25,7 +25,9 @@ METHODS = ("softplus_dc", "relaxed_lcp", "strict_lcp")
 SMALL = SCENE.with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100)
 
 
-def chain(method: str, schedule: tuple[float | None, ...], scene: Scene = SCENE, warm_start: Trajectory | None = None, **options) -> list[Solution]:
+def chain(
+    method: str, schedule: tuple[float | None, ...], scene: Scene = SCENE, warm_start: Trajectory | None = None, **options
+) -> list[Solution]:
     found = []
     with load_method(method).open(scene, options) as session:
         for eps in schedule:
@@ -168,6 +170,15 @@ def test_iterations_are_counted_and_limited(method: str) -> None:
     solution = chain(method, (None if method == "strict_lcp" else 1e-3,), SMALL, max_iterations=2)[0]
     assert solution.outcome is Outcome.ITERATION_LIMIT
     assert solution.iterations == 2
+
+
+def test_a_strict_attack_cut_off_still_has_its_modes_solved() -> None:
+    """Forty iterations do not finish the attack, but the modes they leave have a plan; it is exact, and says how it came about."""
+    whole, cut = chain("strict_lcp", (None,), SMALL)[0], chain("strict_lcp", (None,), SMALL, attack_iterations=40)[0]
+    assert cut.outcome is Outcome.SOLVED
+    assert "cut off" in cut.message
+    assert "cut off" not in whole.message
+    assert physics(cut, SMALL) <= 1e-9
 
 
 @pytest.mark.parametrize("eps", [0.0, 1.0, -1e-3, float("nan"), None])
