@@ -31,7 +31,9 @@ def changed(plan: Trajectory, field: str, where: tuple[int, int], by: float) -> 
 
 def test_a_rollout_has_no_residuals() -> None:
     residuals = PlanResiduals(SCENE).of(plan_of())
-    assert max(residuals[name] for name in ("dynamics_defect", "start_error", "input_bound_excess", "force_sign", "complementarity")) < 1e-13
+    assert (
+        max(residuals[name] for name in ("dynamics_defect", "start_error", "input_bound_excess", "force_sign", "complementarity")) < 1e-13
+    )
     assert residuals["terminal_error"] > 0.1
     soft = PlanResiduals(SCENE).of(plan_of(ForceLaw.SOFTPLUS, 1e-3), ForceLaw.SOFTPLUS, 1e-3)
     assert soft["contact_law"] < 1e-13
@@ -56,7 +58,9 @@ def test_each_residual_sees_its_own_fault(field, where, by, figure, least) -> No
 
 
 def test_residuals_of_a_mass_matrix_that_depends_on_q() -> None:
-    arm = load_scene(str(__file__).rsplit("/formulations/", 1)[0] + "/scenes/two_link_arm.py").with_task(steps=30, start=(0.9, -0.1, -1.5, 0.2))
+    arm = load_scene(str(__file__).rsplit("/formulations/", 1)[0] + "/scenes/two_link_arm.py").with_task(
+        steps=30, start=(0.9, -0.1, -1.5, 0.2)
+    )
     u = np.random.default_rng(5).normal(size=(30, 2))
     rollout = load_kernel(arm).rollout(np.array(arm.task.start), u, 0.01)
     plan = Trajectory(t=uniform_grid(0.01, 30), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
