@@ -18,7 +18,7 @@ from models.errors import UnknownNameError
 if TYPE_CHECKING:
     from models.scene import Scene
 
-_PAPER = "Suh and Wang, Table I"
+PAPER = "Suh and Wang, Table I"
 
 RELAXED_EPS = (1e-2, 1e-3, 1e-4)
 SOFTPLUS_EPS = (1e-3, 1e-5, 1e-7)
@@ -49,37 +49,37 @@ def _relu_gd(iterations: int) -> Leg:
 
 
 PIPELINES: tuple[Pipeline, ...] = (
-    Pipeline(name="strict", title="Strict LCP from a cold start", legs=(_STRICT,), source=_PAPER),
+    Pipeline(name="strict", title="Strict LCP from a cold start", legs=(_STRICT,), source=PAPER),
     Pipeline(
-        name="relu_gd", title="Gradient descent on ReLU contact from a cold start", legs=(_relu_gd(RELU_GD_COLD_COUNT),), source=_PAPER
+        name="relu_gd", title="Gradient descent on ReLU contact from a cold start", legs=(_relu_gd(RELU_GD_COLD_COUNT),), source=PAPER
     ),
-    Pipeline(name="relaxed+strict", title="Relaxed LCP, tightened, then strict LCP", legs=(_RELAXED, _STRICT), source=_PAPER),
+    Pipeline(name="relaxed+strict", title="Relaxed LCP, tightened, then strict LCP", legs=(_RELAXED, _STRICT), source=PAPER),
     Pipeline(
         name="relaxed+relu_gd",
         title="Relaxed LCP, tightened, then gradient descent on ReLU contact",
         legs=(_RELAXED, _relu_gd(RELU_GD_AFTER_RELAXED)),
-        source=f"{_PAPER}; the number of gradient steps is ours (the paper gives none)",
+        source=f"{PAPER}; the number of gradient steps is ours (the paper gives none)",
     ),
     Pipeline(
-        name="softplus_dc+strict", title="Softplus collocation, tightened, then strict LCP", legs=(_SOFTPLUS_DC, _STRICT), source=_PAPER
+        name="softplus_dc+strict", title="Softplus collocation, tightened, then strict LCP", legs=(_SOFTPLUS_DC, _STRICT), source=PAPER
     ),
     Pipeline(
         name="softplus_dc+relu_gd",
         title="Softplus collocation, tightened, then gradient descent on ReLU contact",
         legs=(_SOFTPLUS_DC, _relu_gd(RELU_GD_AFTER_SOFTPLUS_DC)),
-        source=_PAPER,
+        source=PAPER,
     ),
     Pipeline(
         name="softplus_gd+strict",
         title="Softplus gradient descent, tightened, then strict LCP",
         legs=(_SOFTPLUS_GD, _STRICT),
-        source=_PAPER,
+        source=PAPER,
     ),
     Pipeline(
         name="softplus_gd+relu_gd",
         title="Softplus gradient descent, tightened, then gradient descent on ReLU contact",
         legs=(_SOFTPLUS_GD, _relu_gd(RELU_GD_AFTER_SOFTPLUS_GD)),
-        source=_PAPER,
+        source=PAPER,
     ),
     Pipeline(
         name="gd_converged",

@@ -13,7 +13,6 @@ from reports.pages.section import Report
 from reports.paper import TABLE_1
 from reports.rows import lacking
 from validate.selection import matches
-from validate.table_one import table_rows
 
 
 def report_of(factory, folder, runs) -> Report:
@@ -26,16 +25,6 @@ def converged(factory):
     run = factory.run("softplus_gd+relu_gd", "softplus_gd", "relu_gd", key="converged-0")
     stages = tuple(stage.model_copy(update={"paper": {}, "options": {"iterations": "until converged"}}) for stage in run.stages)
     return run.model_copy(update={"pipeline": "gd_converged", "stages": stages})
-
-
-def test_the_papers_table_is_the_one_that_records_carry():
-    pipelines = [
-        "strict",
-        "relu_gd",
-        *(f"{start}+{end}" for start in ("relaxed", "softplus_dc", "softplus_gd") for end in ("strict", "relu_gd")),
-    ]
-    carried = {row for pipeline in pipelines for row in table_rows(pipeline)}
-    assert carried == {tuple(row.numbers.values()) for row in TABLE_1}
 
 
 def test_rows_follow_the_papers_order_and_share_stages(factory, tmp_path):
