@@ -1,0 +1,40 @@
+"""What the README prints runs as printed."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from models.catalog import load_scene
+from models.trajectory import column_names
+from validate.cli.group import run
+
+README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+SNIPPETS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+
+
+def test_there_are_snippets():
+    assert SNIPPETS
+
+
+@pytest.mark.parametrize("snippet", SNIPPETS)
+def test_a_snippet_runs(snippet: str, capsys):
+    exec(compile(snippet, "README.md", "exec"), {})
+    assert float(capsys.readouterr().out.split()[-1]) == pytest.approx(197.86, abs=0.5)  # the printed cost, little changed by the extra row
+
+
+def test_the_columns_of_a_plan_are_the_scenes():
+    names = column_names(load_scene("three_cart"))
+    columns = ", ".join(["t", *names["q"], *names["v"], *names["u"], *names["lam"]])
+    assert f"`{columns}`" in README
+
+
+@pytest.mark.parametrize("command", sorted(set(re.findall(r"python -m validate (\w+)", README))))
+def test_a_command_exists(command: str, capsys):
+    assert run([command, "--help"]) == 0
+    assert "Usage" in capsys.readouterr().out
+
+
+def test_links_lead_somewhere():
+    for target in re.findall(r"\]\(([^)#]+)\)", README):
+        assert (Path(__file__).parents[1] / target).exists(), target
