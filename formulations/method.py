@@ -24,7 +24,7 @@ from enum import Enum
 from types import MappingProxyType, TracebackType
 from typing import TYPE_CHECKING
 
-from models.errors import TouchstoneError
+from formulations.options import OptionError, OptionSpec, filled_options
 
 if TYPE_CHECKING:  # pipelines are data: naming them must not cost SymPy and numpy
     from formulations.solution import Solution
@@ -37,23 +37,6 @@ class Kind(Enum):
 
     INDIRECT = "indirect"
     DIRECT = "direct"
-
-
-class OptionError(TouchstoneError):
-    """An option or eps that the method does not know or that is out of range; one sentence says which and what was expected."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class OptionSpec:
-    """One option of a method: its default, unit and meaning. `lower`/`upper` bound numbers (inclusive)."""
-
-    name: str
-    default: object
-    description: str
-    unit: str = "1"
-    lower: float | None = None
-    upper: float | None = None
-    choices: tuple[object, ...] = ()
 
 
 class Session(ABC):
@@ -102,8 +85,6 @@ class Method(ABC):
 
     def filled_options(self, options: Mapping[str, object]) -> dict[str, object]:
         """All options with defaults filled in. Raises OptionError for unknown names and values out of range."""
-        from formulations.options import filled_options
-
         return filled_options(self.name, self.options, options)
 
 

@@ -5,8 +5,26 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
-from formulations.method import OptionError, OptionSpec
+from models.errors import TouchstoneError
+
+
+class OptionError(TouchstoneError):
+    """An option or eps that the method does not know or that is out of range; one sentence says which and what was expected."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OptionSpec:
+    """One option of a method: its default, unit and meaning. `lower`/`upper` bound numbers (inclusive)."""
+
+    name: str
+    default: object
+    description: str
+    unit: str = "1"
+    lower: float | None = None
+    upper: float | None = None
+    choices: tuple[object, ...] = ()
 
 
 def filled_options(method: str, specs: Iterable[OptionSpec], given: Mapping[str, object]) -> dict[str, object]:

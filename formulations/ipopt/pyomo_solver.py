@@ -23,7 +23,7 @@ from pyomo.common.collections import Bunch
 from pyomo.common.tee import capture_output
 from pyomo.opt import SolverFactory, SolverResults, SolverStatus
 
-from formulations.ipopt.backend import default_backend
+from formulations.ipopt.backends import default_backend
 from formulations.ipopt.compiler import compile_model
 from formulations.ipopt.pyomo_results import has_point, solver_results, with_solution
 from formulations.ipopt.pyomo_suffixes import dual_start, fill_suffixes

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from formulations.ipopt.backend import Answer, Backend, Start, default_backend
+from formulations.ipopt.backend import Answer, Backend, Start
+from formulations.ipopt.backends import default_backend
 from formulations.ipopt.evaluations import Evaluations
 from formulations.ipopt.options import DEFAULTS, checked_options
 from formulations.ipopt.problem import IpoptProblem

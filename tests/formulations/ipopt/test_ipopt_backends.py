@@ -5,7 +5,9 @@ import pyomo.environ as pyo
 import pytest
 
 from formulations.ipopt import Start, compile_model, solve
-from formulations.ipopt.backend import Backend, Cyipopt, backends, default_backend
+from formulations.ipopt.backend import Backend
+from formulations.ipopt.backend_cyipopt import Cyipopt
+from formulations.ipopt.backends import backends, default_backend
 from formulations.ipopt.errors import UnknownOptionError
 from formulations.solution import Outcome
 from models.errors import MachineError

@@ -9,7 +9,8 @@ import pyomo.environ as pyo
 import pytest
 
 from formulations.ipopt import STATUS_MAP, STATUS_NAMES, Start, compile_model, outcome_of, residuals, solve
-from formulations.ipopt.backend import Answer, Cyipopt
+from formulations.ipopt.backend import Answer
+from formulations.ipopt.backend_cyipopt import Cyipopt
 from formulations.ipopt.evaluations import Evaluations
 from formulations.solution import Outcome
 
