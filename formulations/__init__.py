@@ -2,7 +2,7 @@
 
     from formulations import build_model, ContactLaw
     model = build_model("three_cart", ContactLaw.SOFTPLUS, eps=1e-3)     # a plain pyomo ConcreteModel
-    pyomo.environ.SolverFactory("touchstone_ipopt").solve(model)         # or any other solver
+    pyomo.environ.SolverFactory("touchstone_ipopt").solve(model)         # or any other solver; "mpec_ipopt" for complementarity
 
 Pyomo is imported when a model is built, PyTorch when a shooting method runs: importing this package costs neither.
 """
@@ -36,5 +36,6 @@ __all__ = ["ContactLaw", "ModelError", "PlanResiduals", "build_block", "build_mo
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    importlib.import_module("formulations.ipopt")  # whoever builds a model may solve it: registers SolverFactory("touchstone_ipopt")
+    importlib.import_module("formulations.ipopt")  # whoever builds a model may solve it: registers SolverFactory("touchstone_ipopt"),
+    importlib.import_module("formulations.mpec")  # and SolverFactory("mpec_ipopt") for one with complementarity
     return getattr(importlib.import_module(f"formulations.transcription.{_HOME[name]}"), name)

@@ -20,7 +20,7 @@ _MATTERS = (ActiveComponent, Var, Expression)
 _WHAT_TO_DO = {
     "DerivativeVar": "apply a dae transformation such as 'dae.collocation' first",
     "Integral": "apply a dae transformation such as 'dae.collocation' first",
-    "Complementarity": "apply a transformation such as 'mpec.simple_nonlinear' to a clone first, or use SolverFactory('touchstone_mpec')",
+    "Complementarity": "apply a transformation such as 'mpec.simple_nonlinear' to a clone first, or use SolverFactory('mpec_ipopt')",
     "Disjunction": "apply a gdp transformation first; its binary variables then need a mixed-integer solver",
     "Disjunct": "apply a gdp transformation first; its binary variables then need a mixed-integer solver",
     "LogicalConstraint": "logic needs binary variables and a mixed-integer solver",
@@ -30,15 +30,18 @@ _WHAT_TO_DO = {
 }
 
 
-def refuse_unknown_components(model: Any) -> None:
-    """Raise ModelRefusedError if the model holds an active component that is neither an equation, an objective nor data."""
+def refuse_unknown_components(model: Any, *, also: frozenset[type] = frozenset()) -> None:
+    """Raise ModelRefusedError if the model holds an active component that is neither an equation, an objective nor data.
+
+    also: component types that the caller treats itself
+    """
     if not isinstance(model, BlockData):
         raise ModelRefusedError(f"expected a Pyomo ConcreteModel or Block, got {type(model).__name__}")
     if not model.is_constructed():
         raise ModelRefusedError(f"the model '{model.name}' is abstract: call create_instance() first")
     for block in model.block_data_objects(active=True, descend_into=Block):
         for ctype in block.collect_ctypes(active=None, descend_into=False):
-            if ctype in _TREATED or not issubclass(ctype, _MATTERS):
+            if ctype in _TREATED or ctype in also or not issubclass(ctype, _MATTERS):
                 continue
             for component in block.component_data_objects(ctype, active=True, descend_into=False):
                 name = ctype.__name__

@@ -119,7 +119,7 @@ def _external(m):
         (lambda m: m.add_component("c", pyo.Constraint(expr=pyo.ceil(m.x) == 1)), ["'c'", "ceil"]),
         (
             lambda m: m.add_component("c", Complementarity(expr=complements(m.x >= 0, m.y >= 0))),
-            ["'c'", "Complementarity", "touchstone_mpec"],
+            ["'c'", "Complementarity", "mpec_ipopt"],
         ),
         (_disjunction, ["Disjunct"]),
         (_external, ["cost", "variable"]),

@@ -1,0 +1,35 @@
+"""MPECs written with pyomo.mpec: solved by relaxation, polished to exact complementarity, and certified.
+
+import formulations.mpec                                     # registers SolverFactory("mpec_ipopt")
+pyo.SolverFactory("mpec_ipopt").solve(model)                 # any model with Complementarity components
+
+from formulations.mpec import Settings, certify, load, solve_mpec
+result = solve_mpec(model, Settings(strategy="scholtes"))    # the model is only read
+load(result)
+certify(model).sentence                                      # of any point, whoever computed it
+"""
+
+from __future__ import annotations
+
+from formulations.mpec.certificate.certificate import Certificate, Multipliers, certify
+from formulations.mpec.certificate.stationarity import Stationarity
+from formulations.mpec.pyomo_solver import MpecIpopt
+from formulations.mpec.result import MpecResult, PairState, load
+from formulations.mpec.settings import FALLBACKS, STRATEGY_NAMES, Settings, read_settings
+from formulations.mpec.solve import solve_mpec
+
+__all__ = [
+    "FALLBACKS",
+    "STRATEGY_NAMES",
+    "Certificate",
+    "MpecIpopt",
+    "MpecResult",
+    "Multipliers",
+    "PairState",
+    "Settings",
+    "Stationarity",
+    "certify",
+    "load",
+    "read_settings",
+    "solve_mpec",
+]

@@ -1,0 +1,1 @@
+"""The judge of a point: everything read from the Pyomo model again, by Pyomo's own means; nothing here knows how the point was found."""

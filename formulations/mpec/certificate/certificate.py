@@ -1,0 +1,181 @@
+"""certify(model): what can be said of the point that a Pyomo model's variables hold, whoever computed it.
+
+certificate = certify(model)
+certificate.holds                     # feasible, complementary, and no direction goes down to first order
+certificate.stationarity.letter       # S, M, C, A, W or -
+print(certificate.sentence)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from formulations.mpec.certificate.evaluation import LocalModel, Row, read_local
+from formulations.mpec.certificate.stationarity import ActiveSet, Stationarity, active_set, classify, steepest_piece
+
+# Feasibility relative to max(1, |bound|); complementarity as min(G, H) of a pair, in the user's units; dual residual relative to the largest
+# derivative of the objective (at least 1). A point polished by this package has 1e-12 in the first two; a solver without polish about 1e-8.
+FEASIBILITY, COMPLEMENTARITY, STATIONARITY = 1e-6, 1e-6, 1e-5
+# A row, bound or side this near zero is active.
+ACTIVE = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Multipliers:
+    """gradient (sense * f) = sum rows[c] gradient c + sum bounds[x] + sum of pairs: by component, missing ones are 0.
+
+    rows, bounds: positive pushes away from a lower bound. pairs: (multiplier of the first argument's body, of the second's) of `complements`.
+    """
+
+    rows: Mapping[Any, float]
+    bounds: Mapping[Any, float]
+    pairs: Mapping[Any, tuple[float, float]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certificate:
+    """primal: largest violation of a row, a bound or a side of a pair [user's units]; complementarity: largest min(G, H); product: largest
+    |G H|; dual: residual of the multipliers of the class (relative); given_dual: residual and wrong signs of the multipliers that came with the
+    point, NaN if none did; biactive: pairs with both sides zero; descent: steepest slope of a piece (0: B-stationary; NaN: not all pieces
+    were looked at); worst: the name of the component with the largest violation.
+    """
+
+    primal: float
+    primal_relative: float
+    complementarity: float
+    product: float
+    dual: float
+    given_dual: float
+    pairs: int
+    biactive: int
+    stationarity: Stationarity
+    descent: float
+    worst: str
+    objective: float
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def feasible(self) -> bool:
+        return self.primal_relative <= FEASIBILITY and self.complementarity <= COMPLEMENTARITY
+
+    @property
+    def b_stationary(self) -> bool | None:
+        """None where there are too many biactive pairs to know. By linearisation: strong stationarity implies it."""
+        if self.stationarity is Stationarity.STRONG:
+            return True
+        return None if math.isnan(self.descent) else self.descent >= -STATIONARITY
+
+    @property
+    def holds(self) -> bool:
+        """Feasible, complementary and B-stationary; and multipliers that came along are right."""
+        return self.feasible and self.b_stationary is True and not self.given_dual > STATIONARITY * 10
+
+    @property
+    def sentence(self) -> str:
+        b = {True: "B-stationary", False: f"not B-stationary (slope {self.descent:.1e})", None: "B-stationarity unknown"}[self.b_stationary]
+        return (
+            f"primal {self.primal:.1e}, complementarity {self.complementarity:.1e}, dual {self.dual:.1e} (unscaled, recomputed from the model); "
+            f"class {self.stationarity.letter}, {b}, {self.biactive} of {self.pairs} pairs biactive"
+        )
+
+
+def certify(model: Any, multipliers: Multipliers | None = None, *, max_biactive: int = 8) -> Certificate:
+    """Judge the current values of a model's variables. The model is only read.
+
+    multipliers: if given they are checked too. max_biactive: with more biactive pairs than this only classes S and W are told apart, and
+    B-stationarity follows from S alone.
+    """
+    local = read_local(model, ACTIVE)
+    rows = (*local.rows, *local.bounds)
+    violations = [_violation(row) for row in rows]
+    sides = [max(0.0, -min(pair.first, pair.second)) for pair in local.pairs]
+    worst_row = _largest([*violations, *sides])
+    complementarity = _largest(
+        [max(0.0, min(p.first, p.second)) if p.first == p.first and p.second == p.second else math.nan for p in local.pairs]
+    )
+    relative = _largest([*(v / _size(row) for v, row in zip(violations, rows, strict=True)), *sides])
+    names = [*rows, *local.pairs]
+    active = active_set(local, ACTIVE)
+    stationarity, dual, descent, given = Stationarity.NONE, math.nan, math.nan, math.nan
+    computable = _is_finite(local)
+    if computable:
+        given = math.nan if multipliers is None else given_residual(local, active, multipliers)
+        if given <= STATIONARITY and _is_strong(local, active, multipliers):
+            stationarity, dual, descent = Stationarity.STRONG, given, 0.0
+        else:
+            stationarity, dual = classify(active, STATIONARITY, max_biactive)
+            descent = 0.0 if stationarity is Stationarity.STRONG else steepest_piece(active, max_biactive)[0]
+    return Certificate(
+        primal=worst_row,
+        primal_relative=relative,
+        complementarity=complementarity,
+        product=_largest([abs(pair.first * pair.second) for pair in local.pairs]),
+        dual=dual,
+        given_dual=given,
+        pairs=len(local.pairs),
+        biactive=len(active.both),
+        stationarity=stationarity,
+        descent=descent,
+        worst="" if worst_row == 0.0 else str(names[int(np.argmax(np.nan_to_num([*violations, *sides], nan=np.inf)))].source.name),
+        objective=local.objective,
+        notes=() if computable else ("a function or derivative is not a finite number at this point",),
+    )
+
+
+def given_residual(local: LocalModel, active: ActiveSet, multipliers: Multipliers) -> float:
+    """Largest of: what the multipliers leave of the gradient; wrong signs; products of multiplier and distance. Relative to the scale."""
+    y = np.array([multipliers.rows.get(row.source, 0.0) for row in local.rows])
+    z = np.array([multipliers.bounds.get(row.source, 0.0) for row in local.bounds])
+    pairs = [multipliers.pairs.get(pair.source, (0.0, 0.0)) for pair in local.pairs]
+    nu = np.array([pair.first_flip * given[0] for pair, given in zip(local.pairs, pairs, strict=True)])
+    mu = np.array([pair.second_flip * given[1] for pair, given in zip(local.pairs, pairs, strict=True)])
+    rest = local.gradient - z
+    for matrix, vector in ((local.jacobian, y), (local.first_jacobian, nu), (local.second_jacobian, mu)):
+        if vector.size:
+            rest = rest - matrix.T @ vector
+    wrong = [float(np.max(np.abs(rest), initial=0.0))]
+    for row, multiplier in zip((*local.rows, *local.bounds), (*y, *z), strict=True):
+        distance = row.value - row.lower if multiplier > 0 else row.upper - row.value
+        if multiplier != 0.0 and row.lower != row.upper:
+            wrong.append(abs(multiplier) if math.isinf(distance) else abs(multiplier) * max(0.0, distance))
+    wrong += [abs(m) * max(0.0, p.first) for m, p in zip(nu, local.pairs, strict=True)]
+    wrong += [abs(m) * max(0.0, p.second) for m, p in zip(mu, local.pairs, strict=True)]
+    return _largest(wrong) / active.scale
+
+
+def _is_strong(local: LocalModel, active: ActiveSet, multipliers: Multipliers | None) -> bool:
+    if multipliers is None:
+        return False
+    limit = -STATIONARITY * active.scale
+    for k in active.both:
+        pair = local.pairs[k]
+        nu, mu = multipliers.pairs.get(pair.source, (0.0, 0.0))
+        if pair.first_flip * nu < limit or pair.second_flip * mu < limit:
+            return False
+    return True
+
+
+def _violation(row: Row) -> float:
+    if math.isnan(row.value) or math.isnan(row.lower) or math.isnan(row.upper):
+        return math.nan
+    return max(0.0, row.lower - row.value, row.value - row.upper)
+
+
+def _size(row: Row) -> float:
+    return max(1.0, *(abs(bound) for bound in (row.lower, row.upper) if math.isfinite(bound)), 1.0)
+
+
+def _largest(values: list[float]) -> float:
+    """Largest value, 0 for none; NaN stays NaN."""
+    return float(np.max(values)) if values else 0.0
+
+
+def _is_finite(local: LocalModel) -> bool:
+    arrays = (local.gradient, local.jacobian.data, local.first_jacobian.data, local.second_jacobian.data)
+    values = [row.value for row in (*local.rows, *local.bounds)] + [v for pair in local.pairs for v in (pair.first, pair.second)]
+    return all(np.all(np.isfinite(array)) for array in arrays) and bool(np.all(np.isfinite(values))) and math.isfinite(local.objective)

@@ -1,0 +1,180 @@
+"""Multipliers of a point of an MPEC, sought class by class with linear programs (HiGHS), and the test for a direction that goes down.
+
+    gradient f = sum y gradient g + z + sum nu gradient G + sum mu gradient H,    nu = 0 where G > 0, mu = 0 where H > 0
+
+On biactive pairs (G = 0 = H):  S: nu, mu >= 0;  M: nu, mu > 0 or nu mu = 0;  C: nu mu >= 0;  A: nu >= 0 or mu >= 0;  W: any.
+B-stationary: no piece of the linearised problem - every biactive pair decided - has a direction with gradient f' d < 0.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+import scipy.sparse as sparse
+from scipy.optimize import linprog
+
+from formulations.mpec.certificate.evaluation import LocalModel, Row
+
+
+class Stationarity(Enum):
+    """Class of a point by the multipliers it has; the value is its meaning."""
+
+    STRONG = "S: multipliers of all biactive pairs are non-negative"
+    MORDUKHOVICH = "M: of each biactive pair both multipliers are positive or one is zero"
+    CLARKE = "C: of each biactive pair the multipliers do not have opposite signs"
+    ALTERNATIVE = "A: of each biactive pair one multiplier is non-negative"
+    WEAK = "W: multipliers exist, but their signs say that the point can be left downhill, or too many pairs are biactive to tell"
+    NONE = "no multipliers exist within the tolerance"
+
+    @property
+    def letter(self) -> str:
+        return "-" if self is Stationarity.NONE else self.value[0]
+
+
+# Sign choices of one biactive pair: limits of nu and of mu, each ">" (>= 0), "<" (<= 0), "0" or "*" (any).
+_CHOICES = {
+    Stationarity.STRONG: ((">", ">"),),
+    Stationarity.MORDUKHOVICH: ((">", ">"), ("0", "*"), ("*", "0")),
+    Stationarity.CLARKE: ((">", ">"), ("<", "<")),
+    Stationarity.ALTERNATIVE: ((">", "*"), ("*", ">")),
+    Stationarity.WEAK: (("*", "*"),),
+}
+_LIMITS = {">": (0.0, None), "<": (None, 0.0), "0": (0.0, 0.0), "*": (None, None)}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ActiveSet:
+    """What is active within a tolerance: gradients of rows and bounds as columns (n, k) with the limits of their multipliers; the pairs
+    by which side is zero; scale: largest derivative of the objective, at least 1."""
+
+    gradient: np.ndarray
+    normals: sparse.csc_matrix
+    limits: tuple[tuple[float | None, float | None], ...]
+    first_only: np.ndarray
+    second_only: np.ndarray
+    both: np.ndarray
+    first_normals: sparse.csc_matrix
+    second_normals: sparse.csc_matrix
+    scale: float
+
+
+def active_set(local: LocalModel, tolerance: float) -> ActiveSet:
+    n = len(local.variables)
+    everything = sparse.vstack([local.jacobian, sparse.identity(n, format="csr")], format="csr") if n else local.jacobian
+    chosen, limits = [], []
+    for number, row in enumerate((*local.rows, *local.bounds)):
+        limit = _multiplier_limits(row, tolerance)
+        if limit is not None:
+            chosen.append(number)
+            limits.append(limit)
+    first = np.array([pair.first <= tolerance for pair in local.pairs], dtype=bool)
+    second = np.array([pair.second <= tolerance for pair in local.pairs], dtype=bool)
+    return ActiveSet(
+        gradient=local.gradient,
+        normals=everything[chosen].T.tocsc(),
+        limits=tuple(limits),
+        first_only=np.flatnonzero(first & ~second),
+        second_only=np.flatnonzero(second & ~first),
+        both=np.flatnonzero(first & second),
+        first_normals=local.first_jacobian.T.tocsc(),
+        second_normals=local.second_jacobian.T.tocsc(),
+        scale=max(1.0, float(np.max(np.abs(local.gradient), initial=0.0))),
+    )
+
+
+def _multiplier_limits(row: Row, tolerance: float) -> tuple[float | None, float | None] | None:
+    """Limits of the multiplier of an active row; None for one that is not active."""
+    low = row.value - row.lower <= tolerance * max(1.0, abs(row.lower)) if np.isfinite(row.lower) else False
+    high = row.upper - row.value <= tolerance * max(1.0, abs(row.upper)) if np.isfinite(row.upper) else False
+    if low and high:
+        return None, None
+    return (0.0, None) if low else (None, 0.0) if high else None
+
+
+def multiplier_residual(active: ActiveSet, choice: tuple[tuple[str, str], ...]) -> float:
+    """Smallest max-norm of what is left of the gradient with these signs on the biactive pairs, relative to the scale."""
+    nu, mu = active.first_normals, active.second_normals
+    matrix = sparse.hstack(
+        [active.normals, nu[:, active.first_only], mu[:, active.second_only], nu[:, active.both], mu[:, active.both]], format="csr"
+    )
+    free = [(None, None)] * (len(active.first_only) + len(active.second_only))
+    limits = [*active.limits, *free, *(_LIMITS[a] for a, _ in choice), *(_LIMITS[b] for _, b in choice)]
+    n, count = matrix.shape
+    if n == 0:
+        return 0.0
+    if count == 0:
+        return float(np.max(np.abs(active.gradient))) / active.scale
+    # min t with -t <= gradient - matrix y <= t, everything divided by the scale
+    ones = sparse.csr_matrix(np.ones((n, 1)))
+    system = sparse.vstack([sparse.hstack([matrix, -ones]), sparse.hstack([-matrix, -ones])], format="csr")
+    right = np.concatenate([active.gradient, -active.gradient]) / active.scale
+    cost = np.zeros(count + 1)
+    cost[-1] = 1.0
+    answer = linprog(cost, A_ub=system, b_ub=right, bounds=[*limits, (0.0, None)], method="highs")
+    return float(answer.fun) if answer.status == 0 else float("inf")
+
+
+def classify(active: ActiveSet, tolerance: float, max_biactive: int) -> tuple[Stationarity, float]:
+    """(strongest class whose multipliers exist, their residual). Beyond max_biactive pairs only S and W can be told."""
+    count = len(active.both)
+    weak = multiplier_residual(active, _CHOICES[Stationarity.WEAK] * count)
+    if not weak <= tolerance:
+        return Stationarity.NONE, weak
+    for kind, choices in _CHOICES.items():
+        if len(choices) > 1 and count > max_biactive:
+            continue
+        for choice in itertools.product(choices, repeat=count):
+            residual = multiplier_residual(active, choice)
+            if residual <= tolerance:
+                return kind, residual
+    return Stationarity.WEAK, weak
+
+
+def steepest_piece(active: ActiveSet, max_biactive: int) -> tuple[float, np.ndarray | None]:
+    """(smallest gradient' d over |d| <= 1 and all pieces, relative to the scale; d): B-stationary where it is 0. NaN if there are too many
+    pieces to look at all of them and those looked at have no descent."""
+    best, direction = 0.0, None
+    for piece in _pieces(len(active.both), max_biactive):
+        slope, d = _descent(active, np.array(piece, dtype=bool))
+        if slope < best:
+            best, direction = slope, d
+    if direction is None and len(active.both) > max_biactive:
+        return float("nan"), None
+    return best, direction
+
+
+def _pieces(count: int, max_biactive: int) -> Iterator[tuple[bool, ...]]:
+    if count <= max_biactive:
+        yield from itertools.product((True, False), repeat=count)
+    else:
+        yield from ((True,) * count, (False,) * count)
+
+
+def _descent(active: ActiveSet, first_held: np.ndarray) -> tuple[float, np.ndarray | None]:
+    """min gradient' d: held sides stay 0, the other sides of biactive pairs do not go below 0."""
+    n = len(active.gradient)
+    if n == 0:
+        return 0.0, None
+    held_first = np.concatenate([active.first_only, active.both[first_held]])
+    held_second = np.concatenate([active.second_only, active.both[~first_held]])
+    equal = [active.first_normals[:, held_first].T, active.second_normals[:, held_second].T]
+    rising = [active.first_normals[:, active.both[~first_held]].T, active.second_normals[:, active.both[first_held]].T]
+    kinds = np.array([0 if a is None and b is None else 1 if b is None else -1 for a, b in active.limits], dtype=int)
+    rows = active.normals.T.tocsr()
+    equal.append(rows[kinds == 0])
+    rising += [rows[kinds == 1], -rows[kinds == -1]]
+    a_eq, a_ub = sparse.vstack(equal, format="csr"), -sparse.vstack(rising, format="csr")
+    answer = linprog(
+        active.gradient / active.scale,
+        A_ub=a_ub if a_ub.shape[0] else None,
+        b_ub=np.zeros(a_ub.shape[0]) if a_ub.shape[0] else None,
+        A_eq=a_eq if a_eq.shape[0] else None,
+        b_eq=np.zeros(a_eq.shape[0]) if a_eq.shape[0] else None,
+        bounds=(-1.0, 1.0),
+        method="highs",
+    )
+    return (float(answer.fun), answer.x) if answer.status == 0 else (0.0, None)

@@ -1,0 +1,150 @@
+"""Follow a relaxation as its eps goes to 0: how far a step goes is learnt from the steps before, and a failed one is taken again, shorter."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from formulations.ipopt import IpoptResult, Start, solve
+from formulations.mpec.settings import Settings
+from formulations.mpec.strategy import Strategy
+from formulations.mpec.workspace import Workspace, natural_residual
+from formulations.solution import Outcome
+
+# eps goes down by this at first; a step of few iterations makes the next one bolder, one of many makes it more careful.
+_FIRST_FACTOR, _BOLDEST, _MOST_CAREFUL = 0.1, 1e-3, 0.5
+_FEW, _MANY = 15, 120
+# Failed steps in a row, and in all, before the path is given up; the factors by which a first step that fails is tried again: a looser
+# relaxation is easier to satisfy, a tighter one is bounded where a looser one is not.
+_RETRIES, _FAILURES, _LOOSER, _TIGHTER = 3, 8, 100.0, 1e-2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """One solve at one eps: how it ended, and the largest min(v, w) of a pair at its point."""
+
+    strategy: str
+    eps: float
+    outcome: Outcome
+    iterations: int
+    objective: float
+    residual: float
+    seconds: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Point:
+    """Where the path is after a step that can be believed."""
+
+    eps: float
+    x: np.ndarray
+    result: IpoptResult
+
+
+class Account:
+    """Time and iterations of a whole solve; `remaining` is None where there is no limit."""
+
+    def __init__(self, limit: float | None) -> None:
+        if limit is not None and not limit > 0:
+            raise ValueError(f"the time limit is a positive number of seconds, not {limit!r}")
+        self._deadline = None if limit is None else time.perf_counter() + limit
+        self.iterations = 0
+        self.solves = 0
+
+    @property
+    def remaining(self) -> float | None:
+        return None if self._deadline is None else max(1e-3, self._deadline - time.perf_counter())
+
+    @property
+    def is_over(self) -> bool:
+        return self._deadline is not None and time.perf_counter() >= self._deadline
+
+    def run(self, problem: Any, options: dict[str, Any], start: Start) -> IpoptResult:
+        result = solve(problem, options=options, warm_start=start, time_limit=self.remaining)
+        self.iterations += result.iterations
+        self.solves += 1
+        return result
+
+
+class Path:
+    """The steps of one strategy, taken one at a time by `points`. `last_outcome` tells why there are no more."""
+
+    def __init__(self, work: Workspace, strategy: Strategy, settings: Settings, account: Account) -> None:
+        self._work, self._strategy, self._settings, self._account = work, strategy, settings, account
+        self.steps: list[Step] = []
+        self.last_outcome = Outcome.SOLVED
+        self.last_message = ""
+
+    def points(self, start: np.ndarray) -> Iterator[Point]:
+        """Points of smaller and smaller eps; ends at the last eps, at a limit, or where no shorter step helps either."""
+        settings, strategy = self._settings, self._strategy
+        first = settings.eps_start or strategy.first
+        last = min(settings.eps_end or strategy.last, first)
+        good: Point | None = None
+        eps, factor, failures, tried = first, _FIRST_FACTOR, 0, {first}
+        while True:
+            result = self._take(eps, start, good)
+            if _is_usable(result):
+                good, failures = Point(eps=eps, x=result.x, result=result), max(0, failures - 1)
+                yield good
+                if eps <= last:
+                    return
+                factor = _next_factor(factor, result.iterations)
+                eps = max(last, eps * factor)
+                continue
+            failures += 1
+            self.last_outcome, self.last_message = result.outcome, result.message
+            if self._account.is_over or result.outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT) or failures > _FAILURES:
+                return
+            if good is None:
+                eps *= _TIGHTER if result.outcome is Outcome.DIVERGED else _LOOSER
+                if eps in tried or failures > _RETRIES:
+                    return
+                tried.add(eps)
+            elif failures > _RETRIES or eps > 0.9 * good.eps:
+                return
+            else:
+                factor = math.sqrt(factor)
+                eps = math.sqrt(eps * good.eps)
+
+    def _take(self, eps: float, start: np.ndarray, good: Point | None) -> IpoptResult:
+        begin = time.perf_counter()
+        self._work.set(eps)
+        options: dict[str, Any] = {"max_iter": self._settings.step_iterations, "bound_relax_factor": 0.0}
+        begins = Start(x=start if good is None else good.x)
+        if good is not None and eps <= self._strategy.warm_below and good.result.solved:
+            # Multipliers are worth keeping only where the solution hardly moves any more; earlier they mislead.
+            before = good.result
+            begins = Start(x=before.x, lagrange=before.lagrange, zl=before.zl, zu=before.zu)
+            options["mu_init"] = min(1e-4, max(1e-11, 1e-2 * eps))
+        result = self._account.run(self._work.relaxed.problem, {**options, **self._settings.ipopt}, begins)
+        self.steps.append(
+            Step(
+                strategy=self._strategy.name,
+                eps=eps,
+                outcome=result.outcome,
+                iterations=result.iterations,
+                objective=result.objective,
+                residual=natural_residual(*self._work.relaxed.pair_values(result.x)),
+                seconds=time.perf_counter() - begin,
+            )
+        )
+        return result
+
+
+def _is_usable(result: IpoptResult) -> bool:
+    """Solved, or stalled at a feasible point: good enough to go on from, since every later step is judged again."""
+    return result.solved or (result.outcome in (Outcome.STALLED, Outcome.ITERATION_LIMIT) and result.residuals.feasible)
+
+
+def _next_factor(factor: float, iterations: int) -> float:
+    if iterations <= _FEW:
+        factor **= 1.5
+    elif iterations > _MANY:
+        factor **= 0.6
+    return min(_MOST_CAREFUL, max(_BOLDEST, factor))

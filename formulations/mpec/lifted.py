@@ -1,0 +1,134 @@
+"""A shadow of the user's model, in which every complementarity is a pair of variables.
+
+    0 <= v,  0 <= w,  v w = 0        v: Pyomo's own variable of the pair (v == first);  w: the user's variable where it is one, else a slack
+
+The shadow is a ConcreteModel of its own whose rows are the user's (by reference) and whose pairs went through Pyomo's own
+`mpec.simple_nonlinear`: each has `v`, its equation `ve`, and the product `ccon`: v w <= mpec_bound, a mutable Param. The user's model is
+read and never written, so there is nothing to undo after a failure or Ctrl-C.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import pyomo.environ as pyo
+from pyomo.common.gc_manager import PauseGC
+from pyomo.common.numeric_types import native_numeric_types
+from pyomo.core.base.var import VarData
+from pyomo.mpec import Complementarity, complements
+
+from formulations.ipopt.components import active_constraints, active_objective, refuse_unknown_components
+from formulations.mpec.conditions import BoxCondition, Condition, EqualityCondition, SimpleCondition, read_conditions
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lifted:
+    """The shadow and its pairs.
+
+    conditions: as the user wrote them; owners: for each pair the number of its condition; pairs: transformed Complementarity data
+    with `v`, `ve`, `ccon`; seconds: the variables w, in the same order; swapped: whether v is the second argument's side
+    """
+
+    model: Any
+    shadow: Any
+    conditions: tuple[Condition, ...]
+    owners: tuple[int, ...]
+    pairs: tuple[Any, ...]
+    seconds: tuple[Any, ...]
+    swapped: tuple[bool, ...]
+
+    @property
+    def firsts(self) -> tuple[Any, ...]:
+        return tuple(pair.v for pair in self.pairs)
+
+    def products(self, *, active: bool) -> None:
+        """Switch all products v w <= mpec_bound on or off."""
+        for pair in self.pairs:
+            if active:
+                pair.ccon.activate()
+            else:
+                pair.ccon.deactivate()
+
+
+def lift(model: Any) -> Lifted:
+    """Read a model and build its shadow. Raises ModelRefusedError for what this solver cannot treat."""
+    refuse_unknown_components(model, also=frozenset({Complementarity}))
+    with PauseGC():
+        conditions = read_conditions(model)
+        shadow = pyo.ConcreteModel(name=model.name)
+        rows = active_constraints(model)
+        if rows:
+            shadow.user_rows = pyo.Reference(dict(enumerate(rows)), ctype=pyo.Constraint)
+        objective = active_objective(model)
+        if objective is not None:
+            shadow.user_objective = pyo.Objective(expr=objective.expr, sense=objective.sense)
+        shadow.slack = pyo.VarList(domain=pyo.Reals)
+        shadow.slack_rows = pyo.ConstraintList()
+        found = [(number, pair) for number, condition in enumerate(conditions) for pair in _pairs(shadow, condition)]
+        shadow.pair = Complementarity(range(len(found)), rule=lambda _, k: complements(found[k][1][0] >= 0, found[k][1][1] >= 0))
+        pairs = tuple(shadow.pair[k] for k in range(len(found)))
+        pyo.TransformationFactory("mpec.simple_nonlinear").apply_to(shadow, mpec_bound=1.0)
+        for pair in pairs:
+            pair.c.deactivate()  # w >= 0 is the bound of w already; as a row it would cost a slack each
+    return Lifted(
+        model=model,
+        shadow=shadow,
+        conditions=tuple(conditions),
+        owners=tuple(number for number, _ in found),
+        pairs=pairs,
+        seconds=tuple(second for _, (_, second, _) in found),
+        swapped=tuple(swapped for _, (_, _, swapped) in found),
+    )
+
+
+def _pairs(shadow: Any, condition: Condition) -> Iterator[tuple[Any, Any, bool]]:
+    """(expression, variable with lower bound 0, sides swapped?) for each choice that a condition leaves."""
+    if isinstance(condition, EqualityCondition):
+        for lower, body, upper in condition.relations:
+            _impose(shadow, lower, body, upper)
+    elif isinstance(condition, BoxCondition):
+        above, below = shadow.slack.add(), shadow.slack.add()
+        above.setlb(0.0)
+        below.setlb(0.0)
+        shadow.slack_rows.add(above - below == condition.free)
+        yield _expression(shadow, condition.body - condition.lower), above, False
+        yield _expression(shadow, condition.upper - condition.body), below, False
+    elif isinstance(condition, SimpleCondition):
+        first, second = condition.first, condition.second
+        swapped = _is_nonnegative_variable(first) and not _is_nonnegative_variable(second)
+        if swapped:
+            first, second = second, first
+        yield _expression(shadow, first), second if _is_nonnegative_variable(second) else _slack(shadow, second), swapped
+
+
+def _impose(shadow: Any, lower: Any, body: Any, upper: Any) -> None:
+    body = _expression(shadow, body)
+    if lower is not None and upper is not None:
+        shadow.slack_rows.add(body == lower if pyo.value(lower) == pyo.value(upper) else pyo.inequality(lower, body, upper))
+    elif lower is not None:
+        shadow.slack_rows.add(body >= lower)
+    elif upper is not None:
+        shadow.slack_rows.add(body <= upper)
+
+
+def _slack(shadow: Any, expression: Any) -> Any:
+    slack = shadow.slack.add()
+    slack.setlb(0.0)
+    shadow.slack_rows.add(slack == expression)
+    return slack
+
+
+def _is_nonnegative_variable(expression: Any) -> bool:
+    """Whether it is a free variable that its own bounds keep from being negative: then it can be a side of a pair itself."""
+    return isinstance(expression, VarData) and not expression.fixed and expression.lb is not None and expression.lb >= 0.0
+
+
+def _expression(shadow: Any, expression: Any) -> Any:
+    """A plain number becomes a fixed variable, so that relations with it are relations and not True or False."""
+    if expression.__class__ not in native_numeric_types:
+        return expression
+    constant = shadow.slack.add()
+    constant.fix(float(expression))
+    return constant

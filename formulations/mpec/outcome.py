@@ -1,0 +1,41 @@
+"""How a solve ended, in words: every claim is held against residuals first."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from formulations.mpec.certificate.certificate import Certificate
+from formulations.mpec.homotopy import Account
+from formulations.mpec.settings import Settings
+from formulations.solution import Outcome
+
+if TYPE_CHECKING:
+    from formulations.mpec.solve import Candidate
+
+
+def verdict(candidate: Candidate, residual: float, certificate: Certificate | None, settings: Settings) -> tuple[Outcome, str]:
+    """Outcome and sentence of a candidate that has a point."""
+    told = f"{candidate.strategy.name}: " + (
+        certificate.sentence if certificate else f"complementarity {residual:.1e}, no certificate asked for"
+    )
+    if candidate.branch is None and candidate.outcome is not Outcome.SOLVED:
+        return candidate.outcome, f"{candidate.message}; {told}"
+    if certificate is not None and not certificate.feasible:
+        worst = f" (worst: {certificate.worst})" if certificate.worst else ""
+        return Outcome.STALLED, f"the point found is not feasible{worst}; {told}"
+    if residual > settings.complementarity_tolerance:
+        return Outcome.STALLED, f"the pairs could not be decided; {told}"
+    if certificate is not None and certificate.given_dual > 1e-4:
+        return Outcome.STALLED, f"the multipliers found do not belong to the point; {told}"
+    if certificate is not None and certificate.b_stationary is False:
+        return Outcome.STALLED, f"the point is feasible, but a direction goes down; {told}"
+    return Outcome.SOLVED, told
+
+
+def outcome_without_point(outcome: Outcome, message: str, account: Account) -> tuple[Outcome, str]:
+    """Outcome and sentence where no relaxation could be solved."""
+    if account.is_over:
+        return Outcome.TIME_LIMIT, f"the time limit was reached before any relaxation was solved; {message}"
+    if outcome is Outcome.SOLVED:
+        return Outcome.FAILED, "no relaxation was solved, for no known reason"
+    return outcome, message

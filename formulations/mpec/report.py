@@ -1,0 +1,152 @@
+"""From columns of the shadow back to the user's variables, constraints and complementarities."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pyomo.common.collections import ComponentMap
+
+from formulations.mpec.branching import lagrangian_slope
+from formulations.mpec.certificate.certificate import Multipliers
+from formulations.mpec.conditions import BoxCondition
+from formulations.mpec.result import MpecResult, PairState
+from formulations.mpec.settings import Settings
+from formulations.mpec.workspace import Columns
+from formulations.solution import Outcome
+
+if TYPE_CHECKING:
+    from formulations.mpec.homotopy import Account
+    from formulations.mpec.solve import Candidate
+
+
+def result_of(
+    candidate: Candidate,
+    columns: Columns | None,
+    x: np.ndarray | None,
+    outcome: Outcome,
+    message: str,
+    settings: Settings,
+    account: Account,
+    seconds: float,
+) -> MpecResult:
+    """columns, x: where the point is; None if there is none."""
+    work, branch = candidate.work, candidate.branch
+    problem = (columns or work.branches).problem
+    mine = _own(candidate)
+    keep = np.array([k for k, variable in enumerate(problem.variables) if id(variable) not in mine], dtype=np.intp)
+    rows = _user_rows(candidate)
+    point = np.full(len(keep), np.nan) if x is None else x[keep]
+    lagrange, zl, zu = np.full(len(rows), np.nan), np.full(len(keep), np.nan), np.full(len(keep), np.nan)
+    objective = float("nan")
+    if branch is not None and x is not None:
+        given = dict(zip((id(row) for row in problem.equations), branch.result.lagrange, strict=True))
+        lagrange = np.array([given.get(id(row), 0.0) for row in rows])
+        slope = _bound_multipliers(candidate)[keep]
+        zl, zu = np.maximum(slope, 0.0), np.maximum(-slope, 0.0)
+        held_low = np.isclose(point, problem.lower[keep], rtol=0.0, atol=1e-9)
+        zl, zu = np.where(held_low, slope, zl), np.where(held_low, 0.0, zu)  # a side held at 0 keeps its sign: that is what classes look at
+        objective = branch.objective
+    elif candidate.point is not None:
+        objective = _user_objective(candidate, candidate.point.x)
+    return MpecResult(
+        outcome=outcome,
+        message=message,
+        strategy=candidate.strategy.name,
+        variables=tuple(problem.variables[k] for k in keep),
+        x=point,
+        rows=rows,
+        lagrange=lagrange,
+        zl=zl,
+        zu=zu,
+        sense=work.branches.problem.sense,
+        objective=objective,
+        has_objective=work.branches.problem.layout.objective is not None,
+        polished=branch is not None,
+        residual=float("nan"),
+        pairs=() if columns is None or x is None else pair_states(candidate, columns, x),
+        steps=candidate.steps,
+        iterations=account.iterations,
+        solves=account.solves,
+        seconds=seconds,
+        options=MappingProxyType({
+            "strategy": candidate.strategy.name, "eps_start": settings.eps_start or candidate.strategy.first,
+            "eps_end": settings.eps_end or candidate.strategy.last, "complementarity_tolerance": settings.complementarity_tolerance,
+            "polish": settings.polish, "certificate": settings.certificate, "max_biactive": settings.max_biactive,
+            "step_iterations": settings.step_iterations, **settings.ipopt,
+        }),
+    )  # fmt: skip
+
+
+def pair_states(candidate: Candidate, columns: Columns, x: np.ndarray) -> tuple[PairState, ...]:
+    """One per pair of the shadow: a box has two."""
+    lifted = candidate.lifted
+    first, second = columns.pair_values(x)
+    nu, mu = np.full(len(first), np.nan), np.full(len(first), np.nan)
+    if candidate.branch is not None:
+        slope = _bound_multipliers(candidate)
+        nu, mu = slope[columns.first], slope[columns.second]
+    states = []
+    for k, owner in enumerate(lifted.owners):
+        sides = ((first[k], nu[k]), (second[k], mu[k]))
+        (a, a_multiplier), (b, b_multiplier) = sides[::-1] if lifted.swapped[k] else sides
+        name = lifted.conditions[owner].data.name
+        states.append(PairState(name=name, first=a, second=b, first_multiplier=a_multiplier, second_multiplier=b_multiplier))
+    return tuple(states)
+
+
+def multipliers_of(candidate: Candidate) -> Multipliers:
+    """The branch's multipliers by the user's components, in the certificate's signs."""
+    branch, lifted, columns = candidate.branch, candidate.lifted, candidate.work.branches
+    assert branch is not None
+    problem = columns.problem
+    slope = _bound_multipliers(candidate)
+    mine = _own(candidate)
+    users = {id(row) for row in _user_rows(candidate)}
+    rows = ComponentMap(
+        (row, -value) for row, value in zip(problem.equations, branch.result.lagrange.tolist(), strict=True) if id(row) in users
+    )
+    bounds = ComponentMap((v, z) for v, z in zip(problem.variables, slope.tolist(), strict=True) if id(v) not in mine)
+    pairs: Any = ComponentMap()
+    for k, owner in enumerate(lifted.owners):
+        condition = lifted.conditions[owner]
+        nu, mu = float(slope[columns.first[k]]), float(slope[columns.second[k]])
+        if lifted.seconds[k] in bounds:  # the user's own variable: its multiplier belongs to the pair, once
+            mu = bounds.pop(lifted.seconds[k])
+        elif id(lifted.seconds[k]) not in mine:
+            mu = 0.0
+        body, other = pairs.get(condition.data, (0.0, 0.0))
+        if isinstance(condition, BoxCondition):
+            is_lower = lifted.owners.index(owner) == k
+            body, other = body + (nu if is_lower else -nu), mu if is_lower else other
+            is_flipped = condition.data._args[0] is condition.free
+            pairs[condition.data] = (body, other) if not is_flipped else (other, body)
+            continue
+        pairs[condition.data] = (mu, nu) if lifted.swapped[k] else (nu, mu)
+    return Multipliers(rows=rows, bounds=bounds, pairs=pairs)
+
+
+def _bound_multipliers(candidate: Candidate) -> np.ndarray:
+    """What stationarity leaves to the bound of each variable of the problem without products, zl - zu, signs free."""
+    branch, problem = candidate.branch, candidate.work.branches.problem
+    assert branch is not None
+    return lagrangian_slope(problem, branch.x, branch.result.lagrange)
+
+
+def _own(candidate: Candidate) -> set[int]:
+    """Variables that exist in the shadow only."""
+    shadow = candidate.lifted.shadow
+    extra = [shadow.elastic] if shadow.component("elastic") is not None else []
+    return {id(variable) for variable in (*shadow.slack.values(), *candidate.lifted.firsts, *extra)}
+
+
+def _user_rows(candidate: Candidate) -> tuple[Any, ...]:
+    rows = candidate.lifted.shadow.component("user_rows")
+    return () if rows is None else tuple(rows.values())
+
+
+def _user_objective(candidate: Candidate, x: np.ndarray) -> float:
+    """The user's objective (without a strategy's penalty) at a point of the relaxation."""
+    problem = candidate.work.branches.problem
+    return problem.sense * problem.objective(candidate.work.branch_point(x))

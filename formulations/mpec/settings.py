@@ -1,0 +1,88 @@
+"""Options of `mpec_ipopt`: its own by name, everything else goes to Ipopt (and is refused there if Ipopt does not have it)."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from types import MappingProxyType
+from typing import Any
+
+from formulations.ipopt.errors import UnknownOptionError
+from formulations.ipopt.options import checked_options, known_options
+
+STRATEGY_NAMES = ("scholtes", "smoothing", "chks", "l1_penalty", "elastic", "direct")
+# Tried in this order where the chosen one finds no point; measured on the MacMPEC problems of the tests.
+FALLBACKS = ("scholtes", "l1_penalty", "smoothing")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """strategy: how pairs are made smooth, "auto" tries FALLBACKS until one succeeds
+    eps_start, eps_end: where the relaxation starts and ends (None: the strategy's own)
+    complementarity_tolerance: largest min(v, w) of a pair that counts as complementary without polish
+    polish: decide every pair and solve what remains exactly; certificate: recompute residuals and stationarity from the model
+    max_biactive: up to how many undecided pairs every combination is tried
+    step_iterations: iterations of Ipopt for one eps
+    ipopt: options for Ipopt
+    """
+
+    strategy: str = "auto"
+    eps_start: float | None = None
+    eps_end: float | None = None
+    complementarity_tolerance: float = 1e-6
+    polish: bool = True
+    certificate: bool = True
+    max_biactive: int = 6
+    step_iterations: int = 500
+    ipopt: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def strategies(self) -> tuple[str, ...]:
+        return FALLBACKS if self.strategy == "auto" else (self.strategy,)
+
+
+_OWN = {item.name: item for item in fields(Settings) if item.name != "ipopt"}
+
+
+def read_settings(options: Mapping[str, Any]) -> Settings:
+    """Split and check. Raises UnknownOptionError with what to write instead."""
+    own = {name: value for name, value in options.items() if name in _OWN}
+    ipopt = {name: value for name, value in options.items() if name not in _OWN and name != "solver"}
+    for name in ipopt:
+        if name not in known_options():
+            close = difflib.get_close_matches(name, _OWN, n=1)
+            if close:
+                raise UnknownOptionError(f"there is no option '{name}': did you mean '{close[0]}'?")
+    checked_options(ipopt)
+    return Settings(**{name: _checked(name, value) for name, value in own.items()}, ipopt=MappingProxyType(ipopt))
+
+
+def _checked(name: str, value: Any) -> Any:
+    if name == "strategy":
+        if value not in ("auto", *STRATEGY_NAMES):
+            raise UnknownOptionError(f"the option 'strategy' is one of auto, {', '.join(STRATEGY_NAMES)}, not {value!r}")
+        return value
+    if name in ("polish", "certificate"):
+        words = {True: True, False: False, "yes": True, "no": False, "true": True, "false": False, "True": True, "False": False}
+        if not isinstance(value, (bool, str)) or value not in words:
+            raise UnknownOptionError(f"the option '{name}' is True or False, not {value!r}")
+        return words[value]
+    if value is None and name in ("eps_start", "eps_end"):
+        return None
+    return _number(name, value)
+
+
+def _number(name: str, value: Any) -> float | int:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise UnknownOptionError(f"the option '{name}' is a number, not {value!r}") from None
+    if name in ("max_biactive", "step_iterations"):
+        if isinstance(value, bool) or number < 0 or number != int(number):
+            raise UnknownOptionError(f"the option '{name}' is a whole number of at least 0, not {value!r}")
+        return int(number)
+    if isinstance(value, bool) or not 0.0 < number < math.inf:
+        raise UnknownOptionError(f"the option '{name}' is a positive number, not {value!r}")
+    return number

@@ -1,0 +1,144 @@
+"""Solve an MPEC: follow a relaxation, decide the pairs as soon as they are clear, solve what remains exactly, and have the point judged.
+
+result = solve_mpec(model)                        # MpecResult; the model is untouched
+load(result)                                      # writes the variables
+"""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from formulations.mpec.branching import Branch, Branching
+from formulations.mpec.certificate.certificate import Certificate, certify
+from formulations.mpec.certificate.evaluation import values_set
+from formulations.mpec.homotopy import Account, Path, Point, Step
+from formulations.mpec.lifted import Lifted, lift
+from formulations.mpec.outcome import outcome_without_point, verdict
+from formulations.mpec.report import multipliers_of, result_of
+from formulations.mpec.result import MpecResult
+from formulations.mpec.settings import Settings
+from formulations.mpec.strategy import Strategy
+from formulations.mpec.workspace import Workspace, natural_residual
+from formulations.solution import Outcome
+
+logger = logging.getLogger(__name__)
+
+# The pairs are decided early where two steps in a row agree on all of them, below this eps; the branch is believed where it is strongly
+# stationary and its objective is this near to the relaxation's, relative to max(1, |objective|).
+_EARLY_EPS, _NEAR = 1e-3, 1e-2
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidate:
+    """What one strategy found: a branch, or only a point of its relaxation, or neither."""
+
+    strategy: Strategy
+    lifted: Lifted
+    work: Workspace
+    branch: Branch | None
+    point: Point | None
+    outcome: Outcome
+    message: str
+    steps: tuple[Step, ...]
+
+
+def load_strategy(name: str) -> Strategy:
+    return importlib.import_module(f"formulations.mpec.strategies.{name}").STRATEGY
+
+
+def solve_mpec(model: Any, settings: Settings | None = None, *, time_limit: float | None = None) -> MpecResult:
+    """Solve from the current values of the model's variables. The model is only read, also by the certificate.
+
+    Raises ModelRefusedError for what cannot be treated and MissingValueError for data without a value, before anything runs.
+    """
+    settings = settings or Settings()
+    begin, account = time.perf_counter(), Account(time_limit)
+    best: MpecResult | None = None
+    steps: list[Step] = []
+    for name in settings.strategies:
+        candidate = run_strategy(model, load_strategy(name), settings, account)
+        steps += candidate.steps
+        result = judged(model, candidate, settings, account, begin)
+        result = replace(result, steps=tuple(steps))
+        logger.info("%s on '%s': %s", name, model.name, result.message)
+        if best is None or _rank(result) < _rank(best):
+            best = result
+        if result.solved or account.is_over or result.outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT):
+            break
+    assert best is not None  # there is always a strategy
+    return replace(best, steps=tuple(steps), iterations=account.iterations, solves=account.solves, seconds=time.perf_counter() - begin)
+
+
+def run_strategy(model: Any, strategy: Strategy, settings: Settings, account: Account) -> Candidate:
+    """One strategy from the model's values: its path, and the branch it leads to."""
+    lifted = lift(model)
+    work = Workspace(lifted, strategy)
+    path, branching = Path(work, strategy, settings, account), Branching(work, settings, account)
+    work.set(settings.eps_start or strategy.first)
+    branch, last = None, None
+    if not lifted.pairs:
+        branch = branching.polish(work.start())
+        message = "" if branching.last is None else branching.last.message
+        outcome = Outcome.SOLVED if branch else Outcome.FAILED if branching.last is None else branching.last.outcome
+        return Candidate(strategy=strategy, lifted=lifted, work=work, branch=branch, point=None, outcome=outcome, message=message, steps=())
+    before = None
+    for last in path.points(work.start()):
+        first, second = work.relaxed.pair_values(last.x)
+        closed = first < second
+        clear = before is not None and np.array_equal(closed, before)
+        before = closed
+        if settings.polish and last.eps <= _EARLY_EPS and clear and last.result.solved:
+            branch = branching.polish(last.x)
+            if branch is not None and branch.is_strong and _agrees(branch.objective, last.result.objective):
+                break
+    else:
+        if last is not None and settings.polish:
+            branch = branching.polish(last.x)
+    outcome, message = (Outcome.SOLVED, "") if last is not None else (path.last_outcome, path.last_message)
+    if last is not None and account.is_over and branch is None:
+        outcome, message = Outcome.TIME_LIMIT, "the time limit was reached before the last eps"
+    return Candidate(
+        strategy=strategy, lifted=lifted, work=work, branch=branch, point=last, outcome=outcome, message=message, steps=tuple(path.steps)
+    )
+
+
+def judged(model: Any, candidate: Candidate, settings: Settings, account: Account, begin: float) -> MpecResult:
+    """The result of a candidate; nothing is `solved` without residuals and a certificate that say so."""
+    if candidate.branch is None and candidate.point is None:
+        outcome, message = outcome_without_point(candidate.outcome, candidate.message, account)
+        return result_of(candidate, None, None, outcome, message, settings, account, time.perf_counter() - begin)
+    branch, point = candidate.branch, candidate.point
+    if branch is not None:
+        columns, x = candidate.work.branches, branch.x
+    else:
+        assert point is not None
+        columns, x = candidate.work.relaxed, point.x
+    residual = natural_residual(*columns.pair_values(x))
+    certificate = _certificate(model, candidate, x) if settings.certificate else None
+    outcome, message = verdict(candidate, residual, certificate, settings)
+    return replace(
+        result_of(candidate, columns, x, outcome, message, settings, account, time.perf_counter() - begin),
+        residual=residual,
+        certificate=certificate,
+    )
+
+
+def _certificate(model: Any, candidate: Candidate, x: np.ndarray) -> Certificate:
+    columns = candidate.work.branches if candidate.branch is not None else candidate.work.relaxed
+    with values_set(columns.problem.variables, x.tolist()):
+        return certify(model, multipliers_of(candidate) if candidate.branch is not None else None)
+
+
+def _agrees(objective: float, relaxed: float) -> bool:
+    return abs(objective - relaxed) <= _NEAR * max(1.0, abs(relaxed))
+
+
+def _rank(result: MpecResult) -> tuple[bool, bool, float]:
+    """Solved first, then points, then by residual."""
+    return not result.solved, not result.has_point, result.residual if result.residual == result.residual else float("inf")

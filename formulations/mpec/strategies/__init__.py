@@ -1,0 +1,1 @@
+"""ONE FILE = ONE STRATEGY: how the pairs are made smooth."""

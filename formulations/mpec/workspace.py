@@ -1,0 +1,111 @@
+"""Numbers of one solve: the compiled relaxation, the compiled problem without products, and the columns of the pairs in both."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from formulations.ipopt import IpoptProblem, compile_model
+from formulations.ipopt.errors import MissingValueError
+from formulations.mpec.lifted import Lifted
+from formulations.mpec.strategy import Strategy
+
+
+class Columns:
+    """Where things are in a compiled problem: `first[k]`, `second[k]` are the columns of pair k."""
+
+    def __init__(self, problem: IpoptProblem, lifted: Lifted) -> None:
+        self.problem = problem
+        self.place = {id(variable): column for column, variable in enumerate(problem.variables)}
+        self.first = np.array([self.place[id(v)] for v in lifted.firsts], dtype=np.intp)
+        self.second = np.array([self.place[id(w)] for w in lifted.seconds], dtype=np.intp)
+
+    def pair_values(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(v, w), each (number of pairs,)."""
+        return x[self.first], x[self.second]
+
+
+def natural_residual(first: np.ndarray, second: np.ndarray) -> float:
+    """max over pairs of |min(v, w)|, 0 without pairs."""
+    return float(np.max(np.abs(np.minimum(first, second)))) if first.size else 0.0
+
+
+class Workspace:
+    """Compiled once per strategy; only numbers change afterwards."""
+
+    def __init__(self, lifted: Lifted, strategy: Strategy) -> None:
+        self.lifted = lifted
+        self.branches = _compile_branches(lifted)
+        self.branch_bounds = (self.branches.problem.lower.copy(), self.branches.problem.upper.copy())
+        self._strategy = strategy
+        strategy.attach(lifted)
+        self.relaxed = Columns(compile_model(lifted.shadow), lifted)
+        known = self.relaxed.place
+        self._to_branch = np.array([known.get(id(variable), -1) for variable in self.branches.problem.variables], dtype=np.intp)
+
+    def set(self, eps: float) -> None:
+        """Move the relaxation to eps."""
+        self._strategy.set(self.lifted, eps)
+        self.relaxed.problem.refresh(check=False)
+
+    def start(self) -> np.ndarray:
+        """The user's values in the relaxation's columns; every slack at the value that its own equation asks for, at least its bound."""
+        problem = self.relaxed.problem
+        x, _ = problem.start()
+        for k in np.flatnonzero(~np.isfinite(x)):
+            raise MissingValueError(f"variable '{problem.variables[k].name}' starts at {x[k]}: give it a finite value, or none")
+        settle(problem, x, self._slacks())
+        return x
+
+    def branch_point(self, x: np.ndarray) -> np.ndarray:
+        """A point of the relaxation in the columns of the problem without products."""
+        point = np.zeros(self.branches.problem.n)
+        known = self._to_branch >= 0
+        point[known] = x[self._to_branch[known]]
+        return point
+
+    def relaxed_point(self, point: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """The point of the problem without products in the relaxation's columns; what it does not have stays as in x."""
+        merged = x.copy()
+        known = self._to_branch >= 0
+        merged[self._to_branch[known]] = point[known]
+        return merged
+
+    def _slacks(self) -> list[Any]:
+        return [*self.lifted.shadow.slack.values(), *self.lifted.firsts]
+
+
+def settle(problem: IpoptProblem, x: np.ndarray, slacks: list[Any]) -> None:
+    """Give each slack the value that makes its defining row (an equality that no slack of a later pair enters) hold, within its bounds."""
+    place = {id(variable): column for column, variable in enumerate(problem.variables)}
+    columns = np.array([place[id(s)] for s in slacks if id(s) in place], dtype=np.intp)
+    if not columns.size:
+        return
+    x[columns] = np.clip(0.0, problem.lower[columns], problem.upper[columns])
+    rows, entries = problem.jacobianstructure()
+    for _ in range(2):  # slacks of user expressions first, then v == expression, which may hold such a slack
+        values, slopes = problem.constraints(x), problem.jacobian(x)
+        is_equality = problem.constraint_lower == problem.constraint_upper
+        wanted = np.full(problem.n, np.nan)
+        pick = np.isin(entries, columns) & is_equality[rows] & (slopes != 0.0)
+        with np.errstate(all="ignore"):
+            wanted[entries[pick]] = x[entries[pick]] + (problem.constraint_lower[rows[pick]] - values[rows[pick]]) / slopes[pick]
+        chosen = np.where(np.isfinite(wanted[columns]), wanted[columns], x[columns])
+        x[columns] = np.clip(chosen, problem.lower[columns], problem.upper[columns])
+
+
+def _compile_branches(lifted: Lifted) -> Columns:
+    """The problem without products. A side that stands nowhere else keeps its row w >= 0, so that it has a column."""
+    lifted.products(active=False)
+    problem = compile_model(lifted.shadow)
+    present = {id(variable) for variable in problem.variables}
+    lonely = [pair for pair, second in zip(lifted.pairs, lifted.seconds, strict=True) if id(second) not in present]
+    if lonely:
+        for pair in lonely:
+            pair.c.activate()
+        problem = compile_model(lifted.shadow)
+        for pair in lonely:
+            pair.c.deactivate()
+    lifted.products(active=True)
+    return Columns(problem, lifted)
