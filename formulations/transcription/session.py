@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter, process_time
 from typing import Any, cast
 
@@ -16,9 +17,12 @@ from formulations.transcription.build import build_model
 from formulations.transcription.contact_laws import ContactLaw, tighten
 from formulations.transcription.method import TranscriptionMethod
 from formulations.transcription.plans import load_first_guess, load_plan, read_plan
+from formulations.transcription.reach import Nearest, Patience, nearest
 from formulations.transcription.residuals import PlanResiduals
 from formulations.transcription.workbench import Account, Workbench, primal_dual
+from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw as ForceLaw
+from models.contact_law import sharpness
 from models.errors import TrajectoryError
 from models.scene import Scene
 from models.trajectory import Trajectory
@@ -43,6 +47,7 @@ class TranscriptionSession(Session):
         self._residuals = PlanResiduals(scene)
         self._bench: Workbench | None = None
         self._last: tuple[Trajectory, IpoptResult] | None = None
+        self._nearest: dict[float, Nearest] = {}
         self._opening = (perf_counter() - opening[0], process_time() - opening[1])
 
     # -- what a subclass decides ------------------------------------------------------------------------------------------------
@@ -62,6 +67,10 @@ class TranscriptionSession(Session):
     def takes_duals(self, eps: float | None) -> bool:
         """Whether a stage at eps that follows another of this session starts with its multipliers too."""
         return False
+
+    def sharpest(self, eps: float | None) -> float:
+        """Sharpness b of softplus contact that goes as far from the true law as the method's own contact at eps does."""
+        return math.inf
 
     def certificate(self, plan: Trajectory, eps: float | None) -> dict[str, float]:
         """Residuals of the plan by name."""
@@ -100,24 +109,61 @@ class TranscriptionSession(Session):
         if self._scene.nc:
             tighten(bench.model, cast(float, eps))
         start = self._start_with_duals(eps, warm_start)
-        result = bench.run(account, self.ipopt_options(warm_start), start)
+        result = self.attempt(bench, account, eps, self.ipopt_options(warm_start), start)
         if result.outcome is not Outcome.SOLVED and start is not None and not account.is_over:
             load_plan(bench.model, cast(Trajectory, warm_start))  # multipliers of another eps can mislead: the plan alone, then
-            result = bench.run(account, self.ipopt_options(warm_start))
+            result = self.attempt(bench, account, eps, self.ipopt_options(warm_start))
         self._last = None
         if result.outcome is Outcome.SOLVED:
             self._last = (read_plan(bench.model), result)
         return self.ending(result)
 
-    def ending(self, result: IpoptResult) -> Ending:
-        message = result.message
-        if result.outcome is Outcome.INFEASIBLE:
-            task = self._scene.task
+    def attempt(
+        self,
+        bench: Workbench,
+        account: Account,
+        eps: float | None,
+        options: dict[str, Any],
+        start: Start | None = None,
+        *,
+        share: float = 1.0,
+    ) -> IpoptResult:
+        """Solve; where that leads nowhere, find out whether the goal can be reached at all, and go on from a plan that reaches it."""
+        patience = Patience()
+        result = bench.run(account, options, start, share=share, callback=patience)
+        if account.is_over or not (patience.is_out or result.outcome is Outcome.INFEASIBLE):
+            return result
+        found = self._nearest_plan(account, self.sharpest(eps))
+        if found.is_out_of_reach:
+            message = f"{self._no_plan()}: the nearest that was found misses {found.words}."
+            return replace(result, outcome=Outcome.INFEASIBLE, message=message)
+        if found.is_solved:
+            load_plan(bench.model, found.plan)
+            options = {**options, **self.ipopt_options(found.plan)}
+        elif not patience.is_out:
+            shortfall = f"Ipopt ended where the constraints cannot be met any better, {result.residuals.constraint_violation:.3g} short"
+            return replace(result, message=f"{self._no_plan()}: {shortfall}.")
+        again = bench.run(account, options, share=share)
+        if again.outcome is Outcome.INFEASIBLE and found.is_solved:
             message = (
-                f"no plan of {task.steps} steps of {task.step:g} s was found that reaches the goal within the input bounds: Ipopt ended where the "
-                f"constraints cannot be met any better, {result.residuals.constraint_violation:.3g} short."
+                f"{again.message}. The goal can be reached nearly (with softened contact: {found.words}), but no plan was found from there."
             )
-        return Ending(outcome=result.outcome, message=message, dual_infeasibility=result.residuals.dual_infeasibility)
+            return replace(again, outcome=Outcome.STALLED, message=message)
+        return again
+
+    def _nearest_plan(self, account: Account, sharpest: float) -> Nearest:
+        """Searched once for each sharpness; searched again if it was cut off."""
+        found = self._nearest.get(sharpest)
+        if found is None or not found.is_solved:
+            found = self._nearest[sharpest] = nearest(self._scene, account, int(self.number("max_iterations")), sharpest)
+        return found
+
+    def _no_plan(self) -> str:
+        task = self._scene.task
+        return f"no plan of {task.steps} steps of {task.step:g} s was found that reaches the goal within the input bounds"
+
+    def ending(self, result: IpoptResult) -> Ending:
+        return Ending(outcome=result.outcome, message=result.message, dual_infeasibility=result.residuals.dual_infeasibility)
 
     def ipopt_options(self, warm_start: Trajectory | None) -> dict[str, Any]:
         return {**self.common_options(), **({} if warm_start is not None else self.cold_options())}
@@ -166,6 +212,9 @@ class TranscriptionSession(Session):
 class SoftplusSession(TranscriptionSession):
     contact = ContactLaw.SOFTPLUS
 
+    def sharpest(self, eps: float | None) -> float:
+        return sharpness(cast(float, eps))
+
     def takes_duals(self, eps: float | None) -> bool:
         return cast(float, eps) <= self.number("duals_from")
 
@@ -178,6 +227,11 @@ class SoftplusSession(TranscriptionSession):
 
 class RelaxedSession(TranscriptionSession):
     contact = ContactLaw.COMPLEMENTARITY
+
+    def sharpest(self, eps: float | None) -> float:
+        """b = k ln2 / sqrt(eps): softplus with this worst-case violation, lam (lam - k phi) = eps at phi = 0."""
+        softest = min(load_kernel(self._scene).stiffness(), default=math.inf)
+        return float(softest) * math.log(2.0) / math.sqrt(cast(float, eps))
 
     def cold_options(self) -> dict[str, Any]:
         return cold_barrier(self)

@@ -82,7 +82,7 @@ class StrictSession(TranscriptionSession):
 
     def run(self, bench: Workbench, account: Account, eps: float | None, warm_start: Trajectory | None) -> Ending:
         if not self._scene.nc:
-            return self.ending(bench.run(account, self.ipopt_options(warm_start)))
+            return self.ending(self.attempt(bench, account, None, self.ipopt_options(warm_start)))
         bound = self.number("attack_bound")
         if warm_start is not None and self._is_nearly_strict(warm_start, bound):
             exact = self._solve_modes(bench, account, self._residuals.modes(warm_start))
@@ -102,6 +102,8 @@ class StrictSession(TranscriptionSession):
             tighten(bench.model, bound)
             release_modes(bench.model)
             result = bench.run(account, self.ipopt_options(plan), primal_dual(result))
+            if result.outcome is Outcome.INFEASIBLE:  # a little looser there was a plan: that is no proof that there is none
+                result = replace(result, outcome=Outcome.STALLED)
         return self.ending(result)
 
     def _exact_ending(self, exact: IpoptResult, attack: IpoptResult) -> Ending:
@@ -119,10 +121,10 @@ class StrictSession(TranscriptionSession):
         """Step 1; a plan that leads nowhere is left for the first guess."""
         release_modes(bench.model)
         tighten(bench.model, bound)
-        result = bench.run(account, self._attack_options(account, warm_start), share=_ATTACK_SHARE)
+        result = self.attempt(bench, account, None, self._attack_options(account, warm_start), share=_ATTACK_SHARE)
         if warm_start is not None and not result.outcome.has_answer and not account.is_over:
             load_first_guess(bench.model)
-            result = bench.run(account, self._attack_options(account, None), share=_ATTACK_SHARE)
+            result = self.attempt(bench, account, None, self._attack_options(account, None), share=_ATTACK_SHARE)
         return result
 
     def _attack_options(self, account: Account, warm_start: Trajectory | None) -> dict[str, Any]:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
 
-from formulations.ipopt import IpoptProblem, IpoptResult, Start, compile_model, load, solve
+from formulations.ipopt import IpoptProblem, IpoptResult, Iteration, Start, compile_model, load, solve
 from formulations.solution import Seconds
 
+Callback = Callable[[Iteration], "bool | None"]
 _COLUMNS = ("objective", "inf_pr", "inf_du", "mu")
 
 
@@ -69,14 +70,22 @@ class Workbench:
         account.translate += perf_counter() - begin
         return self._problem
 
-    def run(self, account: Account, options: Mapping[str, Any], start: Start | None = None, *, share: float = 1.0) -> IpoptResult:
+    def run(
+        self,
+        account: Account,
+        options: Mapping[str, Any],
+        start: Start | None = None,
+        *,
+        share: float = 1.0,
+        callback: Callback | None = None,
+    ) -> IpoptResult:
         """Solve from `start` (default: the values of the model's variables), and write the point where it ended into the model.
 
         options: Ipopt's; max_iter counts for the whole stage. share: part of the remaining time this run may take.
         """
         problem = self.problem(account)
         left = {**options, "max_iter": max(0, options["max_iter"] - account.iterations)}
-        result = solve(problem, options=left, warm_start=start, time_limit=share * account.remaining)
+        result = solve(problem, options=left, warm_start=start, callback=callback, time_limit=share * account.remaining)
         account.add(result)
         if np.all(np.isfinite(result.x)):
             load(problem, result)
