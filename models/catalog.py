@@ -10,6 +10,7 @@ from __future__ import annotations
 import difflib
 import importlib.util
 import sys
+import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -61,9 +62,9 @@ def load_scene(reference: str) -> Scene:
         try:
             spec.loader.exec_module(module)
         except TouchstoneError as error:
-            raise SceneError(f"scene file {path}: {error}") from error
-        except Exception as error:
-            raise SceneError(f"scene file {path}: {type(error).__name__} while it was read: {error}") from error
+            raise SceneError(f"scene file {path}{_line_of(error, path)}: {error}") from error
+        except (Exception, SystemExit) as error:
+            raise SceneError(f"scene file {path}: {type(error).__name__} while it was read{_line_of(error, path)}: {error}") from error
         if ours:
             sys.modules[module_name] = module
     scene = getattr(module, "SCENE", None)
@@ -72,3 +73,9 @@ def load_scene(reference: str) -> Scene:
     if scene.name != path.stem:
         raise SceneError(f"scene file {path}: SCENE.name is {scene.name!r} but must equal the file's name {path.stem!r}.")
     return scene
+
+
+def _line_of(error: BaseException, path: Path) -> str:
+    """Where in the file that was: the last of its lines that the traceback passes."""
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+    return f", line {lines[-1]}" if lines else ""

@@ -22,32 +22,15 @@ Sign conventions: `penetration` phi is positive in contact; the contact force la
 from __future__ import annotations
 
 import math
-import re
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import sympy as sp
 
 from models.errors import SceneError
-from models.units import unit_problem
-
-_IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
-
-
-def _check_name(what: str, name: Any) -> None:
-    if not isinstance(name, str) or not _IDENTIFIER.match(name):
-        raise SceneError(f"{what}: the name {name!r} is not an identifier; use letters, digits and _, starting with a letter.")
-
-
-def _check_unit(what: str, unit: Any) -> None:
-    problem = unit_problem(unit)
-    if problem:
-        raise SceneError(f"{what}: {problem}")
-
-
-def _check_finite(what: str, value: Any) -> None:
-    if not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise SceneError(f"{what}: {value!r} is not a finite number.")
+from models.scene_annotations import Answer, Limit, Shape
+from models.scene_values import as_expression, as_number, check_moving, check_name, check_symbol, check_unit, settle
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,11 +49,12 @@ class Parameter:
 
     def __post_init__(self) -> None:
         where = f"parameter {self.symbol}"
-        if not isinstance(self.symbol, sp.Symbol):
-            raise SceneError(f"{where}: symbol must be a SymPy Symbol, not {type(self.symbol).__name__}.")
-        _check_name(where, self.symbol.name)
-        _check_unit(where, self.unit)
-        _check_finite(where, self.value)
+        check_symbol(f"{where}: symbol", self.symbol)
+        check_name(where, self.symbol.name)
+        check_unit(where, self.unit)
+        settle(self, "value", as_number(where, self.value))
+        for field in ("lower", "upper"):
+            settle(self, field, as_number(f"{where}: {field}", getattr(self, field), finite=False))
         if not self.lower <= self.value <= self.upper:
             raise SceneError(f"{where}: the value {self.value:g} {self.unit} lies outside its range [{self.lower:g}, {self.upper:g}].")
 
@@ -91,12 +75,11 @@ class Coordinate:
 
     def __post_init__(self) -> None:
         where = f"coordinate {self.symbol}"
-        for symbol in (self.symbol, self.velocity):
-            if not isinstance(symbol, sp.Symbol):
-                raise SceneError(f"{where}: symbol and velocity must be SymPy Symbols, not {type(symbol).__name__}.")
-            _check_name(where, symbol.name)
-        _check_unit(where, self.unit)
-        _check_finite(f"{where}: nominal", self.nominal)
+        for field, symbol in (("symbol", self.symbol), ("velocity", self.velocity)):
+            check_moving(f"{where}: {field}", symbol)
+            check_name(where, symbol.name)
+        check_unit(where, self.unit)
+        settle(self, "nominal", as_number(f"{where}: nominal", self.nominal))
         if self.nominal <= 0:
             raise SceneError(f"{where}: nominal must be positive, not {self.nominal:g}.")
 
@@ -125,10 +108,11 @@ class Input:
 
     def __post_init__(self) -> None:
         where = f"input {self.symbol}"
-        if not isinstance(self.symbol, sp.Symbol):
-            raise SceneError(f"{where}: symbol must be a SymPy Symbol, not {type(self.symbol).__name__}.")
-        _check_name(where, self.symbol.name)
-        _check_unit(where, self.unit)
+        check_moving(f"{where}: symbol", self.symbol)
+        check_name(where, self.symbol.name)
+        check_unit(where, self.unit)
+        for field in ("lower", "upper"):
+            settle(self, field, as_number(f"{where}: {field}", getattr(self, field), finite=False))
         if not self.lower < self.upper:
             raise SceneError(f"{where}: the bounds [{self.lower:g}, {self.upper:g}] are empty; lower must be below upper.")
 
@@ -148,12 +132,10 @@ class Contact:
     description: str = ""
 
     def __post_init__(self) -> None:
-        _check_name("contact", self.name)
+        check_name("contact", self.name)
         for field in ("penetration", "stiffness"):
-            value = getattr(self, field)
-            if not isinstance(value, sp.Expr):
-                raise SceneError(f"contact {self.name}: {field} must be a SymPy expression, not {type(value).__name__}.")
-        _check_finite(f"contact {self.name}: nominal", self.nominal)
+            settle(self, field, as_expression(f"contact {self.name}: {field}", getattr(self, field)))
+        settle(self, "nominal", as_number(f"contact {self.name}: nominal", self.nominal))
         if self.nominal <= 0:
             raise SceneError(f"contact {self.name}: nominal (a typical penetration in m) must be positive, not {self.nominal:g}.")
 
@@ -182,10 +164,12 @@ class Task:
 
     def __post_init__(self) -> None:
         for field in ("start", "goal"):
-            object.__setattr__(self, field, tuple(getattr(self, field)))
-            for index, value in enumerate(getattr(self, field)):
-                _check_finite(f"task: {field}[{index}]", value)
-        _check_finite("task: step", self.step)
+            values = getattr(self, field)
+            if isinstance(values, str) or not isinstance(values, Iterable):
+                raise SceneError(f"task: {field} must be positions, then velocities, as a tuple of numbers, not {values!r}.")
+            settle(self, field, tuple(as_number(f"task: {field}[{index}]", value) for index, value in enumerate(values)))
+        settle(self, "running_cost", as_expression("task: running_cost", self.running_cost))
+        settle(self, "step", as_number("task: step", self.step))
         if self.step <= 0:
             raise SceneError(f"task: step must be positive seconds, not {self.step!r}.")
         if isinstance(self.steps, bool) or not isinstance(self.steps, int) or self.steps < 1:
@@ -197,36 +181,16 @@ class Task:
         return self.steps * self.step
 
 
-@dataclass(frozen=True, kw_only=True)
-class Limit:
-    """The largest value of a score figure with which a plan still holds, and the reason for that number."""
-
-    figure: str
-    value: float
-    reason: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class Answer:
-    """A known answer of the scene: what it is, its value, tolerance and source."""
-
-    quantity: str
-    value: float
-    tolerance: float
-    source: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class Shape:
-    """How a body is drawn: `kind` "box", "disc", "line" or "wall"; `x`, `y` its centre and `angle`, as expressions in q [m, rad];
-    `size`: (width, height), (radius,), or (length,) [m]."""
-
-    name: str
-    kind: str
-    x: sp.Expr
-    y: sp.Expr
-    size: tuple[sp.Expr | float, ...]
-    angle: sp.Expr = sp.S.Zero
+# What the parts of a scene are made of.
+_PARTS = {
+    "coordinates": Coordinate,
+    "inputs": Input,
+    "parameters": Parameter,
+    "contacts": Contact,
+    "limits": Limit,
+    "answers": Answer,
+    "shapes": Shape,
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -255,11 +219,23 @@ class Scene:
     def __post_init__(self) -> None:
         from models.scene_checks import check_scene
 
-        for field in ("coordinates", "inputs", "parameters", "forces", "contacts", "limits", "answers", "shapes"):
+        for field, kind in _PARTS.items():
             value = getattr(self, field)
             if not isinstance(value, (tuple, list)):
                 raise SceneError(f"scene {self.name}: {field} must be a tuple, not {type(value).__name__}.")
-            object.__setattr__(self, field, tuple(value))
+            for index, item in enumerate(value):
+                if not isinstance(item, kind):
+                    raise SceneError(f"scene {self.name}: {field}[{index}] must be a {kind.__name__}, not {type(item).__name__}.")
+            settle(self, field, tuple(value))
+        if not isinstance(self.task, Task):
+            raise SceneError(f"scene {self.name}: task must be a Task, not {type(self.task).__name__}.")
+        if not isinstance(self.forces, (tuple, list)):
+            raise SceneError(f"scene {self.name}: forces must be a tuple, not {type(self.forces).__name__}.")
+        settle(
+            self, "forces", tuple(as_expression(f"scene {self.name}: forces[{index}]", force) for index, force in enumerate(self.forces))
+        )
+        for field in ("kinetic_energy", "potential_energy"):
+            settle(self, field, as_expression(f"scene {self.name}: {field}", getattr(self, field)))
         check_scene(self)
 
     @property

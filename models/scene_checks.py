@@ -134,9 +134,9 @@ def _check_symbols(scene: Scene) -> None:
     velocities = {coordinate.velocity for coordinate in scene.coordinates}
     inputs = {item.symbol for item in scene.inputs}
 
-    def check(field: str, expression: sp.Expr | float, allowed: Iterable[sp.Symbol]) -> None:
+    def check(field: str, expression: sp.Expr, allowed: Iterable[sp.Symbol]) -> None:
         allowed = set(allowed)
-        unknown = sorted(symbol.name for symbol in sp.sympify(expression).free_symbols - allowed)
+        unknown = sorted(symbol.name for symbol in expression.free_symbols - allowed)
         if unknown:
             known = sorted(symbol.name for symbol in allowed)
             twin = next((name for name in unknown if name in known), None)
@@ -192,7 +192,7 @@ def _check_mass(scene: Scene) -> None:
 def _check_contacts(scene: Scene) -> None:
     start = _start(scene)
     for contact in scene.contacts:
-        stiffness = sp.sympify(contact.stiffness).subs(start).evalf()
+        stiffness = contact.stiffness.subs(start).evalf()
         if not (stiffness.is_real and float(stiffness) > 0):
             raise _fail(scene, f"contact {contact.name}: the stiffness is {stiffness}, but must be positive.")
         gradient = [sp.diff(contact.penetration, coordinate.symbol).subs(start).evalf() for coordinate in scene.coordinates]

@@ -13,9 +13,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import sympy as sp
+from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
 from models.codegen.c_function import Vector, c_function
 from models.dynamics import Dynamics, derive
+from models.errors import SceneError
 from models.scene import Scene
 
 
@@ -58,7 +60,14 @@ def emit_model(scene: Scene, *, defaults: bool = True) -> str:
     defaults: also write the default parameter values; without them one header serves all parameter values of a scene.
     """
     vectors = SceneVectors.of(derive(scene))
-    parts = [_head(scene, defaults), *_contact_functions(vectors), *_acceleration_functions(vectors), *_energy_functions(vectors)]
+    try:
+        parts = [_head(scene, defaults), *_contact_functions(vectors), *_acceleration_functions(vectors), *_energy_functions(vectors)]
+    except PrintMethodNotImplementedError as error:
+        function = str(error).splitlines()[0].rpartition(": ")[2]
+        raise SceneError(
+            f"scene {scene.name}: its equations or their derivatives contain {function}, which has no form in C; "
+            "use smooth elementary functions (sin, exp, sqrt, tanh ..)."
+        ) from error
     return "\n".join([*parts, "#endif", ""])
 
 

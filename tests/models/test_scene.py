@@ -1,17 +1,26 @@
 """A scene checks itself when it is created: each mistake is one sentence that names the scene and the field."""
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 import sympy as sp
 
 from models.catalog import load_scene, scene_names
+from models.codegen.emit import emit_model
 from models.errors import SceneError, UnknownNameError
-from models.scene import Contact, Coordinate, Input, Parameter, Scene, Task
+from models.scene import Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
 from models.units import base_exponents
 
 x, vx, u = sp.symbols("x vx u", real=True)
 m, k = sp.symbols("m k", positive=True)
+
+
+def part(kind: Any, /, **fields: Any) -> Any:
+    """A part of a scene of fields that its types need not allow."""
+    return kind(**fields)
 
 
 def small_scene(**changes: object) -> Scene:
@@ -55,7 +64,7 @@ def test_a_sound_scene_is_accepted():
         ({"contacts": (Contact(name="wall", penetration=sp.sqrt(x), stiffness=k),)}, ["wall", "not differentiable at the start"]),
         ({"contacts": (Contact(name="wall", penetration=sp.Integer(1) * m, stiffness=k),)}, ["wall", "no coordinate"]),
         ({"contacts": (Contact(name="a", penetration=x, stiffness=k),) * 2}, ["lam_a", "2 times"]),
-        ({"inputs": (Input(symbol=m, unit="N"),)}, ["'m'", "2 times"]),
+        ({"inputs": (Input(symbol=x, unit="N"),)}, ["'x'", "2 times"]),
         ({"coordinates": ()}, ["no coordinates"]),
         ({"name": "two words"}, ["two words", "identifier"]),
         ({"forces": u}, ["forces", "tuple"]),
@@ -134,3 +143,93 @@ def test_a_broken_scene_file_is_named(tmp_path, text: str, words: str):
 def test_a_missing_scene_file_is_named():
     with pytest.raises(SceneError, match=r"nowhere\.py"):
         load_scene("nowhere.py")
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"forces": ("u",)}, ["forces[0]", "SymPy expression or a number", "str"]),
+        ({"forces": (None,)}, ["forces[0]", "NoneType"]),
+        ({"forces": (sp.Mul(sp.I, u),)}, ["forces[0]", "not a finite real"]),
+        ({"forces": u}, ["forces must be a tuple"]),
+        ({"kinetic_energy": "m*vx**2/2"}, ["kinetic_energy", "str"]),
+        ({"potential_energy": float("nan")}, ["potential_energy", "nan"]),
+        ({"parameters": (m, k)}, ["parameters[0] must be a Parameter", "Symbol"]),
+        ({"contacts": Contact(name="wall", penetration=x - 1, stiffness=k)}, ["contacts must be a tuple"]),
+        ({"task": {}}, ["task must be a Task", "dict"]),
+    ],
+)
+def test_what_is_no_part_of_a_scene_is_named(changes: dict, words: list[str]):
+    with pytest.raises(SceneError) as error:
+        small_scene(**changes)
+    assert all(word in str(error.value) for word in ["scene small", *words]), str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: part(Input, symbol=u, unit="N", lower="-1"), ["input u", "lower", "'-1'"]),
+        (lambda: part(Input, symbol=u, unit="N", upper=float("nan")), ["input u", "upper", "nan"]),
+        (lambda: part(Parameter, symbol=m, value=1.0, unit="kg", lower="0"), ["parameter m", "lower"]),
+        (lambda: part(Parameter, symbol=m, value=True, unit="kg"), ["parameter m", "True"]),
+        (lambda: part(Task, start=None, goal=(0, 0), running_cost=u**2, step=0.1, steps=1), ["task: start", "None"]),
+        (lambda: part(Task, start="00", goal=(0, 0), running_cost=u**2, step=0.1, steps=1), ["task: start", "'00'"]),
+        (lambda: part(Task, start=(0, 0), goal=(0, 0), running_cost="u**2", step=0.1, steps=1), ["running_cost", "str"]),
+        (lambda: part(Limit, figure="defect", value=-1.0, reason=""), ["limit on defect", "below 0"]),
+        (lambda: part(Limit, figure="defect", value="1", reason=""), ["limit on defect", "'1'"]),
+        (lambda: part(Shape, name="a", kind="blob", x=x, y=x, size=(1,)), ["shape a", "'blob'", "box"]),
+        (lambda: part(Shape, name="a", kind="disc", x=x, y=x, size=(1, 2)), ["shape a", "disc", "1 lengths"]),
+        (lambda: part(Shape, name="a", kind="disc", x="x", y=x, size=(1,)), ["shape a: x", "str"]),
+    ],
+)
+def test_a_part_that_makes_no_sense_is_refused(make, words: list[str]):
+    with pytest.raises(SceneError) as error:
+        make()
+    assert all(word in str(error.value) for word in words), str(error.value)
+
+
+@pytest.mark.parametrize("assumption", ["positive", "integer", "nonnegative"])
+def test_a_quantity_that_moves_may_have_any_value(assumption: str):
+    """SymPy makes Abs(q) of a positive q to q, and sin(pi*q) of an integer q to 0: equations that are silently other ones."""
+    narrow = sp.Symbol("x", **{assumption: True})
+    for make in (
+        lambda: part(Coordinate, symbol=narrow, velocity=vx, unit="m"),
+        lambda: part(Coordinate, symbol=vx, velocity=narrow, unit="m"),
+        lambda: part(Input, symbol=narrow, unit="N"),
+    ):
+        with pytest.raises(SceneError, match=f"takes x to be {assumption}"):
+            make()
+
+
+def test_plain_numbers_are_expressions_and_numbers_of_other_libraries_are_floats():
+    task = part(Task, start=np.array([0, 0]), goal=(sp.Rational(1, 2), np.float32(0)), running_cost=0, step=np.float32(0.5), steps=1)
+    scene = small_scene(potential_energy=0, forces=[0.0], contacts=[Contact(name="wall", penetration=x - 1, stiffness=30)], task=task)
+    assert isinstance(scene.potential_energy, sp.Expr)
+    assert isinstance(scene.forces[0], sp.Expr)
+    assert scene.contacts[0].stiffness == sp.Integer(30)
+    assert (task.start, task.goal, task.step) == ((0.0, 0.0), (0.5, 0.0), 0.5)
+    assert all(type(value) is float for value in (*task.start, *task.goal, task.step))
+
+
+def scene_file(folder: Path, text: str) -> str:
+    path = folder / "own.py"
+    path.write_text(text, encoding="utf-8")
+    return str(path)
+
+
+def test_a_scene_file_says_the_line(tmp_path: Path):
+    with pytest.raises(SceneError, match=r"line 3: Parameter.__init__\(\) missing 1 required keyword-only argument: 'unit'"):
+        load_scene(
+            scene_file(tmp_path, "import sympy as sp\nfrom models.scene import Parameter\nm = Parameter(symbol=sp.Symbol('m'), value=1)\n")
+        )
+
+
+def test_a_scene_file_cannot_end_the_program(tmp_path: Path):
+    with pytest.raises(SceneError, match="SystemExit"):
+        load_scene(scene_file(tmp_path, "import sys\nsys.exit(0)\n"))
+
+
+@pytest.mark.parametrize(("force", "word"), [(sp.gamma(x), "polygamma"), (sp.Function("f")(vx), "f")])
+def test_an_equation_without_a_form_in_c_is_the_scene_s_mistake(force: sp.Expr, word: str):
+    with pytest.raises(SceneError, match=f"scene small: .* contain {word}, which has no form in C"):
+        emit_model(small_scene(forces=(force,)))

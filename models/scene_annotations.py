@@ -1,0 +1,61 @@
+"""What a scene says beside its physics: limits of the score, known answers, how its bodies are drawn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import sympy as sp
+
+from models.errors import SceneError
+from models.scene_values import as_expression, as_number, settle
+
+# The shapes that are drawn, and how many lengths their size may have.
+_SHAPES = {"box": (2,), "disc": (1,), "line": (1,), "wall": (1, 2)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limit:
+    """The largest value of a score figure with which a plan still holds, and the reason for that number."""
+
+    figure: str
+    value: float
+    reason: str
+
+    def __post_init__(self) -> None:
+        settle(self, "value", as_number(f"limit on {self.figure}", self.value))
+        if self.value < 0.0:
+            raise SceneError(f"limit on {self.figure}: {self.value:g} is below 0, which no figure can be.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """A known answer of the scene: what it is, its value, tolerance and source."""
+
+    quantity: str
+    value: float
+    tolerance: float
+    source: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape:
+    """How a body is drawn: `kind` "box", "disc", "line" or "wall"; `x`, `y` its centre and `angle`, as expressions in q [m, rad];
+    `size`: (width, height), (radius,), or (length,) [m]."""
+
+    name: str
+    kind: str
+    x: sp.Expr
+    y: sp.Expr
+    size: tuple[sp.Expr | float, ...]
+    angle: sp.Expr = sp.S.Zero
+
+    def __post_init__(self) -> None:
+        if self.kind not in _SHAPES:
+            raise SceneError(f"shape {self.name}: the kind {self.kind!r} is none of {', '.join(_SHAPES)}.")
+        for field in ("x", "y", "angle"):
+            settle(self, field, as_expression(f"shape {self.name}: {field}", getattr(self, field)))
+        if not isinstance(self.size, (tuple, list)) or len(self.size) not in _SHAPES[self.kind]:
+            raise SceneError(
+                f"shape {self.name}: the size of a {self.kind} is a tuple of {' or '.join(map(str, _SHAPES[self.kind]))} lengths, not {self.size!r}."
+            )
+        settle(self, "size", tuple(as_expression(f"shape {self.name}: size", value) for value in self.size))

@@ -1,0 +1,73 @@
+"""What a scene is made of, checked value by value: names, units, numbers, expressions. Each mistake is one sentence.
+
+as_number("task: step", np.float32(0.01))              ->  0.01
+as_expression("scene small: potential_energy", 0)      ->  sympy.Integer(0)
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from numbers import Real
+from typing import Any
+
+import sympy as sp
+
+from models.errors import SceneError
+from models.units import unit_problem
+
+_IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
+# What SymPy must not take for granted of a quantity that moves: it would simplify by it - Abs(q) of a "positive" q to q, sin(pi*q) of an "integer" to 0.
+_NARROWING = ("zero", "integer", "rational", "irrational", "positive", "negative", "nonnegative", "nonpositive", "nonzero", "imaginary")
+
+
+def check_name(what: str, name: Any) -> None:
+    if not isinstance(name, str) or not _IDENTIFIER.match(name):
+        raise SceneError(f"{what}: the name {name!r} is not an identifier; use letters, digits and _, starting with a letter.")
+
+
+def check_unit(what: str, unit: Any) -> None:
+    problem = unit_problem(unit)
+    if problem:
+        raise SceneError(f"{what}: {problem}")
+
+
+def check_symbol(what: str, symbol: Any) -> None:
+    if not isinstance(symbol, sp.Symbol):
+        raise SceneError(f"{what} must be a SymPy Symbol, not {type(symbol).__name__}.")
+
+
+def check_moving(what: str, symbol: Any) -> None:
+    """A symbol that stands for a quantity of any value: a coordinate, a velocity, an input."""
+    check_symbol(what, symbol)
+    narrower = next((word for word in _NARROWING if symbol.assumptions0.get(word)), None)
+    if narrower:
+        raise SceneError(
+            f"{what}: SymPy takes {symbol} to be {narrower} and would simplify by that, but it may have any value; "
+            f"declare it with sp.symbols('{symbol}', real=True)."
+        )
+
+
+def settle(part: Any, field: str, value: Any) -> None:
+    """Set a field of a frozen object while it is created."""
+    object.__setattr__(part, field, value)
+
+
+def as_number(what: str, value: Any, *, finite: bool = True) -> float:
+    """A Python float of any real number (of numpy or SymPy too); infinite ones only with finite=False."""
+    if isinstance(value, sp.Expr) and value.is_Number:
+        value = float(value)
+    if isinstance(value, bool) or not isinstance(value, Real) or math.isnan(value) or (finite and math.isinf(value)):
+        raise SceneError(f"{what}: {value!r} is not a {'finite ' if finite else ''}number.")
+    return float(value)
+
+
+def as_expression(what: str, value: Any) -> sp.Expr:
+    """A SymPy expression; a number becomes one."""
+    if isinstance(value, Real) and not isinstance(value, bool):
+        value = sp.sympify(int(value) if isinstance(value, int) else float(value))
+    if not isinstance(value, sp.Expr):
+        raise SceneError(f"{what} must be a SymPy expression or a number, not {type(value).__name__} ({value!r}).")
+    if value.has(sp.I, sp.nan, sp.zoo, sp.oo, -sp.oo):
+        raise SceneError(f"{what} is {value}, which is not a finite real expression.")
+    return value
