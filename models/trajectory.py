@@ -4,6 +4,7 @@
     q, v (nodes, nq)    generalised positions [m, rad] and velocities
     u    (steps, nu)    inputs, held over each step as `hold` says
     lam  (steps, nc)    contact forces [N] at the *start* of each step: lam[i] belongs to phi(q[i])
+    missing             which of "v" and "lam" its author did not say; the arrays then hold stand-ins (see `read_csv`)
 
 CSV: one row a node, columns `t`, then the scene's names (`q1 ... v1 ... u1 ... lam_left ...`); the last row has no u and lam.
 NetCDF-4: the same arrays with units, for the store.
@@ -11,6 +12,7 @@ NetCDF-4: the same arrays with units, for the store.
 
 from __future__ import annotations
 
+import csv
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -38,6 +40,7 @@ class Trajectory:
     u: np.ndarray
     lam: np.ndarray
     hold: Hold = Hold.ZERO_ORDER
+    missing: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         for field in ("t", "q", "v", "u", "lam"):
@@ -123,18 +126,16 @@ def write_csv(path: Path, trajectory: Trajectory, scene: Scene) -> None:
 
 
 def read_csv(path: Path, scene: Scene, hold: Hold = Hold.ZERO_ORDER) -> Trajectory:
-    """Read a plan written by anybody; `lam_*` and velocity columns may be absent (forces 0, velocities by differences).
+    """Read a plan written by anybody: cells apart by comma, semicolon (then 0,5 is a number too) or tab; lines with # are comments.
 
+    Velocity and `lam_*` columns may be absent; the plan says so in `missing`. Forces are then 0, velocities backward differences (those of
+    semi-implicit Euler) with the task's velocities at the start if the plan starts at the task's positions.
     Raises TrajectoryError naming the file, the line and the column.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise TrajectoryError(f"plan {path}: it cannot be read ({error}).") from error
-    rows = [line.split(",") for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    rows = _rows(path)
     if len(rows) < 3:
         raise TrajectoryError(f"plan {path}: it has {max(len(rows) - 1, 0)} rows; a header and at least two rows are needed.")
-    header = [cell.strip() for cell in rows[0]]
+    header = rows[0][1]
     names = column_names(scene)
     known = ["t", *(name for group in names.values() for name in group)]
     for column in header:
@@ -142,6 +143,9 @@ def read_csv(path: Path, scene: Scene, hold: Hold = Hold.ZERO_ORDER) -> Trajecto
             raise TrajectoryError(f"plan {path}: the column {column!r} is unknown; scene {scene.name} has {', '.join(known)}.")
         if header.count(column) > 1:
             raise TrajectoryError(f"plan {path}: the column {column!r} stands there twice.")
+    for number, row in rows[1:]:
+        if any(row[len(header) :]):
+            raise TrajectoryError(f"plan {path}: line {number} has {len(row)} cells, but there are {len(header)} columns.")
     for column in ("t", *names["q"], *names["u"]):
         if column not in header:
             raise TrajectoryError(f"plan {path}: the column {column!r} is missing; it has {', '.join(header)}.")
@@ -154,24 +158,47 @@ def read_csv(path: Path, scene: Scene, hold: Hold = Hold.ZERO_ORDER) -> Trajecto
     if all(name in columns for name in names["v"]):
         v = np.column_stack([columns[name] for name in names["v"]])
     elif np.isfinite(t).all() and (np.diff(t) > 0).all():
-        v = np.gradient(q, t, axis=0)
+        v = _velocities(t, q, scene)
     else:
         v = np.zeros_like(q)  # the times are refused below, in Trajectory's words
+    missing = frozenset(group for group in ("v", "lam") if not all(name in columns for name in names[group]))
     steps = len(t) - 1
     u = np.column_stack([columns[name] for name in names["u"]]) if names["u"] else np.zeros((steps, 0))
     forces = [columns.get(name, np.zeros(steps)) for name in names["lam"]]
     lam = np.column_stack(forces) if forces else np.zeros((steps, 0))
     try:
-        return Trajectory(t=t, q=q, v=v, u=u, lam=lam, hold=hold)
+        return Trajectory(t=t, q=q, v=v, u=u, lam=lam, hold=hold, missing=missing)
     except TrajectoryError as error:
         raise TrajectoryError(f"{error} (file {path})") from error
 
 
-def _parse_column(path: Path, rows: list[list[str]], index: int, column: str, last_is_open: bool) -> np.ndarray:
+def _rows(path: Path) -> list[tuple[int, list[str]]]:
+    """(line number, cells) of the lines that hold any."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")  # Excel writes a byte order mark
+    except (OSError, UnicodeDecodeError) as error:
+        raise TrajectoryError(f"plan {path}: it cannot be read ({error}).") from error
+    lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip() and not line.startswith("#")]
+    header = lines[0][1] if lines else ""
+    mark = next((mark for mark in ";\t" if mark in header), ",")
+    rows = [(number, [cell.strip() for cell in next(csv.reader([line], delimiter=mark, skipinitialspace=True))]) for number, line in lines]
+    if mark == ";":
+        return [(number, [cell.replace(",", ".") for cell in row]) for number, row in rows]
+    return rows
+
+
+def _velocities(t: np.ndarray, q: np.ndarray, scene: Scene) -> np.ndarray:
+    """(nodes, nq) backward differences; see `read_csv` for the first."""
+    v = np.diff(q, axis=0) / np.diff(t)[:, None]
+    at_start = np.allclose(q[0], scene.task.start[: scene.nq], rtol=1e-9, atol=1e-9)
+    return np.vstack([scene.task.start[scene.nq :] if at_start else v[0], v])
+
+
+def _parse_column(path: Path, rows: list[tuple[int, list[str]]], index: int, column: str, last_is_open: bool) -> np.ndarray:
     values = []
-    for number, row in enumerate(rows, start=2):
-        cell = row[index].strip() if index < len(row) else ""
-        if last_is_open and number == len(rows) + 1:
+    for place, (number, row) in enumerate(rows, start=1):
+        cell = row[index] if index < len(row) else ""
+        if last_is_open and place == len(rows):
             break
         try:
             values.append(float(cell))

@@ -44,6 +44,41 @@ def test_forces_and_velocities_may_be_left_out(tmp_path: Path, scene):
     assert plan.steps == 2
     assert np.allclose(plan.v, 1.0)
     assert not plan.lam.any()
+    assert plan.missing == {"v", "lam"}
+
+
+def test_velocities_left_out_are_those_of_the_time_step(tmp_path: Path, scene):
+    """Semi-implicit Euler: q[t+1] = q[t] + h v[t+1]; at the task's start the task's velocities, here at rest."""
+    path = tmp_path / "plan.csv"
+    path.write_text("t,q1,q2,q3,u1,u3\n0,2,3,4,1,0\n0.5,2.25,3,4,1,0\n1.5,3,3,4.5,,\n")
+    assert np.allclose(read_csv(path, scene).v, [[0, 0, 0], [0.5, 0, 0], [0.75, 0, 0.5]], rtol=0, atol=1e-12)
+
+
+PLAIN = "t,q1,q2,q3,u1,u3\n0,0,1,2,1,0.5\n1,1,2,3,1,0\n2,2,3,4,,\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        PLAIN.replace("\n", "\r\n"),
+        "\ufeff" + PLAIN,
+        PLAIN.replace(",", ";"),
+        PLAIN.replace(",", ";").replace("0.5", "0,5"),
+        PLAIN.replace(",", "\t"),
+        PLAIN.replace(",", " , "),
+        PLAIN.replace("t,q1", '"t","q1"'),
+        "# mine\n\n" + PLAIN + "\n",
+        PLAIN.replace(",,", ""),
+    ],
+    ids=["CRLF", "BOM", "semicolons", "decimal commas", "tabs", "spaces", "quotes", "comments", "short last row"],
+)
+def test_what_other_programs_write_is_read(tmp_path: Path, scene, text: str):
+    path = tmp_path / "plan.csv"
+    path.write_bytes(text.encode())
+    plan = read_csv(path, scene)
+    assert plan.t.tolist() == [0.0, 1.0, 2.0]
+    assert plan.q.tolist() == [[0.0, 1.0, 2.0], [1.0, 2.0, 3.0], [2.0, 3.0, 4.0]]
+    assert plan.u.tolist() == [[1.0, 0.5], [1.0, 0.0]]
 
 
 @pytest.mark.parametrize(
@@ -58,6 +93,8 @@ def test_forces_and_velocities_may_be_left_out(tmp_path: Path, scene):
         ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,nan,2,3,1,0\n", ["q[1, 0]", "finite"]),
         ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n0,1,2,3,1,0\n", ["time must increase"]),
         ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1\n", ["line 3"]),
+        ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0,7\n1,1,2,3,1,0\n", ["line 2", "7 cells", "6 columns"]),
+        ("# mine\n\nt,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,x,2,3,1,0\n", ["line 5", "'x'"]),
     ],
 )
 def test_a_bad_file_is_told_where(tmp_path: Path, scene, text: str, words: list[str]):

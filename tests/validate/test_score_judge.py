@@ -151,3 +151,17 @@ def test_a_limit_on_an_unknown_figure_is_refused(scene: Scene):
     wrong = replace(scene, limits=(Limit(figure="beauty", value=1.0, reason=""),))
     with pytest.raises(SceneError, match="limit on 'beauty'"):
         score(wrong, None, None)
+
+
+def test_what_a_plan_does_not_say_is_missing_not_wrong(scene: Scene, plan: Trajectory, replayed: Replay):
+    """The same plan without its forces and velocities: what needs them has no value and a reason, the rest has the same value."""
+    silent = replace(plan, lam=np.zeros_like(plan.lam), missing=frozenset({"v", "lam"}))
+    before, after = score(scene, plan, replayed), score(scene, silent, replayed)
+    assert all(figure.value is not None for figure in before.figures)
+    lost = {figure.name: figure.reason for figure in after.figures if figure.value is None}
+    assert set(lost) == {"physics", "physics_scaled", "defect", "terminal_error", "ghost_impulse", "missed_impulse"}
+    assert "lam_left, lam_right" in lost["physics"]
+    assert "velocities (v1, v2, v3)" in lost["terminal_error"]
+    assert all(after.value(figure.name) == figure.value for figure in before.figures if figure.name not in lost)
+    assert after.verdict is Verdict.NOT_RESOLVED
+    assert "does not say" in after.why

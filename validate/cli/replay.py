@@ -19,7 +19,7 @@ def command(plan: Path, scene: str, as_json: bool) -> int:
     """Replay a plan through the scene's FMU and print its score.
 
     PLAN.csv has one row a node: t, the scene's positions and inputs by name, and velocities and contact forces if they are
-    known; the last row has no inputs. Exit code 0 if the plan holds, 1 if it does not or if that is not resolved.
+    known (figures that need them are missing otherwise); the last row has no inputs. Exit code 0 if the plan holds, 1 if it does not or if that is not resolved.
     """
     from models.catalog import load_scene
     from models.trajectory import read_csv
@@ -35,7 +35,14 @@ def command(plan: Path, scene: str, as_json: bool) -> int:
         click.echo(json.dumps({"scene": loaded.name, "verdict": verdict, "why": score.why, "figures": figures}, indent=1, default=str))
     else:
         rows = [
-            [figure.name, short(figure.value, ".4e"), figure.unit, short(figure.limit, ".3g"), _judgement(figure), one_line(figure.meaning)]
+            [
+                figure.name,
+                short(figure.value, ".4e"),
+                figure.unit,
+                short(figure.limit, ".3g"),
+                _judgement(figure),
+                one_line(figure.meaning if figure.value is not None else f"not measured: {figure.reason}"),
+            ]
             for figure in score.figures
         ]
         click.echo(table(["figure", "value", "unit", "limit", "", "meaning"], rows, ("value", "limit")), color=use_colour())
@@ -45,6 +52,8 @@ def command(plan: Path, scene: str, as_json: bool) -> int:
 
 
 def _judgement(figure) -> str:
-    if figure.ok is None:
+    if figure.value is None:
+        return "missing"
+    if figure.limit is None:
         return ""
-    return "ok" if figure.ok else "too large" if figure.resolved else "not resolved"
+    return "not resolved" if figure.ok is None else "ok" if figure.ok else "too large"

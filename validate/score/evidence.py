@@ -52,12 +52,28 @@ class Evidence:
         """(nc,) L: the scene's nominal penetration of each contact [m]."""
         return np.array([contact.nominal for contact in self.scene.contacts])
 
+    @property
+    def lam(self) -> np.ndarray:
+        """(steps, nc) contact forces of the plan [N], if it says any."""
+        if "lam" in self.trajectory.missing:
+            columns = ", ".join(contact.force_name for contact in self.scene.contacts)
+            raise Unmeasured(f"the plan does not say its contact forces ({columns}).")
+        return self.trajectory.lam
+
+    @property
+    def v(self) -> np.ndarray:
+        """(nodes, nq) velocities of the plan, if it says any."""
+        if "v" in self.trajectory.missing:
+            columns = ", ".join(coordinate.velocity_name for coordinate in self.scene.coordinates)
+            raise Unmeasured(f"the plan does not say its velocities ({columns}).")
+        return self.trajectory.v
+
     @cached_property
     def acceleration(self) -> np.ndarray:
         """(steps, nq) of the plan's states, inputs and own contact forces."""
         plan = self.trajectory
         try:
-            return self.kernel.acceleration(plan.q[:-1], plan.v[:-1], plan.u, plan.lam)
+            return self.kernel.acceleration(plan.q[:-1], self.v[:-1], plan.u, self.lam)
         except KernelError as error:
             raise Unmeasured(str(error)) from error
 

@@ -48,15 +48,15 @@ def _has_contacts(scene: Scene) -> bool:
 
 
 def _physics(case: Evidence) -> float:
-    return eq.physics(lam=case.trajectory.lam, phi=case.phi, k=case.k)
+    return eq.physics(lam=case.lam, phi=case.phi, k=case.k)
 
 
 def _physics_scaled(case: Evidence) -> float:
-    return eq.physics_scaled(lam=case.trajectory.lam, phi=case.phi, k=case.k, length=case.length, h=case.h)
+    return eq.physics_scaled(lam=case.lam, phi=case.phi, k=case.k, length=case.length, h=case.h)
 
 
 def _defect(case: Evidence) -> float:
-    return eq.defect(q=case.trajectory.q, v=case.trajectory.v, acceleration=case.acceleration, h=case.h)
+    return eq.defect(q=case.trajectory.q, v=case.v, acceleration=case.acceleration, h=case.h)
 
 
 def _start_error(case: Evidence) -> float:
@@ -70,7 +70,7 @@ def _bound_violation(case: Evidence) -> float:
 
 
 def _terminal_error(case: Evidence) -> float:
-    return eq.distance(case.trajectory.end, case.goal)
+    return eq.distance(np.concatenate([case.trajectory.q[-1], case.v[-1]]), case.goal)
 
 
 def _terminal_position_error(case: Evidence) -> float:
@@ -113,7 +113,7 @@ def _grid_error(case: Evidence) -> tuple[float, float]:
 def _ghost_impulse(case: Evidence) -> tuple[float, float]:
     def ghost(shift: float) -> float:
         return eq.ghost_impulse(
-            plan_lam=case.trajectory.lam, step_of=case.step_of, gap=case.replay.gap, duration=case.duration, shift=shift
+            plan_lam=case.lam, step_of=case.step_of, gap=case.replay.gap, duration=case.duration, shift=shift
         )
 
     if not np.isfinite(case.error.gap):
@@ -122,7 +122,7 @@ def _ghost_impulse(case: Evidence) -> tuple[float, float]:
 
 
 def _missed_impulse(case: Evidence) -> tuple[float, float]:
-    value = eq.missed_impulse(plan_lam=case.trajectory.lam, step_of=case.step_of, lam=case.replay.lam, duration=case.duration)
+    value = eq.missed_impulse(plan_lam=case.lam, step_of=case.step_of, lam=case.replay.lam, duration=case.duration)
     # Each force may be wrong by k times the error of its gap, all the time.
     return value, float(case.k.sum() * case.duration.sum()) * case.error.gap
 
