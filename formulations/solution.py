@@ -57,7 +57,8 @@ class Solution:
 
     outcome: how it ended; message: one sentence more, in words of this run ("" if none); trajectory: the plan, or None;
     cost: sum of the running cost over the steps; iterations; residuals: unscaled, by name, recomputed from the model
-    (the certificate); options: every option used; history: per iteration, columns of equal length by name.
+    (the certificate); options: every option used; solver: the name and version of what ran underneath; history: per iteration,
+    columns of equal length by name.
     """
 
     method: str
@@ -68,5 +69,6 @@ class Solution:
     iterations: int = 0
     seconds: Seconds = field(default_factory=Seconds)
     residuals: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    solver: str = ""
     options: Mapping[str, object] = field(default_factory=lambda: MappingProxyType({}))
     history: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: MappingProxyType({}))

@@ -135,6 +135,7 @@ class StageRecord(_Model):
     message: str = ""
     cost: Finite | None = None
     iterations: int = 0
+    solver: str = ""  # name and version of what ran underneath
     residuals: dict[str, Finite] = {}
     options: dict[str, str | int | bool | Finite | list[Finite] | None] = {}
     history: dict[str, tuple[Finite, ...]] = {}

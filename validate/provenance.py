@@ -31,7 +31,7 @@ ROOT = Path(__file__).resolve().parent.parent
 SEED = 0
 # One thread for every library of a cell: times compare, sums are added in one order, and -j N uses N cores.
 THREADS = 1
-LIBRARIES = ("numpy", "scipy", "sympy", "pyomo", "cyipopt-wheels", "torch", "fmpy", "scikit-sundae")
+LIBRARIES = ("numpy", "scipy", "sympy", "pyomo", "cyipopt-wheels", "ipyopt", "torch", "fmpy", "scikit-sundae")
 # Parts of us that cannot change a number of a cell: how cells are chosen, run side by side, listed and told.
 _NO_INFLUENCE = (
     "validate/cli",
@@ -99,6 +99,7 @@ def content_key(scene: Scene, stages: Any, methods: Iterable[str], extra: str = 
         "threads": THREADS,
         "sources": source_digests(methods),
         "libraries": library_versions(),
+        "ipopt": os.environ.get("TOUCHSTONE_IPOPT", ""),
         "compiler": compiler_text(),
         "machine": platform.machine(),
         "extra": extra,

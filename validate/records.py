@@ -84,6 +84,7 @@ def stage_record(
         cost=finite(solution.cost),
         iterations=int(solution.iterations),
         residuals=_finite_values(solution.residuals),
+        solver=solution.solver,
         options=_options(solution.options or planned.options),
         history=_history(solution.history),
         seconds=_seconds(solution.seconds, wall, cpu, before, judged.seconds),

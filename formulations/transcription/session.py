@@ -205,6 +205,7 @@ class TranscriptionSession(Session):
             seconds=account.seconds(),
             residuals={name: value for name, value in residuals.items() if np.isfinite(value)},
             options=dict(self._options),
+            solver=account.solver,
             history={name: tuple(values) for name, values in account.history.items()},
         )
 

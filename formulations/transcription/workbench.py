@@ -23,6 +23,7 @@ class Account:
         self._deadline = self._wall + time_limit
         self.build, self.translate, self.evaluate, self.linear_algebra = opened[0], 0.0, 0.0, 0.0
         self.iterations = 0
+        self.solver = ""  # which Ipopt ran
         self.history: dict[str, list[float]] = {name: [] for name in _COLUMNS}
 
     @property
@@ -36,6 +37,7 @@ class Account:
 
     def add(self, result: IpoptResult) -> None:
         self.iterations += result.iterations
+        self.solver = result.version
         self.evaluate += result.seconds.evaluate
         self.linear_algebra += result.seconds.linear_algebra
         for line in result.history:
