@@ -108,12 +108,15 @@ def failure(record: RunRecord) -> str | None:
 
 def select(settings: Settings) -> tuple[list[Entry], tuple[str, ...]]:
     """The cells asked for, in order, and what a quick campaign leaves out, in words. Raises TouchstoneError."""
+    from validate.score import check_limits
+
     tools = load_tools(settings.tools)
     entries: list[Entry] = []
     seen: list[str] = []
     left_out: list[str] = []
     for reference in dict.fromkeys(settings.scenes or scene_names()):
         scene = load_scene(reference)
+        check_limits(scene)
         if any(entry.scene.name == scene.name and entry.scene is not scene for entry in entries):
             raise CampaignError(f"--scene {reference}: another scene of this campaign is named {scene.name!r} too; rename one of them.")
         where = str(Path(reference).resolve()) if reference.endswith(".py") else reference

@@ -34,7 +34,7 @@ class StoreError(TouchstoneError):
 def disk_error(path: Path, error: OSError) -> MachineError:
     """One sentence for a disk that refuses."""
     what = "the disk is full" if error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG} else (error.strerror or str(error)).lower()
-    return MachineError(f"cannot write {path} ({what}); make room or permit it, or give another folder with --out.")
+    return MachineError(f"cannot write {path} ({what}); make room or permit it, or write elsewhere.")
 
 
 def disk_refuses(error: OSError) -> bool:

@@ -92,6 +92,8 @@ def build_block(
     >>> model.cost = pyo.Objective(expr=model.soft.expression_cost + model.stiff.expression_cost)
     """
     chosen = load_scene(scene) if isinstance(scene, str) else scene
+    if hasattr(block, "set_nodes"):
+        raise ModelError(f"{block.name} holds a plan already; build each plan into a Block of its own.")
     if not isinstance(contact, ContactLaw):
         raise ModelError(f"contact is {contact!r}, but must be one of {', '.join(str(law) for law in ContactLaw)}.")
     if steps is not None or step is not None:

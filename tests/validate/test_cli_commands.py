@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from formulations.pipeline import pipeline_names
+from validate.cli.table import short
 
 FAKES = ("--tools", "campaign_fakes:TOOLS")
 GOOD = (*FAKES, "-k", "only_good")
@@ -184,3 +185,21 @@ def test_a_direct_plan_that_does_not_hold_fails(cli, tmp_path, tools, words):
     failures = [line for line in done.stdout.splitlines() if line.startswith("does not hold")]
     assert len(failures) == 1, "the indirect cell is expected to violate"
     assert f"three_cart x only_good: {words}" in failures[0]
+
+
+def test_a_limit_on_no_figure_is_said_before_anything_runs(cli, tmp_path: Path):
+    path = tmp_path / "misspelt.py"
+    path.write_text(
+        "from dataclasses import replace\nfrom models.catalog import load_scene\nfrom models.scene import Limit\n"
+        "SCENE = replace(load_scene('three_cart'), name='misspelt', limits=(Limit(figure='defct', value=1.0, reason=''),))\n",
+        encoding="utf-8",
+    )
+    done = cli("all", *GOOD, "--scene", str(path), "--out", str(tmp_path / "out"))
+    assert done.returncode == 2
+    assert "scene misspelt: there is a limit on 'defct'" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_numbers_too_large_for_decimals_are_short():
+    assert short(490.554, ".2f") == "490.55"
+    assert short(-1e200, ".2f") == "-1e+200"

@@ -11,6 +11,8 @@ import click
 if TYPE_CHECKING:
     from reports.record import RunRecord
 
+# From here on decimals would fill the line: a diverged plan may cost 1e200.
+_LARGE = 1e9
 _COLOURS = {"holds": "green", "violates": "red", "not resolved": "yellow", "no plan": "red"}
 
 
@@ -44,6 +46,8 @@ def _coloured(text: str, row: Sequence[str]) -> str:
 
 def short(value: Any, pattern: str = ".4g") -> str:
     """A number in few digits; empty where nothing is known."""
+    if pattern.endswith("f") and isinstance(value, float) and abs(value) >= _LARGE:
+        pattern = ".4g"
     return "" if value is None else format(value, pattern) if isinstance(value, float) else str(value)
 
 

@@ -19,7 +19,7 @@ from validate.score.result import Figure, Score, Verdict
 from validate.score.table import TABLE, Entry
 from validate.score.verdict import CONTACT, GRID, compare, explain, verdict_of
 
-__all__ = ["Figure", "Score", "Verdict", "figure_names", "score"]
+__all__ = ["Figure", "Score", "Verdict", "check_limits", "figure_names", "score"]
 
 
 def figure_names() -> tuple[str, ...]:
@@ -27,14 +27,19 @@ def figure_names() -> tuple[str, ...]:
     return tuple(entry.name for entry in TABLE)
 
 
+def check_limits(scene: Scene) -> None:
+    """Raise SceneError for a limit on a figure that does not exist."""
+    for limit in scene.limits:
+        if limit.figure not in figure_names():
+            raise SceneError(f"scene {scene.name}: there is a limit on {limit.figure!r}, but the figures are {', '.join(figure_names())}.")
+
+
 def score(scene: Scene, trajectory: Trajectory | None, replay: Replay | None) -> Score:
     """All figures of a plan, and whether it holds by the scene's limits. Without a replay (or one that failed) only a violation can be found.
 
     Raises TrajectoryError if plan, replay and scene do not belong together, SceneError for a limit on a figure that does not exist.
     """
-    for limit in scene.limits:
-        if limit.figure not in figure_names():
-            raise SceneError(f"scene {scene.name}: there is a limit on {limit.figure!r}, but the figures are {', '.join(figure_names())}.")
+    check_limits(scene)
     if trajectory is None:
         none = Verdict.NO_PLAN
         return Score(figures=(), verdict=none, why="there is no plan to judge.", contact=none, grid=none)

@@ -237,6 +237,12 @@ def test_other_solvers_can_read_the_models(tmp_path: Path) -> None:
     assert "binary" in (tmp_path / "binary.lp").read_text()
 
 
+def test_a_block_holds_one_plan() -> None:
+    model = build_model("three_cart", ContactLaw.SOFTPLUS, eps=1e-3, steps=3)
+    with pytest.raises(ModelError, match="three_cart holds a plan already"):
+        build_block(model, "three_cart", ContactLaw.SOFTPLUS, eps=1e-3, steps=3)
+
+
 def test_two_blocks_live_in_one_model() -> None:
     model = pyo.ConcreteModel()
     model.first, model.second = pyo.Block(), pyo.Block()
