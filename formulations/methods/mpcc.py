@@ -1,0 +1,98 @@
+"""The exact contact problem by its contact windows: softplus homotopy, modes read off, what is left solved exactly, windows searched."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from time import perf_counter, process_time
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from formulations.method import Kind, Method, OptionError, OptionSpec, Session
+
+if TYPE_CHECKING:
+    from models.scene import Scene
+
+
+class Mpcc(Method):
+    name = "mpcc"
+    title = "Exact contact by its windows"
+    kind = Kind.DIRECT
+    needs_eps = False
+    options = (
+        OptionSpec(name="search", default=True, description="search for cheaper contact windows around those found", choices=(True, False)),
+        OptionSpec(
+            name="first_sharpness", default=7.0, description="sharpness b of the first softplus stage", unit="1/m", lower=1e-3, upper=700.0
+        ),
+        OptionSpec(
+            name="last_sharpness",
+            default=448.0,
+            description="no stage is sharper; modes read off much softer contact often have no plan",
+            unit="1/m",
+            lower=1e-3,
+            upper=700.0,
+        ),
+        OptionSpec(name="sharpness_growth", default=2.0, description="factor between two stages", lower=1.01, upper=1e3),
+        OptionSpec(
+            name="coarse_steps",
+            default=600,
+            description="a task of more steps is first solved on a grid of at most so many, whose windows are then refined",
+            lower=2,
+            upper=10**9,
+        ),
+        OptionSpec(
+            name="goal_tolerance",
+            default=0.0,
+            description="how far from the goal the plan may end, in the norm of (q, v): the cheapest end within this ball is chosen",
+            lower=0.0,
+        ),
+        OptionSpec(name="seed", default=0, description="of the random starts that are tried where the first guess leads nowhere", lower=0),
+        OptionSpec(name="tolerance", default=1e-8, description="Ipopt's tol for fixed modes of a nonlinear scene", lower=1e-12, upper=1e-2),
+        OptionSpec(name="homotopy_tolerance", default=1e-6, description="Ipopt's tol in the softplus stages", lower=1e-12, upper=1e-2),
+        OptionSpec(name="max_iterations", default=3000, description="most Ipopt iterations of a solve", lower=1, upper=10**9),
+        OptionSpec(
+            name="plan_tolerance",
+            default=1e-6,
+            description="solved only if start, time step, bounds and signs are met to this, recomputed from the scene [m, rad, N ..]",
+            lower=0.0,
+            upper=1.0,
+        ),
+        OptionSpec(
+            name="terminal_tolerance",
+            default=1e-9,
+            description="solved only if the plan and its replay end this near to the goal (or the ball around it)",
+            lower=0.0,
+        ),
+        OptionSpec(
+            name="physics_tolerance",
+            default=1e-12,
+            description="solved only if the sum of abs(lam (lam - k phi)) is at most this; the method leaves exactly zero",
+            unit="N^2",
+            lower=0.0,
+        ),
+    )
+
+    def accepts(self, scene: Scene) -> str | None:
+        if not scene.inputs:
+            return f"scene {scene.name} has no inputs, so there is nothing to plan."
+        from formulations.transcription.expressions import SceneExpressions
+        from models.dynamics import derive
+        from models.errors import SceneError
+
+        try:
+            SceneExpressions(derive(scene))
+        except SceneError as error:
+            return str(error)
+        return None
+
+    def open(self, scene: Scene, options: Mapping[str, object] = MappingProxyType({})) -> Session:
+        opening = (perf_counter(), process_time())
+        filled = self.filled_options(options)
+        reason = self.accepts(scene)
+        if reason:
+            raise OptionError(f"method {self.name}: {reason}")
+        from formulations.windows.session import MpccSession
+
+        return MpccSession(self, scene, filled, opening)
+
+
+METHOD = Mpcc()

@@ -1,0 +1,123 @@
+"""The same quadratic program by a dual active-set method (Goldfarb and Idnani): one factorisation, then one back substitution a condition.
+
+It starts from the plan that ignores all bounds, and imposes what is violated most, one condition at a time. The cost rises on the way and
+never exceeds the optimum: a search over modes stops it as soon as it passes the best cost known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from formulations.windows.kkt import BandedKKT, Point
+from formulations.windows.linear_scene import LinearScene
+
+_VIOLATED = 1e-11  # [m], [N]
+_DEPENDENT = 1e-11  # part of a condition's own curvature below which it depends on those imposed already
+_MOST = 80  # conditions imposed or dropped; a problem with more active bounds is one for the interior point
+
+
+@dataclass(frozen=True, eq=False)
+class DualAnswer:
+    """cost: of the optimum, or a lower bound where `is_cut`; side, touching: the active set."""
+
+    cost: float
+    is_cut: bool
+    side: np.ndarray
+    touching: np.ndarray
+
+
+class DualRounds:
+    """See the module docstring. A condition is (kind, t, column), kind -1 and 1 a bound of u, 0 the sign of phi."""
+
+    def __init__(self, linear: LinearScene, kkt: BandedKKT) -> None:
+        self._linear, self._kkt = linear, kkt
+
+    def run(self, closed: np.ndarray, goal: np.ndarray, ceiling: float, softness: float = 0.0) -> DualAnswer | str:
+        """The optimum or a bound above `ceiling`; "infeasible" or "unfinished" where there is none."""
+        lin, kkt = self._linear, self._kkt
+        sign = np.where(closed, 1.0, -1.0)
+        none_u, none_c = np.zeros((lin.steps, lin.nu), dtype=bool), np.zeros((lin.steps, lin.nc), dtype=bool)
+        if not kkt.factor(closed, none_u, none_c, softness=softness):
+            return "infeasible"
+        right = kkt.right_side(closed, none_u, np.zeros(none_u.shape), none_c, goal)
+        x = kkt.solve(right)
+        if not np.abs(kkt.product(x) - right).max() <= 1e-8 * max(1.0, np.abs(right).max()):
+            return "infeasible"
+        imposed: list[tuple[int, int, int]] = []
+        columns: list[np.ndarray] = []
+        gram, force = np.zeros((0, 0)), np.zeros(0)
+        for _ in range(_MOST):
+            point = kkt.point(x)
+            cost = self._cost(point, goal, softness)
+            condition, reach = self._worst(point, sign, imposed)
+            if condition is None or cost >= ceiling:
+                side, touching = np.zeros((lin.steps, lin.nu), dtype=int), none_c.copy()
+                for kind, t, column in imposed:
+                    (touching if kind == 0 else side)[t, column] = kind or 1
+                return DualAnswer(cost, condition is not None, side, touching)
+            column = kkt.solve(self._right(condition, sign))
+            own, own_force = self._value(column, condition, sign), 0.0
+            cross = np.array([self._value(column, other, sign) for other in imposed])
+            while True:
+                share = np.linalg.solve(gram, cross) if imposed else np.zeros(0)
+                slope = own - float(cross @ share)
+                falling = np.flatnonzero(share > 1e-14)
+                drop = int(falling[np.argmin(force[falling] / share[falling])]) if falling.size else -1
+                partial = float(force[drop] / share[drop]) if drop >= 0 else np.inf
+                full = -reach / slope if slope > _DEPENDENT * own else np.inf
+                step = min(partial, full)
+                if not np.isfinite(step):
+                    return "infeasible"
+                if np.isfinite(full):
+                    x = x + step * (column - sum((s * c for s, c in zip(share, columns, strict=True)), np.zeros(len(x))))
+                    reach += step * slope
+                force, own_force = force - step * share, own_force + step
+                if full <= partial:
+                    break
+                imposed.pop(drop)
+                columns.pop(drop)
+                keep = np.arange(len(force)) != drop
+                force, cross, gram = force[keep], cross[keep], gram[np.ix_(keep, keep)]
+            gram = np.block([[gram, cross[:, None]], [cross[None], np.array([[own]])]])
+            force = np.append(force, own_force)
+            imposed.append(condition)
+            columns.append(column)
+        return "unfinished"
+
+    def _cost(self, point: Point, goal: np.ndarray, softness: float) -> float:
+        cost = self._linear.cost(point.z[:-1], point.u)
+        return cost if softness == 0.0 else cost + 0.5 / softness * float(((point.z[-1] - goal) ** 2).sum())
+
+    def _worst(self, point: Point, sign: np.ndarray, imposed: list[tuple[int, int, int]]) -> tuple[tuple[int, int, int] | None, float]:
+        """The most violated condition (phi weighted with its stiffness: newtons against newtons) and its value, negative."""
+        lin = self._linear
+        phi = sign * lin.penetration(point.z[:-1])
+        phi[0] = 0.0
+        found: tuple[float, tuple[int, int, int] | None, float] = (0.0, None, 0.0)
+        for kind, values, weight in ((0, phi, lin.k), (-1, point.u - lin.lower, 1.0), (1, lin.upper - point.u, 1.0)):
+            short = np.where(values < -_VIOLATED, values * weight, 0.0)
+            for other in imposed:
+                if other[0] == kind:
+                    short[other[1:]] = 0.0
+            if short.size and short.min() < found[0]:
+                t, column = (int(i) for i in np.unravel_index(int(short.argmin()), short.shape))
+                found = (float(short.min()), (kind, t, column), float(values[t, column]))
+        return found[1], found[2]
+
+    def _right(self, condition: tuple[int, int, int], sign: np.ndarray) -> np.ndarray:
+        kind, t, column = condition
+        right = np.zeros(self._kkt.size)
+        if kind == 0:
+            right[self._kkt.rows_z[t - 1]] = sign[t, column] * self._linear.P[column]
+        else:
+            right[self._kkt.rows_u[t, column]] = -float(kind)
+        return right
+
+    def _value(self, x: np.ndarray, condition: tuple[int, int, int], sign: np.ndarray) -> float:
+        """How much the condition's value changes along x."""
+        kind, t, column = condition
+        if kind == 0:
+            return float(sign[t, column] * (self._linear.P[column] @ x[self._kkt.rows_z[t - 1]]))
+        return -float(kind * x[self._kkt.rows_u[t, column]])

@@ -1,0 +1,191 @@
+"""From a scene to the cheapest contact windows that can be found: where the modes come from, and what is tried when they have no plan."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any, cast
+
+import numpy as np
+
+from formulations.solution import Outcome
+from formulations.transcription.workbench import Account
+from formulations.windows.grids import coarse_scene, on_grid
+from formulations.windows.homotopy import SoftplusHomotopy
+from formulations.windows.landing import land, miss_of
+from formulations.windows.linear_scene import linear_scene, why_not_linear
+from formulations.windows.nonlinear import NlpAnswer, NonlinearModes
+from formulations.windows.quadratic import ModesAnswer, ModesProblem
+from formulations.windows.search import GAIN, search_windows
+from formulations.windows.starts import random_plan
+from models.codegen.kernel import Kernel
+from models.scene import Scene
+from models.trajectory import Trajectory, uniform_grid
+
+_ARRIVED = 1e-6  # from the goal: what remains is taken out by the exact problem
+_STRIDES = 125  # the first stride is this part of the steps: 4 steps of 500
+_STAGES = 3  # of the homotopy whose modes are tried, the sharpest first
+_RESTARTS = 3  # homotopies from random plans if the first guess leads nowhere
+
+Answer = ModesAnswer | NlpAnswer
+
+
+@dataclass(frozen=True, kw_only=True)
+class Search:
+    """answer: the best modes' optimum (None: no modes had a plan); outcome and message: how it ended; tried: modes solved by the search."""
+
+    answer: Answer | None
+    outcome: Outcome
+    message: str
+    tried: int = 0
+
+
+class Finder:
+    """Everything of one scene that is kept from one solve to the next."""
+
+    def __init__(self, scene: Scene, kernel: Kernel, options: Mapping[str, object]) -> None:
+        self._scene, self._kernel, self._options = scene, kernel, options
+        self._homotopy: SoftplusHomotopy | None = None
+        self._linear: ModesProblem | None = None
+        self._is_linear = why_not_linear(scene) is None
+
+    def find(self, account: Account, modes_of: Trajectory | None = None, start: Trajectory | None = None) -> Search:
+        """The best plan. modes_of: a plan whose modes are tried first; start: where the homotopy begins (None: the paper's first guess)."""
+        begin = perf_counter()
+        problem = self._modes_problem(account)
+        account.build += perf_counter() - begin
+        self._ending = (Outcome.FAILED, "no source of contact modes gave a plan.")
+        answer, stride = None, max(1, self._scene.task.steps // _STRIDES)
+        for guess, fineness in self._guesses(account, modes_of, start):
+            answer = self._exact(account, problem, guess)
+            if answer is not None or account.is_over:
+                stride = fineness or stride
+                break
+        if answer is None:
+            outcome, message = self._ending
+            if account.is_over:
+                outcome, message = Outcome.TIME_LIMIT, "no contact modes with a plan were found in the time given."
+            return Search(answer=None, outcome=outcome, message=message)
+        return self._searched(account, problem, answer, stride)
+
+    def _modes_problem(self, account: Account) -> ModesProblem | NonlinearModes:
+        ball = self._number("goal_tolerance")
+        if not self._is_linear:
+            return NonlinearModes(self._scene, self._kernel, ball, account, self._ipopt_options("tolerance"))
+        if self._linear is None:
+            self._linear = ModesProblem(linear_scene(self._scene), ball)
+        return self._linear
+
+    # -- where modes come from --------------------------------------------------------------------------------------------------
+
+    def _guesses(self, account: Account, modes_of: Trajectory | None, start: Trajectory | None) -> Iterator[tuple[Trajectory, int]]:
+        """Plans whose modes are worth a try, with the stride (in steps) of a search around them, 0 for the usual one."""
+        if modes_of is not None:
+            yield modes_of, 0
+        coarse = self._coarse(account, start)
+        if coarse is not None:
+            yield coarse
+        if account.is_over:
+            return
+        if self._homotopy is None:
+            begin = perf_counter()
+            self._homotopy = SoftplusHomotopy(self._scene, self._number("goal_tolerance"), self._schedule())
+            account.build += perf_counter() - begin
+        first = coarse[0] if coarse is not None else start if start is not None else modes_of
+        seed = int(self._number("seed"))
+        others = (random_plan(self._scene, self._kernel, (seed, index)) for index in range(_RESTARTS))
+        for begin_at in (first, *others):
+            stages: list[Trajectory] = []
+            outcome, message = self._homotopy.run(account, self._ipopt_options("homotopy_tolerance"), begin_at, stages.append)
+            self._ending = self._words(outcome, message)
+            for plan in stages[: -_STAGES - 1 : -1]:
+                yield plan, 0
+            if account.is_over or (outcome is Outcome.ITERATION_LIMIT and not stages):
+                return
+
+    def _coarse(self, account: Account, start: Trajectory | None) -> tuple[Trajectory, int] | None:
+        """The best plan of a coarser grid, on this one."""
+        coarse = coarse_scene(self._scene, int(self._number("coarse_steps")))
+        if coarse is None:
+            return None
+        task = coarse.task
+        begin_at = None if start is None else on_grid(start, coarse)
+        found = Finder(coarse, self._kernel, self._options).find(account, start=begin_at)
+        if found.answer is None:
+            return None
+        rollout = self._kernel.rollout(np.array(task.start), found.answer.u, task.step)
+        if rollout.diverged:
+            return None
+        plan = Trajectory(t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=found.answer.u, lam=rollout.lam)
+        return on_grid(plan, self._scene), max(1, self._scene.task.steps // task.steps // 2)
+
+    def _words(self, outcome: Outcome, message: str) -> tuple[Outcome, str]:
+        task = self._scene.task
+        if outcome is Outcome.INFEASIBLE:
+            return outcome, (
+                f"no plan of {task.steps} steps of {task.step:g} s was found that reaches the goal within the input bounds, not even with "
+                "forces at a distance."
+            )
+        if outcome is Outcome.SOLVED:
+            return Outcome.STALLED, "softplus plans were found, but the contact modes read off them have no exact plan."
+        return outcome, f"softplus homotopy: {message}"
+
+    # -- what is done with them --------------------------------------------------------------------------------------------------
+
+    def _exact(self, account: Account, problem: ModesProblem | NonlinearModes, plan: Trajectory) -> Answer | None:
+        """The optimum for the modes of a plan; where they have none, for the modes of its inputs in true contact, steered to the goal.
+
+        The latter modes have a plan, namely that rollout, whenever it arrives.
+        """
+        begin = perf_counter()
+        answer = None
+        for closed in self._modes(plan):
+            if isinstance(problem, NonlinearModes):
+                problem.guess = plan
+            answer = problem.solve(closed)
+            if answer is not None or account.is_over:
+                break
+        if self._is_linear:  # the account knows the time of Ipopt's runs
+            account.linear_algebra += perf_counter() - begin
+        return answer
+
+    def _modes(self, plan: Trajectory) -> Iterator[np.ndarray]:
+        yield self._kernel.penetration(plan.q[:-1]) > 0.0
+        task, ball = self._scene.task, self._number("goal_tolerance")
+        bounds = (np.array([item.lower for item in self._scene.inputs]), np.array([item.upper for item in self._scene.inputs]))
+        goal = np.array(task.goal)
+        rollout, _ = land(self._kernel, np.array(task.start), goal, plan.u, task.step, bounds, ball)
+        if not rollout.diverged and np.linalg.norm(miss_of(rollout, goal, ball)) <= _ARRIVED:
+            yield rollout.lam > 0.0
+
+    def _searched(self, account: Account, problem: Any, answer: Answer, stride: int) -> Search:
+        how = "the rest is a convex quadratic program, solved exactly" if self._is_linear else "the rest was solved by Ipopt"
+        if not self._options["search"] or not self._scene.nc:
+            return Search(answer=answer, outcome=Outcome.SOLVED, message=f"Contact modes were read off a softplus plan; {how}.")
+        begin = perf_counter()
+        found = search_windows(
+            answer,
+            lambda closed, best: problem.solve(closed, near=best, below=best.cost - GAIN * abs(best.cost)),
+            stride=stride,
+            is_over=lambda: account.is_over,
+        )
+        if self._is_linear:
+            account.linear_algebra += perf_counter() - begin
+        ending = "none is cheaper than this plan" if found.complete else "the time was over before all were"
+        message = f"With the contact windows fixed {how}; {found.tried} neighbouring windows were tried, {ending}."
+        return Search(
+            answer=found.best, outcome=Outcome.SOLVED if found.complete else Outcome.TIME_LIMIT, message=message, tried=found.tried
+        )
+
+    def _schedule(self) -> tuple[float, ...]:
+        """Sharpness by sharpness, from the first to the last by a constant factor."""
+        first, last, growth = (self._number(name) for name in ("first_sharpness", "last_sharpness", "sharpness_growth"))
+        count = int(np.floor(np.log(max(last / first, 1.0)) / np.log(growth) + 1e-9)) + 1
+        return tuple(first * growth**index for index in range(count))
+
+    def _ipopt_options(self, tolerance: str) -> dict[str, Any]:
+        return {"tol": self._number(tolerance), "max_iter": int(self._number("max_iterations"))}
+
+    def _number(self, option: str) -> float:
+        return float(cast(float, self._options[option]))  # checked by filled_options

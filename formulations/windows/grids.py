@@ -1,0 +1,30 @@
+"""The same task on a coarser grid, and a plan from one grid on another."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from models.scene import Scene
+from models.trajectory import Trajectory, uniform_grid
+
+
+def coarse_scene(scene: Scene, most: int) -> Scene | None:
+    """The scene's task over the same horizon in at most `most` steps, or None where it has no more than that."""
+    task = scene.task
+    if task.steps <= most:
+        return None
+    steps = max(1, round(task.steps / math.ceil(task.steps / most)))
+    return scene.with_task(steps=steps, step=task.horizon / steps)
+
+
+def on_grid(plan: Trajectory, scene: Scene) -> Trajectory:
+    """A plan of the same horizon on the grid of a scene: states interpolated, inputs and forces held."""
+    task = scene.task
+    t = uniform_grid(task.step, task.steps)
+    stretch = (plan.t[-1] - plan.t[0]) / task.horizon  # 1 up to rounding
+    source = (plan.t - plan.t[0]) / stretch
+    step = np.minimum((np.arange(task.steps) + 0.5) * plan.steps / task.steps, plan.steps - 1).astype(int)
+    states = [np.stack([np.interp(t, source, column) for column in array.T], axis=1) for array in (plan.q, plan.v)]
+    return Trajectory(t=t, q=states[0], v=states[1], u=plan.u[step], lam=plan.lam[step])

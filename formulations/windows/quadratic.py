@@ -1,0 +1,179 @@
+"""The planning problem of a linear scene with its contact modes fixed: a convex quadratic program, solved to rounding.
+
+    problem = ModesProblem(linear)
+    answer = problem.solve(closed)                       # closed (steps, nc): True where lam = k phi, False where lam = 0
+    answer.z, answer.u, answer.cost
+
+    minimise sum_t cost   subject to   the time step,  lower <= u <= upper,  phi >= 0 where closed,  phi <= 0 where open,
+                                       |z[T] - goal| <= ball   (ball = 0: z[T] = goal)
+
+A dual active-set method (`dual_rounds`) names the active conditions; where it finds too many of them an interior-point method (`barrier`)
+does. Then the equality problem is solved once more by a factorisation that holds them, and every sign is checked: the answer is exact or
+there is none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from formulations.windows.barrier import BarrierMethod
+from formulations.windows.dual_rounds import DualAnswer, DualRounds
+from formulations.windows.goal_ball import nearest_goal
+from formulations.windows.kkt import BandedKKT, Point
+from formulations.windows.linear_scene import LinearScene
+from formulations.windows.stationarity import Stationarity, classify
+
+_ROUNDS = 12  # of the active set before it counts as going in circles; from a neighbour's set 2 to 4 are needed
+_VIOLATED = 1e-12  # [m], [N]: rounding of the banded solution
+_PULLING = 1e-9  # a multiplier below minus this asks for its condition to be dropped
+_BIACTIVE = 1e-11  # [m] penetration or gap below which a pair touches without pressing
+_SOLVED = 1e-8  # largest residual of the linear system that still counts as a solution
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ActiveSet:
+    """side (steps, nu): -1 on the lower bound, 1 on the upper, 0 free; touching (steps, nc): phi = 0 is imposed."""
+
+    side: np.ndarray
+    touching: np.ndarray
+
+    def same_as(self, other: ActiveSet) -> bool:
+        return np.array_equal(self.side, other.side) and np.array_equal(self.touching, other.touching)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ModesAnswer:
+    """The optimum for these modes: states, inputs and multipliers (see `kkt`), active conditions, and phi (steps, nc) [m]."""
+
+    closed: np.ndarray
+    point: Point
+    active: ActiveSet
+    cost: float
+    phi: np.ndarray
+    of_force: np.ndarray
+    of_separation: np.ndarray
+    dual_infeasibility: float
+
+    @property
+    def u(self) -> np.ndarray:
+        return self.point.u
+
+    def stationarity(self) -> Stationarity:
+        """The class of the pairs that touch without pressing."""
+        biactive = np.abs(self.phi) <= _BIACTIVE
+        biactive[:1] = False  # the start is no choice
+        return classify(self.of_force, self.of_separation, biactive)
+
+
+class ModesProblem:
+    """See the module docstring. `ball` may be moved between solves."""
+
+    def __init__(self, linear: LinearScene, ball: float = 0.0) -> None:
+        self.linear, self.ball = linear, ball
+        self.kkt = BandedKKT(linear)
+        self.solves = 0
+        self._barrier, self._dual = BarrierMethod(linear, self.kkt), DualRounds(linear, self.kkt)
+
+    def empty_set(self) -> ActiveSet:
+        lin = self.linear
+        return ActiveSet(side=np.zeros((lin.steps, lin.nu), dtype=int), touching=np.zeros((lin.steps, lin.nc), dtype=bool))
+
+    def solve(self, closed: np.ndarray, *, near: ModesAnswer | None = None, below: float = np.inf) -> ModesAnswer | None:
+        """The optimum, or None where these modes have no plan of a cost below `below`. near: the answer of similar modes."""
+        closed = self.with_first_modes(closed)
+        self.solves += 1
+        softness = 0.0 if self.ball == 0.0 or near is None else self._softness(near)
+        guess = self.empty_set()
+        if self.ball == 0.0 or softness > 0.0:
+            # with a ball: by weak duality cost + (|e|^2 - ball^2)/(2 softness) never exceeds the optimum, whatever the softness
+            credit = 0.5 * self.ball**2 / softness if softness > 0.0 else 0.0
+            dual = self._dual.run(closed, self.linear.goal, below + credit, softness)
+            if dual == "infeasible" or (isinstance(dual, DualAnswer) and dual.is_cut):
+                return None
+            if isinstance(dual, DualAnswer):
+                guess = ActiveSet(side=dual.side, touching=dual.touching)
+        found = self._rounds(closed, guess)
+        if found is None:
+            named = self._barrier.active_set(closed, self.linear.goal, self.ball)
+            found = None if named is None else self._rounds(closed, ActiveSet(side=named[0], touching=named[1]))
+        return found if found is not None and found.cost < below else None
+
+    def _softness(self, near: ModesAnswer) -> float:
+        """ball / |w|: the softness at which a penalty ends on the sphere of the ball, for modes like those of `near`."""
+        size = float(np.linalg.norm(near.point.w))
+        return self.ball / size if size > 0.0 else 0.0
+
+    def with_first_modes(self, closed: np.ndarray) -> np.ndarray:
+        """The same modes with those of the first step, which the start decides."""
+        fixed = np.array(closed, dtype=bool)
+        fixed[0] = self.linear.penetration(self.linear.start[None])[0] > 0.0
+        return fixed
+
+    def solve_without_signs(self, closed: np.ndarray) -> Point | None:
+        """The same problem with nothing asked of phi and u: what an iteration over modes starts from."""
+        closed = self.with_first_modes(closed)
+        return self._equality(closed, self.empty_set())
+
+    def slopes(self, point: Point) -> np.ndarray:
+        """(steps, nu) derivative of the Lagrangian with respect to u: 0 where u is free, the multiplier of its bound elsewhere."""
+        lin, n = self.linear, self.linear.n
+        x = np.hstack([point.z[:-1], point.u])
+        return x @ lin.H[:, n:] + lin.g[n:] + point.y @ lin.B
+
+    def _rounds(self, closed: np.ndarray, active: ActiveSet) -> ModesAnswer | None:
+        sign = np.where(closed, 1.0, -1.0)
+        active = ActiveSet(side=active.side, touching=active.touching & (np.arange(len(closed)) > 0)[:, None])
+        for _ in range(_ROUNDS):
+            point = self._equality(closed, active)
+            if point is None:
+                return None
+            better = self._next(point, sign, active)
+            if better.same_as(active):
+                return self._answer(closed, point, active)
+            active = better
+        return None
+
+    def _answer(self, closed: np.ndarray, point: Point, active: ActiveSet) -> ModesAnswer:
+        """With the multipliers of lam >= 0 and lam - k phi >= 0 (see `stationarity`): their sum is that of lam in the time step."""
+        lin = self.linear
+        both, own = point.y @ lin.E, point.mu / np.where(lin.k > 0.0, lin.k, 1.0)
+        of_force = np.where(closed, -own, both - own)
+        return ModesAnswer(
+            closed=closed,
+            point=point,
+            active=active,
+            cost=lin.cost(point.z[:-1], point.u),
+            phi=lin.penetration(point.z[:-1]),
+            of_force=of_force,
+            of_separation=both - of_force,
+            dual_infeasibility=float(np.abs(np.where(active.side == 0, self.slopes(point), 0.0)).max(initial=0.0)),
+        )
+
+    def _next(self, point: Point, sign: np.ndarray, active: ActiveSet) -> ActiveSet:
+        lin, side = self.linear, active.side
+        slope = self.slopes(point)
+        keeps = side * slope <= _PULLING  # the lower bound pushes up (slope >= 0), the upper one down
+        moved = np.where(
+            side == 0, np.sign((point.u > lin.upper + _VIOLATED).astype(int) - (point.u < lin.lower - _VIOLATED)), side * keeps
+        )
+        reach = sign * lin.penetration(point.z[:-1])
+        touching = np.where(active.touching, -sign * point.mu >= -_PULLING, reach < -_VIOLATED)
+        touching[0] = False
+        return ActiveSet(side=moved.astype(int), touching=touching)
+
+    def _equality(self, closed: np.ndarray, active: ActiveSet) -> Point | None:
+        lin, held = self.linear, active.side != 0
+        if not self.kkt.factor(closed, held, active.touching):
+            return None
+        bound = np.where(active.side > 0, lin.upper, np.where(active.side < 0, lin.lower, 0.0))
+        right = self.kkt.right_side(closed, held, bound, active.touching, lin.goal)
+        x = self.kkt.solve(right)
+        if self.ball > 0.0:
+            columns = self.kkt.solve(self.kkt.goal_columns())
+            x, right = nearest_goal(self.kkt, x, columns, right, self.ball)
+        residual = np.abs(self.kkt.product(x) - right).max()
+        if not residual <= _SOLVED * max(1.0, np.abs(right).max()):  # NaN counts as no solution
+            return None
+        return self.kkt.point(x)

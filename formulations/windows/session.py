@@ -1,0 +1,123 @@
+"""`mpcc` opened on a scene: homotopy, modes read off, the exact problem with these modes, search over windows, and a landing on the goal.
+
+    softplus homotopy -> which contact is closed when -> exact optimum for these modes -> cheaper windows -> rollout of the inputs
+
+The plan is the rollout of its own inputs through the true contact law: complementarity is zero by construction, and what the solvers leave of
+the terminal error (1e-9) is taken out by Newton steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from time import perf_counter, process_time
+from typing import Any, cast
+
+import numpy as np
+
+from formulations.method import Method, OptionError, Session
+from formulations.solution import Outcome, Solution
+from formulations.transcription.residuals import PlanResiduals
+from formulations.transcription.workbench import Account
+from formulations.windows.finder import Finder, Search
+from formulations.windows.landing import land
+from models.codegen.kernel import load_kernel
+from models.errors import TrajectoryError
+from models.scene import Scene
+from models.trajectory import Trajectory, uniform_grid
+
+
+class MpccSession(Session):
+    """See the module docstring."""
+
+    def __init__(self, method: Method, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> None:
+        self._method, self._scene, self._options = method, scene, dict(options)
+        self._kernel, self._residuals = load_kernel(scene), PlanResiduals(scene)
+        self._finder = Finder(scene, self._kernel, self._options)
+        self._opening = (perf_counter() - opening[0], process_time() - opening[1])
+
+    def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
+        self._method.check_eps(eps)
+        if not time_limit > 0.0:
+            raise OptionError(f"method {self._method.name}: the time limit is {time_limit!r}, but must be a positive number of seconds.")
+        if warm_start is not None:
+            self._check_grid(warm_start)
+        account, self._opening = Account(time_limit, self._opening), (0.0, 0.0)
+        search = self._finder.find(account, warm_start)
+        return self._solution(account, search)
+
+    def _check_grid(self, plan: Trajectory) -> None:
+        plan.check_fits(self._scene)
+        task = self._scene.task
+        if plan.steps != task.steps or not np.allclose(
+            plan.t - plan.t[0], uniform_grid(task.step, task.steps), rtol=1e-9, atol=1e-9 * task.step
+        ):
+            raise TrajectoryError(
+                f"warm start: it has {plan.steps} steps over {plan.t[-1] - plan.t[0]:g} s, but scene {self._scene.name} has {task.steps} steps of "
+                f"{task.step:g} s; resample it to that grid."
+            )
+
+    def _solution(self, account: Account, search: Search) -> Solution:
+        empty = Solution(method=self._method.name, outcome=search.outcome, message=search.message, options=dict(self._options))
+        if search.answer is None:
+            return replace(empty, iterations=account.iterations, seconds=account.seconds(), history=_columns(account))
+        plan = self.landed(search.answer.u)
+        residuals = self.certificate(plan)
+        stationarity = search.answer.stationarity()
+        missed = {name: limit for name, limit in self._promises().items() if not residuals.get(name, 0.0) <= limit}
+        outcome, message = search.outcome, f"{search.message} {stationarity.sentence}"
+        if missed and outcome is Outcome.SOLVED:
+            worst = ", ".join(f"{name} is {residuals[name]:.3g} (limit {limit:g})" for name, limit in missed.items())
+            outcome, message = Outcome.STALLED, f"{message} Checked on the plan itself, {worst}."
+        residuals |= {
+            "dual_infeasibility": search.answer.dual_infeasibility,
+            "biactive_pairs": float(stationarity.biactive),
+            "least_biactive_multiplier": stationarity.least,
+            "windows_tried": float(search.tried),
+        }
+        return replace(
+            empty,
+            outcome=outcome,
+            message=message,
+            trajectory=plan,
+            cost=self._residuals.cost(plan),
+            iterations=account.iterations,
+            seconds=account.seconds(),
+            residuals=residuals,
+            history=_columns(account),
+        )
+
+    def landed(self, u: np.ndarray) -> Trajectory:
+        """The plan of these inputs, corrected to end on the goal: their rollout through the true contact law."""
+        task = self._scene.task
+        bounds = tuple(np.array([getattr(item, side) for item in self._scene.inputs]) for side in ("lower", "upper"))
+        rollout, u = land(
+            self._kernel, np.array(task.start), np.array(task.goal), u, task.step, (bounds[0], bounds[1]), self._number("goal_tolerance")
+        )
+        return Trajectory(t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+
+    def certificate(self, plan: Trajectory) -> dict[str, float]:
+        """Residuals of the plan by name; complementarity with the penetration of the same compiled code that the forces come from."""
+        found = self._residuals.of(plan)
+        if self._scene.nc:
+            products = np.abs(plan.lam * (plan.lam - self._kernel.stiffness() * self._kernel.penetration(plan.q[:-1])))
+            found |= {"physics": float(products.sum()), "complementarity": float(products.max())}
+        task = self._scene.task
+        replay = self._kernel.rollout(np.array(task.start), plan.u, task.step)
+        end = np.concatenate([replay.q[-1], replay.v[-1]])
+        return {**found, "discrete_terminal_error": float(np.linalg.norm(end - np.array(task.goal)))}
+
+    def _promises(self) -> dict[str, float]:
+        plan, miss = self._number("plan_tolerance"), self._number("terminal_tolerance") + self._number("goal_tolerance")
+        return {
+            **dict.fromkeys(("dynamics_defect", "start_error", "input_bound_excess", "force_sign"), plan),
+            **dict.fromkeys(("terminal_error", "discrete_terminal_error"), miss),
+            "physics": self._number("physics_tolerance"),
+        }
+
+    def _number(self, option: str) -> float:
+        return float(cast(float, self._options[option]))  # checked by filled_options
+
+
+def _columns(account: Account) -> dict[str, tuple[Any, ...]]:
+    return {name: tuple(values) for name, values in account.history.items()}

@@ -1,0 +1,127 @@
+"""The method `mpcc` on the paper's scene and around it; every figure recomputed from a rollout of the compiled time step."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from formulations.catalog import load_method
+from formulations.method import OptionError
+from formulations.solution import Outcome, Solution
+from formulations.windows.moves import windows_of
+from models.catalog import load_scene
+from models.codegen.kernel import load_kernel
+from models.scene import Scene
+
+SCENE = load_scene("three_cart")
+ARM = load_scene(str(Path(__file__).parents[1] / "scenes" / "two_link_arm.py"))
+PATIENCE = 600.0  # wall seconds; never reached, only so that a broken solver ends
+SMALL = SCENE.with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100)
+
+
+def solved(scene: Scene = SCENE, warm_start=None, **options) -> Solution:
+    with load_method("mpcc").open(scene, options) as session:
+        return session.solve(eps=None, warm_start=warm_start, time_limit=PATIENCE)
+
+
+def check(solution: Solution, scene: Scene, ball: float = 0.0) -> None:
+    """Solved, within its bounds, and its inputs lead to its own states and forces and to the goal through true contact."""
+    assert solution.outcome is Outcome.SOLVED, solution.message
+    plan = solution.trajectory
+    assert plan is not None
+    kernel, task = load_kernel(scene), scene.task
+    rollout = kernel.rollout(np.array(task.start), plan.u, task.step)
+    for name in ("q", "v", "lam"):
+        np.testing.assert_array_equal(getattr(plan, name), getattr(rollout, name))
+    assert np.linalg.norm(np.concatenate([rollout.q[-1], rollout.v[-1]]) - np.array(task.goal)) <= ball + 1e-10
+    assert np.abs(plan.lam * (plan.lam - kernel.stiffness() * kernel.penetration(plan.q[:-1]))).max() == 0.0
+    for column, item in enumerate(scene.inputs):
+        assert item.lower <= plan.u[:, column].min()
+        assert plan.u[:, column].max() <= item.upper
+    assert solution.cost == pytest.approx((plan.u**2).sum(), rel=1e-12)
+
+
+@pytest.fixture(scope="module")
+def best() -> Solution:
+    return solved()
+
+
+def test_without_search_the_figure_holds() -> None:
+    solution = solved(search=False)
+    check(solution, SCENE)
+    assert solution.cost is not None
+    assert solution.cost <= 490.56
+    assert solution.residuals["windows_tried"] == 0
+
+
+def test_with_search_it_reaches_the_best_known_plan(best: Solution) -> None:
+    check(best, SCENE)
+    assert best.cost is not None
+    assert best.cost <= 490.5496
+    assert best.trajectory is not None
+    left, right = windows_of(best.trajectory.lam > 0)
+    assert left[0][1] == 179
+    assert right == ((276, 307),)
+    assert "S-stationary" in best.message
+    assert best.residuals["least_biactive_multiplier"] >= 0
+    assert best.residuals["windows_tried"] > 16
+
+
+def test_a_plan_of_its_own_is_left_as_it_is(best: Solution) -> None:
+    """The modes of a plan given are tried first: no homotopy, no better neighbour."""
+    again = solved(warm_start=best.trajectory)
+    check(again, SCENE)
+    assert again.iterations == 0
+    assert again.cost == pytest.approx(best.cost, rel=1e-9)
+
+
+@pytest.mark.parametrize("k", [30.0, 300.0, 3000.0])
+def test_other_stiffnesses(k: float) -> None:
+    scene = SMALL.with_parameters(k=k)
+    check(solved(scene), scene)
+
+
+@pytest.mark.parametrize("steps", [150, 1000])
+def test_other_grids_cost_the_same_per_unit_of_time(steps: int) -> None:
+    """T = 1000 goes by way of a coarser grid."""
+    scene = SCENE.with_task(steps=steps, step=5.0 / steps)
+    solution = solved(scene)
+    check(solution, scene)
+    assert solution.cost is not None
+    assert solution.cost * scene.task.step == pytest.approx(4.9055, rel=5e-3)
+
+
+def test_a_nonlinear_scene_goes_by_ipopt() -> None:
+    solution = solved(ARM)
+    check(solution, ARM)
+    strict = load_method("strict_lcp").open(ARM).solve(eps=None, warm_start=None, time_limit=PATIENCE)
+    assert solution.cost is not None
+    assert strict.cost is not None
+    assert solution.cost <= strict.cost * (1 + 1e-6)
+    assert "Ipopt" in solution.message
+
+
+def test_an_unreachable_goal_has_no_plan() -> None:
+    for scene in (SMALL.with_task(goal=(2.1, 2.7, 9.3, 0.0, 0.0, 0.0)), SMALL.with_task(steps=10)):
+        solution = solved(scene)
+        assert solution.outcome is Outcome.INFEASIBLE
+        assert solution.trajectory is None
+        assert "reaches the goal" in solution.message
+
+
+def test_no_time_ends_in_a_time_limit() -> None:
+    with load_method("mpcc").open(SCENE) as session:
+        solution = session.solve(eps=None, warm_start=None, time_limit=1e-3)
+        assert solution.outcome is Outcome.TIME_LIMIT
+        with pytest.raises(OptionError, match="time limit"):
+            session.solve(eps=None, warm_start=None, time_limit=0.0)
+
+
+def test_a_ball_around_the_goal_makes_it_cheaper(best: Solution) -> None:
+    solution = solved(goal_tolerance=0.05, search=False)
+    check(solution, SCENE, ball=0.05)
+    assert solution.cost is not None
+    assert best.cost is not None
+    assert solution.cost < best.cost

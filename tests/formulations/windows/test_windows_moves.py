@@ -1,0 +1,112 @@
+"""Contact windows: moves and their undoing, and a search that ends where no neighbour is cheaper."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from formulations.windows.moves import Add, Drop, Merge, MoveEnd, Split, Translate, closed_of, rearrangements, shifts, windows_of
+from formulations.windows.search import search_windows
+
+STEPS = 40
+modes = st.lists(st.tuples(st.booleans(), st.booleans()), min_size=STEPS, max_size=STEPS).map(lambda rows: np.array(rows))
+
+
+@given(closed=modes)
+@settings(deadline=None, max_examples=50)
+def test_windows_and_modes_are_two_words_for_one_thing(closed: np.ndarray) -> None:
+    assert np.array_equal(closed_of(windows_of(closed), STEPS), closed)
+
+
+@given(closed=modes, stride=st.integers(1, 5), seed=st.integers(0, 99))
+@settings(deadline=None, max_examples=50)
+def test_every_move_can_be_undone(closed: np.ndarray, stride: int, seed: int) -> None:
+    windows, phi = windows_of(closed), np.random.default_rng(seed).normal(size=(STEPS, 2))
+    for move in (*shifts(windows, stride), *rearrangements(windows, phi)):
+        moved = move.apply(windows, STEPS)
+        if moved is not None:
+            assert moved != windows
+            assert windows_of(closed_of(moved, STEPS)) == moved, "what comes out is again windows: none empty, none adjoining"
+            assert move.undo(windows).apply(moved, STEPS) == windows
+
+
+def test_moves_do_what_they_say() -> None:
+    windows = (((5, 10), (20, 30)), ())
+    assert MoveEnd(contact=0, index=0, end=0, by=-2).apply(windows, STEPS) == (((3, 10), (20, 30)), ())
+    assert MoveEnd(contact=0, index=1, end=1, by=3).apply(windows, STEPS) == (((5, 10), (20, 33)), ())
+    assert Translate(contact=0, index=0, by=4).apply(windows, STEPS) == (((9, 14), (20, 30)), ())
+    assert Merge(contact=0, index=0).apply(windows, STEPS) == (((5, 30),), ())
+    assert Split(contact=0, index=1, first=24, stop=26).apply(windows, STEPS) == (((5, 10), (20, 24), (26, 30)), ())
+    assert Drop(contact=0, index=0).apply(windows, STEPS) == (((20, 30),), ())
+    assert Add(contact=1, first=0, stop=1).apply(windows, STEPS) == (((5, 10), (20, 30)), ((0, 1),))
+
+
+@pytest.mark.parametrize(
+    "move",
+    [
+        MoveEnd(contact=0, index=0, end=1, by=-5),  # empty
+        MoveEnd(contact=0, index=0, end=1, by=10),  # adjoins the next
+        MoveEnd(contact=0, index=0, end=0, by=-6),  # before the beginning
+        MoveEnd(contact=0, index=1, end=1, by=11),  # after the end
+        Translate(contact=0, index=0, by=12),  # overlaps
+        MoveEnd(contact=0, index=2, end=0, by=1),
+        Merge(contact=0, index=1),
+        Split(contact=0, index=0, first=5, stop=6),  # at the edge
+        Drop(contact=1, index=0),
+        Add(contact=0, first=8, stop=12),
+    ],
+)
+def test_impossible_moves_give_nothing(move) -> None:
+    assert move.apply((((5, 10), (20, 30)), ()), STEPS) is None
+
+
+@dataclass(frozen=True)
+class Plan:
+    closed: np.ndarray
+    cost: float
+    phi: np.ndarray
+
+
+class Landscape:
+    """A cost of windows by hand: how many steps differ from a target. Modes that close contact 1 at step 0 have no plan."""
+
+    def __init__(self, target: np.ndarray) -> None:
+        self.target, self.asked = target, 0
+
+    def plan(self, closed: np.ndarray) -> Plan:
+        return Plan(closed, float((closed != self.target).sum()), np.where(self.target, 1.0, -1.0) - 0.01 * closed)
+
+    def improve(self, closed: np.ndarray, best: Plan) -> Plan | None:
+        self.asked += 1
+        plan = self.plan(closed)
+        return plan if plan.cost < best.cost else None
+
+
+@pytest.mark.parametrize(
+    ("start", "target"),
+    [
+        ((((3, 8),), ((30, 35),)), (((11, 20),), ((22, 36),))),  # shifts
+        ((((10, 20),), ()), (((10, 14), (16, 20)), ((5, 8),))),  # a split and a new window
+        ((((10, 14), (16, 20)), ((5, 6),)), (((10, 20),), ())),  # a merge and a drop
+    ],
+)
+def test_the_search_reaches_the_target(start, target) -> None:
+    land = Landscape(closed_of(target, STEPS))
+    found = search_windows(land.plan(closed_of(start, STEPS)), land.improve, stride=4, is_over=lambda: False)
+    assert found.complete
+    assert windows_of(found.best.closed) == target
+    assert found.tried == land.asked
+    around = (*shifts(target, 1), *rearrangements(target, found.best.phi))
+    moved = [neighbour for move in around if (neighbour := move.apply(target, STEPS)) is not None]
+    assert all(land.plan(closed_of(neighbour, STEPS)).cost > 0 for neighbour in moved)
+
+
+def test_a_search_out_of_time_says_so() -> None:
+    land = Landscape(closed_of((((11, 20),), ()), STEPS))
+    found = search_windows(land.plan(closed_of((((3, 8),), ()), STEPS)), land.improve, stride=4, is_over=lambda: land.asked >= 2)
+    assert not found.complete
+    assert found.tried >= 2

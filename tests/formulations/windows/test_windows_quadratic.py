@@ -1,0 +1,133 @@
+"""The quadratic program of fixed modes against Ipopt on the Pyomo model of the same modes: two roads that share no line."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from formulations.transcription.workbench import Account
+from formulations.windows.linear_scene import linear_scene, why_not_linear
+from formulations.windows.moves import closed_of
+from formulations.windows.nonlinear import NonlinearModes
+from formulations.windows.quadratic import ModesProblem
+from models.catalog import load_scene
+from models.codegen.kernel import load_kernel
+from models.scene import Scene
+
+SCENE = load_scene("three_cart")
+ARM = load_scene(str(Path(__file__).parents[2] / "scenes" / "two_link_arm.py"))
+BEST = closed_of((((131, 179),), ((276, 307),)), 500)
+
+
+def random_scene(seed: int, bound: float) -> tuple[Scene, np.ndarray]:
+    """Three carts pressed together by random inputs, and the modes of that rollout. Its end is the goal: these modes have a plan."""
+    random = np.random.default_rng(seed)
+    scene = SCENE.with_parameters(k=random.uniform(20.0, 80.0), c=random.uniform(0.5, 2.0))
+    inputs = tuple(replace(item, lower=-bound, upper=bound) for item in scene.inputs)
+    scene = replace(scene, inputs=inputs).with_task(start=(0.0, 0.53, 1.07, 0.0, 0.0, 0.0), steps=120, step=0.02)
+    u = bound * np.repeat(random.uniform(-0.4, 1.0, (12, 2)) * np.array([1.0, -1.0]), 10, axis=0)
+    rollout = load_kernel(scene).rollout(np.array(scene.task.start), u, scene.task.step)
+    return scene.with_task(goal=(*rollout.q[-1], *rollout.v[-1])), rollout.lam > 0
+
+
+def by_ipopt(scene: Scene, closed: np.ndarray, ball: float = 0.0):
+    return NonlinearModes(scene, load_kernel(scene), ball, Account(600.0), {"tol": 1e-10, "max_iter": 3000}).solve(closed)
+
+
+def test_the_known_optimum() -> None:
+    answer = ModesProblem(linear_scene(SCENE)).solve(BEST)
+    assert answer is not None
+    assert answer.cost == pytest.approx(490.5495305, abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("bound", [10.0, 1.6])
+def test_it_agrees_with_ipopt_on_random_problems(seed: int, bound: float) -> None:
+    scene, closed = random_scene(seed, bound)
+    ours, theirs = ModesProblem(linear_scene(scene)).solve(closed), by_ipopt(scene, closed)
+    assert ours is not None
+    assert theirs is not None
+    assert closed.any()
+    assert ours.cost == pytest.approx(theirs.cost, rel=1e-6)
+    np.testing.assert_allclose(ours.u, theirs.u, atol=1e-3)
+    np.testing.assert_allclose(ours.phi, theirs.phi, atol=1e-5)
+
+
+def test_some_of_these_problems_have_active_bounds_and_signs() -> None:
+    """Otherwise the comparison above would say little."""
+    held, touching = 0, 0
+    for seed in range(4):
+        scene, closed = random_scene(seed, 1.6)
+        answer = ModesProblem(linear_scene(scene)).solve(closed)
+        assert answer is not None
+        held, touching = held + int((answer.active.side != 0).sum()), touching + int(answer.active.touching.sum())
+    assert held > 0
+    assert touching > 0
+
+
+@pytest.mark.parametrize("ball", [1e-3, 5e-2])
+def test_a_ball_around_the_goal_agrees_with_ipopt(ball: float) -> None:
+    problem = ModesProblem(linear_scene(SCENE), ball)
+    answer, theirs = problem.solve(BEST), by_ipopt(SCENE, BEST, ball)
+    assert answer is not None
+    assert theirs is not None
+    assert np.linalg.norm(answer.point.z[-1] - problem.linear.goal) == pytest.approx(ball, rel=1e-9)
+    assert answer.cost == pytest.approx(theirs.cost, rel=1e-6)
+
+
+def test_optimality_conditions_hold() -> None:
+    """Recomputed from the scene's matrices: time step, signs of penetrations and of multipliers, slope of free inputs."""
+    scene, closed = random_scene(1, 1.6)
+    linear = linear_scene(scene)
+    problem = ModesProblem(linear)
+    answer = problem.solve(closed)
+    assert answer is not None
+    z, u, y = answer.point.z, answer.point.u, answer.point.y
+    lam = np.where(answer.closed, linear.k * answer.phi, 0.0)
+    np.testing.assert_allclose(z[1:], z[:-1] @ linear.A.T + u @ linear.B.T + linear.c + lam @ linear.E.T, atol=1e-11)
+    assert (np.where(answer.closed, answer.phi, -answer.phi)[1:] >= -1e-11).all()
+    slope = 2 * u + y @ linear.B  # the running cost is |u|^2
+    assert np.abs(slope[answer.active.side == 0]).max() <= 1e-8
+    assert (answer.active.side != 0).any()
+    assert (slope[answer.active.side < 0] >= -1e-8).all()
+    assert (slope[answer.active.side > 0] <= 1e-8).all()
+
+
+def test_modes_without_a_plan_have_no_answer() -> None:
+    problem = ModesProblem(linear_scene(SCENE))
+    assert problem.solve(np.zeros((500, 2), dtype=bool)) is None, "nobody pushes the middle cart"
+    assert problem.solve(closed_of((((0, 3),), ((276, 307),)), 500)) is None, "the left cart cannot be there that early"
+
+
+def test_a_ceiling_only_hides_what_costs_more() -> None:
+    problem = ModesProblem(linear_scene(SCENE))
+    worse = closed_of((((140, 190),), ((270, 300),)), 500)
+    free = problem.solve(worse)
+    assert free is not None
+    assert problem.solve(worse, below=free.cost * 0.999) is None
+    found = problem.solve(worse, below=free.cost * 1.001)
+    assert found is not None
+    assert found.cost == pytest.approx(free.cost, rel=1e-12)
+
+
+def test_the_numbers_of_a_linear_scene_are_those_of_the_compiled_step() -> None:
+    linear, kernel = linear_scene(SCENE), load_kernel(SCENE)
+    random = np.random.default_rng(3)
+    u = random.uniform(-10, 10, (200, 2)) + np.array([5.0, -5.0])
+    rollout = kernel.rollout(np.array([0.0, 0.52, 1.04, 0.0, 0.0, 0.0]), u, SCENE.task.step)
+    z = np.hstack([rollout.q, rollout.v])
+    assert (rollout.lam > 0).any()
+    np.testing.assert_allclose(z[1:], z[:-1] @ linear.A.T + u @ linear.B.T + linear.c + rollout.lam @ linear.E.T, atol=1e-12)
+    np.testing.assert_allclose(linear.penetration(z), kernel.penetration(rollout.q), atol=1e-14)
+    assert linear.cost(z[:-1], u) == pytest.approx((u**2).sum(), rel=1e-13)
+
+
+def test_scenes_that_are_not_convex_say_why() -> None:
+    assert why_not_linear(SCENE) is None
+    assert "not linear" in (why_not_linear(ARM) or "")
+    u1, u3 = (item.symbol for item in SCENE.inputs)
+    assert "not convex" in (why_not_linear(SCENE.with_task(running_cost=u1**2 - u3**2)) or "")
+    assert "not quadratic" in (why_not_linear(SCENE.with_task(running_cost=u1**4 + u3**2)) or "")
