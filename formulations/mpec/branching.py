@@ -15,27 +15,32 @@ import numpy as np
 
 from formulations.ipopt import IpoptResult, Start
 from formulations.mpec.homotopy import Account
-from formulations.mpec.refine import refined
+from formulations.mpec.refine import lagrangian_slope, refined
 from formulations.mpec.settings import Settings
-from formulations.mpec.workspace import Workspace
+from formulations.mpec.workspace import Columns, Workspace
 from formulations.solution import Outcome
 
 # A pair counts as biactive where both sides are below this, and as wanting the other branch where its multiplier is below -_WANTING.
 _BIACTIVE, _WANTING = 1e-6, 1e-6
 # What counts as a better objective, relative to max(1, |objective|).
 _BETTER = 1e-9
+# A branch is a smooth problem started near its solution, or one without any: no need to insist.
+_BRANCH_ITERATIONS = 200
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Branch:
-    """A solved branch. closed: (pairs,) True where v is held at 0, else w; x refined; multiplier of the held side of each pair."""
+    """A solved branch. closed: (pairs,) True where v is held at 0, else w; x, lagrange refined; multiplier of the held side of each pair; slope (n,):
+    `bound_multipliers`."""
 
     closed: np.ndarray
     result: IpoptResult
     x: np.ndarray
+    lagrange: np.ndarray
     objective: float
     biactive: np.ndarray
     multipliers: np.ndarray
+    slope: np.ndarray
 
     @property
     def is_strong(self) -> bool:
@@ -62,6 +67,23 @@ class Branching:
         if branch is None:
             branch = self._repair(first, second, point)
         return None if branch is None else self._improve(branch)
+
+    def search(self, branch: Branch, start: np.ndarray) -> Branch:
+        """Local search beyond the nearest solution: decide one pair after the other otherwise, go where it is better, until no neighbour is.
+
+        start: where the user started, in the relaxation's columns; the branch found is solved from there too, since it may be curved.
+        """
+        if len(branch.closed) > self._settings.search:
+            return branch
+        again = self._solve_anew(branch.closed, self._work.branch_point(start))
+        if again is not None and self._is_better(again, branch):
+            branch = self._improve(again)
+        while True:
+            neighbours = [self._try(branch, [k]) for k in range(len(branch.closed))]
+            found = [self._improve(neighbour) for neighbour in neighbours if neighbour is not None]
+            if not found:
+                return branch
+            branch = min(found, key=self._sense)
 
     # -- branches -----------------------------------------------------------------------------------------------------------------
 
@@ -105,8 +127,10 @@ class Branching:
         if self._account.is_over:
             return None
         other = self._solve(_switched(branch.closed, switch), branch.x)
-        margin = _BETTER * max(1.0, abs(branch.objective))
-        return other if other is not None and self._sense(other) < self._sense(branch) - margin else None
+        return other if other is not None and self._is_better(other, branch) else None
+
+    def _is_better(self, other: Branch, branch: Branch) -> bool:
+        return self._sense(other) < self._sense(branch) - _BETTER * max(1.0, abs(branch.objective))
 
     def _solve(self, closed: np.ndarray, point: np.ndarray) -> Branch | None:
         key = np.packbits(closed).tobytes()
@@ -120,7 +144,12 @@ class Branching:
         held = np.where(closed, columns.first, columns.second)
         high[held] = np.minimum(high[held], 0.0)
         problem.lower, problem.upper = low, high
-        options = {"max_iter": self._settings.step_iterations, "bound_relax_factor": 0.0, "tol": 1e-9, **self._settings.ipopt}
+        options = {
+            "max_iter": min(self._settings.step_iterations, _BRANCH_ITERATIONS),
+            "bound_relax_factor": 0.0,
+            "tol": 1e-9,
+            **self._settings.ipopt,
+        }
         start = Start(x=np.clip(point, low, np.maximum(low, high)))
         result = self._account.run(problem, options, start)
         self.last = result
@@ -129,23 +158,32 @@ class Branching:
         )
         if not usable:
             return None
-        x = refined(problem, result)
+        twins = columns.twin[closed & (columns.twin >= 0)]
+        high[twins] = np.minimum(high[twins], 0.0)  # now for the multipliers: u and v == u are one side, held at 0
+        better = refined(problem, result)
+        x = better.x
         first, second = columns.pair_values(x)
-        slope = lagrangian_slope(problem, x, result.lagrange)
+        slope = bound_multipliers(columns, x, better.lagrange)
         return Branch(
             closed=closed.copy(),
             result=result,
             x=x,
+            lagrange=better.lagrange,
             objective=problem.sense * problem.objective(x),
             biactive=np.maximum(first, second) <= _BIACTIVE,
             multipliers=slope[held],
+            slope=slope,
         )
 
 
-def lagrangian_slope(problem: Any, x: np.ndarray, lagrange: np.ndarray) -> np.ndarray:
-    """Gradient of f + lagrange' g at x (n,): at a solution it is zl - zu."""
-    rows, columns = problem.jacobianstructure()
-    return problem.gradient(x) + np.bincount(columns, problem.jacobian(x) * lagrange[rows], problem.n)
+def bound_multipliers(columns: Columns, x: np.ndarray, lagrange: np.ndarray) -> np.ndarray:
+    """What stationarity leaves to the bounds of each variable, zl - zu with the signs free (n,). Where v equals a variable u of the user both
+    hold the sum: they are one side of a pair."""
+    slope = lagrangian_slope(columns.problem, x, lagrange)
+    twins = columns.twin >= 0
+    np.add.at(slope, columns.twin[twins], slope[columns.first[twins]])
+    slope[columns.first[twins]] = slope[columns.twin[twins]]
+    return slope
 
 
 def _switched(closed: np.ndarray, switch: Any) -> np.ndarray:

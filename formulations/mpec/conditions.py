@@ -24,18 +24,21 @@ from formulations.ipopt.errors import MissingValueError, ModelRefusedError
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SimpleCondition:
-    """0 <= first, 0 <= second, one of them is 0."""
+    """0 <= first, 0 <= second, one of them is 0. Flips are -1 where a side is an upper bound minus what the user wrote, else 1."""
 
     data: Any
     first: Any
     second: Any
+    first_flip: float
+    second_flip: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BoxCondition:
-    """lower <= body <= upper complements free."""
+    """lower <= body <= upper complements free; body is the argument of that number (0 or 1)."""
 
     data: Any
+    argument: int
     body: Any
     lower: Any
     upper: Any
@@ -44,10 +47,10 @@ class BoxCondition:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EqualityCondition:
-    """(lower, body, upper) of both sides; nothing to choose."""
+    """(number of the argument, (lower, body, upper)) of what must hold; nothing to choose."""
 
     data: Any
-    relations: tuple[tuple[Any, Any, Any], ...]
+    relations: tuple[tuple[int, tuple[Any, Any, Any]], ...]
 
 
 Condition = SimpleCondition | BoxCondition | EqualityCondition
@@ -65,18 +68,20 @@ def _condition(data: Any) -> Condition:
     relations = tuple(_relation(side, data) for side in sides)
     bounds = tuple(sum(bound is not None for bound in (lower, upper)) for lower, _, upper in relations)
     if any(isinstance(side, EqualityExpression) for side in sides):
-        return EqualityCondition(data=data, relations=relations)
+        return EqualityCondition(data=data, relations=tuple(enumerate(relations)))
     if sum(bounds) != 2:
         raise ModelRefusedError(
             f"complementarity '{data.name}' has {sum(bounds)} finite bounds, but needs two in all: 'expr >= l' on each side, or 'l <= expr <= u' "
             "on one side and an expression without bounds on the other"
         )
     if bounds == (1, 1):
-        return SimpleCondition(data=data, first=_distance(relations[0]), second=_distance(relations[1]))
-    (lower, body, upper), (_, free, _) = relations if bounds == (2, 0) else relations[::-1]
+        (first, first_flip), (second, second_flip) = (_distance(relation) for relation in relations)
+        return SimpleCondition(data=data, first=first, second=second, first_flip=first_flip, second_flip=second_flip)
+    argument = 0 if bounds == (2, 0) else 1
+    (lower, body, upper), (_, free, _) = relations[argument], relations[1 - argument]
     if _number(lower, data) == _number(upper, data):
-        return EqualityCondition(data=data, relations=((lower, body, upper),))
-    return BoxCondition(data=data, body=body, lower=lower, upper=upper, free=free)
+        return EqualityCondition(data=data, relations=((argument, relations[argument]),))
+    return BoxCondition(data=data, argument=argument, body=body, lower=lower, upper=upper, free=free)
 
 
 def _relation(side: Any, data: Any) -> tuple[Any, Any, Any]:
@@ -125,9 +130,9 @@ def _number(bound: Any, data: Any) -> float:
     return number
 
 
-def _distance(relation: tuple[Any, Any, Any]) -> Any:
-    """How far the body is inside its one bound."""
+def _distance(relation: tuple[Any, Any, Any]) -> tuple[Any, float]:
+    """(how far the body is inside its one bound, sign of the body in it)."""
     lower, body, upper = relation
     if upper is None:
-        return body if lower.__class__ in native_numeric_types and lower == 0 else body - lower
-    return upper - body
+        return (body if lower.__class__ in native_numeric_types and lower == 0 else body - lower), 1.0
+    return upper - body, -1.0

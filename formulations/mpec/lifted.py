@@ -29,6 +29,8 @@ class Lifted:
 
     conditions: as the user wrote them; owners: for each pair the number of its condition; pairs: transformed Complementarity data
     with `v`, `ve`, `ccon`; seconds: the variables w, in the same order; swapped: whether v is the second argument's side
+    imposed: (number of a condition, number of its argument, row) for what holds without a choice
+    twins: the user's variable that v equals, where the first side is a variable with lower bound 0 itself
     """
 
     model: Any
@@ -38,6 +40,8 @@ class Lifted:
     pairs: tuple[Any, ...]
     seconds: tuple[Any, ...]
     swapped: tuple[bool, ...]
+    imposed: tuple[tuple[int, int, Any], ...]
+    twins: tuple[Any | None, ...]
 
     @property
     def firsts(self) -> tuple[Any, ...]:
@@ -67,6 +71,12 @@ def lift(model: Any) -> Lifted:
         shadow.slack = pyo.VarList(domain=pyo.Reals)
         shadow.slack_rows = pyo.ConstraintList()
         found = [(number, pair) for number, condition in enumerate(conditions) for pair in _pairs(shadow, condition)]
+        imposed = [
+            (number, argument, _impose(shadow, *relation))
+            for number, condition in enumerate(conditions)
+            if isinstance(condition, EqualityCondition)
+            for argument, relation in condition.relations
+        ]
         shadow.pair = Complementarity(range(len(found)), rule=lambda _, k: complements(found[k][1][0] >= 0, found[k][1][1] >= 0))
         pairs = tuple(shadow.pair[k] for k in range(len(found)))
         pyo.TransformationFactory("mpec.simple_nonlinear").apply_to(shadow, mpec_bound=1.0)
@@ -80,15 +90,14 @@ def lift(model: Any) -> Lifted:
         pairs=pairs,
         seconds=tuple(second for _, (_, second, _) in found),
         swapped=tuple(swapped for _, (_, _, swapped) in found),
+        twins=tuple(first if _is_nonnegative_variable(first) else None for _, (first, _, _) in found),
+        imposed=tuple((number, argument, row) for number, argument, row in imposed if row is not None),
     )
 
 
 def _pairs(shadow: Any, condition: Condition) -> Iterator[tuple[Any, Any, bool]]:
     """(expression, variable with lower bound 0, sides swapped?) for each choice that a condition leaves."""
-    if isinstance(condition, EqualityCondition):
-        for lower, body, upper in condition.relations:
-            _impose(shadow, lower, body, upper)
-    elif isinstance(condition, BoxCondition):
+    if isinstance(condition, BoxCondition):
         above, below = shadow.slack.add(), shadow.slack.add()
         above.setlb(0.0)
         below.setlb(0.0)
@@ -103,14 +112,14 @@ def _pairs(shadow: Any, condition: Condition) -> Iterator[tuple[Any, Any, bool]]
         yield _expression(shadow, first), second if _is_nonnegative_variable(second) else _slack(shadow, second), swapped
 
 
-def _impose(shadow: Any, lower: Any, body: Any, upper: Any) -> None:
+def _impose(shadow: Any, lower: Any, body: Any, upper: Any) -> Any | None:
+    """The row lower <= body <= upper; None without bounds."""
     body = _expression(shadow, body)
     if lower is not None and upper is not None:
-        shadow.slack_rows.add(body == lower if pyo.value(lower) == pyo.value(upper) else pyo.inequality(lower, body, upper))
-    elif lower is not None:
-        shadow.slack_rows.add(body >= lower)
-    elif upper is not None:
-        shadow.slack_rows.add(body <= upper)
+        return shadow.slack_rows.add(body == lower if pyo.value(lower) == pyo.value(upper) else pyo.inequality(lower, body, upper))
+    if lower is not None:
+        return shadow.slack_rows.add(body >= lower)
+    return None if upper is None else shadow.slack_rows.add(body <= upper)
 
 
 def _slack(shadow: Any, expression: Any) -> Any:

@@ -25,8 +25,6 @@ def verdict(candidate: Candidate, residual: float, certificate: Certificate | No
         return Outcome.STALLED, f"the point found is not feasible{worst}; {told}"
     if residual > settings.complementarity_tolerance:
         return Outcome.STALLED, f"the pairs could not be decided; {told}"
-    if certificate is not None and certificate.given_dual > 1e-4:
-        return Outcome.STALLED, f"the multipliers found do not belong to the point; {told}"
     if certificate is not None and certificate.b_stationary is False:
         return Outcome.STALLED, f"the point is feasible, but a direction goes down; {told}"
     return Outcome.SOLVED, told

@@ -71,7 +71,7 @@ def pyomo_multipliers(result: MpecResult) -> tuple[np.ndarray, np.ndarray, np.nd
 
 
 def fill_suffixes(model: Any, result: MpecResult) -> None:
-    """Write multipliers into the import suffixes the model declares. Without polish there are none, and the suffixes are emptied."""
+    """Write multipliers into the import suffixes the model declares. Where there are none the suffixes are emptied."""
     dual, lower, upper = pyomo_multipliers(result)
     for name, components, values in (
         ("dual", result.rows, dual),
@@ -81,7 +81,7 @@ def fill_suffixes(model: Any, result: MpecResult) -> None:
         suffix = model.component(name)
         if isinstance(suffix, Suffix) and suffix.active and suffix.import_enabled():
             suffix.clear()
-            if result.polished:
+            if result.has_multipliers:
                 suffix.update(zip(components, values.tolist(), strict=True))
 
 
@@ -94,9 +94,9 @@ def with_solution(results: SolverResults, result: MpecResult) -> SolverResults:
     dual, lower, upper = pyomo_multipliers(result)
     solution.status = SolutionStatus.optimal if result.solved else SolutionStatus.unknown
     for variable, value, zl, zu in zip(result.variables, result.x.tolist(), lower.tolist(), upper.tolist(), strict=True):
-        entry = {"Value": value, "ipopt_zL_out": zl, "ipopt_zU_out": zu} if result.polished else {"Value": value}
+        entry = {"Value": value, "ipopt_zL_out": zl, "ipopt_zU_out": zu} if result.has_multipliers else {"Value": value}
         solution.variable[symbols.getSymbol(variable, labels["x"])] = entry
-    if result.polished:
+    if result.has_multipliers:
         for constraint, multiplier in zip(result.rows, dual.tolist(), strict=True):
             solution.constraint[symbols.getSymbol(constraint, labels["c"])] = {"Dual": multiplier}
     results.solution.insert(solution)

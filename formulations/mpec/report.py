@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pyomo.common.collections import ComponentMap
 
-from formulations.mpec.branching import lagrangian_slope
 from formulations.mpec.certificate.certificate import Multipliers
-from formulations.mpec.conditions import BoxCondition
+from formulations.mpec.conditions import BoxCondition, SimpleCondition
 from formulations.mpec.result import MpecResult, PairState
 from formulations.mpec.settings import Settings
 from formulations.mpec.workspace import Columns
@@ -41,9 +41,9 @@ def result_of(
     lagrange, zl, zu = np.full(len(rows), np.nan), np.full(len(keep), np.nan), np.full(len(keep), np.nan)
     objective = float("nan")
     if branch is not None and x is not None:
-        given = dict(zip((id(row) for row in problem.equations), branch.result.lagrange, strict=True))
+        given = dict(zip((id(row) for row in problem.equations), branch.lagrange, strict=True))
         lagrange = np.array([given.get(id(row), 0.0) for row in rows])
-        slope = _bound_multipliers(candidate)[keep]
+        slope = branch.slope[keep]
         zl, zu = np.maximum(slope, 0.0), np.maximum(-slope, 0.0)
         held_low = np.isclose(point, problem.lower[keep], rtol=0.0, atol=1e-9)
         zl, zu = np.where(held_low, slope, zl), np.where(held_low, 0.0, zu)  # a side held at 0 keeps its sign: that is what classes look at
@@ -64,6 +64,7 @@ def result_of(
         objective=objective,
         has_objective=work.branches.problem.layout.objective is not None,
         polished=branch is not None,
+        has_multipliers=branch is not None,
         residual=float("nan"),
         pairs=() if columns is None or x is None else pair_states(candidate, columns, x),
         steps=candidate.steps,
@@ -73,10 +74,23 @@ def result_of(
         options=MappingProxyType({
             "strategy": candidate.strategy.name, "eps_start": settings.eps_start or candidate.strategy.first,
             "eps_end": settings.eps_end or candidate.strategy.last, "complementarity_tolerance": settings.complementarity_tolerance,
-            "polish": settings.polish, "certificate": settings.certificate, "max_biactive": settings.max_biactive,
+            "polish": settings.polish, "certificate": settings.certificate, "max_biactive": settings.max_biactive, "search": settings.search,
             "step_iterations": settings.step_iterations, **settings.ipopt,
         }),
     )  # fmt: skip
+
+
+def without_multipliers(result: MpecResult) -> MpecResult:
+    """The same result with NaN for every multiplier."""
+    nothing = float("nan")
+    return replace(
+        result,
+        has_multipliers=False,
+        lagrange=np.full_like(result.lagrange, nothing),
+        zl=np.full_like(result.zl, nothing),
+        zu=np.full_like(result.zu, nothing),
+        pairs=tuple(replace(pair, first_multiplier=nothing, second_multiplier=nothing) for pair in result.pairs),
+    )
 
 
 def pair_states(candidate: Candidate, columns: Columns, x: np.ndarray) -> tuple[PairState, ...]:
@@ -85,7 +99,7 @@ def pair_states(candidate: Candidate, columns: Columns, x: np.ndarray) -> tuple[
     first, second = columns.pair_values(x)
     nu, mu = np.full(len(first), np.nan), np.full(len(first), np.nan)
     if candidate.branch is not None:
-        slope = _bound_multipliers(candidate)
+        slope = candidate.branch.slope
         nu, mu = slope[columns.first], slope[columns.second]
     states = []
     for k, owner in enumerate(lifted.owners):
@@ -101,37 +115,37 @@ def multipliers_of(candidate: Candidate) -> Multipliers:
     branch, lifted, columns = candidate.branch, candidate.lifted, candidate.work.branches
     assert branch is not None
     problem = columns.problem
-    slope = _bound_multipliers(candidate)
+    slope = branch.slope
     mine = _own(candidate)
     users = {id(row) for row in _user_rows(candidate)}
-    rows = ComponentMap(
-        (row, -value) for row, value in zip(problem.equations, branch.result.lagrange.tolist(), strict=True) if id(row) in users
-    )
+    rows = ComponentMap((row, -value) for row, value in zip(problem.equations, branch.lagrange.tolist(), strict=True) if id(row) in users)
     bounds = ComponentMap((v, z) for v, z in zip(problem.variables, slope.tolist(), strict=True) if id(v) not in mine)
-    pairs: Any = ComponentMap()
+    given = dict(zip((id(row) for row in problem.equations), branch.lagrange.tolist(), strict=True))
+    pairs: Any = ComponentMap((condition.data, (0.0, 0.0)) for condition in lifted.conditions)
+    for owner, argument, row in lifted.imposed:
+        _add(pairs, lifted.conditions[owner].data, argument, -given.get(id(row), 0.0))
     for k, owner in enumerate(lifted.owners):
-        condition = lifted.conditions[owner]
+        condition, second = lifted.conditions[owner], lifted.seconds[k]
         nu, mu = float(slope[columns.first[k]]), float(slope[columns.second[k]])
-        if lifted.seconds[k] in bounds:  # the user's own variable: its multiplier belongs to the pair, once
-            mu = bounds.pop(lifted.seconds[k])
-        elif id(lifted.seconds[k]) not in mine:
-            mu = 0.0
-        body, other = pairs.get(condition.data, (0.0, 0.0))
+        if id(second) not in mine:  # the user's own variable: its multiplier belongs to the first pair it is in, once
+            mu = bounds.pop(second, 0.0)
+        if lifted.twins[k] is not None:
+            nu = bounds.pop(lifted.twins[k], 0.0)
         if isinstance(condition, BoxCondition):
             is_lower = lifted.owners.index(owner) == k
-            body, other = body + (nu if is_lower else -nu), mu if is_lower else other
-            is_flipped = condition.data._args[0] is condition.free
-            pairs[condition.data] = (body, other) if not is_flipped else (other, body)
-            continue
-        pairs[condition.data] = (mu, nu) if lifted.swapped[k] else (nu, mu)
+            _add(pairs, condition.data, condition.argument, nu if is_lower else -nu)
+            _add(pairs, condition.data, 1 - condition.argument, mu if is_lower else 0.0)
+        elif isinstance(condition, SimpleCondition):
+            first, second_value = (mu, nu) if lifted.swapped[k] else (nu, mu)
+            _add(pairs, condition.data, 0, condition.first_flip * first)
+            _add(pairs, condition.data, 1, condition.second_flip * second_value)
     return Multipliers(rows=rows, bounds=bounds, pairs=pairs)
 
 
-def _bound_multipliers(candidate: Candidate) -> np.ndarray:
-    """What stationarity leaves to the bound of each variable of the problem without products, zl - zu, signs free."""
-    branch, problem = candidate.branch, candidate.work.branches.problem
-    assert branch is not None
-    return lagrangian_slope(problem, branch.x, branch.result.lagrange)
+def _add(pairs: Any, data: Any, argument: int, multiplier: float) -> None:
+    both = list(pairs[data])
+    both[argument] += multiplier
+    pairs[data] = (both[0], both[1])
 
 
 def _own(candidate: Candidate) -> set[int]:

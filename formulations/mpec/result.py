@@ -32,7 +32,7 @@ class PairState:
 class MpecResult:
     """variables, x: the user's variables and their values; rows, lagrange: the user's constraints and their multipliers (Ipopt's signs),
     zl, zu (n,): of bounds; all NaN where there are none. objective in the model's own sense. polished: every pair decided, and what
-    remained solved exactly. steps: the path. residual: largest min of a pair. certificate: recomputed from the model (None if switched off).
+    remained solved exactly; has_multipliers: false without polish, and where those of the branch do not belong to the point. steps: the path. residual: largest min of a pair. certificate: recomputed from the model (None if switched off).
     """
 
     outcome: Outcome
@@ -47,6 +47,7 @@ class MpecResult:
     sense: int
     objective: float
     polished: bool
+    has_multipliers: bool
     residual: float
     pairs: tuple[PairState, ...]
     steps: tuple[Step, ...]

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from formulations.mpec.branching import Branch, Branching
-from formulations.mpec.certificate.certificate import Certificate, certify
+from formulations.mpec.certificate.certificate import certify
 from formulations.mpec.certificate.evaluation import values_set
 from formulations.mpec.homotopy import Account, Path, Point, Step
 from formulations.mpec.lifted import Lifted, lift
 from formulations.mpec.outcome import outcome_without_point, verdict
-from formulations.mpec.report import multipliers_of, result_of
+from formulations.mpec.report import multipliers_of, result_of, without_multipliers
 from formulations.mpec.result import MpecResult
 from formulations.mpec.settings import Settings
 from formulations.mpec.strategy import Strategy
@@ -32,6 +32,8 @@ logger = logging.getLogger(__name__)
 # The pairs are decided early where two steps in a row agree on all of them, below this eps; the branch is believed where it is strongly
 # stationary and its objective is this near to the relaxation's, relative to max(1, |objective|).
 _EARLY_EPS, _NEAR = 1e-3, 1e-2
+# Multipliers with a larger residual (relative) are not handed out.
+WRONG_MULTIPLIERS = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,6 +63,7 @@ def solve_mpec(model: Any, settings: Settings | None = None, *, time_limit: floa
     begin, account = time.perf_counter(), Account(time_limit)
     best: MpecResult | None = None
     steps: list[Step] = []
+    solved_before = False
     for name in settings.strategies:
         candidate = run_strategy(model, load_strategy(name), settings, account)
         steps += candidate.steps
@@ -69,8 +72,11 @@ def solve_mpec(model: Any, settings: Settings | None = None, *, time_limit: floa
         logger.info("%s on '%s': %s", name, model.name, result.message)
         if best is None or _rank(result) < _rank(best):
             best = result
-        if result.solved or account.is_over or result.outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT):
+        if account.is_over or result.outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT):
             break
+        if result.solved and (not candidate.lifted.pairs or len(candidate.lifted.pairs) > settings.search or solved_before):
+            break  # a small problem is worth a second path: it costs little, and may end in a better solution
+        solved_before = solved_before or result.solved
     assert best is not None  # there is always a strategy
     return replace(best, steps=tuple(steps), iterations=account.iterations, solves=account.solves, seconds=time.perf_counter() - begin)
 
@@ -100,6 +106,8 @@ def run_strategy(model: Any, strategy: Strategy, settings: Settings, account: Ac
     else:
         if last is not None and settings.polish:
             branch = branching.polish(last.x)
+    if branch is not None:
+        branch = branching.search(branch, work.start())
     outcome, message = (Outcome.SOLVED, "") if last is not None else (path.last_outcome, path.last_message)
     if last is not None and account.is_over and branch is None:
         outcome, message = Outcome.TIME_LIMIT, "the time limit was reached before the last eps"
@@ -120,19 +128,16 @@ def judged(model: Any, candidate: Candidate, settings: Settings, account: Accoun
         assert point is not None
         columns, x = candidate.work.relaxed, point.x
     residual = natural_residual(*columns.pair_values(x))
-    certificate = _certificate(model, candidate, x) if settings.certificate else None
+    certificate = None
+    with_multipliers = branch is not None
+    if settings.certificate:
+        with values_set(columns.problem.variables, x.tolist()):
+            certificate = certify(model, multipliers_of(candidate) if with_multipliers else None)
+            if certificate.given_dual > WRONG_MULTIPLIERS:  # the branch has none where it is degenerate; the certificate looks for its own
+                with_multipliers, certificate = False, certify(model)
     outcome, message = verdict(candidate, residual, certificate, settings)
-    return replace(
-        result_of(candidate, columns, x, outcome, message, settings, account, time.perf_counter() - begin),
-        residual=residual,
-        certificate=certificate,
-    )
-
-
-def _certificate(model: Any, candidate: Candidate, x: np.ndarray) -> Certificate:
-    columns = candidate.work.branches if candidate.branch is not None else candidate.work.relaxed
-    with values_set(columns.problem.variables, x.tolist()):
-        return certify(model, multipliers_of(candidate) if candidate.branch is not None else None)
+    result = result_of(candidate, columns, x, outcome, message, settings, account, time.perf_counter() - begin)
+    return replace(result if with_multipliers else without_multipliers(result), residual=residual, certificate=certificate)
 
 
 def _agrees(objective: float, relaxed: float) -> bool:
@@ -140,5 +145,6 @@ def _agrees(objective: float, relaxed: float) -> bool:
 
 
 def _rank(result: MpecResult) -> tuple[bool, bool, float]:
-    """Solved first, then points, then by residual."""
-    return not result.solved, not result.has_point, result.residual if result.residual == result.residual else float("inf")
+    """Solved first, by objective; then points, by residual."""
+    measure = result.sense * result.objective if result.solved else result.residual
+    return not result.solved, not result.has_point, measure if measure == measure else float("inf")

@@ -13,13 +13,15 @@ from formulations.mpec.strategy import Strategy
 
 
 class Columns:
-    """Where things are in a compiled problem: `first[k]`, `second[k]` are the columns of pair k."""
+    """Where things are in a compiled problem: `first[k]`, `second[k]` are the columns of pair k; `twin[k]` that of the user's variable
+    which first[k] equals, or -1."""
 
     def __init__(self, problem: IpoptProblem, lifted: Lifted) -> None:
         self.problem = problem
         self.place = {id(variable): column for column, variable in enumerate(problem.variables)}
         self.first = np.array([self.place[id(v)] for v in lifted.firsts], dtype=np.intp)
         self.second = np.array([self.place[id(w)] for w in lifted.seconds], dtype=np.intp)
+        self.twin = np.array([-1 if u is None else self.place[id(u)] for u in lifted.twins], dtype=np.intp)
 
     def pair_values(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(v, w), each (number of pairs,)."""

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from formulations.mpec.certificate.evaluation import LocalModel, Row, read_local
-from formulations.mpec.certificate.stationarity import ActiveSet, Stationarity, active_set, classify, steepest_piece
+from formulations.mpec.certificate.evaluation import LocalModel, Pair, Row, read_local
+from formulations.mpec.certificate.stationarity import ActiveSet, Stationarity, active_set, class_of, classify, steepest_piece
 
 # Feasibility relative to max(1, |bound|); complementarity as min(G, H) of a pair, in the user's units; dual residual relative to the largest
 # derivative of the objective (at least 1). A point polished by this package has 1e-12 in the first two; a solver without polish about 1e-8.
@@ -29,7 +29,7 @@ ACTIVE = 1e-6
 class Multipliers:
     """gradient (sense * f) = sum rows[c] gradient c + sum bounds[x] + sum of pairs: by component, missing ones are 0.
 
-    rows, bounds: positive pushes away from a lower bound. pairs: (multiplier of the first argument's body, of the second's) of `complements`.
+    rows, bounds: positive pushes away from a lower bound. pairs: (multiplier of the body of the first argument, of the second) of `complements`.
     """
 
     rows: Mapping[Any, float]
@@ -84,11 +84,10 @@ class Certificate:
         )
 
 
-def certify(model: Any, multipliers: Multipliers | None = None, *, max_biactive: int = 8) -> Certificate:
+def certify(model: Any, multipliers: Multipliers | None = None) -> Certificate:
     """Judge the current values of a model's variables. The model is only read.
 
-    multipliers: if given they are checked too. max_biactive: with more biactive pairs than this only classes S and W are told apart, and
-    B-stationarity follows from S alone.
+    multipliers: if given they are checked too. With more than ten biactive pairs B-stationarity is known only where it follows from class S.
     """
     local = read_local(model, ACTIVE)
     rows = (*local.rows, *local.bounds)
@@ -105,11 +104,12 @@ def certify(model: Any, multipliers: Multipliers | None = None, *, max_biactive:
     computable = _is_finite(local)
     if computable:
         given = math.nan if multipliers is None else given_residual(local, active, multipliers)
-        if given <= STATIONARITY and _is_strong(local, active, multipliers):
-            stationarity, dual, descent = Stationarity.STRONG, given, 0.0
+        told = Stationarity.NONE if multipliers is None or not given <= STATIONARITY else _given_class(local, active, multipliers)
+        if told is Stationarity.STRONG:
+            stationarity, dual, descent = told, given, 0.0
         else:
-            stationarity, dual = classify(active, STATIONARITY, max_biactive)
-            descent = 0.0 if stationarity is Stationarity.STRONG else steepest_piece(active, max_biactive)[0]
+            stationarity, dual = classify(active, STATIONARITY, told)
+            descent = 0.0 if stationarity is Stationarity.STRONG else steepest_piece(active)[0]
     return Certificate(
         primal=worst_row,
         primal_relative=relative,
@@ -129,11 +129,14 @@ def certify(model: Any, multipliers: Multipliers | None = None, *, max_biactive:
 
 def given_residual(local: LocalModel, active: ActiveSet, multipliers: Multipliers) -> float:
     """Largest of: what the multipliers leave of the gradient; wrong signs; products of multiplier and distance. Relative to the scale."""
-    y = np.array([multipliers.rows.get(row.source, 0.0) for row in local.rows])
+    none = (0.0, 0.0)
+    y = np.array([
+        multipliers.rows.get(row.source, 0.0) if row.argument is None else multipliers.pairs.get(row.source, none)[row.argument]
+        for row in local.rows
+    ])  # fmt: skip
     z = np.array([multipliers.bounds.get(row.source, 0.0) for row in local.bounds])
-    pairs = [multipliers.pairs.get(pair.source, (0.0, 0.0)) for pair in local.pairs]
-    nu = np.array([pair.first_flip * given[0] for pair, given in zip(local.pairs, pairs, strict=True)])
-    mu = np.array([pair.second_flip * given[1] for pair, given in zip(local.pairs, pairs, strict=True)])
+    pairs = [pair_multipliers(pair, multipliers) for pair in local.pairs]
+    nu, mu = np.array([first for first, _ in pairs]), np.array([second for _, second in pairs])
     rest = local.gradient - z
     for matrix, vector in ((local.jacobian, y), (local.first_jacobian, nu), (local.second_jacobian, mu)):
         if vector.size:
@@ -148,16 +151,14 @@ def given_residual(local: LocalModel, active: ActiveSet, multipliers: Multiplier
     return _largest(wrong) / active.scale
 
 
-def _is_strong(local: LocalModel, active: ActiveSet, multipliers: Multipliers | None) -> bool:
-    if multipliers is None:
-        return False
-    limit = -STATIONARITY * active.scale
-    for k in active.both:
-        pair = local.pairs[k]
-        nu, mu = multipliers.pairs.get(pair.source, (0.0, 0.0))
-        if pair.first_flip * nu < limit or pair.second_flip * mu < limit:
-            return False
-    return True
+def pair_multipliers(pair: Pair, multipliers: Multipliers) -> tuple[float, float]:
+    """(nu, mu) of the two sides, in the signs of the pair."""
+    given = multipliers.pairs.get(pair.source, (0.0, 0.0))
+    return pair.first_flip * given[pair.arguments[0]], pair.second_flip * given[pair.arguments[1]]
+
+
+def _given_class(local: LocalModel, active: ActiveSet, multipliers: Multipliers) -> Stationarity:
+    return class_of([pair_multipliers(local.pairs[k], multipliers) for k in active.both], STATIONARITY * active.scale)
 
 
 def _violation(row: Row) -> float:

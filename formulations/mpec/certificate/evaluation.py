@@ -19,23 +19,26 @@ from pyomo.repn import generate_standard_repn
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Row:
-    """lower <= value <= upper, of component `source` (a constraint, a complementarity side that must hold, or a variable's bounds)."""
+    """lower <= value <= upper, of component `source`: a constraint, a variable's bounds, or an argument of a complementarity that must hold."""
 
     source: Any
     value: float
     lower: float
     upper: float
+    argument: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pair:
-    """0 <= first, 0 <= second, complementary. `flip` is -1 where a side is the negative of what the user wrote (upper bound)."""
+    """0 <= first, 0 <= second, complementary. A flip is -1 where a side is the negative of what the user wrote (upper bound);
+    arguments: which argument of `complements` each side is."""
 
     source: Any
     first: float
     second: float
     first_flip: float
     second_flip: float
+    arguments: tuple[int, int]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -116,10 +119,10 @@ def read_local(model: Any, near: float) -> LocalModel:
     rows: list[Row] = []
     slopes: list[dict[int, float]] = []
 
-    def add_row(source: Any, body: Any, lower: Any, upper: Any) -> None:
+    def add_row(source: Any, body: Any, lower: Any, upper: Any, argument: int | None = None) -> None:
         low = -math.inf if lower is None else number_of(lower)
         high = math.inf if upper is None else number_of(upper)
-        rows.append(Row(source=source, value=number_of(body), lower=low, upper=high))
+        rows.append(Row(source=source, value=number_of(body), lower=low, upper=high, argument=argument))
         slopes.append(reader.gradient(body))
 
     for constraint in model.component_data_objects(pyo.Constraint, active=True, descend_into=pyo.Block):
@@ -132,8 +135,8 @@ def read_local(model: Any, near: float) -> LocalModel:
         sides = [_bounded(condition, argument) for argument in condition._args]
         local = _local_pair(condition, sides, near)
         if local is None:  # an equality among its sides, or a box inside whose bounds the other side is 0
-            for lower, body, upper in _imposed(sides, near):
-                add_row(condition, body, lower, upper)
+            for argument, (lower, body, upper) in _imposed(sides):
+                add_row(condition, body, lower, upper, argument)
             continue
         pair, expressions = local
         pairs.append(pair)
@@ -177,10 +180,11 @@ def _local_pair(condition: Any, sides: list[tuple[Any, Any, Any]], near: float) 
     counts = [(lower is not None) + (upper is not None) for lower, _, upper in sides]
     if counts == [1, 1]:
         (a, a_flip, a_body), (b, b_flip, b_body) = (_distance(*side) for side in sides)
-        return Pair(source=condition, first=a, second=b, first_flip=a_flip, second_flip=b_flip), (a_body, b_body)
+        return Pair(source=condition, first=a, second=b, first_flip=a_flip, second_flip=b_flip, arguments=(0, 1)), (a_body, b_body)
     if sorted(counts) != [0, 2]:
         return None
-    (lower, body, upper), (_, free, _) = sides if counts == [2, 0] else sides[::-1]
+    arguments = (0, 1) if counts == [2, 0] else (1, 0)
+    (lower, body, upper), (_, free, _) = (sides[k] for k in arguments)
     if lower == upper:
         return None
     value, other = number_of(body), number_of(free)
@@ -188,8 +192,8 @@ def _local_pair(condition: Any, sides: list[tuple[Any, Any, Any]], near: float) 
     if min(to_low, to_high) > near and abs(other) <= near:
         return None
     if to_low <= near or (to_high > near and other > 0):
-        return Pair(source=condition, first=to_low, second=other, first_flip=1.0, second_flip=1.0), (body, free)
-    return Pair(source=condition, first=to_high, second=-other, first_flip=-1.0, second_flip=-1.0), (body, free)
+        return Pair(source=condition, first=to_low, second=other, first_flip=1.0, second_flip=1.0, arguments=arguments), (body, free)
+    return Pair(source=condition, first=to_high, second=-other, first_flip=-1.0, second_flip=-1.0, arguments=arguments), (body, free)
 
 
 def _distance(lower: Any, body: Any, upper: Any) -> tuple[float, float, Any]:
@@ -197,13 +201,13 @@ def _distance(lower: Any, body: Any, upper: Any) -> tuple[float, float, Any]:
     return (value - lower, 1.0, body) if upper is None else (upper - value, -1.0, body)
 
 
-def _imposed(sides: list[tuple[Any, Any, Any]], near: float) -> list[tuple[Any, Any, Any]]:
+def _imposed(sides: list[tuple[Any, Any, Any]]) -> list[tuple[int, tuple[Any, Any, Any]]]:
+    """(number of the argument, relation) for what must hold where there is no choice; inside a box the free side is 0."""
     counts = [(lower is not None) + (upper is not None) for lower, _, upper in sides]
-    if sorted(counts) == [0, 2]:
-        (lower, body, upper), (_, free, _) = sides if counts == [2, 0] else sides[::-1]
-        if lower != upper:
-            return [(lower, body, upper), (0.0, free, 0.0)]
-    return [side for side, count in zip(sides, counts, strict=True) if count]
+    fixed = any(count == 2 and lower == upper for count, (lower, _, upper) in zip(counts, sides, strict=True))
+    if sorted(counts) == [0, 2] and not fixed:
+        return [(k, side if counts[k] else (0.0, side[1], 0.0)) for k, side in enumerate(sides)]
+    return [(k, side) for k, side in enumerate(sides) if counts[k]]
 
 
 def _matrix(slopes: list[dict[int, float]], n: int) -> sparse.csr_matrix:

@@ -9,7 +9,7 @@ B-stationary: no piece of the linearised problem - every biactive pair decided -
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+import math
 from dataclasses import dataclass
 from enum import Enum
 
@@ -43,6 +43,9 @@ _CHOICES = {
     Stationarity.ALTERNATIVE: ((">", "*"), ("*", ">")),
     Stationarity.WEAK: (("*", "*"),),
 }
+# Linear programs for one question at most: 2^10 pieces or 3^6 sign patterns of class M where programs are small, fewer where they are large
+# (about a second in all).
+_MOST_PROGRAMS, _PROGRAMS_TIMES_VARIABLES = 1024, 200_000
 _LIMITS = {">": (0.0, None), "<": (None, 0.0), "0": (0.0, 0.0), "*": (None, None)}
 
 
@@ -118,14 +121,19 @@ def multiplier_residual(active: ActiveSet, choice: tuple[tuple[str, str], ...]) 
     return float(answer.fun) if answer.status == 0 else float("inf")
 
 
-def classify(active: ActiveSet, tolerance: float, max_biactive: int) -> tuple[Stationarity, float]:
-    """(strongest class whose multipliers exist, their residual). Beyond max_biactive pairs only S and W can be told."""
+def classify(active: ActiveSet, tolerance: float, given: Stationarity = Stationarity.NONE) -> tuple[Stationarity, float]:
+    """(strongest class whose multipliers exist, their residual). given: a class whose multipliers are known to exist.
+
+    Classes with too many sign patterns to try are told only where `given` tells them.
+    """
     count = len(active.both)
     weak = multiplier_residual(active, _CHOICES[Stationarity.WEAK] * count)
     if not weak <= tolerance:
         return Stationarity.NONE, weak
     for kind, choices in _CHOICES.items():
-        if len(choices) > 1 and count > max_biactive:
+        if kind is given:
+            return kind, weak
+        if len(choices) ** count > _programs(active):
             continue
         for choice in itertools.product(choices, repeat=count):
             residual = multiplier_residual(active, choice)
@@ -134,24 +142,42 @@ def classify(active: ActiveSet, tolerance: float, max_biactive: int) -> tuple[St
     return Stationarity.WEAK, weak
 
 
-def steepest_piece(active: ActiveSet, max_biactive: int) -> tuple[float, np.ndarray | None]:
+def class_of(signs: list[tuple[float, float]], limit: float) -> Stationarity:
+    """The class of multipliers (nu, mu) of the biactive pairs; what is below the limit counts as zero."""
+    met = [kind for kind, choices in _CHOICES.items() if all(any(_fits(pair, choice, limit) for choice in choices) for pair in signs)]
+    return met[0]
+
+
+def _fits(pair: tuple[float, float], choice: tuple[str, str], limit: float) -> bool:
+    return all(
+        (low is None or number >= low - limit) and (high is None or number <= high + limit)
+        for number, sign in zip(pair, choice, strict=True)
+        for low, high in (_LIMITS[sign],)
+    )
+
+
+def steepest_piece(active: ActiveSet) -> tuple[float, np.ndarray | None]:
     """(smallest gradient' d over |d| <= 1 and all pieces, relative to the scale; d): B-stationary where it is 0. NaN if there are too many
     pieces to look at all of them and those looked at have no descent."""
     best, direction = 0.0, None
-    for piece in _pieces(len(active.both), max_biactive):
+    decisions = [((True,) if same else (True, False)) for same in _same_sides(active)]
+    complete = math.prod(len(options) for options in decisions) <= _programs(active)
+    count = len(decisions)
+    for piece in itertools.product(*decisions) if complete else ((True,) * count, (False,) * count):
         slope, d = _descent(active, np.array(piece, dtype=bool))
         if slope < best:
             best, direction = slope, d
-    if direction is None and len(active.both) > max_biactive:
-        return float("nan"), None
-    return best, direction
+    return (float("nan"), None) if direction is None and not complete else (best, direction)
 
 
-def _pieces(count: int, max_biactive: int) -> Iterator[tuple[bool, ...]]:
-    if count <= max_biactive:
-        yield from itertools.product((True, False), repeat=count)
-    else:
-        yield from ((True,) * count, (False,) * count)
+def _programs(active: ActiveSet) -> int:
+    return min(_MOST_PROGRAMS, max(8, _PROGRAMS_TIMES_VARIABLES // max(1, len(active.gradient))))
+
+
+def _same_sides(active: ActiveSet) -> list[bool]:
+    """For each biactive pair, whether both sides have the same gradient (0 <= y complements y >= 0): then its two pieces are one."""
+    difference = (active.first_normals - active.second_normals).tocsc()[:, active.both]
+    return [float(np.max(np.abs(difference[:, k].data), initial=0.0)) <= 1e-12 for k in range(len(active.both))]
 
 
 def _descent(active: ActiveSet, first_held: np.ndarray) -> tuple[float, np.ndarray | None]:

@@ -17,7 +17,7 @@ def jr1() -> pyo.ConcreteModel:
     m.z1 = pyo.Var()
     m.z2 = pyo.Var(bounds=(0, None))
     m.cost = pyo.Objective(expr=(m.z1 - 1) ** 2 + m.z2**2)
-    m.pair = Complementarity(expr=complements(0 <= m.z2, m.z2 - m.z1 >= 0))
+    m.pair = Complementarity(expr=complements(m.z2 >= 0, m.z2 - m.z1 >= 0))
     return m
 
 
@@ -27,7 +27,7 @@ def ralph1() -> pyo.ConcreteModel:
     m.x = pyo.Var(bounds=(0, None), initialize=1)
     m.y = pyo.Var(bounds=(0, None), initialize=1)
     m.cost = pyo.Objective(expr=2 * m.x - m.y)
-    m.pair = Complementarity(expr=complements(0 <= m.y, m.y - m.x >= 0))
+    m.pair = Complementarity(expr=complements(m.y >= 0, m.y - m.x >= 0))
     return m
 
 
