@@ -13,6 +13,8 @@ DASH = "–"
 _THIN = "\u202f"
 # Sums of numbers near 1 are not better than this in double precision: what is smaller is zero, give or take rounding.
 _ROUNDING = 1e-15
+# From here on decimals would fill the page: a diverged plan may cost 1e200.
+_LARGE = 1e9
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 # Escape sequences of terminals, control characters, and the marks that turn the direction of text: none of them belongs on a page.
 _TERMINAL = re.compile(r"\x1b(\[[0-9;?]*[ -/]*[@-~]|[@-Z\\-_])")
@@ -71,8 +73,10 @@ def number(value: float | None, digits: int = 4) -> str:
 
 
 def cost(value: float | None) -> str:
-    """Costs with two decimals, as the paper prints them."""
-    return DASH if value is None or not math.isfinite(value) else _grouped(f"{value:.2f}")
+    """Costs with two decimals, as the paper prints them; of those that no table has room for, a power of ten."""
+    if value is None or not math.isfinite(value):
+        return DASH
+    return number(value) if abs(value) >= _LARGE else _grouped(f"{value:.2f}")
 
 
 def error(value: float | None) -> str:

@@ -56,7 +56,7 @@ def _failure(run: RunRecord) -> str:
     if run.outcome in _ANSWERED and run.stages:
         return ""
     advice = run.stages[-1].advice if run.stages and run.stages[-1].outcome == run.outcome else ""
-    return " ".join(dict.fromkeys(part for part in (advice, run.message) if part)) or "The record gives no reason."
+    return " ".join(dict.fromkeys(capital(part) for part in (advice, run.message) if part)) or "The record gives no reason."
 
 
 def _named(run: RunRecord) -> str:

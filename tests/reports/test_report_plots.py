@@ -88,6 +88,7 @@ def test_contact_phases_come_from_the_gap():
         (number(float("nan")), "–"),
         (number(16619.35, 7), "16\u202f619.35"),
         (cost(46415.2), "46\u202f415.20"),
+        (cost(-9.08e258), "−9.08×10²⁵⁸"),
         (error(0.04), "0.040"),
         (error(2e-8), "2.0×10⁻⁸"),
         (error(0.0), "0"),

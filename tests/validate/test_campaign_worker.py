@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -166,6 +168,18 @@ def test_an_interrupted_campaign_keeps_what_finished_and_resumes(cli, start_cli,
     assert len((tmp_path / "results.csv").read_text().splitlines()) == 2
     again = cli("all", *FAKES, "--out", str(tmp_path), "-k", "only_good")
     assert "1 stored, 0 to run" in again.stderr
+
+
+def test_what_nohup_ignores_stays_ignored(cli_environment, tmp_path):
+    command = [sys.executable, "-m", "validate", "all", *FAKES, "--out", str(tmp_path), "-k", "only_good"]
+    with subprocess.Popen(
+        ["sh", "-c", "trap '' HUP; exec \"$@\"", "sh", *command], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=cli_environment
+    ) as process:
+        assert process.stderr is not None
+        assert process.stderr.readline() == "0 stored, 1 to run\n"
+        process.send_signal(signal.SIGHUP)
+        process.communicate()
+    assert process.returncode == 0
 
 
 def test_a_killed_campaign_leaves_nothing_and_loses_nothing(cli, start_cli, tmp_path):

@@ -113,9 +113,10 @@ def command(
         tools=tools,
         command=command_line(arguments),
     )
-    # A closed terminal and a polite kill end like Ctrl-C: children stopped, finished cells kept.
+    # A closed terminal and a polite kill end like Ctrl-C: children stopped, finished cells kept. What nohup ignores stays ignored.
     for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.default_int_handler)
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler)
     teller = narrator()
     resume = command_line([word for word in arguments if word != "--fresh"])
     try:
