@@ -3,7 +3,7 @@
     find_pipeline("softplus_dc+strict").legs
     # (Leg(method="softplus_dc", schedule=(1e-3, 1e-5, 1e-7)), Leg(method="strict_lcp"))
 
-A name is `warm starter + finisher`; the first eight are the rows of the paper's Table I. The last is ours.
+A name is `warm starter + finisher`; the first eight are the rows of the paper's Table I. The others are ours.
 """
 
 from __future__ import annotations
@@ -86,6 +86,12 @@ PIPELINES: tuple[Pipeline, ...] = (
         title="Softplus gradient descent, then ReLU, each until our own stopping rule says stop",
         legs=(Leg(method="softplus_gd", schedule=SOFTPLUS_EPS), Leg(method="relu_gd")),
         source="ours: what the paper's gradient descent reaches when it is not cut off",
+    ),
+    Pipeline(
+        name="mpcc",
+        title="Exact contact from a cold start, by its windows",
+        legs=(Leg(method="mpcc"),),
+        source="ours: softplus homotopy, contact modes read off, what is left solved exactly, windows searched",
     ),
 )
 
