@@ -49,9 +49,8 @@ def _checked(method: str, spec: OptionSpec, value: object) -> object:
         lower = -math.inf if spec.lower is None else spec.lower
         upper = math.inf if spec.upper is None else spec.upper
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not lower <= value <= upper:
-            raise OptionError(
-                f"method {method}: option {spec.name} is {value!r}, but must be a number in [{lower:g}, {upper:g}] {spec.unit}."
-            )
+            unit = "" if spec.unit == "1" else f" {spec.unit}"
+            raise OptionError(f"method {method}: option {spec.name} is {value!r}, but must be a number in [{lower:g}, {upper:g}]{unit}.")
         if isinstance(spec.default, int) and not isinstance(value, int):
             raise OptionError(f"method {method}: option {spec.name} is {value!r}, but must be a whole number.")
     return value
