@@ -63,9 +63,10 @@ def as_number(what: str, value: Any, *, finite: bool = True) -> float:
 
 
 def as_expression(what: str, value: Any) -> sp.Expr:
-    """A SymPy expression; a number becomes one."""
-    if isinstance(value, Real) and not isinstance(value, bool):
-        value = sp.sympify(int(value) if isinstance(value, int) else float(value))
+    """A SymPy expression as it is; a number becomes one, exact where it is whole: 0.0 is nothing, and left out of every model."""
+    if isinstance(value, Real) and not isinstance(value, (bool, sp.Expr)):
+        number = float(value)
+        value = sp.Integer(int(number)) if number.is_integer() else sp.Float(number)
     if not isinstance(value, sp.Expr):
         raise SceneError(f"{what} must be a SymPy expression or a number, not {type(value).__name__} ({value!r}).")
     if value.has(sp.I, sp.nan, sp.zoo, sp.oo, -sp.oo):

@@ -204,11 +204,17 @@ def test_a_quantity_that_moves_may_have_any_value(assumption: str):
 def test_plain_numbers_are_expressions_and_numbers_of_other_libraries_are_floats():
     task = part(Task, start=np.array([0, 0]), goal=(sp.Rational(1, 2), np.float32(0)), running_cost=0, step=np.float32(0.5), steps=1)
     scene = small_scene(potential_energy=0, forces=[0.0], contacts=[Contact(name="wall", penetration=x - 1, stiffness=30)], task=task)
-    assert isinstance(scene.potential_energy, sp.Expr)
-    assert isinstance(scene.forces[0], sp.Expr)
+    assert scene.potential_energy is sp.S.Zero
+    assert scene.forces[0] is sp.S.Zero, "a force that is not there is left out of every model"
     assert scene.contacts[0].stiffness == sp.Integer(30)
     assert (task.start, task.goal, task.step) == ((0.0, 0.0), (0.5, 0.0), 0.5)
     assert all(type(value) is float for value in (*task.start, *task.goal, task.step))
+
+
+def test_expressions_stay_exact():
+    third = sp.Rational(1, 3)
+    scene = small_scene(potential_energy=third, contacts=(Contact(name="wall", penetration=x - third, stiffness=third),))
+    assert (scene.potential_energy, scene.contacts[0].stiffness) == (third, third)
 
 
 def scene_file(folder: Path, text: str) -> str:
