@@ -72,11 +72,13 @@ class Account:
 
 
 class Path:
-    """The steps of one strategy, taken one at a time by `points`. `last_outcome` tells why there are no more."""
+    """The steps of one strategy, taken one at a time by `points`. `gave_up`: it ended before its last eps, and `last_outcome`
+    tells why."""
 
     def __init__(self, work: Workspace, strategy: Strategy, settings: Settings, account: Account) -> None:
         self._work, self._strategy, self._settings, self._account = work, strategy, settings, account
         self.steps: list[Step] = []
+        self.gave_up = False
         self.last_outcome = Outcome.SOLVED
         self.last_message = ""
 
@@ -90,6 +92,7 @@ class Path:
         while True:
             result = self._take(eps, start, good)
             if _is_usable(result):
+                self.gave_up = False
                 good, failures = Point(eps=eps, x=result.x, result=result), max(0, failures - 1)
                 yield good
                 if eps <= last:
@@ -98,6 +101,7 @@ class Path:
                 eps = max(last, eps * factor)
                 continue
             failures += 1
+            self.gave_up = True
             self.last_outcome, self.last_message = result.outcome, result.message
             if self._account.is_over or result.outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT) or failures > _FAILURES:
                 return

@@ -12,7 +12,7 @@ from pyomo.core.base.symbol_map import SymbolMap
 from pyomo.opt import ProblemSense, SolverResults, SolverStatus, TerminationCondition
 from pyomo.opt.results.solution import Solution, SolutionStatus
 
-from formulations.mpec.result import MpecResult
+from formulations.mpec.result import MpecResult, is_feasible
 from formulations.solution import Outcome
 
 # "optimal" as Pyomo's own ipopt uses it: a stationary point of the problem as it stands (here: B-stationary), not a proved global optimum.
@@ -29,11 +29,6 @@ _CONDITIONS = MappingProxyType({
     Outcome.CRASHED: (SolverStatus.error, TerminationCondition.solverFailure),
     Outcome.FAILED: (SolverStatus.error, TerminationCondition.error),
 })  # fmt: skip
-
-
-def is_feasible(result: MpecResult) -> bool:
-    """Whether the point is known to satisfy the model, complementarity included."""
-    return result.has_point and result.certificate is not None and result.certificate.feasible
 
 
 def condition_of(result: MpecResult) -> tuple[SolverStatus, TerminationCondition]:

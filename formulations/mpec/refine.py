@@ -106,7 +106,7 @@ def _newton(problem: IpoptProblem, result: IpoptResult, near: float, by_multipli
         if (
             step is None
             or not np.all(np.isfinite(step))
-            or np.max(np.abs(step[: len(free)]), initial=0.0) > _LONGEST * (1 + np.max(np.abs(x)))
+            or np.max(np.abs(step[: len(free)]), initial=0.0) > _LONGEST * (1 + np.max(np.abs(x), initial=0.0))
         ):
             return None
         x[free] += step[: len(free)]

@@ -67,6 +67,11 @@ class MpecResult:
         return self.x.size == len(self.variables) and bool(np.all(np.isfinite(self.x))) and self.outcome.has_answer
 
 
+def is_feasible(result: MpecResult) -> bool:
+    """Whether the point is known to satisfy the model, complementarity included."""
+    return result.has_point and result.certificate is not None and result.certificate.feasible
+
+
 def load(result: MpecResult) -> None:
     """Write x into the variables, marking all others stale as Pyomo's solvers do."""
     StaleFlagManager.mark_all_as_stale()

@@ -21,7 +21,7 @@ from formulations.mpec.homotopy import Account, Path, Point, Step
 from formulations.mpec.lifted import Lifted, lift
 from formulations.mpec.outcome import outcome_without_point, verdict
 from formulations.mpec.report import multipliers_of, result_of, without_multipliers
-from formulations.mpec.result import MpecResult
+from formulations.mpec.result import MpecResult, is_feasible
 from formulations.mpec.settings import Settings
 from formulations.mpec.strategy import Strategy
 from formulations.mpec.workspace import Workspace, natural_residual
@@ -108,9 +108,15 @@ def run_strategy(model: Any, strategy: Strategy, settings: Settings, account: Ac
             branch = branching.polish(last.x)
     if branch is not None:
         branch = branching.search(branch, work.start())
-    outcome, message = (Outcome.SOLVED, "") if last is not None else (path.last_outcome, path.last_message)
-    if last is not None and account.is_over and branch is None:
+    outcome, message = Outcome.SOLVED, ""
+    if branch is None and account.is_over:
         outcome, message = Outcome.TIME_LIMIT, "the time limit was reached before the last eps"
+    elif branch is None and branching.last is not None and branching.last.outcome is Outcome.DIVERGED:
+        outcome, message = Outcome.DIVERGED, f"a branch of the problem is unbounded: {branching.last.message}"
+    elif branch is None and (last is None or path.gave_up):
+        outcome, message = path.last_outcome, path.last_message
+    elif branch is None and last is not None and not last.result.solved:
+        outcome, message = last.result.outcome, last.result.message
     return Candidate(
         strategy=strategy, lifted=lifted, work=work, branch=branch, point=last, outcome=outcome, message=message, steps=tuple(path.steps)
     )
@@ -144,7 +150,9 @@ def _agrees(objective: float, relaxed: float) -> bool:
     return abs(objective - relaxed) <= _NEAR * max(1.0, abs(relaxed))
 
 
-def _rank(result: MpecResult) -> tuple[bool, bool, float]:
-    """Solved first, by objective; then points, by residual."""
-    measure = result.sense * result.objective if result.solved else result.residual
-    return not result.solved, not result.has_point, measure if measure == measure else float("inf")
+def _rank(result: MpecResult) -> tuple[int, float]:
+    """Solved first, by objective; then unbounded; points that are feasible; infeasible; and whatever else there is, by residual."""
+    if result.solved or (is_feasible(result) and result.outcome is not Outcome.DIVERGED):
+        return 0 if result.solved else 2, result.sense * result.objective
+    order = {Outcome.DIVERGED: 1, Outcome.INFEASIBLE: 3}.get(result.outcome, 4)
+    return order, result.residual if result.residual == result.residual else float("inf")

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from pyomo.common.collections import ComponentMap
 
 from formulations.mpec.certificate.evaluation import LocalModel, Pair, Row, read_local
 from formulations.mpec.certificate.stationarity import ActiveSet, Stationarity, active_set, class_of, classify, steepest_piece
@@ -32,9 +33,13 @@ class Multipliers:
     rows, bounds: positive pushes away from a lower bound. pairs: (multiplier of the body of the first argument, of the second) of `complements`.
     """
 
-    rows: Mapping[Any, float]
-    bounds: Mapping[Any, float]
-    pairs: Mapping[Any, tuple[float, float]]
+    rows: Mapping[Any, float] = field(default_factory=ComponentMap)
+    bounds: Mapping[Any, float] = field(default_factory=ComponentMap)
+    pairs: Mapping[Any, tuple[float, float]] = field(default_factory=ComponentMap)
+
+    def __post_init__(self) -> None:
+        for name in ("rows", "bounds", "pairs"):  # Pyomo's components are not hashable in general
+            object.__setattr__(self, name, ComponentMap(getattr(self, name).items()))
 
 
 @dataclass(frozen=True, kw_only=True)

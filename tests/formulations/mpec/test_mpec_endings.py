@@ -1,0 +1,313 @@
+"""How a solve ends: the model as it was, statuses that are true, multipliers where they are asked for."""
+
+from __future__ import annotations
+
+import io
+import logging
+import math
+
+import pyomo.environ as pyo
+import pytest
+from pyomo.common.collections import ComponentMap
+from pyomo.mpec import Complementarity, complements
+from pyomo.opt import SolverStatus, TerminationCondition
+
+from formulations.ipopt import UnknownOptionError
+from formulations.mpec import MpecIpopt, Multipliers, Settings, Stationarity, certify, read_settings, solve_mpec
+from formulations.solution import Outcome
+
+
+def two(cost, bounds=(0.0, None), start=1.0) -> pyo.ConcreteModel:
+    m = pyo.ConcreteModel(name="two")
+    m.x = pyo.Var(bounds=bounds, initialize=start)
+    m.y = pyo.Var(bounds=bounds, initialize=start)
+    m.row = pyo.Constraint(expr=m.x + m.y <= 10)
+    m.cost = pyo.Objective(expr=cost(m))
+    m.pair = Complementarity(expr=complements(m.x >= 0, m.y >= 0))
+    return m
+
+
+def near(m):
+    return (m.x - 1) ** 2 + (m.y - 2) ** 2
+
+
+def picture(model) -> tuple[str, list]:
+    """All there is: the printed model, and which objects it consists of."""
+    stream = io.StringIO()
+    model.pprint(ostream=stream)
+    return stream.getvalue(), [(id(c), c.ctype) for c in model.component_objects(descend_into=True)]
+
+
+def solver(**options):
+    made = pyo.SolverFactory("mpec_ipopt")
+    made.options.update(options)
+    return made
+
+
+# -- the model is left as it was ---------------------------------------------------------------------------------------------------------
+
+
+def test_solving_without_loading_leaves_no_trace():
+    m = two(near)
+    m.later = pyo.Var()
+    before = picture(m)
+    results = solver().solve(m, load_solutions=False)
+    assert picture(m) == before
+    m.solutions.load_from(results)
+    assert (m.x.value, m.y.value) == pytest.approx((0, 2), abs=1e-8)
+
+
+def test_loading_changes_values_only():
+    m = two(near)
+    components = picture(m)[1]
+    solver().solve(m)
+    assert picture(m)[1] == components
+    assert m.pair.ctype is Complementarity
+    assert m.x.bounds == (0.0, None)
+    solver().solve(m)  # and again
+    assert m.y.value == pytest.approx(2, abs=1e-8)
+
+
+@pytest.mark.parametrize("where", ["formulations.mpec.homotopy", "formulations.mpec.branching", "formulations.mpec.solve"])
+def test_ctrl_c_and_failures_leave_no_trace(monkeypatch, where):
+    """In the path, in a branch, and while the certificate has the point in the model's variables."""
+    target = {
+        "formulations.mpec.homotopy": "natural_residual",
+        "formulations.mpec.branching": "refined",
+        "formulations.mpec.solve": "certify",
+    }[where]
+    for error in (KeyboardInterrupt, RuntimeError):
+
+        def interrupt(*_, error=error, **__):
+            raise error
+
+        monkeypatch.setattr(f"{where}.{target}", interrupt)
+        m = two(near)
+        before = picture(m)
+        with pytest.raises(error):
+            solver().solve(m)
+        assert picture(m) == before
+
+
+def test_ctrl_c_inside_ipopt_arrives(monkeypatch):
+    m = two(near)
+    before = picture(m)
+    calls = []
+
+    def interrupt(self, x, lagrange, factor):
+        calls.append(1)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("formulations.ipopt.problem.IpoptProblem.hessian", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        solver().solve(m)
+    assert calls
+    assert picture(m) == before
+
+
+# -- endings -----------------------------------------------------------------------------------------------------------------------------
+
+
+def test_infeasible(caplog):
+    m = two(near)
+    m.apart = pyo.Constraint(expr=m.x + m.y <= -1)
+    with caplog.at_level(logging.WARNING):
+        results = solver().solve(m)
+    assert results.solver.termination_condition == TerminationCondition.infeasible
+    assert results.solver.status == SolverStatus.warning
+    assert (m.x.value, m.y.value) == (1.0, 1.0)  # nothing worth loading
+
+
+def test_feasible_without_its_complementarity_only(caplog):
+    """x, y >= 1 on both axes: the pair alone makes it infeasible."""
+    m = two(near)
+    m.both = pyo.ConstraintList()
+    m.both.add(m.x >= 1)
+    m.both.add(m.y >= 1)
+    with caplog.at_level(logging.WARNING):
+        results = solver().solve(m)
+    assert results.solver.termination_condition == TerminationCondition.infeasible
+
+
+def test_unbounded(caplog):
+    m = two(lambda m: -m.x, bounds=(0.0, None))
+    m.row.deactivate()
+    with caplog.at_level(logging.WARNING):
+        results = solver().solve(m)
+    assert results.solver.termination_condition == TerminationCondition.unbounded
+
+
+def test_bounded_by_its_complementarity_only():
+    """min -x y: unbounded on the quadrant, 0 on its axes."""
+    m = two(lambda m: -m.x * m.y + m.x + m.y)
+    m.row.deactivate()
+    results = solver().solve(m)
+    pyo.assert_optimal_termination(results)
+    assert (m.x.value, m.y.value) == pytest.approx((0, 0), abs=1e-8)
+
+
+def test_degenerate_rows_do_not_matter():
+    m = two(near)
+    m.again = pyo.ConstraintList()
+    for _ in range(3):
+        m.again.add(m.x + m.y <= 2)  # active at (0, 2), four times in all with the next
+        m.again.add(2 * m.x + 2 * m.y <= 4)
+    results = solver().solve(m)
+    pyo.assert_optimal_termination(results)
+    assert (m.x.value, m.y.value) == pytest.approx((0, 2), abs=1e-8)
+
+
+def test_biactive_and_strongly_stationary():
+    m = two(lambda m: (m.x + 1) ** 2 + (m.y + 2) ** 2)
+    made = solver()
+    made.solve(m)
+    certificate = made.last_result.certificate
+    assert (certificate.biactive, certificate.stationarity) == (1, Stationarity.STRONG)
+    (pair,) = made.last_result.pairs
+    assert (pair.first_multiplier, pair.second_multiplier) == pytest.approx((2, 4), abs=1e-6)
+
+
+def test_a_model_without_complementarity_is_an_nlp():
+    m = two(near)
+    m.pair.deactivate()
+    pyo.assert_optimal_termination(solver().solve(m))
+    assert (m.x.value, m.y.value) == pytest.approx((1, 2), abs=1e-7)
+
+
+def test_a_model_without_objective_is_made_feasible():
+    m = two(near)
+    m.cost.deactivate()
+    m.far = pyo.Constraint(expr=m.x + m.y == 3)
+    results = solver().solve(m)
+    pyo.assert_optimal_termination(results)
+    assert min(m.x.value, m.y.value) == pytest.approx(0, abs=1e-10)
+    assert m.x.value + m.y.value == pytest.approx(3)
+
+
+def test_an_empty_model():
+    m = pyo.ConcreteModel(name="empty")
+    pyo.assert_optimal_termination(solver().solve(m))
+
+
+def test_inconsistent_bounds_are_infeasible(caplog):
+    m = two(near)
+    m.x.setlb(3)
+    m.x.setub(2)
+    with caplog.at_level(logging.WARNING):
+        results = solver().solve(m)
+    assert results.solver.termination_condition == TerminationCondition.infeasible
+    assert "'x'" in results.solver.message
+
+
+def test_a_maximised_objective():
+    m = two(near)
+    m.cost.deactivate()
+    m.gain = pyo.Objective(expr=-near(m), sense=pyo.maximize)
+    for strategy in ("scholtes", "l1_penalty", "elastic"):
+        result = solve_mpec(m, Settings(strategy=strategy))
+        assert result.solved
+        assert result.objective == pytest.approx(-1.0, abs=1e-8)
+
+
+def test_an_iteration_limit_is_told():
+    result = solve_mpec(two(near), Settings(strategy="scholtes", step_iterations=1))
+    assert result.outcome is Outcome.ITERATION_LIMIT
+
+
+def test_a_time_limit_is_told():
+    result = solve_mpec(two(near), time_limit=1e-9)
+    assert result.outcome is Outcome.TIME_LIMIT
+
+
+# -- multipliers -------------------------------------------------------------------------------------------------------------------------
+
+
+def test_duals_are_loaded_with_pyomos_signs():
+    """min (x - 1)^2 + (y - 2)^2 with y <= 1.5 on the y axis: the row costs 1 for each unit, the side x = 0 costs -2 (it is held, not wanted)."""
+    m = two(near)
+    m.top = pyo.Constraint(expr=m.y <= 1.5)
+    m.dual = pyo.Suffix(direction=pyo.Suffix.IMPORT)
+    m.ipopt_zL_out = pyo.Suffix(direction=pyo.Suffix.IMPORT)
+    solver().solve(m)
+    assert m.dual[m.top] == pytest.approx(-1, abs=1e-6)
+    assert m.dual[m.row] == pytest.approx(0, abs=1e-6)
+    assert m.ipopt_zL_out[m.x] == pytest.approx(-2, abs=1e-6)
+    assert m.ipopt_zL_out[m.y] == pytest.approx(0, abs=1e-6)
+
+
+def test_right_and_wrong_multipliers():
+    m = two(near)
+    m.x.value, m.y.value = 0.0, 2.0
+    right = Multipliers(pairs=ComponentMap([(m.pair, (-2.0, 0.0))]))
+    assert certify(m, right).given_dual <= 1e-12
+    assert certify(m, right).holds
+    for wrong in ((-2.0, 0.5), (2.0, 0.0), (0.0, 0.0)):  # on the side that is free; with the wrong sign; missing
+        certificate = certify(m, Multipliers(pairs=ComponentMap([(m.pair, wrong)])))
+        assert certificate.given_dual > 0.1
+        assert not certificate.holds
+        assert certificate.stationarity is Stationarity.STRONG  # the point is right all the same
+    assert certify(m, Multipliers(rows=ComponentMap([(m.row, -1.0)]), pairs=right.pairs)).given_dual > 0.1
+
+
+def test_a_solver_that_lies_about_multipliers_is_found_out(monkeypatch):
+    """The certificate shares nothing with the solver: multipliers that do not belong to the point are not handed out."""
+    import formulations.mpec.solve as module
+
+    def shifted(candidate):
+        told = honest(candidate)
+        return Multipliers(rows=told.rows, bounds=told.bounds, pairs=ComponentMap((c, (a + 1.0, b)) for c, (a, b) in told.pairs.items()))
+
+    honest = module.multipliers_of
+    monkeypatch.setattr(module, "multipliers_of", shifted)
+    result = solve_mpec(two(near))
+    assert result.solved
+    assert not result.has_multipliers
+    assert math.isnan(result.zl[0])
+
+
+def test_class_letters_by_multipliers():
+    """The same biactive origin under different slopes: (nu, mu) is the gradient there."""
+    letters = {(1, 1): "S", (-1, 0): "M", (-1, -1): "C", (-1, 1): "A"}
+    for (a, b), letter in letters.items():
+        m = two(lambda m, a=a, b=b: a * m.x + b * m.y, bounds=(None, None), start=0.0)
+        certificate = certify(m)
+        assert certificate.stationarity.letter == letter
+        assert certificate.b_stationary is (letter == "S")
+
+
+# -- options -----------------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"strategy": "magic"}, ["'strategy'", "scholtes", "'magic'"]),
+        ({"strateg": "scholtes"}, ["'strateg'", "'strategy'"]),
+        ({"eps_start": -1.0}, ["'eps_start'", "positive"]),
+        ({"eps_end": "small"}, ["'eps_end'", "number"]),
+        ({"polish": "maybe"}, ["'polish'", "True or False"]),
+        ({"max_biactive": 1.5}, ["'max_biactive'", "whole"]),
+        ({"linear_solver": "ma57"}, ["ma57"]),
+    ],
+)
+def test_wrong_options_are_named(options, words):
+    with pytest.raises(UnknownOptionError) as caught:
+        solver(**options).solve(two(near))
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_options_reach_ipopt_and_the_record():
+    settings = read_settings({"strategy": "scholtes", "max_iter": 77, "polish": "no"})
+    assert settings.ipopt == {"max_iter": 77}
+    result = solve_mpec(two(near), settings)
+    assert result.options["max_iter"] == 77
+    assert not result.polished
+    assert result.residual < 1e-6
+
+
+def test_unknown_keywords_are_refused():
+    with pytest.raises(TypeError, match="nonsense"):
+        solver().solve(two(near), nonsense=1)
+    with pytest.raises(TypeError, match="nonsense"):
+        MpecIpopt(nonsense=1)

@@ -1,0 +1,229 @@
+"""Every form that `complements` accepts, wherever it stands; and one sentence for what it does not."""
+
+from __future__ import annotations
+
+import math
+
+import pyomo.environ as pyo
+import pytest
+from pyomo.mpec import Complementarity, ComplementarityList, complements
+
+from formulations.ipopt import MissingValueError, ModelRefusedError
+from formulations.mpec import certify, load, solve_mpec
+
+
+def model(goal=(1.0, 2.0), bounds=(None, None)) -> pyo.ConcreteModel:
+    """Nearest point to a goal; x and y without bounds of their own."""
+    m = pyo.ConcreteModel(name="nearest")
+    m.x = pyo.Var(bounds=bounds, initialize=0.5)
+    m.y = pyo.Var(bounds=bounds, initialize=0.5)
+    m.one = pyo.Param(initialize=1.0, mutable=True)
+    m.cost = pyo.Objective(expr=(m.x - goal[0]) ** 2 + (m.y - goal[1]) ** 2)
+    return m
+
+
+# (the condition, goal, the nearest point that satisfies it)
+FORMS = {
+    "both >=": (lambda m: complements(m.x >= 0, m.y >= 0), (1, 2), (0, 2)),
+    "0 <= on the left": (lambda m: complements(0 <= m.x, 0 <= m.y), (1, 2), (0, 2)),  # noqa: SIM300
+    "both <=": (lambda m: complements(m.x <= 0, m.y <= 0), (-1, -2), (0, -2)),
+    "mixed": (lambda m: complements(m.x >= 0, m.y <= 0), (1, -2), (0, -2)),
+    "mixed, other order": (lambda m: complements(m.y <= 0, m.x >= 0), (1, -2), (0, -2)),
+    "bounds that are not 0": (lambda m: complements(m.x >= 3, m.y <= 5), (4, 2), (3, 2)),
+    "bounds that are Params": (lambda m: complements(m.x >= m.one, m.y >= 2 * m.one), (2, 4), (1, 4)),
+    "variables on both sides": (lambda m: complements(m.x >= m.y, m.y >= 0), (3, 1), (3, 0)),
+    "nonlinear": (lambda m: complements(m.x**2 - m.y >= 0, m.y - 1 >= 0), (2, 1.5), (2, 1)),
+    "two expressions": (lambda m: complements(m.x + m.y >= 2, m.x - m.y >= 0), (3, 1.5), (2.25, 2.25)),
+    "box first, at its lower bound": (lambda m: complements(pyo.inequality(-1, m.x, 2), m.y), (-3, 2), (-1, 2)),
+    "box first, at its upper bound": (lambda m: complements(pyo.inequality(-1, m.x, 2), m.y), (3, -2), (2, -2)),
+    "box first, between": (lambda m: complements(pyo.inequality(-1, m.x, 2), m.y), (0.5, 0.1), (0.5, 0)),
+    "box second": (lambda m: complements(m.y, pyo.inequality(-1, m.x, 2)), (3, -2), (2, -2)),
+    "box of Params": (lambda m: complements(pyo.inequality(-m.one, m.x, 2 * m.one), m.y - 1), (3, -2), (2, -2)),
+    "box without width": (lambda m: complements(pyo.inequality(1, m.x, 1), m.y), (3, -2), (1, -2)),
+    "half-open range": (lambda m: complements(pyo.inequality(0, m.x, math.inf), m.y >= 0), (1, 2), (0, 2)),
+    "equality first": (lambda m: complements(m.x == m.y, m.y), (1, 3), (2, 2)),
+    "equality second": (lambda m: complements(m.y, m.x + m.y == 2), (2, 2), (1, 1)),
+    "equality beside a bound, which holds too": (lambda m: complements(m.x == 1, m.y >= 3), (2, 2), (1, 3)),
+    "a tuple": (lambda m: (m.x >= 0, m.y >= 0), (1, 2), (0, 2)),
+    "a fixed number on one side": (lambda m: complements(m.x >= 0, m.one >= 0), (1, 2), (0, 2)),
+}
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_form(name):
+    condition, goal, point = FORMS[name]
+    m = model(goal)
+    m.pair = Complementarity(expr=condition(m))
+    result = solve_mpec(m)
+    assert result.solved, result.message
+    load(result)
+    assert (m.x.value, m.y.value) == pytest.approx(point, abs=1e-7)
+    assert result.certificate.holds, result.certificate.sentence
+    assert result.certificate.complementarity <= 1e-12
+    assert not result.certificate.given_dual > 1e-6
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_form_with_variables_that_have_bounds(name):
+    """The same, where a side can be the user's variable itself instead of a slack."""
+    condition, goal, point = FORMS[name]
+    m = model(goal, bounds=(0.0, 10.0) if min(point) >= 0 else (-10.0, 10.0))
+    m.pair = Complementarity(expr=condition(m))
+    result = solve_mpec(m)
+    assert result.solved, result.message
+    load(result)
+    assert (m.x.value, m.y.value) == pytest.approx(point, abs=1e-7)
+    assert not result.certificate.given_dual > 1e-6
+
+
+def test_indexed_conditions_with_skipped_and_inactive_ones():
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var(range(4), initialize=1.0)
+    m.y = pyo.Var(range(4), initialize=1.0)
+    m.cost = pyo.Objective(expr=sum((m.x[i] - 1) ** 2 + (m.y[i] - 2) ** 2 for i in range(4)))
+    m.pair = Complementarity(range(4), rule=lambda m, i: Complementarity.Skip if i == 1 else complements(m.x[i] >= 0, m.y[i] >= 0))
+    m.pair[2].deactivate()
+    load(solve_mpec(m))
+    assert [m.x[i].value for i in range(4)] == pytest.approx([0, 1, 1, 0], abs=1e-7)
+
+
+def test_a_list_and_nested_blocks():
+    m = model()
+    m.rows = ComplementarityList(rule=(c for c in [complements(m.x >= 0, m.y >= 0)]))
+    m.inner = pyo.Block()
+    m.inner.deeper = pyo.Block([1, 2])
+    m.inner.deeper[2].z = pyo.Var(initialize=1.0)
+    m.inner.deeper[2].pair = Complementarity(expr=complements(m.inner.deeper[2].z >= 1, m.y <= 5))
+    m.inner.off = pyo.Block()
+    m.inner.off.pair = Complementarity(expr=complements(m.x >= 100, m.y >= 100))
+    m.inner.off.deactivate()
+    result = solve_mpec(m)
+    load(result)
+    assert (m.x.value, m.y.value, m.inner.deeper[2].z.value) == pytest.approx((0, 2, 1), abs=1e-7)
+    assert {pair.name for pair in result.pairs} == {"rows[1]", "inner.deeper[2].pair"}
+
+
+def test_a_variable_that_stands_in_a_condition_only():
+    m = model()
+    m.w = pyo.Var(bounds=(0, None), initialize=1.0)
+    m.pair = Complementarity(expr=complements(m.x >= 0, m.w >= 0))
+    result = solve_mpec(m)
+    load(result)
+    assert (m.x.value, m.w.value) == pytest.approx((1, 0), abs=1e-7)
+
+
+def test_a_block_of_a_larger_model_is_solved_alone():
+    m = pyo.ConcreteModel()
+    m.outside = pyo.Var(initialize=7.0)
+    m.part = pyo.Block()
+    m.part.x = pyo.Var(initialize=1.0)
+    m.part.cost = pyo.Objective(expr=(m.part.x - 1) ** 2 + (m.outside - 2) ** 2)
+    m.part.pair = Complementarity(expr=complements(m.part.x >= 0, m.outside >= 0))
+    load(solve_mpec(m.part))
+    assert (m.part.x.value, m.outside.value) == pytest.approx((0, 2), abs=1e-7)
+
+
+# -- what is refused: (the change to the model, words of the sentence, error) ------------------------------------------------------------
+
+
+def _three_bounds(m):
+    m.pair = Complementarity(expr=complements(pyo.inequality(0, m.x, 1), m.y >= 0))
+
+
+def _one_bound(m):
+    m.pair = Complementarity(expr=complements(m.x >= 0, m.y))
+
+
+def _strict(m):
+    m.pair = Complementarity(expr=complements(m.x > 0, m.y >= 0))
+
+
+def _integer(m):
+    m.n = pyo.Var(domain=pyo.NonNegativeIntegers)
+    m.pair = Complementarity(expr=complements(m.x >= 0, m.n >= 0))
+
+
+def _absolute(m):
+    m.pair = Complementarity(expr=complements(abs(m.x) >= 1, m.y >= 0))
+
+
+def _empty(m):
+    m.pair = Complementarity()
+
+
+def _no_value(m):
+    m.p = pyo.Param(mutable=True)
+    m.pair = Complementarity(expr=complements(m.x >= m.p, m.y >= 0))
+
+
+def _disjunction(m):
+    from pyomo.gdp import Disjunction
+
+    m.pair = Complementarity(expr=complements(m.x >= 0, m.y >= 0))
+    m.either = Disjunction(expr=[[m.x >= 1], [m.y >= 1]])
+
+
+def _range_with_variable_bound(m):
+    m.pair = Complementarity(expr=complements(pyo.inequality(m.y, m.x, 3), m.y))
+
+
+def _nan_start(m):
+    m.pair = Complementarity(expr=complements(m.x >= 0, m.y >= 0))
+    m.x.set_value(math.nan, skip_validation=True)
+
+
+def _two_objectives(m):
+    m.pair = Complementarity(expr=complements(m.x >= 0, m.y >= 0))
+    m.more = pyo.Objective(expr=m.x)
+
+
+@pytest.mark.parametrize(
+    ("change", "words", "error"),
+    [
+        (_three_bounds, ["'pair'", "3 finite bounds", "two in all"], ModelRefusedError),
+        (_one_bound, ["'pair'", "1 finite bounds", "two in all"], ModelRefusedError),
+        (_strict, ["'pair'", "strict"], ModelRefusedError),
+        (_integer, ["'n'"], ModelRefusedError),
+        (_absolute, ["abs"], ModelRefusedError),
+        (_empty, ["'pair'", "no condition"], ModelRefusedError),
+        (_no_value, ["p"], MissingValueError),
+        (_disjunction, ["'either", "Disjunct"], ModelRefusedError),
+        (_range_with_variable_bound, ["'pair'", "variable bound"], ModelRefusedError),
+        (_nan_start, ["'x'", "nan"], MissingValueError),
+        (_two_objectives, ["2 objectives"], ModelRefusedError),
+    ],
+)
+def test_refusals_are_one_sentence(change, words, error):
+    m = model()
+    change(m)
+    with pytest.raises(error) as caught:
+        solve_mpec(m)
+    text = str(caught.value)
+    for word in words:
+        assert word in text
+    assert "\n" not in text
+
+
+def test_external_functions_are_refused():
+    m = model()
+    m.f = pyo.ExternalFunction(function=lambda a: 2 * a)
+    m.pair = Complementarity(expr=complements(m.f(m.x) >= 0, m.y >= 0))
+    with pytest.raises(ModelRefusedError, match="pair"):
+        solve_mpec(m)
+
+
+def test_an_abstract_model_is_refused():
+    m = pyo.AbstractModel()
+    m.x = pyo.Var()
+    with pytest.raises(ModelRefusedError, match="abstract"):
+        solve_mpec(m)
+
+
+def test_the_certificate_reads_every_form_by_itself():
+    for name, (condition, goal, point) in FORMS.items():
+        m = model(goal)
+        m.pair = Complementarity(expr=condition(m))
+        m.x.value, m.y.value = point
+        assert certify(m).feasible, name
+        m.x.value, m.y.value = 17.3, 29.1
+        assert not certify(m).feasible, name
