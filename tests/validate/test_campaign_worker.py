@@ -173,7 +173,11 @@ def test_an_interrupted_campaign_keeps_what_finished_and_resumes(cli, start_cli,
 def test_what_nohup_ignores_stays_ignored(cli_environment, tmp_path):
     command = [sys.executable, "-m", "validate", "all", *FAKES, "--out", str(tmp_path), "-k", "only_good"]
     with subprocess.Popen(
-        ["sh", "-c", "trap '' HUP; exec \"$@\"", "sh", *command], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=cli_environment
+        ["sh", "-c", "trap '' HUP; exec \"$@\"", "sh", *command],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=cli_environment,
     ) as process:
         assert process.stderr is not None
         assert process.stderr.readline() == "0 stored, 1 to run\n"

@@ -112,9 +112,7 @@ def _grid_error(case: Evidence) -> tuple[float, float]:
 
 def _ghost_impulse(case: Evidence) -> tuple[float, float]:
     def ghost(shift: float) -> float:
-        return eq.ghost_impulse(
-            plan_lam=case.lam, step_of=case.step_of, gap=case.replay.gap, duration=case.duration, shift=shift
-        )
+        return eq.ghost_impulse(plan_lam=case.lam, step_of=case.step_of, gap=case.replay.gap, duration=case.duration, shift=shift)
 
     if not np.isfinite(case.error.gap):
         return ghost(0.0), np.inf
