@@ -16,7 +16,7 @@ from formulations.ipopt import IpoptProblem, IpoptResult
 
 _STEPS = 6
 # Up to this many unknowns a dense least-squares solve, which does not mind dependent rows or flat directions.
-_DENSE = 400
+_DENSE = 150
 # Regularisation of the sparse solve: small steps are repeated, so it costs iterations and no accuracy.
 _DELTA = 1e-9
 # A refined point is the same solution: its objective may differ by this (relative to max(1, |objective|)), and each step by _LONGEST.
