@@ -203,3 +203,11 @@ def test_a_limit_on_no_figure_is_said_before_anything_runs(cli, tmp_path: Path):
 def test_numbers_too_large_for_decimals_are_short():
     assert short(490.554, ".2f") == "490.55"
     assert short(-1e200, ".2f") == "-1e+200"
+
+
+def test_a_campaign_of_refusals_claims_nothing(cli, tmp_path):
+    scene = Path(__file__).parents[1] / "scenes" / "bouncing_mass.py"  # no inputs: no method applies
+    done = cli("all", "--scene", str(scene), "-k", "softplus_dc+strict", "--out", str(tmp_path / "refused"))
+    assert done.returncode == 0
+    assert "every method refused its scene" in done.stdout
+    assert "holds" not in done.stdout.replace("does not hold", "")

@@ -143,7 +143,9 @@ def _print_table(outcome, settings, resume: str) -> None:
         click.echo(f"left out by --quick: {', '.join(outcome.left_out) or 'nothing'}")
     for sentence in outcome.failures:
         click.echo(click.style("does not hold: ", fg="red") + one_line(sentence), color=colour)
-    if not outcome.failures:
+    if all(record.outcome == "refused" for record in outcome.records):
+        click.echo("nothing was judged: every method refused its scene, for the reasons in the report")
+    elif not outcome.failures:
         click.echo("all that must hold holds")
     click.echo(f"report:  {outcome.report}")
     click.echo(f"results: {settings.out / 'results.csv'}")
