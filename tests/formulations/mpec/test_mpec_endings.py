@@ -6,6 +6,7 @@ import io
 import logging
 import math
 
+import numpy as np
 import pyomo.environ as pyo
 import pytest
 from pyomo.common.collections import ComponentMap
@@ -14,6 +15,11 @@ from pyomo.opt import SolverStatus, TerminationCondition
 
 from formulations.ipopt import UnknownOptionError
 from formulations.mpec import MpecIpopt, Multipliers, Settings, Stationarity, certify, read_settings, solve_mpec
+from formulations.mpec.branching import Branching
+from formulations.mpec.homotopy import Account
+from formulations.mpec.lifted import lift
+from formulations.mpec.solve import load_strategy
+from formulations.mpec.workspace import Workspace
 from formulations.solution import Outcome
 
 
@@ -50,6 +56,7 @@ def solver(**options):
 def test_solving_without_loading_leaves_no_trace():
     m = two(near)
     m.later = pyo.Var()
+    m.x.stale = True
     before = picture(m)
     results = solver().solve(m, load_solutions=False)
     assert picture(m) == before
@@ -165,6 +172,19 @@ def test_biactive_and_strongly_stationary():
     assert (certificate.biactive, certificate.stationarity) == (1, Stationarity.STRONG)
     (pair,) = made.last_result.pairs
     assert (pair.first_multiplier, pair.second_multiplier) == pytest.approx((2, 4), abs=1e-6)
+
+
+def test_a_biactive_pair_that_wants_its_other_branch_gets_it():
+    """With x held at 0, y ends at 0 too, and x is worth more than 0: the multiplier says so."""
+    m = two(lambda m: (m.x - 1) ** 2 + (m.y + 1) ** 2)
+    work = Workspace(lift(m), load_strategy("scholtes"))
+    x = np.zeros(work.relaxed.problem.n)
+    x[work.relaxed.second] = 1.0  # y > x: the branch read off holds x
+    branching = Branching(work, Settings(), Account(None))
+    branch = branching.polish(x)
+    assert branch is not None
+    assert branch.objective == pytest.approx(1.0, abs=1e-8)
+    assert branch.is_strong
 
 
 def test_a_model_without_complementarity_is_an_nlp():
