@@ -28,6 +28,7 @@ FORMS = {
     "0 <= on the left": (lambda m: complements(0 <= m.x, 0 <= m.y), (1, 2), (0, 2)),  # noqa: SIM300
     "both <=": (lambda m: complements(m.x <= 0, m.y <= 0), (-1, -2), (0, -2)),
     "mixed": (lambda m: complements(m.x >= 0, m.y <= 0), (1, -2), (0, -2)),
+    "mixed, the upper side held": (lambda m: complements(m.x >= 0, m.y <= 0), (3, -1), (3, 0)),
     "mixed, other order": (lambda m: complements(m.y <= 0, m.x >= 0), (1, -2), (0, -2)),
     "bounds that are not 0": (lambda m: complements(m.x >= 3, m.y <= 5), (4, 2), (3, 2)),
     "bounds that are Params": (lambda m: complements(m.x >= m.one, m.y >= 2 * m.one), (2, 4), (1, 4)),
