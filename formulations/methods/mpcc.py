@@ -45,7 +45,12 @@ class Mpcc(Method):
             description="how far from the goal the plan may end, in the norm of (q, v): the cheapest end within this ball is chosen",
             lower=0.0,
         ),
-        OptionSpec(name="seed", default=0, description="of the random starts that are tried where the first guess leads nowhere", lower=0),
+        OptionSpec(
+            name="starts", default=1, description="starts in all, the first as given, the others random; the cheapest plan is kept", lower=1
+        ),
+        OptionSpec(
+            name="seed", default=0, description="of random starts, also of those tried where the first guess leads nowhere", lower=0
+        ),
         OptionSpec(name="tolerance", default=1e-8, description="Ipopt's tol for fixed modes of a nonlinear scene", lower=1e-12, upper=1e-2),
         OptionSpec(name="homotopy_tolerance", default=1e-6, description="Ipopt's tol in the softplus stages", lower=1e-12, upper=1e-2),
         OptionSpec(name="max_iterations", default=3000, description="most Ipopt iterations of a solve", lower=1, upper=10**9),

@@ -15,5 +15,6 @@ def open_goal(model: Any, ball: float) -> None:
     parts = ((model.variable_q, model.parameter_goal_position), (model.variable_v, model.parameter_goal_velocity))
     model.constraint_goal_position.deactivate()
     model.constraint_goal_velocity.deactivate()
-    miss = sum((state[last, name] - goal[name]) ** 2 for state, goal in parts for name in model.set_coordinates)
-    model.constraint_goal_ball = pyo.Constraint(expr=miss <= ball**2)
+    # in units of the ball: its multiplier then has the size of the cost, however small the ball is
+    miss = sum(((state[last, name] - goal[name]) / ball) ** 2 for state, goal in parts for name in model.set_coordinates)
+    model.constraint_goal_ball = pyo.Constraint(expr=miss <= 1.0)

@@ -16,6 +16,7 @@ from formulations.windows.linear_scene import LinearScene
 _ITERATIONS = 60
 _GAP = 1e-13  # mean product of slack and multiplier at which the active conditions are named
 _STEP = 0.99  # part of the way to the nearest bound
+_ENORMOUS = 1e100  # what a singular matrix that was not found out leaves
 _INFEASIBLE = 1e-7  # a slack that still misses its condition by more when the gap is closed
 
 Triple = list[np.ndarray]  # one array a kind of condition: u - lower (steps, nu), upper - u (steps, nu), sign * phi (steps, nc)
@@ -114,10 +115,10 @@ class BarrierMethod:
         reach = np.where(inner, target[2] / np.where(inner, here.dual[2], 1.0), 0.0) + here.slack[2]
         right[kkt.rows_mu[:-1]] = (sign * reach - lin.p)[1:]
         x = kkt.solve(right)
+        if not max(np.abs(x).max(), np.abs(columns).max(initial=0.0)) < _ENORMOUS:
+            return None
         if ball > 0.0:
             x, right = nearest_goal(kkt, x, columns, right, ball)
-        if not np.all(np.isfinite(x)):
-            return None
         point = kkt.point(x)
         slack = [point.u - self._lower, self._upper - point.u, sign * lin.penetration(point.z[:-1])]
         dual = [pull_low - low * (point.u - base_low), pull_up + up * (point.u - base_up), -sign * point.mu]

@@ -61,7 +61,10 @@ class DualRounds:
             own, own_force = self._value(column, condition, sign), 0.0
             cross = np.array([self._value(column, other, sign) for other in imposed])
             while True:
-                share = np.linalg.solve(gram, cross) if imposed else np.zeros(0)
+                try:
+                    share = np.linalg.solve(gram, cross) if imposed else np.zeros(0)
+                except np.linalg.LinAlgError:  # conditions that depend on each other: left to the interior point
+                    return "unfinished"
                 slope = own - float(cross @ share)
                 falling = np.flatnonzero(share > 1e-14)
                 drop = int(falling[np.argmin(force[falling] / share[falling])]) if falling.size else -1

@@ -29,6 +29,7 @@ _ROUNDS = 12  # of the active set before it counts as going in circles; from a n
 _VIOLATED = 1e-12  # [m], [N]: rounding of the banded solution
 _PULLING = 1e-9  # a multiplier below minus this asks for its condition to be dropped
 _BIACTIVE = 1e-11  # [m] penetration or gap below which a pair touches without pressing
+_ENORMOUS = 1e100  # what a singular matrix that was not found out leaves
 _SOLVED = 1e-8  # largest residual of the linear system that still counts as a solution
 
 
@@ -172,6 +173,8 @@ class ModesProblem:
         x = self.kkt.solve(right)
         if self.ball > 0.0:
             columns = self.kkt.solve(self.kkt.goal_columns())
+            if not max(np.abs(x).max(), np.abs(columns).max()) < _ENORMOUS:
+                return None
             x, right = nearest_goal(self.kkt, x, columns, right, self.ball)
         residual = np.abs(self.kkt.product(x) - right).max()
         if not residual <= _SOLVED * max(1.0, np.abs(right).max()):  # NaN counts as no solution

@@ -21,6 +21,7 @@ from formulations.transcription.residuals import PlanResiduals
 from formulations.transcription.workbench import Account
 from formulations.windows.finder import Finder, Search
 from formulations.windows.landing import land
+from formulations.windows.starts import random_plan
 from models.codegen.kernel import load_kernel
 from models.errors import TrajectoryError
 from models.scene import Scene
@@ -43,8 +44,24 @@ class MpccSession(Session):
         if warm_start is not None:
             self._check_grid(warm_start)
         account, self._opening = Account(time_limit, self._opening), (0.0, 0.0)
-        search = self._finder.find(account, warm_start)
-        return self._solution(account, search)
+        search, optima = self._best_of_starts(account, warm_start)
+        return self._solution(account, search, optima)
+
+    def _best_of_starts(self, account: Account, warm_start: Trajectory | None) -> tuple[Search, list[float]]:
+        """The cheapest of all starts, and the cost of each that was solved. Random plans serve in turn as start of a homotopy and, steered
+        to the goal, as source of contact modes: the first forget where they began, the second do not."""
+        best = self._finder.find(account, warm_start)
+        optima = [] if best.answer is None else [best.answer.cost]
+        for index in range(1, int(self._number("starts"))):
+            if account.is_over:
+                break
+            plan = random_plan(self._scene, self._kernel, (int(self._number("seed")), index))
+            found = self._finder.find(account, start=plan) if index % 2 else self._finder.find(account, plan, plan)
+            if found.answer is not None:
+                optima.append(found.answer.cost)
+                if best.answer is None or found.answer.cost < best.answer.cost:
+                    best = found
+        return best, optima
 
     def _check_grid(self, plan: Trajectory) -> None:
         plan.check_fits(self._scene)
@@ -57,20 +74,25 @@ class MpccSession(Session):
                 f"{task.step:g} s; resample it to that grid."
             )
 
-    def _solution(self, account: Account, search: Search) -> Solution:
+    def _solution(self, account: Account, search: Search, optima: list[float]) -> Solution:
         empty = Solution(method=self._method.name, outcome=search.outcome, message=search.message, options=dict(self._options))
-        if search.answer is None:
+        answer = search.answer
+        if answer is None:
             return replace(empty, iterations=account.iterations, seconds=account.seconds(), history=_columns(account))
-        plan = self.landed(search.answer.u)
+        plan = self.landed(answer.u)
         residuals = self.certificate(plan)
-        stationarity = search.answer.stationarity()
-        missed = {name: limit for name, limit in self._promises().items() if not residuals.get(name, 0.0) <= limit}
+        stationarity = answer.stationarity()
+        if self._number("starts") > 1:
+            spread = f"costs from {min(optima):.6g} to {max(optima):.6g}"
+            search = replace(search, message=f"{len(optima)} of {self._options['starts']} starts were solved, {spread}. {search.message}")
+            residuals |= {"starts_solved": float(len(optima)), "dearest_start": max(optima)}
         outcome, message = search.outcome, f"{search.message} {stationarity.sentence}"
+        missed = {name: limit for name, limit in self._promises().items() if not residuals.get(name, 0.0) <= limit}
         if missed and outcome is Outcome.SOLVED:
             worst = ", ".join(f"{name} is {residuals[name]:.3g} (limit {limit:g})" for name, limit in missed.items())
             outcome, message = Outcome.STALLED, f"{message} Checked on the plan itself, {worst}."
         residuals |= {
-            "dual_infeasibility": search.answer.dual_infeasibility,
+            "dual_infeasibility": answer.dual_infeasibility,
             "biactive_pairs": float(stationarity.biactive),
             "least_biactive_multiplier": stationarity.least,
             "windows_tried": float(search.tried),

@@ -125,3 +125,14 @@ def test_a_ball_around_the_goal_makes_it_cheaper(best: Solution) -> None:
     assert solution.cost is not None
     assert best.cost is not None
     assert solution.cost < best.cost
+
+
+def test_several_starts_keep_the_cheapest_and_tell_the_spread() -> None:
+    alone, several = solved(SMALL), solved(SMALL, starts=4, seed=3)
+    check(several, SMALL)
+    assert several.cost is not None
+    assert alone.cost is not None
+    assert several.cost <= alone.cost * (1 + 1e-12)
+    assert several.residuals["starts_solved"] == 4
+    assert several.residuals["dearest_start"] >= several.cost * (1 - 1e-9)
+    assert "4 of 4 starts were solved" in several.message

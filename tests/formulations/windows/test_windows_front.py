@@ -1,0 +1,80 @@
+"""Least cost against terminal tolerance, on the paper's scene and swept on a small one; ends recomputed by a rollout."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from formulations.catalog import load_method
+from formulations.method import OptionError
+from formulations.solution import Outcome, Solution
+from formulations.windows.front import front
+from formulations.windows.goal_ball import cheapest_in_ball
+from models.catalog import load_scene
+from models.codegen.kernel import load_kernel
+from models.scene import Scene
+from models.trajectory import Trajectory
+
+SCENE = load_scene("three_cart")
+SMALL = SCENE.with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100)
+
+
+def miss(solution: Solution, scene: Scene) -> float:
+    assert solution.outcome is Outcome.SOLVED, solution.message
+    plan = solution.trajectory
+    assert plan is not None
+    rollout = load_kernel(scene).rollout(np.array(scene.task.start), plan.u, scene.task.step)
+    return float(np.linalg.norm(np.concatenate([rollout.q[-1], rollout.v[-1]]) - np.array(scene.task.goal)))
+
+
+def within(ball: float, plan: Trajectory | None = None, search: bool = True) -> Solution:
+    with load_method("mpcc").open(SCENE, {"goal_tolerance": ball, "search": search}) as session:
+        return session.solve(eps=None, warm_start=plan, time_limit=600.0)
+
+
+@pytest.mark.parametrize(("ball", "most"), [(1e-3, 391.0), (1e-2, 325.0)])
+def test_figures_of_the_front(ball: float, most: float) -> None:
+    solution = within(ball)
+    assert solution.cost is not None
+    assert solution.cost <= most
+    assert miss(solution, SCENE) == pytest.approx(ball, rel=1e-6), "the end lies on the sphere"
+
+
+def test_the_figure_at_five_centimetres_needs_the_windows_of_ten() -> None:
+    solution = within(0.05, within(0.1, search=False).trajectory)
+    assert solution.cost is not None
+    assert solution.cost <= 283.5
+    assert miss(solution, SCENE) <= 0.05 + 1e-10
+
+
+def test_a_front_falls() -> None:
+    points = front(SMALL, (0.05, 0.0, 0.01))
+    assert [point.tolerance for point in points] == [0.0, 0.01, 0.05]
+    costs = [point.solution.cost for point in points]
+    assert None not in costs
+    assert costs == sorted(costs, reverse=True)  # type: ignore[type-var]
+    assert len(set(costs)) == 3
+    for point in points:
+        assert miss(point.solution, SMALL) <= point.tolerance + 1e-10
+
+
+def test_a_front_of_nothing_is_refused() -> None:
+    with pytest.raises(OptionError, match="tolerance"):
+        front(SMALL, ())
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("radius", [1e-6, 0.1, 10.0, 1e6])
+def test_the_cheapest_point_of_a_ball(seed: int, radius: float) -> None:
+    """Against its optimality conditions: slope + curvature e + s e = 0 with s >= 0, and s = 0 inside."""
+    random = np.random.default_rng(seed)
+    root, slope = random.normal(size=(6, 6)), random.normal(size=6)
+    curvature = root @ root.T
+    e = cheapest_in_ball(slope, curvature, radius)
+    size = float(np.linalg.norm(e))
+    assert size <= radius * (1 + 1e-9)
+    pull = slope + curvature @ e
+    shift = -float(pull @ e) / size**2
+    assert shift >= -1e-9
+    np.testing.assert_allclose(pull + shift * e, 0.0, atol=1e-8)
+    assert shift <= 1e-8 or size == pytest.approx(radius, rel=1e-9)
