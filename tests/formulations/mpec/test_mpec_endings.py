@@ -13,8 +13,7 @@ from pyomo.common.collections import ComponentMap
 from pyomo.mpec import Complementarity, complements
 from pyomo.opt import SolverStatus, TerminationCondition
 
-from formulations.ipopt import UnknownOptionError
-from formulations.mpec import MpecIpopt, Multipliers, Settings, Stationarity, certify, read_settings, solve_mpec
+from formulations.mpec import Multipliers, Settings, Stationarity, certify, solve_mpec
 from formulations.mpec.branching import Branching
 from formulations.mpec.homotopy import Account
 from formulations.mpec.lifted import lift
@@ -293,41 +292,3 @@ def test_class_letters_by_multipliers():
         certificate = certify(m)
         assert certificate.stationarity.letter == letter
         assert certificate.b_stationary is (letter == "S")
-
-
-# -- options -----------------------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"strategy": "magic"}, ["'strategy'", "scholtes", "'magic'"]),
-        ({"strateg": "scholtes"}, ["'strateg'", "'strategy'"]),
-        ({"eps_start": -1.0}, ["'eps_start'", "positive"]),
-        ({"eps_end": "small"}, ["'eps_end'", "number"]),
-        ({"polish": "maybe"}, ["'polish'", "True or False"]),
-        ({"max_biactive": 1.5}, ["'max_biactive'", "whole"]),
-        ({"linear_solver": "ma57"}, ["ma57"]),
-    ],
-)
-def test_wrong_options_are_named(options, words):
-    with pytest.raises(UnknownOptionError) as caught:
-        solver(**options).solve(two(near))
-    for word in words:
-        assert word in str(caught.value)
-
-
-def test_options_reach_ipopt_and_the_record():
-    settings = read_settings({"strategy": "scholtes", "max_iter": 77, "polish": "no"})
-    assert settings.ipopt == {"max_iter": 77}
-    result = solve_mpec(two(near), settings)
-    assert result.options["max_iter"] == 77
-    assert not result.polished
-    assert result.residual < 1e-6
-
-
-def test_unknown_keywords_are_refused():
-    with pytest.raises(TypeError, match="nonsense"):
-        solver().solve(two(near), nonsense=1)
-    with pytest.raises(TypeError, match="nonsense"):
-        MpecIpopt(nonsense=1)

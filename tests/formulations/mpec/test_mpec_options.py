@@ -1,0 +1,60 @@
+"""Options of the plugin: those that reach Ipopt, those that are refused by name."""
+
+from __future__ import annotations
+
+import pyomo.environ as pyo
+import pytest
+from pyomo.mpec import Complementarity, complements
+
+from formulations.ipopt import UnknownOptionError
+from formulations.mpec import MpecIpopt, read_settings, solve_mpec
+
+
+def nearest_corner() -> pyo.ConcreteModel:
+    """The point of the two half-axes that is nearest to (1, 2)."""
+    m = pyo.ConcreteModel()
+    m.x, m.y = pyo.Var(initialize=1.0), pyo.Var(initialize=1.0)
+    m.cost = pyo.Objective(expr=(m.x - 1) ** 2 + (m.y - 2) ** 2)
+    m.pair = Complementarity(expr=complements(m.x >= 0, m.y >= 0))
+    return m
+
+
+def solver(**options):
+    made = pyo.SolverFactory("mpec_ipopt")
+    made.options.update(options)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"strategy": "magic"}, ["'strategy'", "scholtes", "'magic'"]),
+        ({"strateg": "scholtes"}, ["'strateg'", "'strategy'"]),
+        ({"eps_start": -1.0}, ["'eps_start'", "positive"]),
+        ({"eps_end": "small"}, ["'eps_end'", "number"]),
+        ({"polish": "maybe"}, ["'polish'", "True or False"]),
+        ({"max_biactive": 1.5}, ["'max_biactive'", "whole"]),
+        ({"linear_solver": "ma57"}, ["ma57"]),
+    ],
+)
+def test_wrong_options_are_named(options, words):
+    with pytest.raises(UnknownOptionError) as caught:
+        solver(**options).solve(nearest_corner())
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_options_reach_ipopt_and_the_record():
+    settings = read_settings({"strategy": "scholtes", "max_iter": 77, "polish": "no"})
+    assert settings.ipopt == {"max_iter": 77}
+    result = solve_mpec(nearest_corner(), settings)
+    assert result.options["max_iter"] == 77
+    assert not result.polished
+    assert result.residual < 1e-6
+
+
+def test_unknown_keywords_are_refused():
+    with pytest.raises(TypeError, match="nonsense"):
+        solver().solve(nearest_corner(), nonsense=1)
+    with pytest.raises(TypeError, match="nonsense"):
+        MpecIpopt(nonsense=1)
