@@ -64,11 +64,12 @@ def as_number(what: str, value: Any, *, finite: bool = True) -> float:
 
 def as_expression(what: str, value: Any) -> sp.Expr:
     """A SymPy expression as it is; a number becomes one, exact where it is whole: 0.0 is nothing, and left out of every model."""
+    expression: Any = value
     if isinstance(value, Real) and not isinstance(value, (bool, sp.Expr)):
         number = float(value)
-        value = sp.Integer(int(number)) if number.is_integer() else sp.Float(number)
-    if not isinstance(value, sp.Expr):
+        expression = sp.Integer(int(number)) if number.is_integer() else sp.Float(number)
+    if not isinstance(expression, sp.Expr):
         raise SceneError(f"{what} must be a SymPy expression or a number, not {type(value).__name__} ({value!r}).")
-    if value.has(sp.I, sp.nan, sp.zoo, sp.oo, -sp.oo):
-        raise SceneError(f"{what} is {value}, which is not a finite real expression.")
-    return value
+    if expression.has(sp.I, sp.nan, sp.zoo, sp.oo, -sp.oo):
+        raise SceneError(f"{what} is {expression}, which is not a finite real expression.")
+    return expression
