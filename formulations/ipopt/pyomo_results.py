@@ -17,7 +17,7 @@ from formulations.ipopt.status import NOT_SENT
 from formulations.solution import Outcome
 
 # Outcome -> (status, termination condition); STALLED is refined below. "optimal" is what Pyomo's own ipopt reports for a KKT point.
-_CONDITIONS = MappingProxyType({
+CONDITIONS = MappingProxyType({
     Outcome.SOLVED: (SolverStatus.ok, TerminationCondition.optimal),
     Outcome.ITERATION_LIMIT: (SolverStatus.warning, TerminationCondition.maxIterations),
     Outcome.TIME_LIMIT: (SolverStatus.warning, TerminationCondition.maxTimeLimit),
@@ -45,7 +45,7 @@ def condition_of(result: IpoptResult) -> tuple[SolverStatus, TerminationConditio
     """Pyomo's words for how the solve ended; a stalled solve is `feasible` only where the unscaled residuals say so."""
     if result.outcome is Outcome.STALLED and result.residuals.feasible:
         return SolverStatus.warning, TerminationCondition.feasible
-    return _CONDITIONS[result.outcome]
+    return CONDITIONS[result.outcome]
 
 
 def solver_results(problem: IpoptProblem, result: IpoptResult) -> SolverResults:

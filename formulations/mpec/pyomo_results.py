@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -12,29 +11,16 @@ from pyomo.core.base.symbol_map import SymbolMap
 from pyomo.opt import ProblemSense, SolverResults, SolverStatus, TerminationCondition
 from pyomo.opt.results.solution import Solution, SolutionStatus
 
+from formulations.ipopt.pyomo_results import CONDITIONS
 from formulations.mpec.result import MpecResult, is_feasible
 from formulations.solution import Outcome
 
-# "optimal" as Pyomo's own ipopt uses it: a stationary point of the problem as it stands (here: B-stationary), not a proved global optimum.
-_CONDITIONS = MappingProxyType({
-    Outcome.SOLVED: (SolverStatus.ok, TerminationCondition.optimal),
-    Outcome.ITERATION_LIMIT: (SolverStatus.warning, TerminationCondition.maxIterations),
-    Outcome.TIME_LIMIT: (SolverStatus.warning, TerminationCondition.maxTimeLimit),
-    Outcome.INFEASIBLE: (SolverStatus.warning, TerminationCondition.infeasible),
-    Outcome.DIVERGED: (SolverStatus.warning, TerminationCondition.unbounded),
-    Outcome.STALLED: (SolverStatus.warning, TerminationCondition.noSolution),
-    Outcome.EVALUATION_ERROR: (SolverStatus.error, TerminationCondition.internalSolverError),
-    Outcome.INTERRUPTED: (SolverStatus.aborted, TerminationCondition.userInterrupt),
-    Outcome.REFUSED: (SolverStatus.warning, TerminationCondition.invalidProblem),
-    Outcome.CRASHED: (SolverStatus.error, TerminationCondition.solverFailure),
-    Outcome.FAILED: (SolverStatus.error, TerminationCondition.error),
-})  # fmt: skip
-
 
 def condition_of(result: MpecResult) -> tuple[SolverStatus, TerminationCondition]:
+    """Pyomo's words for how the solve ended; "optimal" is a B-stationary point here, not a proved global optimum."""
     if result.outcome is Outcome.STALLED and is_feasible(result):
         return SolverStatus.warning, TerminationCondition.feasible
-    return _CONDITIONS[result.outcome]
+    return CONDITIONS[result.outcome]
 
 
 def solver_results(name: str, result: MpecResult) -> SolverResults:

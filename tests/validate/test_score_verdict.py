@@ -37,7 +37,7 @@ def test_a_figure_is_judged_only_ten_errors_away_from_its_limit(
 
 
 def figure(name: str, ok: bool | None, value: float | None = 0.07, limit: float | None = 0.06, **more: object) -> Figure:
-    return Figure(name=name, value=value, unit="m", meaning="", ok=ok, limit=limit, resolved=ok is not None, **more)  # type: ignore[arg-type]
+    return Figure(name=name, value=value, unit="m", meaning="", ok=ok, limit=limit, resolved=ok is not None, **more)  # type: ignore[arg-type] - the rest is given by the test by name
 
 
 FREE = figure("physics", None, limit=None)

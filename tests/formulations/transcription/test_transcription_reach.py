@@ -88,7 +88,7 @@ def test_a_false_infeasible_is_not_believed(method: str, monkeypatch: pytest.Mon
     run, runs = Workbench.run, []
 
     def denied_once(self: Workbench, *args: object, **options: object):
-        result = run(self, *args, **options)  # type: ignore[arg-type]
+        result = run(self, *args, **options)  # type: ignore[arg-type] - passed on as it came
         runs.append(result)
         return replace(result, outcome=Outcome.INFEASIBLE) if len(runs) == 1 else result
 
@@ -102,7 +102,7 @@ def test_a_stubborn_infeasible_of_a_goal_within_reach_is_a_stall(method: str, mo
     run = Workbench.run
 
     def denied(self: Workbench, *args: object, **options: object):
-        return replace(run(self, *args, **options), outcome=Outcome.INFEASIBLE)  # type: ignore[arg-type]
+        return replace(run(self, *args, **options), outcome=Outcome.INFEASIBLE)  # type: ignore[arg-type] - passed on as it came
 
     monkeypatch.setattr(Workbench, "run", denied)
     solution = solved(method, POSSIBLE["two seconds"])

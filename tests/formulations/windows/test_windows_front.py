@@ -52,7 +52,7 @@ def test_a_front_falls() -> None:
     assert [point.tolerance for point in points] == [0.0, 0.01, 0.05]
     costs = [point.solution.cost for point in points]
     assert None not in costs
-    assert costs == sorted(costs, reverse=True)  # type: ignore[type-var]
+    assert costs == sorted(costs, reverse=True)  # type: ignore[type-var] - costs are numbers here, checked above
     assert len(set(costs)) == 3
     for point in points:
         assert miss(point.solution, SMALL) <= point.tolerance + 1e-10

@@ -128,7 +128,7 @@ def design_cent_1() -> pyo.ConcreteModel:
 
 def _named(name: str, builder, *arguments):
     made = partial(builder, *arguments)
-    made.__name__ = name  # type: ignore[attr-defined]
+    made.__name__ = name  # type: ignore[attr-defined] - a callable of ours, which takes a name
     return made
 
 
