@@ -1,0 +1,60 @@
+"""Dry friction of a scene, in the plane: one tangential direction, Coulomb's law.
+
+    Friction(name="left", slip=v1 - v2, coefficient=mu, contact="left")         # pressed by the force of the contact "left"
+    Friction(name="belt", slip=v_cargo - v_cart, coefficient=mu, normal_force=m * g)   # pressed by a given force
+
+With the slip speed s = S(q) v and the pressing force N >= 0 the friction force f acts as the generalised force S' f and obeys
+maximal dissipation: it minimises f s over |f| <= mu N. So f = -mu N sign(s) where it slips; where it sticks, s = 0 and f is
+whatever keeps it there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import sympy as sp
+
+from models.errors import SceneError
+from models.scene_values import as_expression, as_number, check_name, settle
+
+
+@dataclass(frozen=True, kw_only=True)
+class Friction:
+    """Coulomb friction along one tangential direction; see the module docstring.
+
+    slip: s(q, v) [m/s], linear in the velocities; coefficient: mu [-], of parameters. The pressing force N [N] is either that of
+    `contact` (by name) or `normal_force`, an expression in positions and parameters that is never negative. nominal: a typical
+    slip speed [m/s], the unit in which regularised friction is smooth and slip is called zero.
+    """
+
+    name: str
+    slip: sp.Expr
+    coefficient: sp.Expr
+    contact: str | None = None
+    normal_force: sp.Expr | None = None
+    nominal: float = 0.1
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        check_name("friction", self.name)
+        where = f"friction {self.name}"
+        for field in ("slip", "coefficient"):
+            settle(self, field, as_expression(f"{where}: {field}", getattr(self, field)))
+        if (self.contact is None) == (self.normal_force is None):
+            raise SceneError(
+                f"{where}: what presses the surfaces together must be given once, as contact (the name of a contact) or as "
+                f"normal_force (an expression in N); there {'is neither' if self.contact is None else 'are both'}."
+            )
+        if self.normal_force is not None:
+            settle(self, "normal_force", as_expression(f"{where}: normal_force", self.normal_force))
+        settle(self, "nominal", as_number(f"{where}: nominal", self.nominal))
+        if self.nominal <= 0:
+            raise SceneError(f"{where}: nominal (a typical slip speed in m/s) must be positive, not {self.nominal:g}.")
+
+    @property
+    def force_name(self) -> str:
+        return f"friction_{self.name}"
+
+    @property
+    def slip_name(self) -> str:
+        return f"slip_{self.name}"
