@@ -1,7 +1,7 @@
 """Banded LU with row pivoting in compiled C: milliseconds for a plan of some hundred steps, always one thread.
 
     band = BandedLU(size, width)
-    band.factor(matrix)                 # matrix (2*width + 1, size), Fortran order: entry (i, j) at [width + i - j, j]; False where singular
+    band.factor(matrix)                 # (2*width + 1, size), Fortran order: entry (i, j) at [width + i - j, j]; False where singular
     x = band.solve(right)               # right (size,) or (size, m)
 
 LAPACK's gbtrf does the same through SciPy, whose import costs more CPU than a whole plan, and whose BLAS keeps a second thread spinning.

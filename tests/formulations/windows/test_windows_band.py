@@ -13,11 +13,13 @@ def random_band(seed: int, size: int, width: int) -> tuple[np.ndarray, np.ndarra
     random = np.random.default_rng(seed)
     dense = random.normal(size=(size, size)) * (random.uniform(size=(size, size)) < 0.5)
     np.fill_diagonal(dense, np.where(random.uniform(size=size) < 0.8, 0.0, random.normal(size=size)))
-    i, j = np.indices(dense.shape)
-    dense[np.abs(i - j) > width] = 0.0
     band = np.zeros((2 * width + 1, size), order="F")
-    inside = np.abs(i - j) <= width
-    band[(width + i - j)[inside], j[inside]] = dense[inside]
+    for i in range(size):
+        for j in range(size):
+            if abs(i - j) <= width:
+                band[width + i - j, j] = dense[i, j]
+            else:
+                dense[i, j] = 0.0
     return dense, band
 
 
