@@ -1,10 +1,11 @@
 """Scene -> equations of motion, and what the scene does *not* need.
 
-    M(q) dv/dt = tau(q, v, u) + J(q)' lam        lam_i = k_i * max(phi_i(q), 0)
+    M(q) dv/dt = tau(q, v, u) + J(q)' lam + S(q)' f        lam_i = k_i * max(phi_i(q), 0),   |f_j| <= mu_j N_j
 
 derived by computer algebra from the kinetic energy T, the potential energy V and the generalised forces Q (Lagrange):
 
     M = d2T/dv2,    tau = Q - dV/dq + dT/dq - (d2T/dv dq) v,    J = -d phi/dq   (Jacobian of the gap)
+    S = d s/dv (s: slip speed of a friction, linear in v),    N_j: the force of a contact, or given
 
 Every back end (Pyomo, PyTorch, C, FMU, the equations of the report) starts from the `Dynamics` returned by `derive`.
 """
@@ -30,11 +31,12 @@ class Structure:
 
     constant_mass: bool
     diagonal_mass: bool
-    linear: bool  # tau is affine in (q, v, u) and every penetration is affine in q
+    linear: bool  # tau is affine in (q, v, u), every penetration in q, every slip in (q, v)
     conservative_forces: bool  # a potential energy depends on q
     dissipation: bool  # forces remain when the inputs are zero
     inputs: bool
     contacts: bool
+    friction: bool
 
     @property
     def absent(self) -> tuple[str, ...]:
@@ -47,7 +49,7 @@ class Structure:
             "damping": not self.dissipation,
             "inputs": not self.inputs,
             "contacts": not self.contacts,
-            "friction": True,
+            "friction": not self.friction,
         }
         return tuple(word for word, is_absent in words.items() if is_absent)
 
@@ -56,8 +58,9 @@ class Structure:
 class Dynamics:
     """Symbolic equations of one scene. Vectors are SymPy column matrices.
 
-    q, v: nq symbols; u: nu; lam: nc contact force symbols [N]; p: np parameter symbols.
+    q, v: nq symbols; u: nu; lam: nc contact force symbols [N]; f: nf friction force symbols [N]; p: np parameter symbols.
     mass_matrix: (nq, nq); tau: (nq, 1); penetration, stiffness: (nc, 1); gap_jacobian: (nc, nq).
+    slip [m/s], friction_limit (mu N [N], in q, lam and parameters): (nf, 1); slip_jacobian: (nf, nq).
     kinetic_energy, potential_energy [J]; input_power, dissipated_power [W] (power in and out besides contacts and potential).
     """
 
@@ -66,12 +69,16 @@ class Dynamics:
     v: tuple[sp.Symbol, ...]
     u: tuple[sp.Symbol, ...]
     lam: tuple[sp.Symbol, ...]
+    f: tuple[sp.Symbol, ...]
     p: tuple[sp.Symbol, ...]
     mass_matrix: sp.Matrix
     tau: sp.Matrix
     penetration: sp.Matrix
     stiffness: sp.Matrix
     gap_jacobian: sp.Matrix
+    slip: sp.Matrix
+    friction_limit: sp.Matrix
+    slip_jacobian: sp.Matrix
     kinetic_energy: sp.Expr
     potential_energy: sp.Expr
     input_power: sp.Expr
@@ -85,12 +92,13 @@ class Dynamics:
 
     @cached_property
     def generalised_force(self) -> sp.Matrix:
-        """tau(q, v, u) + J(q)' lam: (nq, 1)."""
-        return self.tau + self.gap_jacobian.T * sp.Matrix(len(self.lam), 1, list(self.lam))
+        """tau(q, v, u) + J(q)' lam + S(q)' f: (nq, 1)."""
+        contact = self.gap_jacobian.T * sp.Matrix(len(self.lam), 1, list(self.lam))
+        return self.tau + contact + self.slip_jacobian.T * sp.Matrix(len(self.f), 1, list(self.f))
 
     @cached_property
     def acceleration(self) -> sp.Matrix | None:
-        """M^-1 (tau + J' lam) as closed expressions, (nq, 1); None where M depends on q and must be factorised numerically."""
+        """M^-1 (tau + J' lam + S' f) as closed expressions, (nq, 1); None where M depends on q and must be factorised numerically."""
         if not self.structure.constant_mass:
             return None
         solved = self.mass_matrix.LUsolve(self.generalised_force)
@@ -125,6 +133,7 @@ def _build(scene: Scene) -> Dynamics:
     v = tuple(coordinate.velocity for coordinate in scene.coordinates)
     u = tuple(item.symbol for item in scene.inputs)
     lam = tuple(sp.Symbol(contact.force_name, real=True) for contact in scene.contacts)
+    f = tuple(sp.Symbol(friction.force_name, real=True) for friction in scene.frictions)
     p = tuple(parameter.symbol for parameter in scene.parameters)
     kinetic, potential = sp.sympify(scene.kinetic_energy), sp.sympify(scene.potential_energy)
     forces = sp.Matrix(scene.nq, 1, [sp.sympify(force) for force in scene.forces])
@@ -139,6 +148,10 @@ def _build(scene: Scene) -> Dynamics:
     stiffness = sp.Matrix(scene.nc, 1, [sp.sympify(contact.stiffness) for contact in scene.contacts])
     jacobian = -phi.jacobian(q) if scene.nc else sp.zeros(0, scene.nq)
 
+    pressing = {contact.name: force for contact, force in zip(scene.contacts, lam, strict=True)}
+    slip = sp.Matrix(scene.nf, 1, [friction.slip for friction in scene.frictions])
+    limit = [item.coefficient * (pressing[item.contact] if item.contact is not None else item.normal_force) for item in scene.frictions]
+
     passive = forces.subs(dict.fromkeys(u, 0))
     velocity = sp.Matrix(v)
     return Dynamics(
@@ -147,22 +160,28 @@ def _build(scene: Scene) -> Dynamics:
         v=v,
         u=u,
         lam=lam,
+        f=f,
         p=p,
         mass_matrix=mass,
         tau=tau,
         penetration=phi,
         stiffness=stiffness,
         gap_jacobian=jacobian,
+        slip=slip,
+        friction_limit=sp.Matrix(scene.nf, 1, limit),
+        slip_jacobian=slip.jacobian(v) if scene.nf else sp.zeros(0, scene.nq),
         kinetic_energy=kinetic,
         potential_energy=potential,
         input_power=sp.expand((velocity.T * (forces - passive))[0]),
         dissipated_power=sp.expand(-(velocity.T * passive)[0]),
         running_cost=sp.sympify(scene.task.running_cost),
-        structure=_structure(mass, tau, phi, gravity, passive, q, v, u),
+        structure=_structure(mass, tau, phi, gravity, passive, slip, q, v, u),
     )
 
 
-def _structure(mass: sp.Matrix, tau: sp.Matrix, phi: sp.Matrix, gravity: sp.Matrix, passive: sp.Matrix, q, v, u) -> Structure:
+def _structure(
+    mass: sp.Matrix, tau: sp.Matrix, phi: sp.Matrix, gravity: sp.Matrix, passive: sp.Matrix, slip: sp.Matrix, q, v, u
+) -> Structure:
     variables = {*q, *v, *u}
 
     def affine(matrix: sp.Matrix) -> bool:
@@ -171,9 +190,10 @@ def _structure(mass: sp.Matrix, tau: sp.Matrix, phi: sp.Matrix, gravity: sp.Matr
     return Structure(
         constant_mass=not mass.free_symbols & variables,
         diagonal_mass=mass.is_diagonal(),
-        linear=affine(tau) and affine(phi) and not mass.free_symbols & variables,
+        linear=affine(tau) and affine(phi) and affine(slip) and not mass.free_symbols & variables,
         conservative_forces=any(entry != 0 for entry in gravity),
         dissipation=any(entry != 0 for entry in passive),
         inputs=bool(u),
         contacts=phi.rows > 0,
+        friction=slip.rows > 0,
     )

@@ -28,9 +28,10 @@ from typing import Any
 
 import sympy as sp
 
+from models.contacts import Contact, Friction
 from models.errors import SceneError
 from models.scene_annotations import Answer, Limit, Shape
-from models.scene_values import as_expression, as_number, check_moving, check_name, check_symbol, check_unit, settle
+from models.scene_values import as_expression, as_number, check_moving, check_name, check_symbol, check_unit, settle, settle_bounds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,12 +66,17 @@ class Parameter:
 
 @dataclass(frozen=True, kw_only=True)
 class Coordinate:
-    """A generalised position q and its velocity v = dq/dt. `nominal`: a typical magnitude of q, in `unit`."""
+    """A generalised position q and its velocity v = dq/dt. `nominal`: a typical magnitude of q, in `unit`.
+
+    velocity_lower, velocity_upper: bounds of v at the start of every step, as the inputs have theirs; the end belongs to the goal.
+    """
 
     symbol: sp.Symbol
     velocity: sp.Symbol
     unit: str
     nominal: float = 1.0
+    velocity_lower: float = -math.inf
+    velocity_upper: float = math.inf
     description: str = ""
 
     def __post_init__(self) -> None:
@@ -82,6 +88,11 @@ class Coordinate:
         settle(self, "nominal", as_number(f"{where}: nominal", self.nominal))
         if self.nominal <= 0:
             raise SceneError(f"{where}: nominal must be positive, not {self.nominal:g}.")
+        settle_bounds(self, where, "velocity_lower", "velocity_upper")
+
+    @property
+    def has_velocity_bounds(self) -> bool:
+        return math.isfinite(self.velocity_lower) or math.isfinite(self.velocity_upper)
 
     @property
     def name(self) -> str:
@@ -111,10 +122,7 @@ class Input:
         check_moving(f"{where}: symbol", self.symbol)
         check_name(where, self.symbol.name)
         check_unit(where, self.unit)
-        for field in ("lower", "upper"):
-            settle(self, field, as_number(f"{where}: {field}", getattr(self, field), finite=False))
-        if not self.lower < self.upper:
-            raise SceneError(f"{where}: the bounds [{self.lower:g}, {self.upper:g}] are empty; lower must be below upper.")
+        settle_bounds(self, where, "lower", "upper")
 
     @property
     def name(self) -> str:
@@ -122,42 +130,16 @@ class Input:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Contact:
-    """One unilateral contact: `penetration` phi(q) [m], positive in contact, and `stiffness` k [N/m], lam = k*max(phi, 0)."""
-
-    name: str
-    penetration: sp.Expr
-    stiffness: sp.Expr
-    nominal: float = 1e-2
-    description: str = ""
-
-    def __post_init__(self) -> None:
-        check_name("contact", self.name)
-        for field in ("penetration", "stiffness"):
-            settle(self, field, as_expression(f"contact {self.name}: {field}", getattr(self, field)))
-        settle(self, "nominal", as_number(f"contact {self.name}: nominal", self.nominal))
-        if self.nominal <= 0:
-            raise SceneError(f"contact {self.name}: nominal (a typical penetration in m) must be positive, not {self.nominal:g}.")
-
-    @property
-    def force_name(self) -> str:
-        return f"lam_{self.name}"
-
-    @property
-    def gap_name(self) -> str:
-        return f"gap_{self.name}"
-
-
-@dataclass(frozen=True, kw_only=True)
 class Task:
     """What is to be done: from `start` to `goal` in `steps` steps of `step` seconds, at least cost.
 
-    start, goal: (2*nq,) positions then velocities; running_cost: an expression in q, v, u and parameters, summed over the
-    steps (not integrated: as in the paper, cost = sum_t u^2).
+    start, goal: (2*nq,) positions then velocities; a goal of None leaves its component free at the end, and a goal of nothing but None is
+    a free end. running_cost: an expression in q, v, u and parameters, summed over the starts of the steps (not integrated: as in the
+    paper, cost = sum_t u^2).
     """
 
     start: tuple[float, ...]
-    goal: tuple[float, ...]
+    goal: tuple[float | None, ...]
     running_cost: sp.Expr
     step: float
     steps: int
@@ -167,7 +149,11 @@ class Task:
             values = getattr(self, field)
             if isinstance(values, str) or not isinstance(values, Iterable):
                 raise SceneError(f"task: {field} must be positions, then velocities, as a tuple of numbers, not {values!r}.")
-            settle(self, field, tuple(as_number(f"task: {field}[{index}]", value) for index, value in enumerate(values)))
+            may_be_free = field == "goal"
+            numbers = (
+                None if may_be_free and value is None else as_number(f"task: {field}[{index}]", value) for index, value in enumerate(values)
+            )
+            settle(self, field, tuple(numbers))
         settle(self, "running_cost", as_expression("task: running_cost", self.running_cost))
         settle(self, "step", as_number("task: step", self.step))
         if self.step <= 0:
@@ -180,6 +166,11 @@ class Task:
         """Duration T = steps * step [s]."""
         return self.steps * self.step
 
+    @property
+    def has_goal(self) -> bool:
+        """Whether any component of the end is given."""
+        return any(value is not None for value in self.goal)
+
 
 # What the parts of a scene are made of.
 _PARTS = {
@@ -187,6 +178,7 @@ _PARTS = {
     "inputs": Input,
     "parameters": Parameter,
     "contacts": Contact,
+    "frictions": Friction,
     "limits": Limit,
     "answers": Answer,
     "shapes": Shape,
@@ -212,6 +204,7 @@ class Scene:
     forces: tuple[sp.Expr, ...]
     contacts: tuple[Contact, ...]
     task: Task
+    frictions: tuple[Friction, ...] = ()
     limits: tuple[Limit, ...] = ()
     answers: tuple[Answer, ...] = ()
     shapes: tuple[Shape, ...] = ()
@@ -249,6 +242,20 @@ class Scene:
     @property
     def nc(self) -> int:
         return len(self.contacts)
+
+    @property
+    def nf(self) -> int:
+        return len(self.frictions)
+
+    @property
+    def nl(self) -> int:
+        """Forces a plan holds for each step: nc contact forces, then nf friction forces."""
+        return self.nc + self.nf
+
+    @property
+    def force_names(self) -> tuple[str, ...]:
+        """(nl,) as in the columns of a plan."""
+        return tuple(item.force_name for item in (*self.contacts, *self.frictions))
 
     @property
     def parameter_values(self) -> dict[sp.Symbol, float]:

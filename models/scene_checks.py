@@ -90,6 +90,7 @@ def check_scene(scene: Scene) -> None:
     _check_symbols(scene)
     _check_mass(scene)
     _check_contacts(scene)
+    _check_frictions(scene)
 
 
 def _fail(scene: Scene, text: str) -> SceneError:
@@ -104,11 +105,12 @@ def _check_names(scene: Scene) -> None:
     names = [coordinate.name for coordinate in scene.coordinates] + [coordinate.velocity_name for coordinate in scene.coordinates]
     names += [item.name for item in scene.inputs] + [parameter.name for parameter in scene.parameters]
     names += [name for contact in scene.contacts for name in (contact.force_name, contact.gap_name)]
+    names += [name for friction in scene.frictions for name in (friction.force_name, friction.slip_name)]
     for name, count in Counter(names).items():
         if count > 1:
             raise _fail(
                 scene,
-                f"the name {name!r} is used {count} times; coordinates, velocities, inputs, parameters and contacts need names of their own.",
+                f"the name {name!r} is used {count} times; coordinates, velocities, inputs, parameters, contacts and frictions need names of their own.",
             )
         if name in _RESERVED:
             raise _fail(scene, f"the name {name!r} is reserved; choose another.")
@@ -125,6 +127,13 @@ def _check_lengths(scene: Scene) -> None:
             raise _fail(
                 scene,
                 f"task.{field} has {length} numbers, but {2 * scene.nq} are needed: {scene.nq} positions, then {scene.nq} velocities.",
+            )
+    for coordinate, velocity in zip(scene.coordinates, scene.task.start[scene.nq :], strict=True):
+        if not coordinate.velocity_lower <= velocity <= coordinate.velocity_upper:
+            raise _fail(
+                scene,
+                f"task.start has {coordinate.velocity_name} = {velocity:g}, outside its bounds "
+                f"[{coordinate.velocity_lower:g}, {coordinate.velocity_upper:g}].",
             )
 
 
@@ -156,6 +165,11 @@ def _check_symbols(scene: Scene) -> None:
     for contact in scene.contacts:
         check(f"contact {contact.name}: penetration", contact.penetration, parameters | positions)
         check(f"contact {contact.name}: stiffness", contact.stiffness, parameters)
+    for friction in scene.frictions:
+        check(f"friction {friction.name}: slip", friction.slip, parameters | positions | velocities)
+        check(f"friction {friction.name}: coefficient", friction.coefficient, parameters)
+        if friction.normal_force is not None:
+            check(f"friction {friction.name}: normal_force", friction.normal_force, parameters | positions)
     check("task.running_cost", scene.task.running_cost, parameters | positions | velocities | inputs)
     for shape in scene.shapes:
         for field, value in (("x", shape.x), ("y", shape.y), ("angle", shape.angle), *(("size", size) for size in shape.size)):
@@ -202,3 +216,25 @@ def _check_contacts(scene: Scene) -> None:
             )
         if not contact.penetration.free_symbols & {coordinate.symbol for coordinate in scene.coordinates}:
             raise _fail(scene, f"contact {contact.name}: the penetration depends on no coordinate, so the contact has no direction.")
+
+
+def _check_frictions(scene: Scene) -> None:
+    start = _start(scene)
+    velocities = [coordinate.velocity for coordinate in scene.coordinates]
+    contacts = [contact.name for contact in scene.contacts]
+    for friction in scene.frictions:
+        where = f"friction {friction.name}"
+        if friction.contact is not None and friction.contact not in contacts:
+            known = f"its contacts are {', '.join(contacts)}" if contacts else "it has no contacts"
+            raise _fail(scene, f"{where}: there is no contact {friction.contact!r} to press the surfaces together; {known}.")
+        slope = [sp.diff(friction.slip, velocity) for velocity in velocities]
+        rest = sp.simplify(friction.slip - sum(entry * velocity for entry, velocity in zip(slope, velocities, strict=True)))
+        if rest != 0 or any(entry.free_symbols & set(velocities) for entry in slope):
+            raise _fail(scene, f"{where}: the slip {friction.slip} is not linear in the velocities, so there is no direction of friction.")
+        if all(entry == 0 for entry in slope):
+            raise _fail(scene, f"{where}: the slip depends on no velocity, so the friction has no direction.")
+        for field in ("coefficient", "normal_force"):
+            value = getattr(friction, field)
+            number = None if value is None else value.subs(start).evalf()
+            if number is not None and not (number.is_real and float(number) >= 0):
+                raise _fail(scene, f"{where}: the {field} is {number} at the start, but must not be negative.")

@@ -53,6 +53,15 @@ def settle(part: Any, field: str, value: Any) -> None:
     object.__setattr__(part, field, value)
 
 
+def settle_bounds(part: Any, where: str, lower: str, upper: str) -> None:
+    """Settle the two fields as numbers, infinite ones too, of which the first must be below the second."""
+    for field in (lower, upper):
+        settle(part, field, as_number(f"{where}: {field}", getattr(part, field), finite=False))
+    least, most = getattr(part, lower), getattr(part, upper)
+    if not least < most:
+        raise SceneError(f"{where}: the bounds [{least:g}, {most:g}] are empty; {lower} must be below {upper}.")
+
+
 def as_number(what: str, value: Any, *, finite: bool = True) -> float:
     """A Python float of any real number (of numpy or SymPy too); infinite ones only with finite=False."""
     if isinstance(value, sp.Expr) and value.is_Number:

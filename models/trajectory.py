@@ -3,7 +3,8 @@
     t    (nodes,)       time [s], increasing, nodes = steps + 1
     q, v (nodes, nq)    generalised positions [m, rad] and velocities
     u    (steps, nu)    inputs, held over each step as `hold` says
-    lam  (steps, nc)    contact forces [N] at the *start* of each step: lam[i] belongs to phi(q[i])
+    lam  (steps, nl)    contact forces [N] at the *start* of each step: lam[i] belongs to phi(q[i]); behind them the friction
+                        forces of the step, which belong to the slip at its end
     missing             which of "v" and "lam" its author did not say; the arrays then hold stand-ins (see `read_csv`)
 
 CSV: one row a node, columns `t`, then the scene's names (`q1 ... v1 ... u1 ... lam_left ...`); the last row has no u and lam.
@@ -84,7 +85,7 @@ class Trajectory:
         for field, found, expected, what in (
             ("q", self.q.shape[1], scene.nq, "positions"),
             ("u", self.u.shape[1], scene.nu, "inputs"),
-            ("lam", self.lam.shape[1], scene.nc, "contacts"),
+            ("lam", self.lam.shape[1], scene.nl, "contacts and frictions" if scene.nf else "contacts"),
         ):
             if found != expected:
                 raise TrajectoryError(f"plan: {field} has {found} columns, but scene {scene.name} has {expected} {what}.")
@@ -105,7 +106,7 @@ def column_names(scene: Scene) -> dict[str, tuple[str, ...]]:
         "q": tuple(coordinate.name for coordinate in scene.coordinates),
         "v": tuple(coordinate.velocity_name for coordinate in scene.coordinates),
         "u": tuple(item.name for item in scene.inputs),
-        "lam": tuple(contact.force_name for contact in scene.contacts),
+        "lam": scene.force_names,
     }
 
 

@@ -24,7 +24,11 @@ def _columns(scene: Scene) -> dict[str, list[tuple[str, str, str]]]:
         "q": [(item.name, item.unit, item.description) for item in scene.coordinates],
         "v": [(item.velocity_name, item.velocity_unit, f"velocity of {item.name}") for item in scene.coordinates],
         "u": [(item.name, item.unit, item.description) for item in scene.inputs],
-        "lam": [(item.force_name, "N", f"contact force, {item.description or item.name}") for item in scene.contacts],
+        "lam": [
+            (item.force_name, "N", f"{kind} force, {item.description or item.name}")
+            for kind, items in (("contact", scene.contacts), ("friction", scene.frictions))
+            for item in items
+        ],
     }
 
 

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from models.contact_law import ContactLaw, sharpness
 from models.dynamics import derive
+from models.errors import SceneError
 from models.scene import Scene
 
 
@@ -32,6 +33,8 @@ def reference_rollout(
 
     lam[t] = L(phi(q[t])), v[t+1] = v[t] + h M^-1 (tau + J' lam), q[t+1] = q[t] + h v[t+1].
     """
+    if scene.nf:
+        raise SceneError(f"scene {scene.name}: it has friction, which the rollout in plain PyTorch does not write; use the compiled one.")
     h = scene.task.step if step is None else step
     force = _contact_law(law, eps)
     d = derive(scene)

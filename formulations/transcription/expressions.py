@@ -33,6 +33,10 @@ class SceneExpressions:
 
     def __init__(self, dynamics: Dynamics) -> None:
         d = dynamics
+        if d.structure.friction:
+            raise SceneError(
+                f"scene {d.scene.name}: it has friction, which the direct transcription does not write yet; plan it by gradient descent."
+            )
         self.nq, self.nc = len(d.q), len(d.lam)
         self.mass = _function(d, "the mass matrix", list(d.mass_matrix), d.q, d.p)  # row by row, nq*nq entries
         self.force = _function(d, "the generalised force", list(d.generalised_force), d.q, d.v, d.u, d.lam, d.p)

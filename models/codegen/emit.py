@@ -23,7 +23,10 @@ from models.scene import Scene
 
 @dataclass(frozen=True)
 class SceneVectors:
-    """The argument vectors of one scene, and its equations written in their entries."""
+    """The argument vectors of one scene, and its equations written in their entries.
+
+    lam holds all contact forces, then all friction forces: both act linearly, so the accelerations treat them alike.
+    """
 
     dynamics: Dynamics
     q: Vector
@@ -37,7 +40,7 @@ class SceneVectors:
         def vector(name: str, symbols: Sequence[sp.Symbol]) -> Vector:
             return Vector.of(name, [symbol.name for symbol in symbols])
 
-        lam = Vector.of("lam", [contact.name for contact in d.scene.contacts])
+        lam = Vector.of("lam", [contact.name for contact in d.scene.contacts] + [friction.force_name for friction in d.scene.frictions])
         return cls(d, q=vector("q", d.q), v=vector("v", d.v), u=vector("u", d.u), lam=lam, p=vector("p", d.p))
 
     @property
@@ -45,10 +48,15 @@ class SceneVectors:
         """(q, v, u, lam, p): what an acceleration depends on."""
         return (self.q, self.v, self.u, self.lam, self.p)
 
+    @property
+    def contacts(self) -> tuple[str, ...]:
+        """The names of the contacts, in the order of the penetrations."""
+        return tuple(contact.name for contact in self.dynamics.scene.contacts)
+
     def local(self, expression: sp.Expr | sp.Matrix) -> sp.Matrix:
         """An expression or matrix of the scene, in the entries of these vectors."""
         d = self.dynamics
-        pairs = zip((*d.q, *d.v, *d.u, *d.lam, *d.p), (s for vector in self.arguments for s in vector.symbols), strict=True)
+        pairs = zip((*d.q, *d.v, *d.u, *d.lam, *d.f, *d.p), (s for vector in self.arguments for s in vector.symbols), strict=True)
         matrix = expression if isinstance(expression, sp.MatrixBase) else sp.Matrix([[expression]])
         mapping = dict(pairs)
         return matrix.applyfunc(lambda entry: sp.sympify(entry).xreplace(mapping))
@@ -61,7 +69,13 @@ def emit_model(scene: Scene, *, defaults: bool = True) -> str:
     """
     vectors = SceneVectors.of(derive(scene))
     try:
-        parts = [_head(scene, defaults), *_contact_functions(vectors), *_acceleration_functions(vectors), *_energy_functions(vectors)]
+        parts = [
+            _head(scene, defaults),
+            *_contact_functions(vectors),
+            *_friction_functions(vectors),
+            *_acceleration_functions(vectors),
+            *_energy_functions(vectors),
+        ]
     except PrintMethodNotImplementedError as error:
         function = str(error).splitlines()[0].rpartition(": ")[2]
         raise SceneError(
@@ -72,7 +86,7 @@ def emit_model(scene: Scene, *, defaults: bool = True) -> str:
 
 
 def _head(scene: Scene, defaults: bool) -> str:
-    sizes = {"NQ": scene.nq, "NU": scene.nu, "NC": scene.nc, "NP": len(scene.parameters)}
+    sizes = {"NQ": scene.nq, "NU": scene.nu, "NC": scene.nc, "NF": scene.nf, "NP": len(scene.parameters)}
     lines = [
         f"/* Equations of motion of the scene {scene.name}; generated from its SymPy source. */",
         "#ifndef SCENE_MODEL_H",
@@ -91,6 +105,9 @@ def _head(scene: Scene, defaults: bool) -> str:
         "#define SCENE_FUNCTION static inline SCENE_UNUSED",
         "",
     ]
+    if scene.nf:
+        nominals = ", ".join(repr(float(friction.nominal)) for friction in scene.frictions)
+        lines += [f"static const double scene_friction_nominals[] SCENE_UNUSED = {{{nominals}}};", ""]
     if defaults:
         values = [parameter.value for parameter in scene.parameters] or [0.0]
         lines += [
@@ -103,7 +120,7 @@ def _head(scene: Scene, defaults: bool) -> str:
 def _contact_functions(x: SceneVectors) -> list[str]:
     d = x.dynamics
     phi, stiffness = x.local(d.penetration), x.local(d.stiffness)
-    dq, phi_bar = x.q.like("dq"), x.lam.like("phi_bar")
+    dq, phi_bar = x.q.like("dq"), Vector.of("phi_bar", x.contacts)
     slope = phi.jacobian(x.q.column) if phi.rows else sp.zeros(0, len(x.q.symbols))
     return [
         c_function("void", "scene_penetration", (x.q, x.p), "phi", phi),
@@ -127,6 +144,27 @@ def _energy_functions(x: SceneVectors) -> list[str]:
         c_function("double", "scene_dissipated_power", (x.q, x.v, x.p), None, x.local(d.dissipated_power)),
         c_function("double", "scene_running_cost", (x.q, x.v, x.u, x.p), None, cost),
         c_function("void", "scene_running_cost_vjp", (x.q, x.v, x.u, x.p, cost_bar), bars, operator="+="),
+    ]
+
+
+def _friction_functions(x: SceneVectors) -> list[str]:
+    """Slip speeds and the limits mu N of the friction forces; nothing for a scene without friction."""
+    d = x.dynamics
+    if not d.structure.friction:
+        return []
+    names = [friction.name for friction in d.scene.frictions]
+    slip, limit = x.local(d.slip), x.local(d.friction_limit)
+    slip_bar, limit_bar = Vector.of("slip_bar", names), Vector.of("limit_bar", names)
+    slip_bars = [(f"{vector.name}_bar", slip.jacobian(vector.column).T * slip_bar.column) for vector in (x.q, x.v)]
+    limit_bars = [(f"{vector.name}_bar", limit.jacobian(vector.column).T * limit_bar.column) for vector in (x.q, x.lam)]
+    dq, dv = x.q.like("dq"), x.v.like("dv")
+    rate = slip.jacobian(x.q.column) * dq.column + slip.jacobian(x.v.column) * dv.column
+    return [
+        c_function("void", "scene_slip", (x.q, x.v, x.p), "slip", slip),
+        c_function("void", "scene_slip_jvp", (x.q, x.v, x.p, dq, dv), "d_slip", rate),
+        c_function("void", "scene_slip_vjp", (x.q, x.v, x.p, slip_bar), slip_bars, operator="+="),
+        c_function("void", "scene_friction_limit", (x.q, x.lam, x.p), "limit", limit),
+        c_function("void", "scene_friction_limit_vjp", (x.q, x.lam, x.p, limit_bar), limit_bars, operator="+="),
     ]
 
 

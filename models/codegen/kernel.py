@@ -5,7 +5,8 @@
     rollout = kernel.rollout(start, u, step=0.01, law=ContactLaw.SOFTPLUS, eps=1e-3)
     u_bar, start_bar = kernel.adjoint(rollout, u, q_bar=..., v_bar=...)          # gradient of any loss of q, v, lam
 
-Semi-implicit Euler with the paper's indices: lam[t] = L(phi(q[t])), v[t+1] = v[t] + h a[t], q[t+1] = q[t] + h v[t+1].
+Semi-implicit Euler with the paper's indices: lam[t] = L(phi(q[t])), v[t+1] = v[t] + h a[t], q[t+1] = q[t] + h v[t+1];
+friction forces belong to the slip at the end of the step (friction.h) and stand behind the contact forces in lam.
 """
 
 from __future__ import annotations
@@ -25,11 +26,12 @@ from models.contact_law import ContactLaw, sharpness
 from models.errors import TouchstoneError
 from models.scene import Scene
 
-_SOURCE = Path(__file__).with_name("rollout.c")
+_SOURCES = ("rollout.c", "friction.h")
 
 # Result and arguments of the C functions: n a count or law, d a double, p the address of doubles. Addresses are passed as
 # plain integers: a ctypes pointer object for each of them would cost more than the rollout itself.
 _TYPES = {"n": ctypes.c_int, "d": ctypes.c_double, "p": ctypes.c_void_p}
+_FRICTION_SIGNATURES = {"slip": (None, "npppp"), "friction_limit": (None, "npppp")}
 _SIGNATURES = {
     "rollout": (ctypes.c_int, "ndpndppppp"),
     "adjoint": (ctypes.c_int, "ndpndpppppppdpp"),
@@ -51,7 +53,7 @@ class KernelError(TouchstoneError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rollout:
-    """q, v: (steps+1, nq); lam: (steps, nc); finite_steps: how many steps stayed finite (all, unless it diverged).
+    """q, v: (steps+1, nq); lam: (steps, nc+nf) contact, then friction forces; finite_steps: how many steps stayed finite (all, unless it diverged).
 
     step [s], law and eps are those it was made with; rows after a divergence are NaN.
     """
@@ -80,7 +82,9 @@ class BoundFunctions(NamedTuple):
 def load_kernel(scene: Scene) -> Kernel:
     """Compile (or find in the cache) the kernel of a scene. Raises MachineError without a compiler."""
     compiler = find_compiler()
-    sources = {"scene_model.h": emit_model(scene, defaults=False), "rollout.c": _SOURCE.read_text(encoding="utf-8")}
+    names = _SOURCES if scene.nf else _SOURCES[:1]
+    sources = {name: Path(__file__).with_name(name).read_text(encoding="utf-8") for name in names}
+    sources["scene_model.h"] = emit_model(scene, defaults=False)
     key = "\n".join([compiler.describe(), " ".join(FLAGS), *(f"{name}\n{text}" for name, text in sorted(sources.items()))])
     library = cached(key, ".so", lambda path: compile_shared(compiler, sources, path))
     return Kernel(scene, library)
@@ -93,7 +97,7 @@ class Kernel:
         self.scene = scene
         self.path = library
         self._library = ctypes.CDLL(str(library))
-        for name, (result, arguments) in _SIGNATURES.items():
+        for name, (result, arguments) in (_SIGNATURES | (_FRICTION_SIGNATURES if scene.nf else {})).items():
             function = getattr(self._library, f"kernel_{name}")
             function.restype, function.argtypes = result, [_TYPES[letter] for letter in arguments]
         values = [parameter.value for parameter in scene.parameters]
@@ -128,10 +132,26 @@ class Kernel:
         self._library.kernel_contact_force(len(q), _at(self._p), law.value, _b(law, eps), _at(q), _at(lam))
         return lam
 
-    def acceleration(self, q: np.ndarray, v: np.ndarray, u: np.ndarray, lam: np.ndarray) -> np.ndarray:
-        """dv/dt (n, nq) of M dv/dt = tau(q, v, u) + J' lam, row by row. Raises KernelError where M is not positive definite."""
+    def slip(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """s (n, nf) [m/s] at positions and velocities (n, nq)."""
         q, v = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq)
-        u, lam = self._array("u", u, self.scene.nu, len(q)), self._array("lam", lam, self.scene.nc, len(q))
+        slip = np.empty((len(q), self.scene.nf))
+        if self.scene.nf:
+            self._library.kernel_slip(len(q), _at(self._p), _at(q), _at(v), _at(slip))
+        return slip
+
+    def friction_limit(self, q: np.ndarray, lam: np.ndarray) -> np.ndarray:
+        """mu N (n, nf) [N], the largest friction force, at positions (n, nq) and forces lam (n, nc+nf)."""
+        q = self._array("q", q, self.scene.nq)
+        lam, limit = self._array("lam", lam, self.scene.nl, len(q)), np.empty((len(q), self.scene.nf))
+        if self.scene.nf:
+            self._library.kernel_friction_limit(len(q), _at(self._p), _at(q), _at(lam), _at(limit))
+        return limit
+
+    def acceleration(self, q: np.ndarray, v: np.ndarray, u: np.ndarray, lam: np.ndarray) -> np.ndarray:
+        """dv/dt (n, nq) of M dv/dt = tau(q, v, u) + J' lam + S' f, row by row, lam (n, nc+nf) with f behind. Raises KernelError where M is not positive definite."""
+        q, v = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq)
+        u, lam = self._array("u", u, self.scene.nu, len(q)), self._array("lam", lam, self.scene.nl, len(q))
         a = np.empty((len(q), self.scene.nq))
         done = self._library.kernel_acceleration(len(q), _at(self._p), _at(q), _at(v), _at(u), _at(lam), _at(a))
         if done < len(q):
@@ -146,7 +166,7 @@ class Kernel:
         start = self._array("start", np.atleast_2d(start), 2 * self.scene.nq)
         steps = len(u)
         q, v = np.empty((steps + 1, self.scene.nq)), np.empty((steps + 1, self.scene.nq))
-        lam = np.empty((steps, self.scene.nc))
+        lam = np.empty((steps, self.scene.nl))
         done = self._library.kernel_rollout(
             steps, step, _at(self._p), law.value, _b(law, eps), _at(start), _at(u), _at(q), _at(v), _at(lam)
         )  # fmt: skip
@@ -165,11 +185,11 @@ class Kernel:
         cost_bar: float = 0.0,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Gradients (u_bar (steps, nu), start_bar (2*nq,)) of a loss whose derivatives are q_bar, v_bar (steps+1, nq), lam_bar
-        (steps, nc; None if it does not depend on lam) and cost_bar (with respect to the sum of the running cost)."""
+        (steps, nc+nf; None if it does not depend on lam) and cost_bar (with respect to the sum of the running cost)."""
         u = self._array("u", u, self.scene.nu, len(rollout.lam))
         nodes = len(rollout.q)
         q_bar, v_bar = self._array("q_bar", q_bar, self.scene.nq, nodes), self._array("v_bar", v_bar, self.scene.nq, nodes)
-        lam_bar = None if lam_bar is None else self._array("lam_bar", lam_bar, self.scene.nc, nodes - 1)
+        lam_bar = None if lam_bar is None else self._array("lam_bar", lam_bar, self.scene.nl, nodes - 1)
         u_bar, start_bar = np.empty_like(u), np.empty(2 * self.scene.nq)
         failed = self._library.kernel_adjoint(
             len(u), rollout.step, _at(self._p), rollout.law.value, _b(rollout.law, rollout.eps), _at(rollout.q), _at(rollout.v),
@@ -181,7 +201,7 @@ class Kernel:
 
     def acceleration_jvp(self, point: tuple[np.ndarray, ...], tangent: tuple[np.ndarray, ...]) -> np.ndarray:
         """Directional derivative (nq,) of the acceleration at point (q, v, u, lam) in direction (dq, dv, du, dlam)."""
-        sizes = (self.scene.nq, self.scene.nq, self.scene.nu, self.scene.nc)
+        sizes = (self.scene.nq, self.scene.nq, self.scene.nu, self.scene.nl)
         arrays = [self._array("point", np.atleast_2d(part), size) for part, size in zip((*point, *tangent), sizes * 2, strict=True)]
         result = np.empty(self.scene.nq)
         self._library.kernel_acceleration_jvp(_at(self._p), *(_at(array) for array in arrays), _at(result))

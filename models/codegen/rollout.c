@@ -1,15 +1,20 @@
 /* The discrete time step of a scene (semi-implicit Euler) and its adjoint, over whole trajectories.
  *
- *   lam[t] = L(phi(q[t]))          a[t] = M^-1 (tau(q[t], v[t], u[t]) + J' lam[t])
+ *   lam[t] = L(phi(q[t]))          a[t] = M^-1 (tau(q[t], v[t], u[t]) + J' lam[t] + S' f[t])
  *   v[t+1] = v[t] + h a[t]         q[t+1] = q[t] + h v[t+1]
  *
- * Arrays are row-major, one row a node or step. Contact law: 0 = ReLU, 1 = softplus with sharpness b. */
+ * Arrays are row-major, one row a node or step. Contact law: 0 = ReLU, 1 = softplus with sharpness b.
+ * Friction forces f (friction.h) stand behind the contact forces in each row of lam. */
 #include "scene_model.h"
+#if NF > 0
+#include "friction.h"
+#endif
 
 #define EXPORT __attribute__((visibility("default")))
 #define SIZE(n) ((n) > 0 ? (n) : 1)
+#define NL (NC + NF) /* contact forces, then friction forces: one row of lam */
 
-EXPORT const int kernel_sizes[4] = {NQ, NU, NC, NP};
+EXPORT const int kernel_sizes[5] = {NQ, NU, NC, NF, NP};
 
 static double contact_force(int law, double b, double k, double phi)
 {
@@ -47,7 +52,7 @@ static int finite_row(const double *row, int n)
     return 1;
 }
 
-/* q, v: (steps + 1, NQ), first row filled from start (2 NQ); lam: (steps, NC). Returns the number of steps that were
+/* q, v: (steps + 1, NQ), first row filled from start (2 NQ); lam: (steps, NL). Returns the number of steps that were
  * finite: fewer than `steps` if the rollout diverged or the mass matrix lost definiteness. */
 EXPORT int kernel_rollout(int steps, double h, const double *parameters, int law, double b, const double *start, const double *u,
     double *q, double *v, double *lam)
@@ -62,8 +67,11 @@ EXPORT int kernel_rollout(int steps, double h, const double *parameters, int law
     for (int t = 0; t < steps; t++) {
         const double *qt = q + t * NQ, *vt = v + t * NQ;
         double *qn = q + (t + 1) * NQ, *vn = v + (t + 1) * NQ;
-        contact_forces(law, b, k, qt, p, lam + t * NC);
-        if (scene_acceleration(qt, vt, u + t * NU, lam + t * NC, p, a)) return t;
+        contact_forces(law, b, k, qt, p, lam + t * NL);
+#if NF > 0
+        if (friction_forces(law, b, h, p, qt, vt, u + t * NU, lam + t * NL)) return t;
+#endif
+        if (scene_acceleration(qt, vt, u + t * NU, lam + t * NL, p, a)) return t;
         for (int i = 0; i < NQ; i++) {
             vn[i] = vt[i] + h * a[i];
             qn[i] = qt[i] + h * vn[i];
@@ -89,14 +97,15 @@ EXPORT int kernel_adjoint(int steps, double h, const double *parameters, int law
     }
     for (int t = steps - 1; t >= 0; t--) {
         const double *qt = q + t * NQ, *vt = v + t * NQ;
-        double a_bar[NQ], phi[SIZE(NC)], gl[SIZE(NC)];
-        for (int i = 0; i < NQ; i++) {
-            gv[i] += h * gq[i];
-            a_bar[i] = h * gv[i];
-        }
+        double a_bar[NQ], phi[SIZE(NC)], gl[SIZE(NL)];
+        for (int i = 0; i < NQ; i++) gv[i] += h * gq[i];
+        for (int i = 0; i < NL; i++) gl[i] = lam_bar ? lam_bar[t * NL + i] : 0.0;
+#if NF > 0
+        if (friction_adjoint(law, b, h, p, qt, vt, u + t * NU, lam + t * NL, v + (t + 1) * NQ, gv, gq, gl)) return 1;
+#endif
+        for (int i = 0; i < NQ; i++) a_bar[i] = h * gv[i];
         for (int i = 0; i < NU; i++) u_bar[t * NU + i] = 0.0;
-        for (int i = 0; i < NC; i++) gl[i] = lam_bar ? lam_bar[t * NC + i] : 0.0;
-        if (scene_acceleration_vjp(qt, vt, u + t * NU, lam + t * NC, p, a_bar, gq, gv, u_bar + t * NU, gl)) return 1;
+        if (scene_acceleration_vjp(qt, vt, u + t * NU, lam + t * NL, p, a_bar, gq, gv, u_bar + t * NU, gl)) return 1;
         scene_penetration(qt, p, phi);
         for (int i = 0; i < NC; i++) gl[i] *= contact_slope(law, b, k[i], phi[i]);
         scene_penetration_vjp(qt, p, gl, gq);
@@ -131,7 +140,7 @@ EXPORT void kernel_stiffness(const double *p, double *k) { scene_stiffness(p, k)
 EXPORT int kernel_acceleration(int n, const double *p, const double *q, const double *v, const double *u, const double *lam, double *a)
 {
     for (int t = 0; t < n; t++)
-        if (scene_acceleration(q + t * NQ, v + t * NQ, u + t * NU, lam + t * NC, p, a + t * NQ)) return t;
+        if (scene_acceleration(q + t * NQ, v + t * NQ, u + t * NU, lam + t * NL, p, a + t * NQ)) return t;
     return n;
 }
 
@@ -140,6 +149,18 @@ EXPORT int kernel_acceleration_jvp(const double *p, const double *q, const doubl
 {
     return scene_acceleration_jvp(q, v, u, lam, p, dq, dv, du, dlam, da);
 }
+
+#if NF > 0
+EXPORT void kernel_slip(int n, const double *p, const double *q, const double *v, double *slip)
+{
+    for (int t = 0; t < n; t++) scene_slip(q + t * NQ, v + t * NQ, p, slip + t * NF);
+}
+
+EXPORT void kernel_friction_limit(int n, const double *p, const double *q, const double *lam, double *limit)
+{
+    for (int t = 0; t < n; t++) scene_friction_limit(q + t * NQ, lam + t * NL, p, limit + t * NF);
+}
+#endif
 
 EXPORT void kernel_penetration_jvp(const double *p, const double *q, const double *dq, double *dphi) { scene_penetration_jvp(q, p, dq, dphi); }
 

@@ -22,7 +22,7 @@ from models.contact_law import ContactLaw, sharpness
 class Workspace:
     """See the module docstring. All arrays are views that the next call overwrites.
 
-    u (steps, nu), q, v (steps+1, nq), lam (steps, nc): the last rollout; finite_steps: how many of its steps stayed finite.
+    u (steps, nu), q, v (steps+1, nq), lam (steps, nc+nf): the last rollout; finite_steps: how many of its steps stayed finite.
     end_bar (2*nq,): derivative of the loss with respect to the last state, positions first; u_bar, start_bar: gradients.
     """
 
@@ -36,7 +36,7 @@ class Workspace:
             raise KernelError(f"scene {scene.name}: start has shape {self._start.shape}, but ({2 * scene.nq},) is needed.")
         self.u = np.zeros((steps, scene.nu))
         self.q, self.v = np.zeros((steps + 1, scene.nq)), np.zeros((steps + 1, scene.nq))
-        self.lam = np.zeros((steps, scene.nc))
+        self.lam = np.zeros((steps, scene.nl))
         self.end_bar = np.zeros(2 * scene.nq)
         self.u_bar, self.start_bar = np.zeros((steps, scene.nu)), np.zeros(2 * scene.nq)
         self.finite_steps = 0

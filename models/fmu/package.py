@@ -19,7 +19,7 @@ from pathlib import Path
 from models.codegen.cache import cached
 from models.codegen.compiler import FLAGS, Compiler, compile_shared, find_compiler
 from models.codegen.emit import emit_model
-from models.errors import MachineError, UnknownNameError
+from models.errors import MachineError, SceneError, UnknownNameError
 from models.fmu.description import describe, model_identifier, source_epoch
 from models.fmu.rendering import render
 from models.fmu.sensitivity import emit_sensitivity
@@ -48,6 +48,8 @@ def build_fmu(scene: Scene, version: str = "2.0") -> Path:
 
 def fmu_texts(scene: Scene) -> dict[str, str]:
     """Every text file of the FMU, by its path inside."""
+    if scene.nf:
+        raise SceneError(f"scene {scene.name}: it has friction, which FMUs do not carry yet.")
     sources = {path.name: path.read_text(encoding="utf-8") for path in sorted(_SHELL.iterdir()) if path.suffix in (".c", ".h")}
     sources |= standard_headers()
     sources |= {"scene_model.h": emit_model(scene, defaults=False), "scene_sensitivity.h": emit_sensitivity(scene)}

@@ -1,11 +1,12 @@
-"""Dry friction of a scene, in the plane: one tangential direction, Coulomb's law.
+"""Contacts and dry friction of a scene.
 
+    Contact(name="left", penetration=d - (q2 - q1), stiffness=k)
     Friction(name="left", slip=v1 - v2, coefficient=mu, contact="left")         # pressed by the force of the contact "left"
     Friction(name="belt", slip=v_cargo - v_cart, coefficient=mu, normal_force=m * g)   # pressed by a given force
 
-With the slip speed s = S(q) v and the pressing force N >= 0 the friction force f acts as the generalised force S' f and obeys
-maximal dissipation: it minimises f s over |f| <= mu N. So f = -mu N sign(s) where it slips; where it sticks, s = 0 and f is
-whatever keeps it there.
+Friction is that of the plane: one tangential direction, Coulomb's law. With the slip speed s = S(q) v and the pressing force
+N >= 0 the friction force f acts as the generalised force S' f and obeys maximal dissipation: it minimises f s over |f| <= mu N.
+So f = -mu N sign(s) where it slips; where it sticks, s = 0 and f is whatever keeps it there.
 """
 
 from __future__ import annotations
@@ -16,6 +17,33 @@ import sympy as sp
 
 from models.errors import SceneError
 from models.scene_values import as_expression, as_number, check_name, settle
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contact:
+    """One unilateral contact: `penetration` phi(q) [m], positive in contact, and `stiffness` k [N/m], lam = k*max(phi, 0)."""
+
+    name: str
+    penetration: sp.Expr
+    stiffness: sp.Expr
+    nominal: float = 1e-2
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        check_name("contact", self.name)
+        for field in ("penetration", "stiffness"):
+            settle(self, field, as_expression(f"contact {self.name}: {field}", getattr(self, field)))
+        settle(self, "nominal", as_number(f"contact {self.name}: nominal", self.nominal))
+        if self.nominal <= 0:
+            raise SceneError(f"contact {self.name}: nominal (a typical penetration in m) must be positive, not {self.nominal:g}.")
+
+    @property
+    def force_name(self) -> str:
+        return f"lam_{self.name}"
+
+    @property
+    def gap_name(self) -> str:
+        return f"gap_{self.name}"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,202 @@
+/* Dry friction within one time step of semi-implicit Euler, and its adjoint. Needs scene_model.h; only for scenes with friction.
+ *
+ * The friction forces f belong to the slip speeds at the *end* of the step, s = S(q[t]) v[t+1]: only so can a step stick.
+ *
+ *   v[t+1] = v[t] + h a(q, v, u, lam, f),      s = s0 + h W f,      W = S M^-1 S'
+ *
+ *   law 0, Coulomb:      f minimises the dissipation f s over |f| <= mu N:  s = 0, or |f| = mu N against s
+ *   law 1, regularised:  f = -mu N tanh(b s / (2 nominal)), a logistic function of the slip
+ *
+ * Both are the minimiser of a convex function of f (W is positive semidefinite), found by sweeps over the single forces and
+ * sharpened by Newton steps on all of them. */
+#ifndef FRICTION_H
+#define FRICTION_H
+
+#include <math.h>
+#include <string.h>
+
+#include "scene_model.h"
+
+#define FRICTION_SWEEPS 10000
+#define FRICTION_NEWTON 50
+
+typedef struct {
+    double s0[NF];        /* slip at the end of the step without friction [m/s] */
+    double hW[NF][NF];    /* h S M^-1 S' [m/s per N] */
+    double A[NF][NQ];     /* row j: M^-1 S_j', the acceleration of a unit of friction force j */
+    double limit[NF];     /* mu N [N] */
+} FrictionStep;
+
+/* Solve the symmetric positive definite system K x = b of size n in place (K destroyed); 0, or 1 if K is singular. */
+static int friction_solve(int n, double K[NF][NF], double *x)
+{
+    for (int j = 0; j < n; j++) {
+        for (int k = 0; k < j; k++) K[j][j] -= K[j][k] * K[j][k];
+        if (!(K[j][j] > 0.0)) return 1;
+        K[j][j] = sqrt(K[j][j]);
+        for (int i = j + 1; i < n; i++) {
+            for (int k = 0; k < j; k++) K[i][j] -= K[i][k] * K[j][k];
+            K[i][j] /= K[j][j];
+        }
+    }
+    for (int i = 0; i < n; i++) {
+        for (int k = 0; k < i; k++) x[i] -= K[i][k] * x[k];
+        x[i] /= K[i][i];
+    }
+    for (int i = n - 1; i >= 0; i--) {
+        for (int k = i + 1; k < n; k++) x[i] -= K[k][i] * x[k];
+        x[i] /= K[i][i];
+    }
+    return 0;
+}
+
+/* lam: contact forces (NC), then NF entries that are set to zero here. 0, or 1 if the mass matrix is not positive definite. */
+static int friction_step(double h, const double *p, const double *q, const double *v, const double *u, double *lam, FrictionStep *step)
+{
+    double a[NQ], end[NQ], zero_q[NQ], zero_u[NU > 0 ? NU : 1], unit[NC + NF];
+    memset(zero_q, 0, sizeof zero_q);
+    memset(zero_u, 0, sizeof zero_u);
+    for (int j = 0; j < NF; j++) lam[NC + j] = 0.0;
+    if (scene_acceleration(q, v, u, lam, p, a)) return 1;
+    for (int i = 0; i < NQ; i++) end[i] = v[i] + h * a[i];
+    scene_slip(q, end, p, step->s0);
+    scene_friction_limit(q, lam, p, step->limit);
+    for (int j = 0; j < NF; j++) {
+        double column[NF];
+        if (!(step->limit[j] > 0.0)) step->limit[j] = 0.0;
+        memset(unit, 0, sizeof unit);
+        unit[NC + j] = 1.0;
+        if (scene_acceleration_jvp(q, v, u, lam, p, zero_q, zero_q, zero_u, unit, step->A[j])) return 1;
+        scene_slip(q, step->A[j], p, column);
+        for (int i = 0; i < NF; i++) step->hW[i][j] = h * column[i];
+    }
+    return 0;
+}
+
+static double slip_at_end(const FrictionStep *step, const double *f, int j)
+{
+    double s = step->s0[j];
+    for (int i = 0; i < NF; i++) s += step->hW[j][i] * f[i];
+    return s;
+}
+
+static double friction_sharpness(double b, int j) { return 0.5 * b / scene_friction_nominals[j]; }
+
+/* The root in [-1, 1] of x + tanh(c (rest + w x)), c, w >= 0: the left side increases, Newton within a bracket. */
+static double regularised_root(double c, double rest, double w)
+{
+    double low = -1.0, high = 1.0, x = -tanh(c * rest) / (1.0 + c * w);
+    for (int n = 0; n < 200; n++) {
+        const double g = tanh(c * (rest + w * x)), value = x + g;
+        if (value > 0.0) high = x;
+        else low = x;
+        double next = x - value / (1.0 + c * w * (1.0 - g * g));
+        if (!(next > low && next < high)) next = 0.5 * (low + high);
+        if (fabs(next - x) <= 1e-16) return next;
+        x = next;
+    }
+    return x;
+}
+
+/* One force, the others held. */
+static double friction_alone(int law, double b, const FrictionStep *step, const double *f, int j)
+{
+    const double limit = step->limit[j], w = step->hW[j][j];
+    const double rest = slip_at_end(step, f, j) - w * f[j];
+    if (limit == 0.0) return 0.0;
+    if (law == 1) return limit * regularised_root(friction_sharpness(b, j), rest, w * limit);
+    if (w == 0.0) return rest > 0.0 ? -limit : rest < 0.0 ? limit : 0.0;
+    return fmin(fmax(-rest / w, -limit), limit);
+}
+
+/* Coulomb: which forces stay inside their limits is known from f; these stick exactly, if that contradicts nothing. */
+static void stick_exactly(const FrictionStep *step, double *f)
+{
+    int sticks[NF], n = 0;
+    double K[NF][NF], x[NF];
+    for (int j = 0; j < NF; j++)
+        if (fabs(f[j]) < step->limit[j]) sticks[n++] = j;
+    for (int i = 0; i < n; i++) {
+        x[i] = -step->s0[sticks[i]];
+        for (int j = 0; j < NF; j++)
+            if (!(fabs(f[j]) < step->limit[j])) x[i] -= step->hW[sticks[i]][j] * f[j];
+        for (int j = 0; j < n; j++) K[i][j] = step->hW[sticks[i]][sticks[j]];
+    }
+    if (n == 0 || friction_solve(n, K, x)) return;
+    for (int i = 0; i < n; i++)
+        if (!(fabs(x[i]) <= step->limit[sticks[i]])) return;
+    for (int i = 0; i < n; i++) f[sticks[i]] = x[i];
+}
+
+/* The friction forces of a step, into lam[NC ..]; the contact forces in front are given. 0, or 1 as friction_step. */
+static int friction_forces(int law, double b, double h, const double *p, const double *q, const double *v, const double *u, double *lam)
+{
+    FrictionStep step;
+    double *f = lam + NC;
+    if (friction_step(h, p, q, v, u, lam, &step)) return 1;
+    for (int n = 0; n < FRICTION_SWEEPS; n++) {
+        double change = 0.0;
+        for (int j = 0; j < NF; j++) {
+            const double before = f[j];
+            f[j] = friction_alone(law, b, &step, f, j);
+            if (step.limit[j] > 0.0) change = fmax(change, fabs(f[j] - before) / step.limit[j]);
+        }
+        if (NF == 1 || change <= 1e-15) break;
+    }
+    if (law == 0 && NF > 1) stick_exactly(&step, f);
+    return 0;
+}
+
+/* The part of the adjoint of a step that goes through the friction forces.
+ *
+ * v_bar (NQ): the derivative of the loss with respect to v[t+1] = v_end; what the slip adds to it is added here (S' s_bar). Adds to
+ * q_bar what slip and limit depend on, and to lam_bar[0 .. NC) what the limit depends on. f = lam[NC ..] as friction_forces left it.
+ *
+ * With f_bar = h A (v_bar + S' s_bar): where a force slips or is regularised s_bar = (df/ds) f_bar; where it sticks, f_bar = 0
+ * determines s_bar. */
+static int friction_adjoint(int law, double b, double h, const double *p, const double *q, const double *v, const double *u,
+    const double *lam, const double *v_end, double *v_bar, double *q_bar, double *lam_bar)
+{
+    FrictionStep step;
+    double work[NC + NF], s_bar[NF], f_bar[NF], limit_bar[NF], slope[NF], sign[NF], K[NF][NF];
+    const double *f = lam + NC;
+    int at[NF], n = 0;
+    memcpy(work, lam, sizeof work);
+    if (friction_step(h, p, q, v, u, work, &step)) return 1;
+    for (int j = 0; j < NF; j++) {
+        const double s = slip_at_end(&step, f, j), c = friction_sharpness(b, j), limit = step.limit[j];
+        f_bar[j] = 0.0;
+        for (int i = 0; i < NQ; i++) f_bar[j] += h * step.A[j][i] * v_bar[i];
+        s_bar[j] = 0.0;
+        if (law == 1) {
+            const double g = tanh(c * s);
+            sign[j] = -g;
+            slope[j] = limit * c * (1.0 - g * g);
+        } else {
+            sign[j] = f[j] > 0.0 ? 1.0 : f[j] < 0.0 ? -1.0 : 0.0;
+            slope[j] = fabs(f[j]) < limit ? INFINITY : 0.0;
+        }
+        if (slope[j] > 0.0) at[n++] = j;
+    }
+    /* (1/slope + hW) s_bar = -f_bar on the forces that depend on the slip */
+    for (int i = 0; i < n; i++) {
+        s_bar[i] = -f_bar[at[i]];
+        for (int j = 0; j < n; j++) K[i][j] = step.hW[at[i]][at[j]] + (i == j ? 1.0 / slope[at[i]] : 0.0);
+    }
+    if (n > 0 && friction_solve(n, K, s_bar)) return 1;
+    for (int i = n - 1; i >= 0; i--) {
+        const double value = s_bar[i];
+        s_bar[i] = 0.0;
+        s_bar[at[i]] = value; /* at[i] >= i, and later entries have moved already */
+    }
+    for (int j = 0; j < NF; j++) {
+        limit_bar[j] = f_bar[j];
+        for (int i = 0; i < NF; i++) limit_bar[j] += step.hW[j][i] * s_bar[i];
+        limit_bar[j] *= law == 0 && slope[j] > 0.0 ? 0.0 : sign[j];
+    }
+    scene_slip_vjp(q, v_end, p, s_bar, q_bar, v_bar);
+    scene_friction_limit_vjp(q, lam, p, limit_bar, q_bar, lam_bar);
+    return 0;
+}
+
+#endif
