@@ -17,6 +17,7 @@ import numpy as np
 from pyomo.common.collections import ComponentMap
 
 from formulations.mpec.certificate.evaluation import LocalModel, Pair, Row, read_local
+from formulations.mpec.certificate.exactness import forced_violation
 from formulations.mpec.certificate.stationarity import ActiveSet, Stationarity, active_set, class_of, classify, steepest_piece
 
 # Feasibility relative to max(1, |bound|); complementarity as min(G, H) of a pair, in the user's units; dual residual relative to the largest
@@ -45,15 +46,17 @@ class Multipliers:
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
     """primal: largest violation of a row, a bound or a side of a pair [user's units]; complementarity: largest min(G, H); product: largest
-    |G H|; dual: residual of the multipliers of the class (relative); given_dual: residual and wrong signs of the multipliers that came with the
+    |G H|; forced: what the constraints would be violated by (relative) if the pairs held exactly, to first order; dual: residual of the multipliers of the class (relative); given_dual: residual and wrong signs of the multipliers that came with the
     point, NaN if none did; biactive: pairs with both sides zero; descent: steepest slope of a piece (0: B-stationary; NaN: not all pieces
-    were looked at); worst: the name of the component with the largest violation.
+    were looked at); least: smallest multiplier of a biactive pair (NaN where others exist or none were found); unique: whether the multipliers are
+    the only ones (LICQ); worst: the name of the component with the largest violation.
     """
 
     primal: float
     primal_relative: float
     complementarity: float
     product: float
+    forced: float
     dual: float
     given_dual: float
     pairs: int
@@ -62,11 +65,19 @@ class Certificate:
     descent: float
     worst: str
     objective: float
+    least: float = math.nan
+    unique: bool = False
     notes: tuple[str, ...] = field(default=())
 
     @property
     def feasible(self) -> bool:
-        return self.primal_relative <= FEASIBILITY and self.complementarity <= COMPLEMENTARITY
+        """Within tolerances, and not thanks to them: no constraint needs a pair to be violated."""
+        return self.primal_relative <= FEASIBILITY and self.complementarity <= COMPLEMENTARITY and self.forced <= FEASIBILITY
+
+    @property
+    def lives_on_tolerance(self) -> bool:
+        """Whether everything holds within the tolerances, but some constraint would not if the pairs held exactly."""
+        return self.primal_relative <= FEASIBILITY and self.complementarity <= COMPLEMENTARITY and not self.forced <= FEASIBILITY
 
     @property
     def b_stationary(self) -> bool | None:
@@ -105,7 +116,7 @@ def certify(model: Any, multipliers: Multipliers | None = None) -> Certificate:
     relative = _largest([*(v / _size(row) for v, row in zip(violations, rows, strict=True)), *sides])
     names = [*rows, *local.pairs]
     active = active_set(local, ACTIVE)
-    stationarity, dual, descent, given = Stationarity.NONE, math.nan, math.nan, math.nan
+    stationarity, dual, descent, given, least, unique = Stationarity.NONE, math.nan, math.nan, math.nan, math.nan, False
     computable = _is_finite(local)
     if computable:
         given = math.nan if multipliers is None else given_residual(local, active, multipliers)
@@ -113,19 +124,23 @@ def certify(model: Any, multipliers: Multipliers | None = None) -> Certificate:
         if told is Stationarity.STRONG:
             stationarity, dual, descent = told, given, 0.0
         else:
-            stationarity, dual = classify(active, STATIONARITY, told)
+            found = classify(active, STATIONARITY, told)
+            stationarity, dual, least, unique = found.kind, found.residual, found.least, found.unique
             descent = 0.0 if stationarity is Stationarity.STRONG else steepest_piece(active)[0]
     return Certificate(
         primal=worst_row,
         primal_relative=relative,
         complementarity=complementarity,
         product=_largest([abs(pair.first * pair.second) for pair in local.pairs]),
+        forced=forced_violation(local, FEASIBILITY) if computable else math.nan,
         dual=dual,
         given_dual=given,
         pairs=len(local.pairs),
         biactive=len(active.both),
         stationarity=stationarity,
         descent=descent,
+        least=least,
+        unique=unique,
         worst="" if worst_row == 0.0 else str(names[int(np.argmax(np.nan_to_num([*violations, *sides], nan=np.inf)))].source.name),
         objective=local.objective,
         notes=() if computable else ("a function or derivative is not a finite number at this point",),

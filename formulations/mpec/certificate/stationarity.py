@@ -1,4 +1,6 @@
-"""Multipliers of a point of an MPEC, sought class by class with linear programs (HiGHS), and the test for a direction that goes down.
+"""Multipliers of a point of an MPEC, and the test for a direction that goes down.
+
+By least squares where the active gradients are independent (one candidate, large models too), else sought class by class with linear programs (HiGHS).
 
     gradient f = sum y gradient g + z + sum nu gradient G + sum mu gradient H,    nu = 0 where G > 0, mu = 0 where H > 0
 
@@ -18,6 +20,7 @@ import scipy.sparse as sparse
 from scipy.optimize import linprog
 
 from formulations.mpec.certificate.evaluation import LocalModel, Row
+from formulations.mpec.certificate.multipliers import least_squares
 
 
 class Stationarity(Enum):
@@ -46,6 +49,8 @@ _CHOICES = {
 # Linear programs for one question at most: 2^10 pieces or 3^6 sign patterns of class M where programs are small, fewer where they are large
 # (about a second in all).
 _MOST_PROGRAMS, _PROGRAMS_TIMES_VARIABLES = 1024, 200_000
+# Two sides with the same gradient whose values differ by less are one and the same.
+_SAME_SIDE = 1e-12
 _LIMITS = {">": (0.0, None), "<": (None, 0.0), "0": (0.0, 0.0), "*": (None, None)}
 
 
@@ -65,13 +70,26 @@ class ActiveSet:
     scale: float
 
 
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """kind: the strongest class whose multipliers exist; residual: what they leave of the gradient, or their largest wrong sign (relative);
+    least: the smallest multiplier of a biactive pair (0 without pairs, NaN unless it is the only one possible); unique: whether there are
+    no other multipliers."""
+
+    kind: Stationarity
+    residual: float
+    least: float = math.nan
+    unique: bool = False
+
+
 def active_set(local: LocalModel, tolerance: float) -> ActiveSet:
     n = len(local.variables)
+    covered = _covered_bounds(local)
     everything = sparse.vstack([local.jacobian, sparse.identity(n, format="csr")], format="csr") if n else local.jacobian
     chosen, limits = [], []
     for number, row in enumerate((*local.rows, *local.bounds)):
         limit = _multiplier_limits(row, tolerance)
-        if limit is not None:
+        if limit is not None and not (limit == (0.0, None) and number - len(local.rows) in covered):
             chosen.append(number)
             limits.append(limit)
     first = np.array([pair.first <= tolerance for pair in local.pairs], dtype=bool)
@@ -89,6 +107,19 @@ def active_set(local: LocalModel, tolerance: float) -> ActiveSet:
     )
 
 
+def _covered_bounds(local: LocalModel) -> set[int]:
+    """Variables whose lower bound is a side of a pair once more (0 <= x complements ..): counted twice, its multiplier would hide a sign."""
+    covered = set()
+    for jacobian, name in ((local.first_jacobian, "first"), (local.second_jacobian, "second")):
+        alone = np.flatnonzero(np.diff(jacobian.indptr) == 1)
+        for k in alone.tolist():
+            column, slope = int(jacobian.indices[jacobian.indptr[k]]), float(jacobian.data[jacobian.indptr[k]])
+            bound = local.bounds[column]
+            if slope > 0.0 and abs((bound.value - bound.lower) * slope - getattr(local.pairs[k], name)) <= _SAME_SIDE:
+                covered.add(column)
+    return covered
+
+
 def _multiplier_limits(row: Row, tolerance: float) -> tuple[float | None, float | None] | None:
     """Limits of the multiplier of an active row; None for one that is not active."""
     low = row.value - row.lower <= tolerance * max(1.0, abs(row.lower)) if np.isfinite(row.lower) else False
@@ -100,10 +131,7 @@ def _multiplier_limits(row: Row, tolerance: float) -> tuple[float | None, float 
 
 def multiplier_residual(active: ActiveSet, choice: tuple[tuple[str, str], ...]) -> float:
     """Smallest max-norm of what is left of the gradient with these signs on the biactive pairs, relative to the scale."""
-    nu, mu = active.first_normals, active.second_normals
-    matrix = sparse.hstack(
-        [active.normals, nu[:, active.first_only], mu[:, active.second_only], nu[:, active.both], mu[:, active.both]], format="csr"
-    )
+    matrix = sparse.hstack([active.normals, *(normals[:, chosen] for normals, chosen in _columns(active))], format="csr")
     free = [(None, None)] * (len(active.first_only) + len(active.second_only))
     limits = [*active.limits, *free, *(_LIMITS[a] for a, _ in choice), *(_LIMITS[b] for _, b in choice)]
     n, count = matrix.shape
@@ -121,25 +149,60 @@ def multiplier_residual(active: ActiveSet, choice: tuple[tuple[str, str], ...]) 
     return float(answer.fun) if answer.status == 0 else float("inf")
 
 
-def classify(active: ActiveSet, tolerance: float, given: Stationarity = Stationarity.NONE) -> tuple[Stationarity, float]:
-    """(strongest class whose multipliers exist, their residual). given: a class whose multipliers are known to exist.
+def classify(active: ActiveSet, tolerance: float, given: Stationarity = Stationarity.NONE) -> Verdict:
+    """The strongest class whose multipliers exist. given: a class whose multipliers are known to exist.
 
-    Classes with too many sign patterns to try are told only where `given` tells them.
+    Where there is only one candidate it decides; elsewhere classes with too many sign patterns to try are told only where `given` tells them.
     """
+    return _only_candidate(active, tolerance) or _by_programs(active, tolerance, given)
+
+
+def _only_candidate(active: ActiveSet, tolerance: float) -> Verdict | None:
+    """What the least-squares multipliers say; None where others may exist."""
+    matrix = sparse.hstack([active.normals, *(normals[:, chosen] for normals, chosen in _columns(active))], format="csc")
+    found = least_squares(matrix, active.gradient)
+    if found is None:
+        return None
+    residual = float(np.max(np.abs(found.rest), initial=0.0)) / active.scale
+    if not residual <= tolerance:
+        # no multipliers leave less in the 2-norm; in the largest component others may
+        least = float(np.linalg.norm(found.rest)) / math.sqrt(len(found.rest)) / active.scale
+        return Verdict(kind=Stationarity.NONE, residual=residual) if least > tolerance else None
+    own, count = found.y[: len(active.limits)], len(active.both)
+    wrong = [
+        max(0.0, (low - y) if low is not None else 0.0, (y - high) if high is not None else 0.0)
+        for y, (low, high) in zip(own, active.limits, strict=True)
+    ]
+    worst = max(wrong, default=0.0) / active.scale
+    if worst > tolerance:
+        return Verdict(kind=Stationarity.NONE, residual=worst, unique=True)
+    nu, mu = found.y[len(found.y) - 2 * count : len(found.y) - count], found.y[len(found.y) - count :]
+    kind = class_of(list(zip(nu.tolist(), mu.tolist(), strict=True)), tolerance * active.scale)
+    return Verdict(kind=kind, residual=max(residual, worst), least=float(np.min([nu, mu])) if count else 0.0, unique=True)
+
+
+def _columns(active: ActiveSet) -> tuple[tuple[sparse.csc_matrix, np.ndarray], ...]:
+    """Gradients of the sides that are zero, in the order of `multiplier_residual`: those of biactive pairs last."""
+    first, second = active.first_normals, active.second_normals
+    return (first, active.first_only), (second, active.second_only), (first, active.both), (second, active.both)
+
+
+def _by_programs(active: ActiveSet, tolerance: float, given: Stationarity) -> Verdict:
     count = len(active.both)
+    none = 0.0 if not count else math.nan
     weak = multiplier_residual(active, _CHOICES[Stationarity.WEAK] * count)
     if not weak <= tolerance:
-        return Stationarity.NONE, weak
+        return Verdict(kind=Stationarity.NONE, residual=weak)
     for kind, choices in _CHOICES.items():
         if kind is given:
-            return kind, weak
+            return Verdict(kind=kind, residual=weak, least=none)
         if len(choices) ** count > _programs(active):
             continue
         for choice in itertools.product(choices, repeat=count):
             residual = multiplier_residual(active, choice)
             if residual <= tolerance:
-                return kind, residual
-    return Stationarity.WEAK, weak
+                return Verdict(kind=kind, residual=residual, least=none)
+    return Verdict(kind=Stationarity.WEAK, residual=weak, least=none)
 
 
 def class_of(signs: list[tuple[float, float]], limit: float) -> Stationarity:
