@@ -56,7 +56,7 @@ class SceneRecord(_Model):
     contacts: tuple[QuantityRecord, ...]
     parameters: tuple[QuantityRecord, ...]
     start: tuple[Finite, ...]
-    goal: tuple[Finite, ...]
+    goal: tuple[Finite | None, ...]  # None: this component of the end is free
     step: Finite
     steps: int
     equations: tuple[EquationRecord, ...] = ()

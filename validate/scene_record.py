@@ -41,7 +41,7 @@ def scene_record(scene: Scene) -> SceneRecord:
             QuantityRecord(name=item.name, unit=item.unit, description=item.description, value=item.value) for item in scene.parameters
         ),
         start=tuple(float(value) for value in scene.task.start),
-        goal=tuple(float(value) for value in scene.task.goal),
+        goal=scene.task.goal,
         step=scene.task.step,
         steps=scene.task.steps,
         equations=equations(dynamics),

@@ -35,15 +35,15 @@ class Weights:
 
 
 def plan_loss(plan: RolloutTensors, goal: Tensor, weights: Weights) -> Tensor:
-    """terminal * mean((x_T - goal)^2) + running * cost, with x_T = (q_T, v_T) and goal (2*nq,)."""
-    error = torch.cat([plan.q[-1], plan.v[-1]]) - goal
+    """terminal * mean((x_T - goal)^2) + running * cost, with x_T = (q_T, v_T) and goal (2*nq,), NaN where free (no error there)."""
+    error = torch.where(goal.isnan(), 0.0, torch.cat([plan.q[-1], plan.v[-1]]) - goal)
     return weights.terminal * error.square().mean() + weights.running * plan.cost
 
 
 class Objective:
     """`loss = objective(u); loss.backward()` with u (steps, nu) float64; facts of the last evaluation stand beside it.
 
-    work: the last rollout; error (2*nq,): x_T - goal; cost: its running cost; evaluate_seconds: wall seconds in compiled code.
+    work: the last rollout; error (2*nq,): x_T - goal, 0 where the end is free; cost: its running cost; evaluate_seconds: wall seconds in compiled code.
     A loss must be sent backward before the next one is evaluated, because its buffers are reused.
     """
 
@@ -54,12 +54,13 @@ class Objective:
         law: ContactLaw,
         eps: float | None = None,
         weights: Weights | None = None,
-        goal: Sequence[float] | None = None,
+        goal: Sequence[float | None] | None = None,
     ):
         task = kernel.scene.task
         self.work = Workspace(kernel, task.start, steps=task.steps, step=task.step, law=law, eps=eps)
         self.weights = Weights() if weights is None else weights
         self.goal = np.array(task.goal if goal is None else goal, dtype=float)
+        self._free = np.isnan(self.goal)
         self.error = np.full_like(self.goal, np.nan)
         self.cost = np.nan
         self.evaluate_seconds = 0.0
@@ -91,6 +92,7 @@ class Objective:
         nq = len(self.goal) // 2
         np.subtract(self.work.q[-1], self.goal[:nq], out=self.error[:nq])
         np.subtract(self.work.v[-1], self.goal[nq:], out=self.error[nq:])
+        self.error[self._free] = 0.0
         squares = sum(error * error for error in self.error.tolist())  # plain floats: an overflow is an answer here, not a warning
         return self.weights.terminal * squares / len(self.error) + self.weights.running * self.cost
 

@@ -16,6 +16,7 @@ from formulations.shooting.objective import Objective, Weights
 from formulations.solution import Outcome, Seconds, Solution
 from models.codegen.kernel import load_kernel
 from models.errors import TrajectoryError
+from models.goal import goal_state, miss
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
 
@@ -93,7 +94,7 @@ class DescentSession(Session):
         plan = self._kernel.rollout(np.array(task.start), u, task.step, law, eps)
         if plan.diverged:  # impossible while the kernel is deterministic: the descent has just evaluated these inputs
             return replace(empty, outcome=Outcome.EVALUATION_ERROR, message="the plan could not be simulated again.")
-        error = np.concatenate([plan.q[-1], plan.v[-1]]) - np.array(task.goal)
+        error = miss(np.concatenate([plan.q[-1], plan.v[-1]]), goal_state(task))
         lower, upper = np.array([item.lower for item in self._scene.inputs]), np.array([item.upper for item in self._scene.inputs])
         residuals = {
             "gradient_norm": descent.gradient_norm,
@@ -101,9 +102,16 @@ class DescentSession(Session):
             "terminal_position_error": float(np.linalg.norm(error[: self._scene.nq])),
             "input_bound_excess": float(np.maximum(np.maximum(lower - u, u - upper), 0.0).max(initial=0.0)),
         }
+        if any(coordinate.has_velocity_bounds for coordinate in self._scene.coordinates):
+            slowest = np.array([coordinate.velocity_lower for coordinate in self._scene.coordinates])
+            fastest = np.array([coordinate.velocity_upper for coordinate in self._scene.coordinates])
+            residuals["velocity_bound_excess"] = float(
+                np.maximum(np.maximum(slowest - plan.v[:-1], plan.v[:-1] - fastest), 0.0).max(initial=0.0)
+            )
+        missed = f" The goal is missed by {residuals['terminal_error']:.3g} in the plan's own contact model." if task.has_goal else ""
         return replace(
             empty,
-            message=f"{descent.message} The goal is missed by {residuals['terminal_error']:.3g} in the plan's own contact model.",
+            message=f"{descent.message}{missed}",
             trajectory=Trajectory(t=uniform_grid(task.step, task.steps), q=plan.q, v=plan.v, u=u, lam=plan.lam),
             cost=self._kernel.cost(plan.q, plan.v, u),
             residuals=residuals,

@@ -12,11 +12,11 @@ What a block has, t in 0..T (`set_nodes`) or 0..T-1 (`set_steps`):
 | variable_u | t in steps, input | inputs within their bounds |
 | variable_lam | t in steps, contact | contact forces [N] at the start of the step |
 | parameter_scene | parameter | the scene's parameters, mutable |
-| parameter_start_position, _start_velocity, _goal_position, _goal_velocity | coordinate | mutable |
+| parameter_start_position, _start_velocity, _goal_position, _goal_velocity | coordinate | mutable; goals only where the end is given |
 | parameter_step | | h [s], mutable |
 | parameter_sharpness | | b = abs(ln eps), softplus only, mutable: `tighten` |
 | mpec_bound | | eps of relaxed complementarity, mutable: `tighten` |
-| constraint_start_position, _start_velocity, _goal_position, _goal_velocity | coordinate | |
+| constraint_start_position, _start_velocity, _goal_position, _goal_velocity | coordinate | goals only where the end is given |
 | constraint_position_step, constraint_velocity_step | t in steps, coordinate | semi-implicit Euler |
 | constraint_contact_softplus or complementarity_contact | t in steps, contact | the contact law |
 | expression_cost, objective_cost | | sum of the running cost; the objective exists in `build_model` only |
@@ -127,8 +127,10 @@ def _add_parameters(block: Any, scene: Scene) -> None:
         block.parameter_scene = pyo.Param(list(values), initialize=values, mutable=True)
     for end, state in (("start", scene.task.start), ("goal", scene.task.goal)):
         for part, values in (("position", state[:nq]), ("velocity", state[nq:])):
-            table = dict(zip(names, values, strict=True))
-            block.add_component(f"parameter_{end}_{part}", pyo.Param(block.set_coordinates, initialize=table, mutable=True))
+            table = {name: value for name, value in zip(names, values, strict=True) if value is not None}
+            index = block.set_coordinates if len(table) == nq else list(table)
+            if table:
+                block.add_component(f"parameter_{end}_{part}", pyo.Param(index, initialize=table, mutable=True))
     block.parameter_step = pyo.Param(initialize=scene.task.step, mutable=True)
 
 
@@ -138,6 +140,10 @@ def _add_variables(block: Any, scene: Scene) -> None:
     start = dict(zip(block.set_coordinates, zip(scene.task.start[: scene.nq], scene.task.start[scene.nq :], strict=True), strict=True))
     block.variable_q = pyo.Var(nodes, block.set_coordinates, initialize=lambda b, t, name: start[name][0])
     block.variable_v = pyo.Var(nodes, block.set_coordinates, initialize=lambda b, t, name: start[name][1])
+    for coordinate in scene.coordinates:
+        for t in range(scene.task.steps) if coordinate.has_velocity_bounds else ():
+            block.variable_v[t, coordinate.name].setlb(coordinate.velocity_lower)
+            block.variable_v[t, coordinate.name].setub(coordinate.velocity_upper)
     if scene.nu:
         bounds = {item.name: (item.lower, item.upper) for item in scene.inputs}
         first = {name: min(max(0.0, lower), upper) for name, (lower, upper) in bounds.items()}
@@ -151,8 +157,10 @@ def _add_ends(block: Any, scene: Scene) -> None:
     for end, node, equation in (("start", 0, equations.constraint_start), ("goal", last, equations.constraint_goal)):
         for part, variable in (("position", block.variable_q), ("velocity", block.variable_v)):
             value = block.component(f"parameter_{end}_{part}")
+            if value is None:  # a free end
+                continue
             rows = pyo.Constraint(
-                block.set_coordinates,
+                value.index_set(),
                 rule=lambda b, name, node=node, equation=equation, variable=variable, value=value: equation(
                     variable[node, name], value[name]
                 ),

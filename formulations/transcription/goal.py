@@ -8,13 +8,22 @@ import pyomo.environ as pyo
 
 
 def open_goal(model: Any, ball: float) -> None:
-    """Let the plan end within `ball` of the goal, in the norm of (q, v); 0 leaves the goal as it is."""
+    """Let the plan end within `ball` of the goal, in the norm of (q, v); 0 leaves the goal as it is, and a free end stays free."""
     if ball == 0.0:
         return
+    given = release_goal(model)
+    if given:
+        # in units of the ball: its multiplier then has the size of the cost, however small the ball is
+        model.constraint_goal_ball = pyo.Constraint(expr=sum(((state - goal) / ball) ** 2 for state, goal, _ in given) <= 1.0)
+
+
+def release_goal(model: Any) -> list[tuple[Any, Any, str]]:
+    """Take the goal's constraints out; returns (last state, goal, coordinate) of every component that was given."""
     last = max(model.set_nodes)
-    parts = ((model.variable_q, model.parameter_goal_position), (model.variable_v, model.parameter_goal_velocity))
-    model.constraint_goal_position.deactivate()
-    model.constraint_goal_velocity.deactivate()
-    # in units of the ball: its multiplier then has the size of the cost, however small the ball is
-    miss = sum(((state[last, name] - goal[name]) / ball) ** 2 for state, goal in parts for name in model.set_coordinates)
-    model.constraint_goal_ball = pyo.Constraint(expr=miss <= 1.0)
+    given = []
+    for part, variable in (("position", model.variable_q), ("velocity", model.variable_v)):
+        constraint, goal = model.component(f"constraint_goal_{part}"), model.component(f"parameter_goal_{part}")
+        if constraint is not None:
+            constraint.deactivate()
+            given += [(variable[last, name], goal[name], name) for name in goal]
+    return given

@@ -22,9 +22,11 @@ from formulations.ipopt import Iteration, compile_model, load, solve
 from formulations.solution import Outcome
 from formulations.transcription.build import build_model
 from formulations.transcription.contact_laws import ContactLaw
+from formulations.transcription.goal import release_goal
 from formulations.transcription.plans import read_plan
 from formulations.transcription.workbench import Account
 from models.codegen.kernel import load_kernel
+from models.goal import goal_state, miss
 from models.scene import Scene
 from models.trajectory import Trajectory
 
@@ -94,20 +96,17 @@ def nearest(scene: Scene, account: Account, max_iterations: int, sharpest: float
 
 
 def _aim_at_goal(model: Any, scene: Scene) -> None:
-    """The goal as objective instead of constraint."""
-    for component in (model.constraint_goal_position, model.constraint_goal_velocity, model.objective_cost):
-        component.deactivate()
-    last, nominal = scene.task.steps, {coordinate.name: coordinate.nominal for coordinate in scene.coordinates}
-    parts = ((model.variable_q, model.parameter_goal_position), (model.variable_v, model.parameter_goal_velocity))
-    model.objective_miss = pyo.Objective(
-        expr=sum(((variable[last, name] - goal[name]) / nominal[name]) ** 2 for variable, goal in parts for name in nominal)
-    )
+    """The goal as objective instead of constraint; a free end leaves nothing but the constraints to be met."""
+    model.objective_cost.deactivate()
+    nominal = {coordinate.name: coordinate.nominal for coordinate in scene.coordinates}
+    model.objective_miss = pyo.Objective(expr=sum(((state - goal) / nominal[name]) ** 2 for state, goal, name in release_goal(model)))
 
 
 def _sharpnesses(scene: Scene, sharpest: float) -> list[float]:
     if not scene.nc:
         return [1.0]
-    ends = np.array([scene.task.start[: scene.nq], scene.task.goal[: scene.nq]])
+    start, goal = np.array(scene.task.start[: scene.nq]), goal_state(scene.task)[: scene.nq]
+    ends = np.array([start, np.where(np.isnan(goal), start, goal)])
     length = max(float(np.abs(load_kernel(scene).penetration(ends)).max()), max(contact.nominal for contact in scene.contacts))
     last = min(sharpest, _LAST / length)
     values = []
@@ -119,7 +118,7 @@ def _sharpnesses(scene: Scene, sharpest: float) -> list[float]:
 
 
 def _measured(scene: Scene, plan: Trajectory, is_solved: bool) -> Nearest:
-    error = np.abs(plan.end - np.array(scene.task.goal))
+    error = np.abs(miss(plan.end, goal_state(scene.task)))
     nominal = np.tile([coordinate.nominal for coordinate in scene.coordinates], 2)
     worst = int((error / nominal).argmax())
     coordinate = scene.coordinates[worst % scene.nq]

@@ -14,6 +14,7 @@ import sympy as sp
 
 from models.contact_law import ContactLaw, contact_force
 from models.dynamics import derive
+from models.goal import distance, goal_state
 from models.scene import Scene
 from models.trajectory import Trajectory
 
@@ -57,9 +58,14 @@ class PlanResiduals:
         found = {
             "dynamics_defect": self.dynamics_defect(plan),
             "start_error": float(np.linalg.norm(plan.start - np.array(scene.task.start))),
-            "terminal_error": float(np.linalg.norm(plan.end - np.array(scene.task.goal))),
+            "terminal_error": distance(plan.end, goal_state(scene.task)),
             "input_bound_excess": _largest(np.maximum(np.maximum(lower - plan.u, plan.u - upper), 0.0)),
         }
+        if any(coordinate.has_velocity_bounds for coordinate in scene.coordinates):
+            slowest = np.array([coordinate.velocity_lower for coordinate in scene.coordinates])
+            fastest = np.array([coordinate.velocity_upper for coordinate in scene.coordinates])
+            v = plan.v[:-1]
+            found["velocity_bound_excess"] = _largest(np.maximum(np.maximum(slowest - v, v - fastest), 0.0))
         if not scene.nc:
             return found
         separation = self.separation(plan)
@@ -76,8 +82,9 @@ class PlanResiduals:
 MEANING = {
     "dynamics_defect": "largest miss of the time step, in velocity [m/s, rad/s] or position [m, rad]",
     "start_error": "norm of x[0] - start",
-    "terminal_error": "norm of x[T] - goal",
+    "terminal_error": "norm of x[T] - goal, over the components that are given",
     "input_bound_excess": "by how much an input leaves its bounds [N, N m]",
+    "velocity_bound_excess": "by how much a velocity leaves its bounds at the start of a step",
     "physics": "sum over steps and contacts of abs(lam (lam - k phi)) [N^2] (paper, eq. 10)",
     "complementarity": "largest abs(lam (lam - k phi)) [N^2]",
     "force_sign": "by how much lam or lam - k phi is negative [N]",

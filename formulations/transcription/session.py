@@ -79,7 +79,7 @@ class TranscriptionSession(Session):
     def promises(self, eps: float | None) -> dict[str, float]:
         """Largest residuals with which the outcome may be SOLVED."""
         limit = self.number("plan_tolerance")
-        return dict.fromkeys(("dynamics_defect", "start_error", "terminal_error", "input_bound_excess"), limit)
+        return dict.fromkeys(("dynamics_defect", "start_error", "terminal_error", "input_bound_excess", "velocity_bound_excess"), limit)
 
     # -- one stage --------------------------------------------------------------------------------------------------------------
 
@@ -160,7 +160,7 @@ class TranscriptionSession(Session):
 
     def _no_plan(self) -> str:
         task = self._scene.task
-        return f"no plan of {task.steps} steps of {task.step:g} s was found that reaches the goal within the input bounds"
+        return f"no plan of {task.steps} steps of {task.step:g} s was found that reaches the goal within the bounds"
 
     def ending(self, result: IpoptResult) -> Ending:
         return Ending(outcome=result.outcome, message=result.message, dual_infeasibility=result.residuals.dual_infeasibility)

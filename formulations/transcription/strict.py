@@ -26,6 +26,7 @@ from formulations.transcription.plans import load_first_guess, load_plan, read_p
 from formulations.transcription.session import Ending, TranscriptionSession, cold_barrier
 from formulations.transcription.workbench import Account, Workbench, primal_dual
 from models.codegen.kernel import Kernel, load_kernel
+from models.goal import distance, goal_state
 from models.scene import Scene
 from models.trajectory import Trajectory
 
@@ -61,7 +62,7 @@ class StrictSession(TranscriptionSession):
         task = self._scene.task
         replay = self._kernel.rollout(np.array(task.start), plan.u, task.step)
         end = np.concatenate([replay.q[-1], replay.v[-1]])
-        return {**self._residuals.of(plan), "discrete_terminal_error": float(np.linalg.norm(end - np.array(task.goal)))}
+        return {**self._residuals.of(plan), "discrete_terminal_error": distance(end, goal_state(task))}
 
     def promises(self, eps: float | None) -> dict[str, float]:
         return {

@@ -12,6 +12,7 @@ import numpy as np
 
 from formulations.windows.kkt import BandedKKT, Point
 from formulations.windows.linear_scene import LinearScene
+from models.goal import miss
 
 _VIOLATED = 1e-11  # [m], [N]
 _DEPENDENT = 1e-11  # part of a condition's own curvature below which it depends on those imposed already
@@ -91,7 +92,7 @@ class DualRounds:
 
     def _cost(self, point: Point, goal: np.ndarray, softness: float) -> float:
         cost = self._linear.cost(point.z[:-1], point.u)
-        return cost if softness == 0.0 else cost + 0.5 / softness * float(((point.z[-1] - goal) ** 2).sum())
+        return cost if softness == 0.0 else cost + 0.5 / softness * float((miss(point.z[-1], goal) ** 2).sum())
 
     def _worst(self, point: Point, sign: np.ndarray, imposed: list[tuple[int, int, int]]) -> tuple[tuple[int, int, int] | None, float]:
         """The most violated condition (phi weighted with its stiffness: newtons against newtons) and its value, negative."""

@@ -20,6 +20,7 @@ from formulations.windows.quadratic import ModesAnswer, ModesProblem
 from formulations.windows.search import GAIN, search_windows
 from formulations.windows.starts import random_plan
 from models.codegen.kernel import Kernel
+from models.goal import goal_state
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
 
@@ -70,7 +71,7 @@ class Finder:
         return self._searched(account, problem, answer, stride)
 
     def _modes_problem(self, account: Account) -> ModesProblem | NonlinearModes:
-        ball = self._number("goal_tolerance")
+        ball = self._number("goal_tolerance") if self._scene.task.has_goal else 0.0
         if not self._is_linear:
             return NonlinearModes(self._scene, self._kernel, ball, account, self._ipopt_options("tolerance"))
         if self._linear is None:
@@ -154,7 +155,7 @@ class Finder:
         yield self._kernel.penetration(plan.q[:-1]) > 0.0
         task, ball = self._scene.task, self._number("goal_tolerance")
         bounds = (np.array([item.lower for item in self._scene.inputs]), np.array([item.upper for item in self._scene.inputs]))
-        goal = np.array(task.goal)
+        goal = goal_state(task)
         rollout, _ = land(self._kernel, np.array(task.start), goal, plan.u, task.step, bounds, ball)
         if not rollout.diverged and np.linalg.norm(miss_of(rollout, goal, ball)) <= _ARRIVED:
             yield rollout.lam > 0.0

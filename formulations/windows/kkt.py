@@ -68,8 +68,10 @@ class BandedKKT:
         add(self.rows_z[:-1], self.rows_z[:-1], q)
         add(self.rows_z[:-1], self.rows_u[1:], s)
         add(self.rows_z[:-1], self.rows_mu[:-1], lin.P.T)
-        add(self.rows_z[-1:], self.rows_w[None], ones)
-        add(self.rows_w[None], self.rows_z[-1:], ones)
+        aimed = np.diag(lin.aimed.astype(float))  # a free component of the end has no multiplier: w = 0
+        add(self.rows_z[-1:], self.rows_w[None], aimed)
+        add(self.rows_w[None], self.rows_z[-1:], aimed)
+        add(self.rows_w[None], self.rows_w[None], ones - aimed)
         rows, columns, values = (np.concatenate(part) for part in zip(*entries, strict=True))
 
         pattern = (lin.A != 0) | (self._closing != 0).any(axis=0)
@@ -143,7 +145,7 @@ class BandedKKT:
             flat[self._at_u] += stiffness
         if compliance is not None:
             flat[self._at_mu[:-1]] -= compliance[1:]
-        flat[self._at_w] -= softness
+        flat[self._at_w] -= softness * self._linear.aimed
         self._band = band
         work = np.zeros((self._height + self._width, self.size), order="F")  # LAPACK wants kl more rows for its pivots
         work[self._width :] = band
@@ -161,13 +163,14 @@ class BandedKKT:
         right[self._y], right[self.rows_u] = step, np.where(held, bound, slope)
         right[self.rows_z[:-1]] = -lin.g[:n]
         right[self.rows_mu[:-1]] = np.where(touching[1:], -lin.p, 0.0)
-        right[self.rows_w] = goal
+        right[self.rows_w] = np.where(lin.aimed, goal, 0.0)
         return right
 
     def goal_columns(self) -> np.ndarray:
-        """(size, n) right-hand sides of a goal moved by one in each direction."""
-        columns = np.zeros((self.size, self._linear.n), order="F")
-        columns[self.rows_w, np.arange(self._linear.n)] = 1.0
+        """(size, number of given components) right-hand sides of a goal moved by one in each of their directions."""
+        rows = self.rows_w[self._linear.aimed]
+        columns = np.zeros((self.size, len(rows)), order="F")
+        columns[rows, np.arange(len(rows))] = 1.0
         return columns
 
     def solve(self, right: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from models import goal as goals
 from models.codegen.kernel import Kernel, Rollout
 
 _GOOD_ENOUGH = 1e-13  # relative to the size of the goal: what a rollout of some hundred steps rounds to
@@ -32,10 +33,11 @@ def land(
     best = kernel.rollout(start, u, step)
     miss = miss_of(best, goal, ball)
     for _ in range(_MOST):
-        if best.diverged or np.linalg.norm(miss) <= _GOOD_ENOUGH * max(1.0, float(np.linalg.norm(goal))):
+        if best.diverged or np.linalg.norm(miss) <= _GOOD_ENOUGH * max(1.0, float(np.linalg.norm(np.nan_to_num(goal)))):
             break
         slopes = _sensitivity(kernel, best, u, len(goal))
         slopes = np.where((u > bounds[0]) & (u < bounds[1]), slopes, 0.0).reshape(len(goal), -1)
+        slopes[np.isnan(goal)] = 0.0  # a free component does not ask for anything
         change = np.linalg.lstsq(slopes, -miss, rcond=1e-12)[0].reshape(u.shape)
         for halving in range(_HALVINGS):
             tried_u = np.clip(u + 0.5**halving * change, *bounds)
@@ -51,7 +53,7 @@ def land(
 
 def miss_of(rollout: Rollout, goal: np.ndarray, ball: float) -> np.ndarray:
     """By how much the end misses the ball around the goal, as a vector."""
-    error = np.concatenate([rollout.q[-1], rollout.v[-1]]) - goal
+    error = goals.miss(np.concatenate([rollout.q[-1], rollout.v[-1]]), goal)
     size = float(np.linalg.norm(error))
     return error * (max(0.0, size - ball) / size) if size > 0.0 else error
 

@@ -16,6 +16,7 @@ import numpy as np
 import sympy as sp
 
 from models.dynamics import Dynamics, derive
+from models.goal import goal_state
 from models.scene import Scene
 
 # A Hessian of the running cost counts as convex down to this part of its largest eigenvalue: rounding, and nothing more.
@@ -26,7 +27,9 @@ _CONVEX = 1e-12
 class LinearScene:
     """n = 2*nq states z = (q, v). A (n, n), B (n, nu), c (n,), E (n, nc) [per N]; phi = P z + p, P (nc, n), p (nc,) [m]; k (nc,) [N/m].
 
-    H (n+nu, n+nu), g (n+nu,), constant: the running cost; lower, upper (nu,); start, goal (n,); step [s], steps.
+    H (n+nu, n+nu), g (n+nu,), constant: the running cost; lower, upper (nu,); start, goal (n,), NaN where the end is free; step [s], steps.
+    The first `contacts` of the nc rows of P are contacts. The others are bounds of velocities, phi <= 0: contacts that push with no force
+    (E = 0) and are never closed.
     """
 
     A: np.ndarray
@@ -45,6 +48,16 @@ class LinearScene:
     goal: np.ndarray
     step: float
     steps: int
+    contacts: int
+
+    @property
+    def aimed(self) -> np.ndarray:
+        """(n,) whether a component of the end is given."""
+        return ~np.isnan(self.goal)
+
+    def with_bounds(self, closed: np.ndarray) -> np.ndarray:
+        """(steps, nc) modes of contacts (steps, contacts) with those of the bounds: open."""
+        return np.hstack([closed, np.zeros((len(closed), self.nc - self.contacts), dtype=bool)])
 
     @property
     def n(self) -> int:
@@ -94,24 +107,37 @@ def linear_scene(scene: Scene) -> LinearScene:
     position = np.hstack([eye, np.zeros((nq, nq))]) + h * velocity
     x = [*d.q, *d.v, *d.u]
     cost = sp.Matrix([d.running_cost])
+    P, p = _velocity_bounds(scene)
     return LinearScene(
         A=np.vstack([position, velocity]),
         B=np.vstack([h * h * slope["u"], h * slope["u"]]),
         c=np.concatenate([h * h * rest, h * rest]),
-        E=np.vstack([h * h * push, h * push]),
-        P=np.hstack([_slopes(d, d.penetration, d.q), np.zeros((scene.nc, nq))]),
-        p=_at_zero(d, d.penetration),
-        k=_numbers(d, d.stiffness).ravel(),
+        E=np.hstack([np.vstack([h * h * push, h * push]), np.zeros((2 * nq, len(p)))]),
+        P=np.vstack([np.hstack([_slopes(d, d.penetration, d.q), np.zeros((scene.nc, nq))]), P]),
+        p=np.concatenate([_at_zero(d, d.penetration), p]),
+        k=np.concatenate([_numbers(d, d.stiffness).ravel(), np.ones(len(p))]),
         H=np.array(_cost_hessian(d), dtype=float),
         g=_numbers(d, cost.jacobian(x).subs(dict.fromkeys(x, 0))).ravel(),
         constant=float(_at_zero(d, cost)[0]),
         lower=np.array([item.lower for item in scene.inputs], dtype=float),
         upper=np.array([item.upper for item in scene.inputs], dtype=float),
         start=np.array(task.start),
-        goal=np.array(task.goal),
+        goal=goal_state(task),
         step=h,
         steps=task.steps,
+        contacts=scene.nc,
     )
+
+
+def _velocity_bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """P (bounds, 2*nq), p (bounds,): P z + p <= 0 is the bound."""
+    rows, offsets = [], []
+    for index, coordinate in enumerate(scene.coordinates):
+        for sign, bound in ((-1.0, coordinate.velocity_lower), (1.0, coordinate.velocity_upper)):
+            if np.isfinite(bound):
+                rows.append(sign * np.eye(2 * scene.nq)[scene.nq + index])
+                offsets.append(-sign * bound)
+    return np.array(rows).reshape(len(rows), 2 * scene.nq), np.array(offsets)
 
 
 def _cost_hessian(d: Dynamics) -> sp.Matrix:

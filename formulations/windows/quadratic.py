@@ -83,7 +83,7 @@ class ModesProblem:
 
     def solve(self, closed: np.ndarray, *, near: ModesAnswer | None = None, below: float = np.inf) -> ModesAnswer | None:
         """The optimum, or None where these modes have no plan of a cost below `below`. near: the answer of similar modes."""
-        closed = self.with_first_modes(closed)
+        closed = self._whole(closed)
         self.solves += 1
         softness = 0.0 if self.ball == 0.0 or near is None else self._softness(near)
         guess = self.empty_set()
@@ -106,16 +106,15 @@ class ModesProblem:
         size = float(np.linalg.norm(near.point.w))
         return self.ball / size if size > 0.0 else 0.0
 
-    def with_first_modes(self, closed: np.ndarray) -> np.ndarray:
-        """The same modes with those of the first step, which the start decides."""
-        fixed = np.array(closed, dtype=bool)
+    def _whole(self, closed: np.ndarray) -> np.ndarray:
+        """The same modes with those of the first step, which the start decides, and those of the bounds of velocities, never closed."""
+        fixed = self.linear.with_bounds(np.array(closed, dtype=bool))
         fixed[0] = self.linear.penetration(self.linear.start[None])[0] > 0.0
         return fixed
 
     def solve_without_signs(self, closed: np.ndarray) -> Point | None:
         """The same problem with nothing asked of phi and u: what an iteration over modes starts from."""
-        closed = self.with_first_modes(closed)
-        return self._equality(closed, self.empty_set())
+        return self._equality(self._whole(closed), self.empty_set())
 
     def slopes(self, point: Point) -> np.ndarray:
         """(steps, nu) derivative of the Lagrangian with respect to u: 0 where u is free, the multiplier of its bound elsewhere."""
@@ -141,14 +140,15 @@ class ModesProblem:
         lin = self.linear
         both, own = point.y @ lin.E, point.mu / np.where(lin.k > 0.0, lin.k, 1.0)
         of_force = np.where(closed, -own, both - own)
+        contacts = slice(lin.contacts)
         return ModesAnswer(
-            closed=closed,
+            closed=closed[:, contacts],
             point=point,
             active=active,
             cost=lin.cost(point.z[:-1], point.u),
-            phi=lin.penetration(point.z[:-1]),
-            of_force=of_force,
-            of_separation=both - of_force,
+            phi=lin.penetration(point.z[:-1])[:, contacts],
+            of_force=of_force[:, contacts],
+            of_separation=(both - of_force)[:, contacts],
             dual_infeasibility=float(np.abs(np.where(active.side == 0, self.slopes(point), 0.0)).max(initial=0.0)),
         )
 

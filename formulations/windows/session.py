@@ -24,6 +24,7 @@ from formulations.windows.landing import land
 from formulations.windows.starts import random_plan
 from models.codegen.kernel import load_kernel
 from models.errors import TrajectoryError
+from models.goal import distance, goal_state
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
 
@@ -114,7 +115,7 @@ class MpccSession(Session):
         task = self._scene.task
         bounds = tuple(np.array([getattr(item, side) for item in self._scene.inputs]) for side in ("lower", "upper"))
         rollout, u = land(
-            self._kernel, np.array(task.start), np.array(task.goal), u, task.step, (bounds[0], bounds[1]), self._number("goal_tolerance")
+            self._kernel, np.array(task.start), goal_state(task), u, task.step, (bounds[0], bounds[1]), self._number("goal_tolerance")
         )
         return Trajectory(t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
 
@@ -127,12 +128,12 @@ class MpccSession(Session):
         task = self._scene.task
         replay = self._kernel.rollout(np.array(task.start), plan.u, task.step)
         end = np.concatenate([replay.q[-1], replay.v[-1]])
-        return {**found, "discrete_terminal_error": float(np.linalg.norm(end - np.array(task.goal)))}
+        return {**found, "discrete_terminal_error": distance(end, goal_state(task))}
 
     def _promises(self) -> dict[str, float]:
         plan, miss = self._number("plan_tolerance"), self._number("terminal_tolerance") + self._number("goal_tolerance")
         return {
-            **dict.fromkeys(("dynamics_defect", "start_error", "input_bound_excess", "force_sign"), plan),
+            **dict.fromkeys(("dynamics_defect", "start_error", "input_bound_excess", "velocity_bound_excess", "force_sign"), plan),
             **dict.fromkeys(("terminal_error", "discrete_terminal_error"), miss),
             "physics": self._number("physics_tolerance"),
         }

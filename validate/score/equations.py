@@ -27,13 +27,18 @@ def defect(q: np.ndarray, v: np.ndarray, acceleration: np.ndarray, h: np.ndarray
 
 
 def distance(state: np.ndarray, goal: np.ndarray) -> float:
-    """Euclidean norm of state - goal, over whatever components are given."""
-    return float(np.linalg.norm(state - goal))
+    """Euclidean norm of state - goal, over whatever components are given; a goal of NaN is free."""
+    return float(np.linalg.norm(np.where(np.isnan(goal), 0.0, state - goal)))
 
 
 def bound_violation(u: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float:
     """Largest max(u - upper, lower - u, 0) over steps and inputs [N or N m]."""
     return float(np.maximum(u - upper, lower - u).max(initial=0.0))
+
+
+def velocity_bound_violation(v: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float:
+    """Largest max(v - upper, lower - v, 0) over the starts of the steps, v (nodes, nq) [m/s or rad/s]."""
+    return float(np.maximum(v[:-1] - upper, lower - v[:-1]).max(initial=0.0))
 
 
 def largest_difference(one: np.ndarray, other: np.ndarray) -> tuple[float, int]:

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from models.codegen.kernel import Kernel, KernelError, load_kernel
+from models.goal import goal_state
 from models.scene import Scene
 from models.trajectory import Trajectory
 from validate.replay.result import Difference, Replay
@@ -28,8 +29,8 @@ class Evidence:
 
     @cached_property
     def goal(self) -> np.ndarray:
-        """(2*nq,) positions, then velocities."""
-        return np.array(self.scene.task.goal)
+        """(2*nq,) positions, then velocities; NaN where the end is free."""
+        return goal_state(self.scene.task)
 
     @cached_property
     def h(self) -> np.ndarray:

@@ -41,6 +41,7 @@ _PHRASES = {
     "defect": "the plan misses its own time step by {}",
     "start_error": "the plan starts {} away from the task's start",
     "bound_violation": "the inputs leave their bounds by {}",
+    "velocity_bound_violation": "the velocities leave their bounds by {}",
     "ghost_impulse": "force from a distance of {}",
     "missed_impulse": "contact force that the plan does not have of {}",
     "max_penetration": "the bodies penetrate by {}",

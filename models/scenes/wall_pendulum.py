@@ -1,0 +1,96 @@
+"""An inverted pendulum, linearised about upright, is thrown at a soft wall: twenty steps, twenty decisions, a provable optimum.
+
+Source: the small benchmark of hybrid model predictive control in Tobia Marcucci, Russ Tedrake, "Warm Start of Mixed-Integer Programs for Model
+Predictive Control of Hybrid Systems" (IEEE Transactions on Automatic Control, 2021), and Robin Deits, Twan Koolen, Russ Tedrake, "LVIS:
+Learning from Value Function Intervals for Contact-Aware Robot Controllers" (ICRA 2019). Taken from there: mass, length, gravity, k = 100 N/m,
+the wall where l*theta = 0.1 m, h = 0.01 s, T = 20, the bounds of 4 N m and 1.5 rad/s, the start (0, 0.8) and the weights Q = I, R = 1.
+
+Chosen here, because a scene of this kind has one cost for all methods:
+- the cost is the sum over the starts of the steps, t = 0..T-1, of theta^2 + omega^2 + u^2 in rad, rad/s, N m. The end is free and weighs nothing:
+  the originals weigh it with the value of a controller that ignores the wall, and ask it to lie in that controller's safe set.
+- one wall, on the side the pendulum falls to; the originals that have two put the other out of reach of this start.
+- the bound of omega holds at the start of every step, as theirs on (x, u) do.
+
+The start needs the wall: the cheapest plan that never touches it brakes with up to the bound of 4 N m and costs 148.06 instead of 13.62.
+"""
+
+import sympy as sp
+
+from models.scene import Answer, Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
+
+theta, omega = sp.symbols("theta omega", real=True)
+u = sp.Symbol("u", real=True)
+m, l, g, k, w = sp.symbols("m l g k w", positive=True)  # noqa: E741 - l is the field's name for a length
+
+SCENE = Scene(
+    name="wall_pendulum",
+    title="A linear inverted pendulum is thrown at a soft wall",
+    source="Marcucci and Tedrake, Warm Start of Mixed-Integer Programs for Model Predictive Control of Hybrid Systems; Deits, Koolen and Tedrake, LVIS",
+    coordinates=(
+        Coordinate(
+            symbol=theta,
+            velocity=omega,
+            unit="rad",
+            nominal=0.1,
+            velocity_lower=-1.5,
+            velocity_upper=1.5,
+            description="angle from upright",
+        ),
+    ),
+    inputs=(Input(symbol=u, unit="N m", lower=-4.0, upper=4.0, description="torque at the base"),),
+    parameters=(
+        Parameter(symbol=m, value=1.0, unit="kg", lower=1e-6, description="mass at the tip"),
+        Parameter(symbol=l, value=1.0, unit="m", lower=1e-6, description="length"),
+        Parameter(symbol=g, value=10.0, unit="m/s^2", lower=0.0, description="gravity"),
+        Parameter(symbol=k, value=100.0, unit="N/m", lower=1e-6, description="stiffness of the wall"),
+        Parameter(symbol=w, value=0.1, unit="m", lower=0.0, description="distance of the wall from the upright tip"),
+    ),
+    kinetic_energy=m * l**2 * omega**2 / 2,
+    potential_energy=-m * g * l * theta**2 / 2,  # m g l cos(theta) to second order
+    forces=(u,),
+    contacts=(Contact(name="wall", penetration=l * theta - w, stiffness=k, nominal=0.05, description="tip against wall"),),
+    task=Task(
+        start=(0.0, 0.8),
+        goal=(None, None),
+        running_cost=theta**2 + omega**2 + u**2,
+        step=0.01,
+        steps=20,
+    ),
+    limits=(
+        Limit(
+            figure="physics_scaled",
+            value=4e-7,
+            reason="averaged over the 0.2 s a product of 2e-6 (k L)^2, L = 0.05 m: what a force of 7 mN at a closed gap makes, a thousandth "
+            "of the peak force of the best plan; strict plans have 1e-17 s, relaxed ones 8e-7 s at eps = 1e-4 N^2",
+        ),
+        Limit(figure="defect", value=1e-6, reason="a plan that misses its own time step by more than 1e-6 was not solved to the end"),
+        Limit(figure="start_error", value=1e-6, reason="a plan from another start solves another task; 1e-6 is the solvers' own tolerance"),
+        Limit(figure="bound_violation", value=1e-6, reason="the actuator gives at most 4 N m; 1e-6 N m is the solvers' own tolerance"),
+        Limit(figure="velocity_bound_violation", value=1e-6, reason="the task's bound; 1e-6 rad/s is the solvers' own tolerance"),
+        Limit(
+            figure="replay_error",
+            value=5e-4,
+            reason="six times what a semi-implicit step of 0.01 s drifts from the continuous motion over the 0.2 s (measured under the true law: "
+            "2e-5 to 8e-5 rad; softplus plans leave theirs by 0.04 to 0.14 rad)",
+        ),
+    ),
+    answers=(
+        Answer(
+            quantity="best known cost of an exact plan",
+            value=13.622851470202807,
+            tolerance=1e-9,
+            source="convex QP with the wall pushing on steps 13..19, the best of all plans that push in one interval",
+        ),
+        Answer(
+            quantity="least cost of a plan that never touches the wall",
+            value=148.0553656203583,
+            tolerance=1e-7,
+            source="convex QP with the wall open on all steps",
+        ),
+    ),
+    shapes=(
+        Shape(name="pendulum", kind="line", x=l * theta / 2, y=l / 2, size=(l,), angle=sp.pi / 2 - theta),
+        Shape(name="tip", kind="disc", x=l * theta, y=l, size=(sp.Rational(1, 50),)),
+        Shape(name="wall", kind="wall", x=w + sp.Rational(1, 50), y=l, size=(sp.Rational(3, 10),), angle=sp.pi / 2),
+    ),
+)
