@@ -7,46 +7,25 @@ finished cell.
 
 from __future__ import annotations
 
-import ctypes
 import json
 import os
-import signal
 import sys
 import time
 from pathlib import Path
 
-PARENT_VARIABLE = "TOUCHSTONE_PARENT"
+from validate.isolation.guards import die_with_parent, limit_resources
+
 # A cell that wrote MACHINE ends with this; the file, not the code, is what counts.
 _EXIT_MACHINE = 3
 # No file of a cell comes near this size; a log that runs away stops here instead of at the end of the disk.
 _LARGEST_FILE = 2 * 1024**3
 
 
-def _die_with_parent() -> None:
-    """Linux: be killed when the parent dies (PR_SET_PDEATHSIG); elsewhere the campaign's watchdog does it."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None, use_errno=True).prctl(1, signal.SIGKILL, 0, 0, 0)
-    parent = os.environ.get(PARENT_VARIABLE)
-    if parent is not None and os.getppid() != int(parent):
-        os._exit(1)  # it died before we could ask
-
-
-def _limit_files() -> None:
-    try:
-        import resource
-    except ImportError:  # not on Windows
-        return
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    if soft == resource.RLIM_INFINITY or soft > _LARGEST_FILE:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (_LARGEST_FILE, hard))
-
-
 def main(folder: Path) -> int:
     """Run the cell of a folder; the process's exit code."""
     began = time.monotonic()
-    _die_with_parent()
-    _limit_files()
+    die_with_parent()
+    limit_resources(file_bytes=_LARGEST_FILE)
     import random
 
     import numpy as np

@@ -12,7 +12,6 @@ import os
 import platform
 import shlex
 import subprocess
-import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from datetime import UTC, datetime
@@ -22,15 +21,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.errors import MachineError
+from validate.isolation.environment import ROOT, THREADS
 
 if TYPE_CHECKING:
     from models.scene import Scene
     from reports.record import ProvenanceRecord
 
-ROOT = Path(__file__).resolve().parent.parent
 SEED = 0
-# One thread for every library of a cell: times compare, sums are added in one order, and -j N uses N cores.
-THREADS = 1
 LIBRARIES = ("numpy", "scipy", "sympy", "pyomo", "cyipopt-wheels", "ipyopt", "torch", "fmpy", "scikit-sundae")
 # Parts of us that cannot change a number of a cell: how cells are chosen, run side by side, listed and told.
 _NO_INFLUENCE = (
@@ -178,32 +175,6 @@ def gather(command: str) -> ProvenanceRecord:
         started=now(),
         command=command,
     )
-
-
-def child_environment(token_variable: str, token: str, temporary: Path) -> dict[str, str]:
-    """The environment of a cell: one thread for every library, no hash randomisation, temporary files inside its own folder."""
-    one = str(THREADS)
-    threads = (
-        "OMP_NUM_THREADS",
-        "OPENBLAS_NUM_THREADS",
-        "MKL_NUM_THREADS",
-        "BLIS_NUM_THREADS",
-        "NUMEXPR_NUM_THREADS",
-        "VECLIB_MAXIMUM_THREADS",
-    )
-    given = [str(Path(part).resolve()) for part in os.environ.get("PYTHONPATH", "").split(os.pathsep) if part]
-    # What the parent can import because it was started with `python -m`, the child can import too.
-    here = [os.getcwd()] if {"", os.getcwd()} & set(sys.path) else []
-    return {
-        **os.environ,
-        **dict.fromkeys(threads, one),
-        "PYTHONHASHSEED": "0",
-        "PYTHONUNBUFFERED": "1",
-        "PYTHONFAULTHANDLER": "1",
-        "PYTHONPATH": os.pathsep.join([str(ROOT), *given, *here]),
-        "TMPDIR": str(temporary),
-        token_variable: token,
-    }
 
 
 def command_line(arguments: Iterable[str]) -> str:

@@ -1,10 +1,10 @@
-"""Leaves nothing behind: ends every process of a cell, and removes its unfinished folder, even when the campaign itself is killed.
+"""Leaves nothing behind: ends every process of a child (a cell, an isolated FMU), and removes its unfinished folder, even when we are killed.
 
-A cell runs in a session of its own, and every process it starts inherits an environment variable with the cell's token. So all of them
-are found: by process group, and on Linux by the token even if one of them left the group.
+A child runs in a session of its own, and every process it starts inherits an environment variable with the child's token (a child of a
+child: with both tokens). So all of them are found: by process group, and on Linux by the token even if one of them left the group.
 
-Run as a script, this file is the campaign's watchdog: it reads from its standard input which cells live, and when that pipe
-closes - the campaign ended, in whatever way - it ends what still lives. Only the standard library is used: it starts in 20 ms.
+Run as a script, this file is the watchdog of a process that has children: it reads from its standard input which of them live, and when that pipe
+closes - their parent ended, in whatever way - it ends what still lives. Only the standard library is used: it starts in 20 ms.
 
     start <token> <folder>      stop <token>
 """
@@ -26,17 +26,18 @@ _ROUNDS, _PAUSE = 100, 0.01
 
 def processes_with(token: str) -> list[int]:
     """Living processes (not zombies) whose environment carries the token; empty where there is no /proc."""
-    mark = f"{TOKEN_VARIABLE}={token}".encode()
+    start, mark = f"{TOKEN_VARIABLE}=".encode(), token.encode()
     found = []
     for entry in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
-            if mark in (entry / "environ").read_bytes().split(b"\0"):
-                found.append(int(entry.name))
+            for variable in (entry / "environ").read_bytes().split(b"\0"):
+                if variable.startswith(start) and mark in variable.removeprefix(start).split(b","):
+                    found.append(int(entry.name))
     return found
 
 
 def end_all(token: str, group: int | None = None) -> None:
-    """Kill every process of a cell: its process group, and all that carry its token. Returns when none is left."""
+    """Kill every process of a child: its process group, and all that carry its token. Returns when none is left."""
     for _ in range(_ROUNDS):
         if group is not None:
             with contextlib.suppress(ProcessLookupError, PermissionError):

@@ -12,11 +12,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import resource
 import shutil
-import signal
-import subprocess
-import sys
 import time
 import uuid
 from typing import TYPE_CHECKING
@@ -24,8 +20,7 @@ from typing import TYPE_CHECKING
 from models.errors import MachineError
 from validate import reaper
 from validate.cell import Cell
-from validate.child import PARENT_VARIABLE
-from validate.provenance import child_environment
+from validate.isolation.process import ChildProcess, Ended, Watchdog, exit_in_words
 from validate.store import LOG, MACHINE, PROGRESS, RECORD, REQUEST, Store, disk_error, write_durably
 
 if TYPE_CHECKING:
@@ -36,39 +31,6 @@ _TAIL_BYTES = 20_000
 _TEMPORARY = "tmp"
 
 
-class Watchdog:
-    """The process that tidies up after us if we are killed (validate.reaper)."""
-
-    def __init__(self) -> None:
-        command = [sys.executable, "-I", "-S", reaper.__file__]
-        self._process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-            text=True,
-            bufsize=1,
-        )
-
-    def tell(self, *words: str) -> None:
-        if self._process.stdin is not None:
-            with contextlib.suppress(BrokenPipeError):
-                self._process.stdin.write(" ".join(words) + "\n")
-
-    def close(self) -> None:
-        if self._process.stdin is not None:
-            with contextlib.suppress(BrokenPipeError):
-                self._process.stdin.close()
-        self._process.wait()
-
-    def __enter__(self) -> Watchdog:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-
 class Worker:
     """One running cell; see the module docstring. Starting it raises MachineError if the folder cannot be written."""
 
@@ -77,7 +39,7 @@ class Worker:
     ) -> None:
         self.cell, self._scene, self._plan, self._provenance, self._store, self._watchdog = cell, scene, plan, provenance, store, watchdog
         self._token = uuid.uuid4().hex
-        self._cpu = 0.0
+        self._ended = Ended(code=0, cpu=0.0, memory=0, strays=0)
         self._folder = store.open_partial(cell.key, self._token).resolve()
         watchdog.tell("start", self._token, str(self._folder))
         self._began = time.monotonic()
@@ -88,7 +50,7 @@ class Worker:
             self._forget()
             raise
 
-    def _start(self) -> subprocess.Popen[bytes]:
+    def _start(self) -> ChildProcess:
         request = {"cell": self.cell.to_json(), "provenance": self._provenance.model_dump(mode="json")}
         write_durably(self._folder / REQUEST, json.dumps(request, indent=1))
         temporary = self._folder / _TEMPORARY
@@ -97,19 +59,8 @@ class Worker:
             log = open(self._folder / LOG, "wb")  # noqa: SIM115 - closed below, once the child has it
         except OSError as error:
             raise disk_error(self._folder, error) from error
-        environment = child_environment(reaper.TOKEN_VARIABLE, self._token, temporary)
-        environment[PARENT_VARIABLE] = str(os.getpid())
         with log:
-            return subprocess.Popen(
-                # -P: the child's own folder is not searched for modules.
-                [sys.executable, "-P", "-m", "validate.child", str(self._folder)],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                cwd=temporary,
-                env=environment,
-                start_new_session=True,
-            )
+            return ChildProcess("validate.child", [str(self._folder)], token=self._token, temporary=temporary, output=log)
 
     def progress(self) -> str:
         """Where the cell is, in words."""
@@ -121,10 +72,10 @@ class Worker:
     def poll(self) -> RunRecord | None:
         """None while it runs; then its record, which is stored. Raises MachineError if the cell found that this machine cannot."""
         over_time = time.monotonic() - self._began > self.cell.time_limit
-        ended = self._has_ended()
+        ended = self._process.has_ended()
         if not ended and not over_time:
             return None
-        self._end_processes()
+        self._ended = self._process.end()
         record = self._record(None if ended else "time_limit")
         try:
             self._file(record)
@@ -134,21 +85,8 @@ class Worker:
 
     def stop(self) -> None:
         """End the cell and leave nothing of it."""
-        self._end_processes()
+        self._ended = self._process.end()
         self._forget()
-
-    def _has_ended(self) -> bool:
-        """Whether the child ended. It is looked at without being waited for: until then its group's number cannot be given to another."""
-        if not hasattr(os, "waitid"):  # macOS before Python 3.13
-            return self._process.poll() is not None
-        return os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
-
-    def _end_processes(self) -> None:
-        reaper.end_all(self._token, self._process.pid)
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        self._process.wait()
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        self._cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
     def _forget(self) -> None:
         shutil.rmtree(self._folder, ignore_errors=True)
@@ -176,7 +114,7 @@ class Worker:
                 return record
             problem = "its result file belongs to another cell"
         except FileNotFoundError:
-            problem = "it left no result" if self._process.returncode == 0 else ""
+            problem = "it left no result" if self._ended.code == 0 else ""
         except (OSError, ValidationError) as error:
             problem = f"its result file cannot be read ({type(error).__name__})"
         with contextlib.suppress(OSError):
@@ -195,9 +133,9 @@ class Worker:
         else:
             outcome = Outcome.CRASHED
             words = [
-                f"the process ended with {_exit_in_words(self._process.returncode)} during {place}",
+                f"the process ended with {exit_in_words(self._ended.code)} during {place}",
                 problem,
-                _last_words(log, self._process.returncode),
+                _last_words(log, self._ended.code),
             ]
             message = "; ".join(filter(None, words)) + "."
         stages = [unfinished_stage(self._scene.name, self.cell.pipeline.name, planned, outcome, message) for planned in self._plan]
@@ -207,7 +145,7 @@ class Worker:
             stages,
             self._provenance,
             wall=time.monotonic() - self._began,
-            cpu=self._cpu,
+            cpu=self._ended.cpu,
             log=log,
             outcome=outcome.name.lower(),
             message=message,
@@ -222,15 +160,6 @@ class Worker:
                 return file.read().decode("utf-8", errors="replace")
         except OSError as error:
             raise disk_error(self._folder / LOG, error) from error
-
-
-def _exit_in_words(code: int) -> str:
-    if code >= 0:
-        return f"exit code {code}"
-    try:
-        return f"signal {-code} ({signal.Signals(-code).name})"
-    except ValueError:
-        return f"signal {-code}"
 
 
 def _last_words(log: str, code: int) -> str:

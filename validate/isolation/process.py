@@ -1,0 +1,166 @@
+"""A child process in a session of its own: started, watched, and ended with everything it started. Cells and isolated FMUs use the same.
+
+child = ChildProcess("validate.child", [str(folder)], token=token, temporary=folder / "tmp", output=log)
+while not child.has_ended(): ...
+ended = child.end()                 # how, what it cost; no process of it is left
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import IO, Any
+
+from validate import reaper
+from validate.isolation.environment import child_environment
+
+# Pause between two looks where the system cannot tell us the end of a process [s].
+_LOOK = 0.01
+
+
+class Watchdog:
+    """The process that tidies up after us if we are killed (validate.reaper)."""
+
+    def __init__(self) -> None:
+        command = [sys.executable, "-I", "-S", reaper.__file__]
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+            text=True,
+            bufsize=1,
+        )
+
+    def tell(self, *words: str) -> None:
+        if self._process.stdin is not None:
+            with contextlib.suppress(BrokenPipeError):
+                self._process.stdin.write(" ".join(words) + "\n")
+
+    @property
+    def lives(self) -> bool:
+        return self._process.poll() is None
+
+    def close(self) -> None:
+        if self._process.stdin is not None:
+            with contextlib.suppress(BrokenPipeError):
+                self._process.stdin.close()
+        self._process.wait()
+
+    def __enter__(self) -> Watchdog:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+@lru_cache(maxsize=1)
+def _watchdog_of(process: int) -> Watchdog:
+    dog = Watchdog()
+    atexit.register(dog.close)
+    return dog
+
+
+def shared_watchdog() -> Watchdog:
+    """One watchdog for all isolated runs of this process (another one after a fork, or if somebody ended it)."""
+    dog = _watchdog_of(os.getpid())
+    if not dog.lives:
+        _watchdog_of.cache_clear()
+        dog = _watchdog_of(os.getpid())
+    return dog
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ended:
+    """exit code (negative: a signal), CPU seconds of the child and those it waited for, its largest resident memory [bytes],
+    number of processes it left behind (all ended)."""
+
+    code: int
+    cpu: float
+    memory: int
+    strays: int
+
+
+class ChildProcess:
+    """One running Python module; see the module docstring."""
+
+    def __init__(self, module: str, arguments: Sequence[str], *, token: str, temporary: Path, output: IO[bytes]) -> None:
+        self.token = token
+        # -P: the folder the child runs in is not searched for modules.
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", module, *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            cwd=temporary,
+            env=child_environment(token, temporary),
+            start_new_session=True,
+        )
+        self.pid = self._process.pid
+
+    def has_ended(self) -> bool:
+        """Whether the child ended. It is looked at without being waited for: until then its group's number cannot be given to another."""
+        if not hasattr(os, "waitid"):  # macOS before Python 3.13
+            return self._process.poll() is not None
+        return os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+
+    def wait(self, seconds: float) -> bool:
+        """Wait at most that long; whether it ended."""
+        if hasattr(os, "pidfd_open"):
+            with contextlib.suppress(OSError):
+                handle = os.pidfd_open(self.pid)
+                try:
+                    select.select([handle], [], [], max(0.0, seconds))
+                finally:
+                    os.close(handle)
+                return self.has_ended()
+        until = time.monotonic() + seconds
+        while not self.has_ended():
+            left = until - time.monotonic()
+            if left <= 0:
+                return False
+            time.sleep(min(_LOOK, left))
+        return True
+
+    def address_space(self) -> int:
+        """Largest address space so far [bytes]; 0 where it cannot be told."""
+        with contextlib.suppress(OSError):
+            for line in Path(f"/proc/{self.pid}/status").read_text(encoding="ascii", errors="replace").splitlines():
+                if line.startswith("VmPeak:"):
+                    return 1024 * int(line.split()[1])
+        return 0
+
+    def end(self) -> Ended:
+        """End the child and all it started, wherever they went."""
+        strays = len([process for process in reaper.processes_with(self.token) if process != self.pid])
+        reaper.end_all(self.token, self.pid)
+        if self._process.returncode is not None or not hasattr(os, "wait4"):
+            return Ended(code=self._process.wait(), cpu=0.0, memory=0, strays=strays)
+        _, status, usage = os.wait4(self.pid, 0)
+        self._process.returncode = os.waitstatus_to_exitcode(status)
+        return Ended(code=self._process.returncode, cpu=usage.ru_utime + usage.ru_stime, memory=_bytes(usage), strays=strays)
+
+
+def _bytes(usage: Any) -> int:
+    return usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+
+def exit_in_words(code: int) -> str:
+    """`exit code 3` or `signal 11 (SIGSEGV)`."""
+    if code >= 0:
+        return f"exit code {code}"
+    try:
+        return f"signal {-code} ({signal.Signals(-code).name})"
+    except ValueError:
+        return f"signal {-code}"

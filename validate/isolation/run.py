@@ -1,0 +1,179 @@
+"""run_isolated(): one function call in a child process, with limits, its end put into words, nothing left of it afterwards."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import tempfile
+import time
+import uuid
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from models.errors import MachineError
+from validate.isolation.ending import Ending
+from validate.isolation.process import ChildProcess, Ended, exit_in_words, shared_watchdog
+
+if TYPE_CHECKING:
+    import numpy as np
+
+REQUEST, ANSWER, OUTPUT, TEMPORARY = "request.json", "answer.json", "output.txt", "tmp"
+GIVEN, TAKEN = "given.npz", "answer.npz"
+# The reaper removes folders of this name, and no others.
+FOLDER_PREFIX = ".partial-isolated-"
+# How often the memory of the child is looked at [s], and from which share of its limit on a crash is put down to it.
+_LOOK, _NEAR = 0.02, 0.8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """seconds: of the clock (twice that of CPU); memory: address space, Python's own 0.3 GB included; file: any one file it writes,
+    what it prints included; output: bytes of what it printed that are kept (the last ones)."""
+
+    seconds: float = 300.0
+    memory: int = 4 * 1024**3
+    file: int = 512 * 1024**2
+    output: int = 20_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Isolated:
+    """How the call ended. value, arrays: what the function gave, only if ok; sentence: why not, else empty.
+
+    output: the last bytes of what it printed; strays: processes it left behind, ended by us; cpu, wall [s]; memory: the largest seen [bytes].
+    """
+
+    ending: Ending
+    sentence: str
+    value: Any = None
+    arrays: Mapping[str, np.ndarray] = field(default_factory=dict)
+    output: str = ""
+    code: int = 0
+    strays: int = 0
+    cpu: float = 0.0
+    wall: float = 0.0
+    memory: int = 0
+
+    @property
+    def ok(self) -> bool:
+        return self.ending is Ending.OK
+
+
+def run_isolated(
+    function: str, request: Any, arrays: Mapping[str, np.ndarray] | None = None, *, limits: Limits | None = None, what: str = "the run"
+) -> Isolated:
+    """Call `module:name` in a child process as name(request, arrays) -> value or (value, arrays).
+
+    request, value: what JSON holds (NaN is refused); arrays: float or integer numpy arrays by name. what: the subject of the sentence.
+    Raises MachineError if the temporary folder cannot be written; everything the child does is the answer's `ending`.
+    """
+    limits = limits or Limits()
+    token = uuid.uuid4().hex
+    try:
+        folder = Path(tempfile.mkdtemp(prefix=FOLDER_PREFIX)).resolve()
+    except OSError as error:
+        raise MachineError(
+            f"no temporary folder can be made in {tempfile.gettempdir()} ({error.strerror}); make room or set TMPDIR."
+        ) from error
+    dog = shared_watchdog()
+    dog.tell("start", token, str(folder))
+    try:
+        _write_request(folder, function, request, arrays, limits)
+        return _run(folder, token, limits, what)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        dog.tell("stop", token)
+
+
+def _write_request(folder: Path, function: str, request: Any, arrays: Mapping[str, np.ndarray] | None, limits: Limits) -> None:
+    text = json.dumps(
+        {"function": function, "request": request, "memory": limits.memory, "seconds": limits.seconds, "file": limits.file}, allow_nan=False
+    )
+    try:
+        (folder / TEMPORARY).mkdir()
+        (folder / REQUEST).write_text(text, encoding="utf-8")
+        if arrays:
+            import numpy as np
+
+            np.savez(folder / GIVEN, allow_pickle=False, **arrays)
+    except OSError as error:
+        raise MachineError(f"cannot write {folder} ({error.strerror}); make room or set TMPDIR.") from error
+
+
+def _run(folder: Path, token: str, limits: Limits, what: str) -> Isolated:
+    began = time.monotonic()
+    peak, over_time = 0, False
+    with open(folder / OUTPUT, "wb") as output:
+        child = ChildProcess("validate.isolation.child", [str(folder)], token=token, temporary=folder / TEMPORARY, output=output)
+    try:
+        while not child.wait(min(_LOOK, began + limits.seconds - time.monotonic())):
+            peak = max(peak, child.address_space())
+            if time.monotonic() - began > limits.seconds:
+                over_time = True
+                break
+    finally:
+        ended = child.end()
+    peak = max(peak, ended.memory)
+    answer = _answer(folder)
+    ending, sentence = _classify(answer, ended, over_time, peak, limits, what)
+    return Isolated(
+        ending=ending,
+        sentence=sentence,
+        value=answer.get("value") if ending is Ending.OK else None,
+        arrays=_arrays(folder) if ending is Ending.OK else {},
+        output=_tail(folder / OUTPUT, limits.output),
+        code=ended.code,
+        strays=ended.strays,
+        cpu=ended.cpu,
+        wall=time.monotonic() - began,
+        memory=peak,
+    )
+
+
+def _answer(folder: Path) -> dict[str, Any]:
+    """The child's answer; empty if it left none that is whole."""
+    try:
+        answer = json.loads((folder / ANSWER).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return answer if isinstance(answer, dict) and answer.get("ending") in Ending.__members__ else {}
+
+
+def _classify(answer: dict[str, Any], ended: Ended, over_time: bool, peak: int, limits: Limits, what: str) -> tuple[Ending, str]:
+    ending = Ending[answer["ending"]] if answer else None
+    if ending is Ending.OK:
+        return ending, ""
+    if ending in (Ending.ERROR, Ending.MACHINE):
+        return ending, str(answer["sentence"])
+    if ending is Ending.MEMORY_LIMIT or (not over_time and peak >= _NEAR * limits.memory):
+        return Ending.MEMORY_LIMIT, f"{what}: {Ending.MEMORY_LIMIT.value} of {limits.memory / 1024**3:.3g} GiB."
+    if ending is not None:
+        return ending, f"{what}: {ending.value}: {str(answer['sentence']).rstrip('.')}."
+    if over_time or ended.code == -getattr(signal, "SIGXCPU", 0):
+        return Ending.TIME_LIMIT, f"{what}: {Ending.TIME_LIMIT.value} of {limits.seconds:g} s."
+    if ended.code == -signal.SIGABRT:
+        return Ending.ABORT, f"{what}: {Ending.ABORT.value} (SIGABRT)."
+    if ended.code < 0:
+        return Ending.SIGNAL, f"{what}: {Ending.SIGNAL.value} with {exit_in_words(ended.code)}."
+    return Ending.NO_RESULT, f"{what}: {Ending.NO_RESULT.value} ({exit_in_words(ended.code)})."
+
+
+def _arrays(folder: Path) -> dict[str, np.ndarray]:
+    if not (folder / TAKEN).exists():
+        return {}
+    import numpy as np
+
+    with np.load(folder / TAKEN, allow_pickle=False) as stored:
+        return {name: stored[name] for name in stored.files}
+
+
+def _tail(path: Path, size: int) -> str:
+    with contextlib.suppress(OSError), open(path, "rb") as file:
+        file.seek(max(0, os.path.getsize(path) - size))
+        return file.read().decode("utf-8", errors="replace")
+    return ""
