@@ -1,4 +1,4 @@
-"""The optimality conditions of a plan with fixed contact modes, as one banded matrix, factorised by LAPACK in milliseconds.
+"""The optimality conditions of a plan with fixed contact modes, as one banded matrix, factorised in milliseconds.
 
 Unknowns, time by time: y[t] (multipliers of the time step), u[t], z[t+1], mu[t+1] (multipliers of phi = 0 where that is imposed), and w, the
 multipliers of the goal, last. All that a change of modes or active bounds does is change numbers in the band: its shape is settled once.
@@ -15,12 +15,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import get_blas_funcs, get_lapack_funcs
 
+from formulations.windows.band import BandedLU
 from formulations.windows.linear_scene import LinearScene
-
-_LU, _BACKSOLVE = get_lapack_funcs(("gbtrf", "gbtrs"), dtype=np.float64)
-(_MULTIPLY,) = get_blas_funcs(("gbmv",), dtype=np.float64)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,7 +84,8 @@ class BandedKKT:
         ]
         reach = [rows - columns, *((a - b).ravel() for a, b in moving)]
         width = max(int(np.abs(part).max(initial=0)) for part in reach)
-        self._width, self._height = width, 2 * width + 1  # kl = ku = width
+        self._width, self._height = width, 2 * width + 1  # as many diagonals below as above
+        self._lu = BandedLU(self.size, width)
         self._constant = np.zeros((self._height, self.size), order="F")
         flat = self._constant.reshape(-1, order="F")
         np.add.at(flat, self._place(rows, columns), values)
@@ -146,11 +144,7 @@ class BandedKKT:
         if compliance is not None:
             flat[self._at_mu[:-1]] -= compliance[1:]
         flat[self._at_w] -= softness * self._linear.aimed
-        self._band = band
-        work = np.zeros((self._height + self._width, self.size), order="F")  # LAPACK wants kl more rows for its pivots
-        work[self._width :] = band
-        self._factors, self._pivots, info = _LU(work, self._width, self._width, overwrite_ab=True)
-        return info == 0
+        return self._lu.factor(band)
 
     def right_side(self, closed: np.ndarray, held: np.ndarray, bound: np.ndarray, touching: np.ndarray, goal: np.ndarray) -> np.ndarray:
         """(size,) right-hand side; bound (steps, nu): the values of held inputs; goal (n,): where z[T] is to be."""
@@ -175,15 +169,11 @@ class BandedKKT:
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solution of the factorised system for right (size,) or (size, m), refined once by its own residual."""
-        found, _ = _BACKSOLVE(self._factors, self._width, self._width, right, self._pivots)
-        correction, _ = _BACKSOLVE(self._factors, self._width, self._width, right - self.product(found), self._pivots)
-        return found + correction
+        return self._lu.solve(right)
 
     def product(self, x: np.ndarray) -> np.ndarray:
-        """The matrix of the last factorisation times x."""
-        if x.ndim == 2:
-            return np.stack([self.product(column) for column in x.T], axis=1)
-        return _MULTIPLY(self.size, self.size, self._width, self._width, 1.0, self._band, x)
+        """The matrix of the last factorisation times x (size,)."""
+        return self._lu.product(x)
 
     def point(self, x: np.ndarray) -> Point:
         """A solution by name."""
