@@ -11,7 +11,7 @@ from models.trajectory import write_csv
 from models.trajectory_netcdf import read_netcdf
 from reports.record import RunRecord
 
-CHOICE = ("all", "-k", "softplus_gd+relu_gd")
+CHOICE = ("all", "--scene", "three_cart", "-k", "softplus_gd+relu_gd")
 
 
 @pytest.fixture(scope="module")
