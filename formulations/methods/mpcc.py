@@ -18,6 +18,7 @@ class Mpcc(Method):
     title = "Exact contact by its windows"
     kind = Kind.DIRECT
     needs_eps = False
+    exact = True
     options = (
         OptionSpec(name="search", default=True, description="search for cheaper contact windows around those found", choices=(True, False)),
         OptionSpec(
@@ -79,6 +80,8 @@ class Mpcc(Method):
     def accepts(self, scene: Scene) -> str | None:
         if not scene.inputs:
             return f"scene {scene.name} has no inputs, so there is nothing to plan."
+        if scene.nf:
+            return f"scene {scene.name} has friction, and contact windows alone do not say where it sticks; strict_lcp plans it."
         from formulations.transcription.expressions import SceneExpressions
         from models.dynamics import derive
         from models.errors import SceneError

@@ -11,6 +11,8 @@ What a block has, t in 0..T (`set_nodes`) or 0..T-1 (`set_steps`):
 | variable_q, variable_v | t in nodes, coordinate | positions [m, rad], velocities |
 | variable_u | t in steps, input | inputs within their bounds |
 | variable_lam | t in steps, contact | contact forces [N] at the start of the step |
+| variable_friction | t in steps, friction | friction forces [N], of the slip at the end of the step |
+| variable_slip | t in steps, friction, way | slip speeds forward and backward [m/s], complementarity only |
 | parameter_scene | parameter | the scene's parameters, mutable |
 | parameter_start_position, _start_velocity, _goal_position, _goal_velocity | coordinate | mutable; goals only where the end is given |
 | parameter_step | | h [s], mutable |
@@ -19,9 +21,11 @@ What a block has, t in 0..T (`set_nodes`) or 0..T-1 (`set_steps`):
 | constraint_start_position, _start_velocity, _goal_position, _goal_velocity | coordinate | goals only where the end is given |
 | constraint_position_step, constraint_velocity_step | t in steps, coordinate | semi-implicit Euler |
 | constraint_contact_softplus or complementarity_contact | t in steps, contact | the contact law |
+| constraint_friction_regularised, or constraint_slip and complementarity_friction | t in steps, friction (, way) | the friction law (`friction`) |
 | expression_cost, objective_cost | | sum of the running cost; the objective exists in `build_model` only |
 
-What the scene does not need is not there: no variable_u without inputs, no variable_lam without contacts.
+What the scene does not need is not there: no variable_u without inputs, no variable_lam without contacts, no
+variable_friction without friction.
 """
 
 from __future__ import annotations
@@ -35,6 +39,7 @@ from pyomo.mpec import Complementarity
 from formulations.transcription import equations
 from formulations.transcription.contact_laws import ContactLaw, ModelError, relax
 from formulations.transcription.expressions import SceneExpressions
+from formulations.transcription.friction import add_friction
 from models.catalog import load_scene
 from models.contact_law import sharpness
 from models.dynamics import derive
@@ -106,7 +111,7 @@ def build_block(
         _add_variables(block, chosen)
         _add_ends(block, chosen)
         _add_steps(block, chosen, contact, b)
-        if contact is ContactLaw.COMPLEMENTARITY and eps is not None and chosen.nc:
+        if contact is ContactLaw.COMPLEMENTARITY and eps is not None and chosen.nl:
             relax(block, eps)
 
 
@@ -178,6 +183,9 @@ def _add_steps(block: Any, scene: Scene, contact: ContactLaw, b: float | None) -
     lam: list[list[Any]] = [[]] * scene.task.steps
     if scene.nc:
         lam = _add_contact(block, scene, contact, b, law, q, p)
+    if scene.nf:
+        friction = add_friction(block, scene, law, b, (q, v, lam), p)
+        lam = [[*contacts, *frictions] for contacts, frictions in zip(lam, friction, strict=True)]
     mass = [law.mass(q_now, p) for q_now in q[:-1]]
     force = [law.force(*arguments, p) for arguments in zip(q[:-1], v[:-1], u, lam, strict=True)]
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pyomo.environ as pyo
 
+from formulations.transcription.friction import settle_slip
 from models.contact_law import sharpness
 from models.errors import TouchstoneError
 
@@ -32,22 +33,24 @@ def relax(block: Any, eps: float) -> None:
     In place, once: the transformation applied again would silently disconnect the first bound, hence a ModelError. To keep the
     untransformed model, relax a clone: `relaxed = model.clone(); relax(relaxed, 1e-2)`.
     """
-    if not hasattr(block, "complementarity_contact"):
+    if not _families(block):
         raise ModelError(f"{_name(block)} has no complementarity to relax; build it with contact=ContactLaw.COMPLEMENTARITY and eps=None.")
     if hasattr(block, "mpec_bound"):
         raise ModelError(f"{_name(block)} is relaxed already; move its bound with tighten(model, eps).")
     bound = _checked_bound(block, eps)
     pyo.TransformationFactory(_TRANSFORMATION).apply_to(block, mpec_bound=bound)
-    for pair in block.complementarity_contact.values():
-        pair.c.deactivate()  # lam >= 0 is the bound of variable_lam already; as a row it would cost a slack each
+    for _, pair in pairs(block):
+        pair.c.deactivate()  # that a force or slip is not negative is its bound already; as a row it would cost a slack each
     settle_separation(block)  # the transformation leaves v without a value
 
 
 def settle_separation(block: Any) -> None:
-    """Give the separation force v = lam - k phi of each relaxed pair the value that its own equation asks for (at least 0)."""
+    """Give the separation force v = lam - k phi (friction: the reserve mu N - |f| either way) of each relaxed pair the value that its own
+    equation asks for (at least 0), and slip speeds theirs."""
+    settle_slip(block)
     if not is_relaxed(block):
         return
-    for pair in block.complementarity_contact.values():
+    for _, pair in pairs(block):
         pair.v.set_value(0.0, skip_validation=True)
         pair.v.set_value(max(0.0, -pyo.value(pair.ve.body)), skip_validation=True)  # ve: v - (lam - k phi) == 0
 
@@ -62,23 +65,49 @@ def tighten(block: Any, eps: float) -> None:
         raise ModelError(f"{_name(block)} has no relaxation to tighten; build it with an eps, or relax(model, eps) first.")
 
 
-def hold_modes(block: Any, closed: np.ndarray) -> None:
-    """Decide every pair of a relaxed block: closed (steps, nc) is True where lam = k phi, False where lam = 0. The products are switched off.
+def pairs(block: Any) -> list[tuple[Any, Any]]:
+    """(variable, pair) of every complementarity, contacts then frictions, each by step: (lam, its pair), (slip one way, its pair)."""
+    return [item for family in _families(block) for item in zip(family[0].values(), family[1].values(), strict=True)]
 
-    What is left has no complementarity: for a linear scene a convex quadratic program.
+
+def sides(block: Any) -> list[tuple[Any, Any]]:
+    """The two variables of every pair of a relaxed block, of which one is zero, step by step as in `hold_modes`: (lam, lam - k phi) of
+    the contacts, then (slip forward, mu N + f), (slip backward, mu N - f) of the frictions."""
+    steps = len(block.set_steps)
+    rows: list[list[tuple[Any, Any]]] = [[] for _ in range(steps)]
+    for variables, components in _families(block):
+        couples = [(variable, pair.v) for variable, pair in zip(variables.values(), components.values(), strict=True)]
+        width = len(couples) // steps
+        for t, row in enumerate(rows):
+            row += couples[t * width : (t + 1) * width]
+    return [couple for row in rows for couple in row]
+
+
+def _families(block: Any) -> list[tuple[Any, Any]]:
+    names = (("variable_lam", "complementarity_contact"), ("variable_slip", "complementarity_friction"))
+    found = [(block.component(variable), block.component(pair)) for variable, pair in names]
+    return [(variable, pair) for variable, pair in found if pair is not None]
+
+
+def hold_modes(block: Any, closed: np.ndarray) -> None:
+    """Decide every pair of a relaxed block; the products are switched off.
+
+    closed (steps, nc + 2 nf) is True where a contact is closed (lam = k phi; else lam = 0), then, for each friction, where it may slip
+    forward against f = -mu N (else it does not), and where backward. What is left has no complementarity: for a linear scene without
+    friction a convex quadratic program.
     """
-    pairs = zip(block.variable_lam.values(), block.complementarity_contact.values(), closed.ravel().tolist(), strict=True)
-    for lam, pair, is_closed in pairs:
+    for _, pair in pairs(block):
         pair.ccon.deactivate()
-        lam.setub(None if is_closed else 0.0)
-        pair.v.setub(0.0 if is_closed else None)
+    for (force, separation), is_closed in zip(sides(block), closed.ravel().tolist(), strict=True):
+        force.setub(None if is_closed else 0.0)
+        separation.setub(0.0 if is_closed else None)
 
 
 def release_modes(block: Any) -> None:
     """Undo `hold_modes`: the pairs are open to choice again, and their products are bounded by mpec_bound."""
-    for lam, pair in zip(block.variable_lam.values(), block.complementarity_contact.values(), strict=True):
+    for variable, pair in pairs(block):
         pair.ccon.activate()
-        lam.setub(None)
+        variable.setub(None)
         pair.v.setub(None)
 
 

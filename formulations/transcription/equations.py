@@ -51,6 +51,21 @@ def complementarity_contact(lam: Any, phi: Any, k: Any) -> Any:
     return complements(lam - k * phi >= 0, lam >= 0)
 
 
+def constraint_friction_regularised(f: Any, limit: Any, slip: Any, steepness: Any) -> Any:
+    """f[t] = -mu N tanh(steepness s(q[t], v[t+1]))   [N],   steepness = b / (2 nominal) [s/m]: a logistic function of the slip"""
+    return f == -limit * pyo.tanh(steepness * slip)
+
+
+def constraint_slip(forward: Any, backward: Any, slip: Any) -> Any:
+    """forward - backward = s(q[t], v[t+1])   [m/s]"""
+    return forward - backward == slip
+
+
+def complementarity_friction(way: Any, reserve: Any) -> Any:
+    """0 <= slip one way [m/s]  complements  mu N + f (or - f) >= 0 [N]: it slips only against all of mu N"""
+    return complements(reserve >= 0, way >= 0)
+
+
 def expression_cost(running_costs: Sequence[Any]) -> Any:
     """sum over t = 0..T-1 of the running cost, not weighted with h (paper: sum_t u1^2 + u3^2 [N^2])"""
     return sum(running_costs)

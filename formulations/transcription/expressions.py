@@ -29,19 +29,17 @@ Entries = Callable[..., Sequence[Any]]
 
 
 class SceneExpressions:
-    """The five functions a transcription needs. Raises SceneError for a function that is not smooth (abs, Max, Piecewise ...)."""
+    """The functions a transcription needs. Raises SceneError for a function that is not smooth (abs, Max, Piecewise ...)."""
 
     def __init__(self, dynamics: Dynamics) -> None:
         d = dynamics
-        if d.structure.friction:
-            raise SceneError(
-                f"scene {d.scene.name}: it has friction, which the direct transcription does not write yet; plan it by gradient descent."
-            )
         self.nq, self.nc = len(d.q), len(d.lam)
         self.mass = _function(d, "the mass matrix", list(d.mass_matrix), d.q, d.p)  # row by row, nq*nq entries
-        self.force = _function(d, "the generalised force", list(d.generalised_force), d.q, d.v, d.u, d.lam, d.p)
+        self.force = _function(d, "the generalised force", list(d.generalised_force), d.q, d.v, d.u, (*d.lam, *d.f), d.p)
         self.penetration = _function(d, "a penetration", list(d.penetration), d.q, d.p)
         self.stiffness = _function(d, "a stiffness", list(d.stiffness), d.p)
+        self.slip = _function(d, "a slip", list(d.slip), d.q, d.v, d.p)
+        self.friction_limit = _function(d, "a friction coefficient or normal force", list(d.friction_limit), d.q, d.lam, d.p)
         self.running_cost = _function(d, "the running cost", [d.running_cost], d.q, d.v, d.u, d.p)
 
 

@@ -42,8 +42,6 @@ class TranscriptionMethod(Method):
     def accepts(self, scene: Scene) -> str | None:
         if not scene.inputs:
             return f"scene {scene.name} has no inputs, so there is nothing to plan."
-        if scene.nf:
-            return f"scene {scene.name} has friction, which the direct transcription does not write yet."
         return None
 
     def open(self, scene: Scene, options: Mapping[str, object] = MappingProxyType({})) -> Session:

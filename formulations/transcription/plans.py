@@ -24,8 +24,12 @@ def load_plan(block: Any, plan: Trajectory) -> None:
             f"warm start: it has {plan.steps} steps over {plan.t[-1] - plan.t[0]:g} s, but model {block.name} has {steps} steps of {h:g} s; "
             "resample it to that grid."
         )
-    for name in ("q", "v", "u", "lam"):
-        values, variable = getattr(plan, name), block.component(f"variable_{name}")
+    friction = block.component("variable_friction")
+    nf = 0 if friction is None else len(friction) // steps
+    nc = plan.lam.shape[1] - nf
+    arrays = {"q": plan.q, "v": plan.v, "u": plan.u, "lam": plan.lam[:, : max(nc, 0)], "friction": plan.lam[:, max(nc, 0) :]}
+    for name, values in arrays.items():
+        variable = block.component(f"variable_{name}")
         columns = 0 if variable is None else len(variable) // len(values)
         if values.shape[1] != columns:
             raise TrajectoryError(f"warm start: {name} has {values.shape[1]} columns, but model {block.name} has {columns}.")
@@ -44,8 +48,9 @@ def load_first_guess(block: Any) -> None:
             data.set_value(
                 min(max(0.0, -np.inf if data.lb is None else data.lb), np.inf if data.ub is None else data.ub), skip_validation=True
             )
-    if block.component("variable_lam") is not None:
-        write_values(block.variable_lam, np.zeros((len(block.variable_lam), 1)))
+    for name in ("variable_lam", "variable_friction"):
+        if block.component(name) is not None:
+            write_values(block.component(name), np.zeros((len(block.component(name)), 1)))
     settle_separation(block)
 
 
@@ -53,9 +58,10 @@ def read_plan(block: Any) -> Trajectory:
     """The plan that the block's variables hold now. Raises TrajectoryError where one has no finite value."""
     steps = len(block.set_steps)
     arrays = {}
-    for name, rows in (("q", steps + 1), ("v", steps + 1), ("u", steps), ("lam", steps)):
+    for name, rows in (("q", steps + 1), ("v", steps + 1), ("u", steps), ("lam", steps), ("friction", steps)):
         variable = block.component(f"variable_{name}")
         arrays[name] = np.zeros((rows, 0)) if variable is None else read_values(variable).reshape(rows, -1)
+    arrays["lam"] = np.hstack([arrays["lam"], arrays.pop("friction")])
     return Trajectory(t=uniform_grid(pyo.value(block.parameter_step), steps), **arrays)
 
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import sympy as sp
 
-from models.contact_law import ContactLaw, contact_force
+from models.contact_law import ContactLaw, contact_force, sharpness
 from models.dynamics import derive
 from models.goal import distance, goal_state
 from models.scene import Scene
@@ -26,18 +26,31 @@ class PlanResiduals:
         self._scene = scene
         d = derive(scene)
         self._mass = _function(scene, d.mass_matrix, d.q)
-        self._force = _function(scene, d.generalised_force, d.q, d.v, d.u, d.lam)
+        self._force = _function(scene, d.generalised_force, d.q, d.v, d.u, (*d.lam, *d.f))
         self._penetration = _function(scene, d.penetration, d.q)
+        self._slip = _function(scene, d.slip, d.q, d.v)
+        self._limit = _function(scene, d.friction_limit, d.q, d.lam)
+        self._slip_nominal = np.array([friction.nominal for friction in scene.frictions])
         self._cost = _function(scene, sp.Matrix([d.running_cost]), d.q, d.v, d.u)
         self._stiffness = np.array(d.stiffness.subs(scene.parameter_values), dtype=float).ravel()
 
     def separation(self, plan: Trajectory) -> np.ndarray:
         """lam - k phi (steps, nc) [N]: at least 0 under the true law, and 0 where a contact is closed."""
-        return plan.lam - self._stiffness * self._penetration(plan.q[:-1])
+        return plan.lam[:, : self._scene.nc] - self._stiffness * self._penetration(plan.q[:-1])
 
     def modes(self, plan: Trajectory) -> np.ndarray:
-        """(steps, nc) whether a contact is closed: its force is larger than its separation force."""
-        return plan.lam > np.maximum(self.separation(plan), 0.0)
+        """(steps, nc + 2 nf) whether a contact is closed - its force is larger than its separation force - and, for each friction, whether
+        it slips forward and whether backward: its slip (in its nominal) is larger than what is left of its force (in mu N)."""
+        closed = plan.lam[:, : self._scene.nc] > np.maximum(self.separation(plan), 0.0)
+        slip, force, limit = self.friction(plan)
+        scale = np.maximum(limit, np.finfo(float).tiny)
+        ways = [sign * slip / self._slip_nominal > np.maximum(1.0 + sign * force / scale, 0.0) for sign in (1.0, -1.0)]
+        return np.hstack([closed, np.stack(ways, axis=2).reshape(len(closed), -1)])
+
+    def friction(self, plan: Trajectory) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Slip at the end of each step [m/s], friction force and its limit mu N [N], each (steps, nf)."""
+        nc = self._scene.nc
+        return self._slip(plan.q[:-1], plan.v[1:]), plan.lam[:, nc:], self._limit(plan.q[:-1], plan.lam[:, :nc])
 
     def cost(self, plan: Trajectory) -> float:
         """Sum of the running cost over the steps."""
@@ -66,17 +79,27 @@ class PlanResiduals:
             fastest = np.array([coordinate.velocity_upper for coordinate in scene.coordinates])
             v = plan.v[:-1]
             found["velocity_bound_excess"] = _largest(np.maximum(np.maximum(slowest - v, v - fastest), 0.0))
+        if scene.nf:
+            found |= self._friction_residuals(plan, law, eps)
         if not scene.nc:
             return found
-        separation = self.separation(plan)
-        products = np.abs(plan.lam * separation)
+        separation, lam = self.separation(plan), plan.lam[:, : scene.nc]
+        products = np.abs(lam * separation)
         found["physics"] = float(products.sum())
         if law is ContactLaw.RELU:
             found["complementarity"] = _largest(products)
-            found["force_sign"] = max(_largest(np.maximum(-plan.lam, 0.0)), _largest(np.maximum(-separation, 0.0)))
+            found["force_sign"] = max(_largest(np.maximum(-lam, 0.0)), _largest(np.maximum(-separation, 0.0)))
         else:
-            found["contact_law"] = _largest(plan.lam - contact_force(self._penetration(plan.q[:-1]), self._stiffness, law, eps))
+            found["contact_law"] = _largest(lam - contact_force(self._penetration(plan.q[:-1]), self._stiffness, law, eps))
         return found
+
+    def _friction_residuals(self, plan: Trajectory, law: ContactLaw, eps: float | None) -> dict[str, float]:
+        slip, force, limit = self.friction(plan)
+        cone = _largest(np.maximum(np.abs(force) - limit, 0.0))
+        if law is ContactLaw.RELU:
+            return {"friction_cone": cone, "friction_law": _largest(limit * np.abs(slip) + force * slip)}
+        steepness = sharpness(eps if eps is not None else 0.0) / (2.0 * self._slip_nominal)
+        return {"friction_cone": cone, "regularised_friction": _largest(force + limit * np.tanh(steepness * slip))}
 
 
 MEANING = {
@@ -89,6 +112,9 @@ MEANING = {
     "complementarity": "largest abs(lam (lam - k phi)) [N^2]",
     "force_sign": "by how much lam or lam - k phi is negative [N]",
     "contact_law": "largest miss of the softplus law [N]",
+    "friction_cone": "by how much a friction force exceeds mu N [N]",
+    "friction_law": "largest mu N abs(s) + f s: what the friction dissipates less than maximal dissipation asks for [W]",
+    "regularised_friction": "largest miss of the regularised friction law [N]",
     "discrete_terminal_error": "norm of x[T] - goal after the plan's inputs ran through its own time step with the true contact law",
 }
 

@@ -106,7 +106,7 @@ class TranscriptionSession(Session):
 
     def run(self, bench: Workbench, account: Account, eps: float | None, warm_start: Trajectory | None) -> Ending:
         """Solve the model, which holds the warm start or the first guess already."""
-        if self._scene.nc:
+        if self._scene.nl:
             tighten(bench.model, cast(float, eps))
         start = self._start_with_duals(eps, warm_start)
         result = self.attempt(bench, account, eps, self.ipopt_options(warm_start), start)
@@ -223,7 +223,7 @@ class SoftplusSession(TranscriptionSession):
         return self._residuals.of(plan, ForceLaw.SOFTPLUS, eps)
 
     def promises(self, eps: float | None) -> dict[str, float]:
-        return {**super().promises(eps), "contact_law": self.number("plan_tolerance")}
+        return {**super().promises(eps), **dict.fromkeys(("contact_law", "regularised_friction"), self.number("plan_tolerance"))}
 
 
 class RelaxedSession(TranscriptionSession):
@@ -246,7 +246,9 @@ class RelaxedSession(TranscriptionSession):
 
     def promises(self, eps: float | None) -> dict[str, float]:
         tolerance = self.number("plan_tolerance")
-        return {**super().promises(eps), "complementarity": cast(float, eps) + tolerance, "force_sign": tolerance}
+        # each friction has two products, and friction_law is their sum
+        products = {"complementarity": cast(float, eps) + tolerance, "friction_law": 2.0 * cast(float, eps) + tolerance}
+        return {**super().promises(eps), **products, "force_sign": tolerance, "friction_cone": tolerance}
 
 
 def cold_barrier(session: TranscriptionSession) -> dict[str, Any]:

@@ -20,7 +20,7 @@ import numpy as np
 
 from formulations.ipopt import IpoptProblem, IpoptResult
 from formulations.solution import Outcome
-from formulations.transcription.contact_laws import ContactLaw, hold_modes, release_modes, tighten
+from formulations.transcription.contact_laws import ContactLaw, hold_modes, release_modes, sides, tighten
 from formulations.transcription.method import TranscriptionMethod
 from formulations.transcription.plans import load_first_guess, load_plan, read_plan
 from formulations.transcription.session import Ending, TranscriptionSession, cold_barrier
@@ -67,14 +67,14 @@ class StrictSession(TranscriptionSession):
     def promises(self, eps: float | None) -> dict[str, float]:
         return {
             **super().promises(eps),
-            "force_sign": self.number("plan_tolerance"),
+            **dict.fromkeys(("force_sign", "friction_cone", "friction_law"), self.number("plan_tolerance")),
             "physics": self.number("physics_tolerance"),
             "terminal_error": self.number("terminal_tolerance"),
             "discrete_terminal_error": self.number("replay_tolerance"),
         }
 
     def solve_modes(self, closed: np.ndarray, time_limit: float = 60.0) -> IpoptResult:
-        """Step 2 alone, from the paper's first guess: closed (steps, nc) is True where lam = k phi."""
+        """Step 2 alone, from the paper's first guess: closed (steps, nc + 2 nf) as in `hold_modes`."""
         bench = self.bench(None)
         load_first_guess(bench.model)
         return self._solve_modes(bench, Account(time_limit), closed)
@@ -82,7 +82,7 @@ class StrictSession(TranscriptionSession):
     # -- the three steps --------------------------------------------------------------------------------------------------------
 
     def run(self, bench: Workbench, account: Account, eps: float | None, warm_start: Trajectory | None) -> Ending:
-        if not self._scene.nc:
+        if not self._scene.nl:
             return self.ending(self.attempt(bench, account, None, self.ipopt_options(warm_start)))
         bound = self.number("attack_bound")
         if warm_start is not None and self._is_nearly_strict(warm_start, bound):
@@ -116,7 +116,8 @@ class StrictSession(TranscriptionSession):
 
     def _is_nearly_strict(self, plan: Trajectory, bound: float) -> bool:
         found, tolerance = self._residuals.of(plan), self.number("plan_tolerance")
-        return found["complementarity"] <= bound + tolerance and max(found["terminal_error"], found["dynamics_defect"]) <= tolerance
+        products = max(found.get("complementarity", 0.0), found.get("friction_law", 0.0))
+        return products <= bound + tolerance and max(found["terminal_error"], found["dynamics_defect"]) <= tolerance
 
     def _attack(self, bench: Workbench, account: Account, warm_start: Trajectory | None, bound: float) -> IpoptResult:
         """Step 1; a plan that leads nowhere is left for the first guess."""
@@ -159,10 +160,10 @@ class StrictSession(TranscriptionSession):
 
 
 def _cheaper_modes(problem: IpoptProblem, result: IpoptResult, model: Any, closed: np.ndarray) -> np.ndarray:
-    """(steps, nc) pairs at lam = 0 = v that would lower the cost in the other mode: the force held at zero there has a negative multiplier."""
+    """(steps, nc + 2 nf) pairs at lam = 0 = v that would lower the cost in the other mode: the force held at zero there has a negative multiplier."""
     place = {id(variable): column for column, variable in enumerate(problem.variables)}
-    lam = np.array([place[id(variable)] for variable in model.variable_lam.values()])
-    separation = np.array([place[id(pair.v)] for pair in model.complementarity_contact.values()])
+    couples = sides(model)
+    lam, separation = (np.array([place[id(couple[side])] for couple in couples]) for side in (0, 1))
     rows, columns = problem.jacobianstructure()
     slope = problem.gradient(result.x) + np.bincount(columns, problem.jacobian(result.x) * result.lagrange[rows], problem.n)
     undecided = np.maximum(result.x[lam], result.x[separation]) < _UNDECIDED

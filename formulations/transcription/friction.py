@@ -1,0 +1,83 @@
+"""Dry friction in a plan's model. Its forces belong to the slip speed at the end of the step, s = S(q[t]) v[t+1]: only so can a step stick.
+
+    variable_friction[t, name]       the friction force f [N]
+    regularised (softplus):          f = -mu N tanh(b s / (2 nominal)), a logistic function of the slip
+    complementarity:                 s = s_forward - s_backward,  0 <= s_forward  complements  mu N + f >= 0,
+                                                                  0 <= s_backward complements  mu N - f >= 0
+
+In the plane this is the model of Stewart and Trinkle (maximal dissipation) with one variable less: whoever slips forward is held back
+by all of mu N, and whoever is held by less does not slip.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pyomo.environ as pyo
+from pyomo.mpec import Complementarity
+
+from formulations.transcription import equations
+from formulations.transcription.expressions import SceneExpressions
+from models.scene import Scene
+
+FORWARD, BACKWARD = "forward", "backward"
+
+
+def add_friction(
+    block: Any, scene: Scene, law: SceneExpressions, sharpness: float | None, plan: tuple[list, list, list], parameters: list[Any]
+) -> list[list[Any]]:
+    """The friction forces and their law; plan: q, v (nodes) and lam (steps) as rows of variables; returns the variables f[t][friction].
+
+    sharpness: b of the regularised law, or None for complementarity.
+    """
+    q, v, lam = plan
+    names = [friction.name for friction in scene.frictions]
+    block.set_frictions = pyo.Set(initialize=names)
+    block.variable_friction = pyo.Var(block.set_steps, block.set_frictions, initialize=0.0)
+    force: list[list[Any]] = [[] for _ in range(scene.task.steps)]
+    for (t, _), data in block.variable_friction.items():
+        force[t].append(data)
+    slip = [law.slip(q_now, v_next, parameters) for q_now, v_next in zip(q[:-1], v[1:], strict=True)]
+    limit = [law.friction_limit(q_now, lam_now, parameters) for q_now, lam_now in zip(q[:-1], lam, strict=True)]
+    place = {name: index for index, name in enumerate(names)}
+    if sharpness is not None:
+        nominal = {friction.name: friction.nominal for friction in scene.frictions}
+        if not scene.nc:
+            block.parameter_sharpness = pyo.Param(initialize=sharpness, mutable=True)
+
+        def regularised(b: Any, t: int, name: str) -> Any:
+            i = place[name]
+            steepness = b.parameter_sharpness / (2.0 * nominal[name])
+            return equations.constraint_friction_regularised(force[t][i], limit[t][i], slip[t][i], steepness)
+
+        block.constraint_friction_regularised = pyo.Constraint(block.set_steps, block.set_frictions, rule=regularised)
+        return force
+
+    block.set_ways = pyo.Set(initialize=[FORWARD, BACKWARD])
+    block.variable_slip = pyo.Var(block.set_steps, block.set_frictions, block.set_ways, bounds=(0.0, None), initialize=0.0)
+
+    def split(b: Any, t: int, name: str) -> Any:
+        forward, backward = b.variable_slip[t, name, FORWARD], b.variable_slip[t, name, BACKWARD]
+        return equations.constraint_slip(forward, backward, slip[t][place[name]])
+
+    def complementarity(b: Any, t: int, name: str, way: str) -> Any:
+        i = place[name]
+        against = force[t][i] if way == FORWARD else -force[t][i]
+        return equations.complementarity_friction(b.variable_slip[t, name, way], limit[t][i] + against)
+
+    block.constraint_slip = pyo.Constraint(block.set_steps, block.set_frictions, rule=split)
+    block.complementarity_friction = Complementarity(block.set_steps, block.set_frictions, block.set_ways, rule=complementarity)
+    return force
+
+
+def settle_slip(block: Any) -> None:
+    """Give the two slip speeds of each friction the values that their own equation asks for (one of them zero)."""
+    if block.component("constraint_slip") is None:
+        return
+    for (t, name), row in block.constraint_slip.items():
+        forward, backward = (block.variable_slip[t, name, way] for way in (FORWARD, BACKWARD))
+        for data in (forward, backward):
+            data.set_value(0.0)
+        slip = -(pyo.value(row.body) - pyo.value(row.upper))  # forward - backward - s == 0
+        forward.set_value(max(slip, 0.0))
+        backward.set_value(max(-slip, 0.0))

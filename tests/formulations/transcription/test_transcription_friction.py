@@ -1,0 +1,164 @@
+"""Dry friction in the direct transcription: regularised, relaxed and exact, against closed forms and the compiled time step."""
+
+import numpy as np
+import pyomo.environ as pyo
+import pytest
+import sympy as sp
+
+from formulations import ContactLaw, build_model, load_plan, read_plan, relax
+from formulations.catalog import load_method
+from formulations.solution import Outcome, Solution
+from formulations.transcription.contact_laws import sides
+from formulations.transcription.residuals import PlanResiduals
+from models.codegen.kernel import load_kernel
+from models.contact_law import ContactLaw as ForceLaw
+from models.contacts import Contact, Friction
+from models.scene import Coordinate, Input, Parameter, Scene, Task
+from models.trajectory import Trajectory, uniform_grid
+
+cargo, cart, height, vx, wx, vz, push, press = sp.symbols("cargo cart height vx wx vz push press", real=True)
+m, M, mu, g, k = sp.symbols("m M mu g k", positive=True)
+STEP, STEPS = 0.02, 60
+
+
+def conveyor(goal: tuple[float, float] = (0.3, 0.45), *, steps: int = STEPS) -> Scene:
+    """Cargo of 1 kg on a driven cart of 2 kg; nothing but friction, at most 2 N, moves the cargo."""
+    return Scene(
+        name="conveyor",
+        title="Cargo on a driven cart",
+        source="own",
+        coordinates=(Coordinate(symbol=cargo, velocity=vx, unit="m"), Coordinate(symbol=cart, velocity=wx, unit="m")),
+        inputs=(Input(symbol=push, unit="N", lower=-20.0, upper=20.0),),
+        parameters=(
+            Parameter(symbol=m, value=1.0, unit="kg"),
+            Parameter(symbol=M, value=2.0, unit="kg"),
+            Parameter(symbol=mu, value=0.2, unit="1"),
+            Parameter(symbol=g, value=10.0, unit="m/s^2"),
+        ),
+        kinetic_energy=m * vx**2 / 2 + M * wx**2 / 2,
+        potential_energy=sp.Integer(0),
+        forces=(sp.Integer(0), push),
+        contacts=(),
+        frictions=(Friction(name="belt", slip=vx - wx, coefficient=mu, normal_force=m * g),),
+        task=Task(start=(0.0,) * 4, goal=(*goal, 0.0, 0.0), running_cost=push**2, step=STEP, steps=steps),
+    )
+
+
+def dragged_block() -> Scene:
+    """A block on a soft floor, pressed down and dragged by two inputs: friction is pressed by a contact."""
+    return Scene(
+        name="dragged_block",
+        title="A block dragged over a soft floor",
+        source="own",
+        coordinates=(Coordinate(symbol=cargo, velocity=vx, unit="m"), Coordinate(symbol=height, velocity=vz, unit="m")),
+        inputs=(Input(symbol=push, unit="N", lower=-20.0, upper=20.0), Input(symbol=press, unit="N", lower=-20.0, upper=20.0)),
+        parameters=(
+            Parameter(symbol=m, value=1.0, unit="kg"),
+            Parameter(symbol=mu, value=0.4, unit="1"),
+            Parameter(symbol=g, value=10.0, unit="m/s^2"),
+            Parameter(symbol=k, value=500.0, unit="N/m"),
+        ),
+        kinetic_energy=m * (vx**2 + vz**2) / 2,
+        potential_energy=m * g * height,
+        forces=(push, -press),
+        contacts=(Contact(name="floor", penetration=-height, stiffness=k),),
+        frictions=(Friction(name="floor", slip=vx, coefficient=mu, contact="floor"),),
+        task=Task(start=(0.0, -0.02, 0.0, 0.0), goal=(0.2, -0.02, 0.0, 0.0), running_cost=push**2 + press**2, step=STEP, steps=40),
+    )
+
+
+def solve(name: str, scene: Scene, *schedule: float | None, start: Trajectory | None = None) -> list[Solution]:
+    solutions: list[Solution] = []
+    with load_method(name).open(scene) as session:
+        for eps in schedule:
+            warm = solutions[-1].trajectory if solutions else start
+            solutions.append(session.solve(eps=eps, warm_start=warm, time_limit=120.0))
+    return solutions
+
+
+@pytest.mark.parametrize("scene", [conveyor(), dragged_block()], ids=lambda scene: scene.name)
+def test_strict_plan_obeys_coulomb_and_the_compiled_time_step(scene: Scene) -> None:
+    (solution,) = solve("strict_lcp", scene, None)
+    assert solution.outcome is Outcome.SOLVED, solution.message
+    plan = solution.trajectory
+    assert plan is not None
+    rolled = load_kernel(scene).rollout(np.array(scene.task.start), plan.u, STEP)
+    assert np.abs(rolled.q - plan.q).max() < 1e-8
+    assert np.abs(rolled.lam - plan.lam).max() < 1e-6
+    assert solution.residuals["friction_law"] < 1e-8
+    slip, force, limit = PlanResiduals(scene).friction(plan)
+    assert (np.abs(force) < 0.99 * limit).any()  # it sticks somewhere
+    assert (np.abs(slip) > 1e-3).any()  # and slips somewhere
+
+
+def test_relaxed_costs_rise_to_the_exact_one_as_the_bound_tightens() -> None:
+    scene = conveyor()
+    relaxed = solve("relaxed_lcp", scene, 1e-1, 1e-3, 1e-5)
+    (exact,) = solve("strict_lcp", scene, None, start=relaxed[-1].trajectory)
+    costs = [solution.cost or 0.0 for solution in relaxed]
+    assert all(solution.outcome is Outcome.SOLVED for solution in (*relaxed, exact))
+    assert exact.cost is not None
+    assert costs == sorted(costs)  # a tighter bound allows less
+    assert costs[0] < 0.9 * exact.cost
+    assert costs[-1] == pytest.approx(exact.cost, rel=1e-2)
+
+
+def test_regularised_plan_is_that_of_the_compiled_regularised_step() -> None:
+    scene = dragged_block()
+    first, last = solve("softplus_dc", scene, 1e-2, 1e-4)
+    for eps, solution in ((1e-2, first), (1e-4, last)):
+        assert solution.outcome is Outcome.SOLVED, solution.message
+        plan = solution.trajectory
+        assert plan is not None
+        rolled = load_kernel(scene).rollout(np.array(scene.task.start), plan.u, STEP, ForceLaw.SOFTPLUS, eps)
+        assert np.abs(rolled.q - plan.q).max() < 1e-7
+        assert np.abs(rolled.lam - plan.lam).max() < 1e-6
+        assert solution.residuals["regularised_friction"] < 1e-7
+
+
+def test_cargo_cannot_be_brought_further_than_friction_allows() -> None:
+    # from rest to rest in T at no more than mu g: (mu g) T^2 / 4, and one step of semi-implicit Euler more than the continuous motion
+    steps, reach = 20, 2.0 * (20 * STEP) ** 2 / 4
+    (near,) = solve("strict_lcp", conveyor((0.9 * reach, 0.9 * reach), steps=steps), None)
+    (far,) = solve("strict_lcp", conveyor((1.2 * reach, 1.2 * reach), steps=steps), None)
+    assert near.outcome is Outcome.SOLVED
+    assert far.outcome in {Outcome.INFEASIBLE, Outcome.STALLED}
+    assert far.outcome is Outcome.INFEASIBLE or far.residuals["terminal_error"] > 1e-3
+
+
+def test_model_holds_what_friction_needs_and_no_more() -> None:
+    scene, steps = conveyor(), STEPS
+    regularised = build_model(scene, ContactLaw.SOFTPLUS, eps=1e-2)
+    exact = build_model(scene, ContactLaw.COMPLEMENTARITY)
+    plain = 4 * (steps + 1) + steps  # q, v of two bodies, one input
+    assert sum(1 for _ in regularised.component_data_objects(pyo.Var)) == plain + steps
+    assert sum(1 for _ in exact.component_data_objects(pyo.Var)) == plain + 3 * steps  # force, slip forward and backward
+    assert not hasattr(exact, "variable_lam")
+    relax(exact, 1e-2)
+    assert len(sides(exact)) == 2 * steps
+
+
+def test_plan_goes_in_and_comes_out() -> None:
+    scene = dragged_block()
+    rng, steps = np.random.default_rng(1), scene.task.steps
+    plan = Trajectory(
+        t=uniform_grid(STEP, steps),
+        q=rng.normal(size=(steps + 1, 2)),
+        v=rng.normal(size=(steps + 1, 2)),
+        u=rng.normal(size=(steps, 2)),
+        lam=rng.normal(size=(steps, 2)),
+    )
+    model = build_model(scene, ContactLaw.COMPLEMENTARITY, eps=1.0)
+    load_plan(model, plan)
+    assert all(np.array_equal(getattr(read_plan(model), name), getattr(plan, name)) for name in ("q", "v", "u", "lam"))
+    slip = np.array([[model.variable_slip[t, "floor", way].value for way in ("forward", "backward")] for t in range(steps)])
+    assert np.allclose(slip[:, 0] - slip[:, 1], plan.v[1:, 0])
+    assert slip.min() == 0.0
+    assert np.abs(slip.prod(axis=1)).max() == 0.0
+
+
+def test_contact_windows_refuse_friction_with_a_reason() -> None:
+    reason = load_method("mpcc").accepts(conveyor())
+    assert reason is not None
+    assert "friction" in reason
+    assert "strict_lcp" in reason
