@@ -64,6 +64,7 @@ class Method(ABC):
     title: str
     kind: Kind
     needs_eps: bool  # whether `solve` takes a relaxation eps
+    exact: bool = False  # whether its plan claims to solve the exact contact problem: a campaign then certifies it
     options: tuple[OptionSpec, ...] = ()
 
     @abstractmethod

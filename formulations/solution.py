@@ -6,8 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 from models.trajectory import Trajectory
+
+if TYPE_CHECKING:  # a Solution costs no Pyomo
+    from formulations.mpec.certificate.certificate import Certificate
 
 
 class Outcome(Enum):
@@ -56,8 +60,9 @@ class Solution:
     """The result of one stage.
 
     outcome: how it ended; message: one sentence more, in words of this run ("" if none); trajectory: the plan, or None;
-    cost: sum of the running cost over the steps; iterations; residuals: unscaled, by name, recomputed from the model
-    (the certificate); options: every option used; solver: the name and version of what ran underneath; history: per iteration,
+    cost: sum of the running cost over the steps; iterations; residuals: unscaled, by name, recomputed from the scene;
+    certificate: the plan judged in the scene's strict model (`formulations.mpec.certify_solution`), None before that; starts: if there were several,
+    every one of them; front: if the least cost within several tolerances was asked, each of them; options: every option used; solver: the name and version of what ran underneath; history: per iteration,
     columns of equal length by name.
     """
 
@@ -72,3 +77,27 @@ class Solution:
     solver: str = ""
     options: Mapping[str, object] = field(default_factory=lambda: MappingProxyType({}))
     history: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: MappingProxyType({}))
+    certificate: Certificate | None = None
+    starts: tuple[Attempt, ...] = ()
+    front: tuple[FrontPoint, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Attempt:
+    """One of several starts. number: from 0; start: what it began from, in words; windows: (contact, first step, last step) of each time a
+    contact is closed; cost: None where no plan was found; seconds: CPU seconds."""
+
+    number: int
+    start: str
+    outcome: Outcome
+    cost: float | None = None
+    windows: tuple[tuple[str, int, int], ...] = ()
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrontPoint:
+    """tolerance: largest norm of (q, v)[T] - goal; solution: the cheapest plan found within it (no trajectory: none was found)."""
+
+    tolerance: float
+    solution: Solution

@@ -18,6 +18,7 @@ class StrictLCP(TranscriptionMethod):
     title = "Collocation with strict complementarity"
     kind = Kind.DIRECT
     needs_eps = False
+    exact = True
     options = (
         *OPTIONS,
         *BARRIER_OPTIONS,

@@ -7,11 +7,13 @@ from formulations.mpec import Settings, certify, load, solve_mpec
 result = solve_mpec(model, Settings(strategy="scholtes"))    # the model is only read
 load(result)
 certify(model).sentence                                      # of any point, whoever computed it
+certify_plan(scene, trajectory).sentence                     # of a scene's plan, in the scene's strict model
 """
 
 from __future__ import annotations
 
-from formulations.mpec.certificate.certificate import Certificate, Multipliers, certify
+from formulations.mpec.certificate.certificate import Certificate, Multipliers, Tolerances, certify
+from formulations.mpec.certificate.plan import certify_plan, certify_solution
 from formulations.mpec.certificate.stationarity import Stationarity
 from formulations.mpec.pyomo_solver import MpecIpopt
 from formulations.mpec.result import MpecResult, PairState, load
@@ -28,7 +30,10 @@ __all__ = [
     "PairState",
     "Settings",
     "Stationarity",
+    "Tolerances",
     "certify",
+    "certify_plan",
+    "certify_solution",
     "load",
     "read_settings",
     "solve_mpec",

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from pyomo.common.collections import ComponentMap
+from pyomo.common.gc_manager import PauseGC
 
 from formulations.mpec.certificate.evaluation import LocalModel, Pair, Row, read_local
 from formulations.mpec.certificate.exactness import forced_violation
@@ -25,6 +26,14 @@ from formulations.mpec.certificate.stationarity import ActiveSet, Stationarity, 
 FEASIBILITY, COMPLEMENTARITY, STATIONARITY = 1e-6, 1e-6, 1e-5
 # A row, bound or side this near zero is active.
 ACTIVE = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tolerances:
+    """Up to which violation a point counts as feasible: of rows, bounds and sides relative to max(1, |bound|); and of min(G, H) of a pair."""
+
+    feasibility: float = FEASIBILITY
+    complementarity: float = COMPLEMENTARITY
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,6 +74,7 @@ class Certificate:
     descent: float
     worst: str
     objective: float
+    tolerances: Tolerances = Tolerances()
     least: float = math.nan
     unique: bool = False
     notes: tuple[str, ...] = field(default=())
@@ -72,12 +82,16 @@ class Certificate:
     @property
     def feasible(self) -> bool:
         """Within tolerances, and not thanks to them: no constraint needs a pair to be violated."""
-        return self.primal_relative <= FEASIBILITY and self.complementarity <= COMPLEMENTARITY and self.forced <= FEASIBILITY
+        return self._within and self.forced <= FEASIBILITY
 
     @property
     def lives_on_tolerance(self) -> bool:
         """Whether everything holds within the tolerances, but some constraint would not if the pairs held exactly."""
-        return self.primal_relative <= FEASIBILITY and self.complementarity <= COMPLEMENTARITY and not self.forced <= FEASIBILITY
+        return self._within and not self.forced <= FEASIBILITY
+
+    @property
+    def _within(self) -> bool:
+        return self.primal_relative <= self.tolerances.feasibility and self.complementarity <= self.tolerances.complementarity
 
     @property
     def b_stationary(self) -> bool | None:
@@ -96,16 +110,23 @@ class Certificate:
         b = {True: "B-stationary", False: f"not B-stationary (slope {self.descent:.1e})", None: "B-stationarity unknown"}[self.b_stationary]
         return (
             f"primal {self.primal:.1e}, complementarity {self.complementarity:.1e}, dual {self.dual:.1e} (unscaled, recomputed from the model); "
-            f"class {self.stationarity.letter}, {b}, {self.biactive} of {self.pairs} pairs biactive"
+            f"class {self.stationarity.letter}, {b}, {self.biactive} of {self.pairs} pairs biactive{self._signs}"
         )
 
+    @property
+    def _signs(self) -> str:
+        if not self.biactive or math.isnan(self.least):
+            return ""
+        return f" with {'unique ' if self.unique else ''}multipliers of at least {self.least:.3g}"
 
-def certify(model: Any, multipliers: Multipliers | None = None) -> Certificate:
+
+def certify(model: Any, multipliers: Multipliers | None = None, *, tolerances: Tolerances = Tolerances()) -> Certificate:
     """Judge the current values of a model's variables. The model is only read.
 
     multipliers: if given they are checked too. With more than ten biactive pairs B-stationarity is known only where it follows from class S.
     """
-    local = read_local(model, ACTIVE)
+    with PauseGC():
+        local = read_local(model, ACTIVE)
     rows = (*local.rows, *local.bounds)
     violations = [_violation(row) for row in rows]
     sides = [max(0.0, -min(pair.first, pair.second)) for pair in local.pairs]
@@ -126,7 +147,7 @@ def certify(model: Any, multipliers: Multipliers | None = None) -> Certificate:
         else:
             found = classify(active, STATIONARITY, told)
             stationarity, dual, least, unique = found.kind, found.residual, found.least, found.unique
-            descent = 0.0 if stationarity is Stationarity.STRONG else steepest_piece(active)[0]
+            descent = 0.0 if stationarity is Stationarity.STRONG else found.descent if found.descent < 0.0 else steepest_piece(active)[0]
     return Certificate(
         primal=worst_row,
         primal_relative=relative,
@@ -139,6 +160,7 @@ def certify(model: Any, multipliers: Multipliers | None = None) -> Certificate:
         biactive=len(active.both),
         stationarity=stationarity,
         descent=descent,
+        tolerances=tolerances,
         least=least,
         unique=unique,
         worst="" if worst_row == 0.0 else str(names[int(np.argmax(np.nan_to_num([*violations, *sides], nan=np.inf)))].source.name),

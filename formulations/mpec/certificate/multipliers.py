@@ -2,11 +2,12 @@
 
     minimise |gradient - A y|^2   ->   [I  A; A' 0] (r, y) = (gradient, 0)
 
-If that matrix is regular, y is the only candidate: what its residual and signs say is the whole truth, and no linear program is needed.
+If that matrix is regular, y is the only candidate: what its residual and signs say is the whole truth (class S and B-stationarity are then the same), and no linear program is needed.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,13 @@ class LeastSquares:
 
     y: np.ndarray
     rest: np.ndarray
+    _solve: Callable[[np.ndarray], np.ndarray]
+
+    def leaving(self, column: int) -> np.ndarray:
+        """(n,) the shortest direction in which the condition of this column rises by one and all others stay: the objective changes by y[column]."""
+        right = np.zeros(len(self.rest) + len(self.y))
+        right[len(self.rest) + column] = 1.0
+        return self._solve(right)[: len(self.rest)]
 
 
 def least_squares(matrix: sparse.csc_matrix, gradient: np.ndarray) -> LeastSquares | None:
@@ -31,7 +39,7 @@ def least_squares(matrix: sparse.csc_matrix, gradient: np.ndarray) -> LeastSquar
     if columns > n:
         return None
     if not columns:
-        return LeastSquares(y=np.zeros(0), rest=gradient)
+        return LeastSquares(y=np.zeros(0), rest=gradient, _solve=lambda right: right)
     system = sparse.bmat([[sparse.identity(n), matrix], [matrix.T, None]], format="csc")
     try:
         factors = splu(system)
@@ -46,4 +54,4 @@ def least_squares(matrix: sparse.csc_matrix, gradient: np.ndarray) -> LeastSquar
     for _ in range(_REFINEMENTS):
         solution = solution + factors.solve(right - system @ solution)
     y = solution[n:]
-    return LeastSquares(y=y, rest=gradient - matrix @ y)
+    return LeastSquares(y=y, rest=gradient - matrix @ y, _solve=factors.solve)

@@ -74,12 +74,13 @@ class ActiveSet:
 class Verdict:
     """kind: the strongest class whose multipliers exist; residual: what they leave of the gradient, or their largest wrong sign (relative);
     least: the smallest multiplier of a biactive pair (0 without pairs, NaN unless it is the only one possible); unique: whether there are
-    no other multipliers."""
+    no other multipliers; descent: slope of a direction that goes down, relative (0: there is none; NaN: not known)."""
 
     kind: Stationarity
     residual: float
     least: float = math.nan
     unique: bool = False
+    descent: float = math.nan
 
 
 def active_set(local: LocalModel, tolerance: float) -> ActiveSet:
@@ -166,19 +167,25 @@ def _only_candidate(active: ActiveSet, tolerance: float) -> Verdict | None:
     residual = float(np.max(np.abs(found.rest), initial=0.0)) / active.scale
     if not residual <= tolerance:
         # no multipliers leave less in the 2-norm; in the largest component others may
-        least = float(np.linalg.norm(found.rest)) / math.sqrt(len(found.rest)) / active.scale
-        return Verdict(kind=Stationarity.NONE, residual=residual) if least > tolerance else None
-    own, count = found.y[: len(active.limits)], len(active.both)
-    wrong = [
-        max(0.0, (low - y) if low is not None else 0.0, (y - high) if high is not None else 0.0)
-        for y, (low, high) in zip(own, active.limits, strict=True)
-    ]
-    worst = max(wrong, default=0.0) / active.scale
-    if worst > tolerance:
-        return Verdict(kind=Stationarity.NONE, residual=worst, unique=True)
-    nu, mu = found.y[len(found.y) - 2 * count : len(found.y) - count], found.y[len(found.y) - count :]
-    kind = class_of(list(zip(nu.tolist(), mu.tolist(), strict=True)), tolerance * active.scale)
-    return Verdict(kind=kind, residual=max(residual, worst), least=float(np.min([nu, mu])) if count else 0.0, unique=True)
+        length = float(np.linalg.norm(found.rest)) / active.scale
+        if not length > tolerance * math.sqrt(len(found.rest)):
+            return None
+        # against what is left everything active stays as it is, and the objective falls
+        return Verdict(kind=Stationarity.NONE, residual=residual, descent=-(length**2) / residual)
+    count, limits = len(active.both), active.limits
+    signs = [*limits, *[(None, None)] * (len(found.y) - len(limits) - 2 * count), *[_LIMITS[">"]] * (2 * count)]
+    wrong = np.array(
+        [max(0.0 if low is None else low - y, 0.0 if high is None else y - high) for y, (low, high) in zip(found.y, signs, strict=True)]
+    )
+    own = float(np.max(wrong[: len(limits)], initial=0.0)) / active.scale
+    nu, mu = np.split(found.y[len(found.y) - 2 * count :], 2)
+    kind = class_of(list(zip(nu.tolist(), mu.tolist(), strict=True)), tolerance * active.scale) if own <= tolerance else Stationarity.NONE
+    descent = 0.0
+    if kind is not Stationarity.STRONG:
+        steepest = int(np.argmax(wrong))
+        descent = -float(wrong[steepest] / np.max(np.abs(found.leaving(steepest)))) / active.scale
+    least = float(np.min([nu, mu])) if count else 0.0
+    return Verdict(kind=kind, residual=max(residual, own), least=least, unique=True, descent=descent)
 
 
 def _columns(active: ActiveSet) -> tuple[tuple[sparse.csc_matrix, np.ndarray], ...]:

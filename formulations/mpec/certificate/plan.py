@@ -1,0 +1,43 @@
+"""A scene's plan as a point of the exact contact problem: certify_plan(scene, plan), whoever made the plan.
+
+certificate = certify_plan(load_scene("three_cart"), solution.trajectory)
+certificate.holds, certificate.stationarity.letter, certificate.sentence
+
+The plan is written into the strict Pyomo model of the scene - every complementarity condition as `pyomo.mpec` states it, nothing relaxed,
+nothing transformed - and judged there by `certify`. Multipliers are computed anew from the model's gradients: those of the solver are not asked.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, cast
+
+from formulations.mpec.certificate.certificate import Certificate, Tolerances, certify
+from formulations.solution import Solution
+from formulations.transcription.build import build_model
+from formulations.transcription.goal import open_goal
+from formulations.transcription.plans import load_plan
+from models.scene import Scene
+from models.trajectory import Trajectory
+
+# An exact plan has 1e-13 in both (mpcc) or 1e-9 (Ipopt with fixed modes); a force that is off by 1e-6 N, or a window by one step, has more.
+PLAN_TOLERANCES = Tolerances(feasibility=1e-8, complementarity=1e-7)
+
+
+def certify_plan(scene: Scene | str, plan: Trajectory, *, goal_tolerance: float = 0.0) -> Certificate:
+    """Judge a plan as a solution of the scene's exact problem. Raises TrajectoryError where it does not fit the scene.
+
+    goal_tolerance: norm of (q, v)[T] - goal within which the plan may end; then the problem is the one with that ball for a goal.
+    """
+    model: Any = build_model(scene)
+    open_goal(model, goal_tolerance)
+    load_plan(model, plan)
+    return certify(model, tolerances=PLAN_TOLERANCES)
+
+
+def certify_solution(scene: Scene, solution: Solution) -> Solution:
+    """The same solution with its certificate; unchanged if it has no plan. A ball around the goal is read off its options."""
+    if solution.trajectory is None:
+        return solution
+    ball = float(cast(float, solution.options.get("goal_tolerance", 0.0)))
+    return replace(solution, certificate=certify_plan(scene, solution.trajectory, goal_tolerance=ball))

@@ -1,0 +1,167 @@
+"""Certificates of scene plans, and of points whose multipliers are known: right plans are confirmed, wrong ones found out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pyomo.environ as pyo
+import pytest
+import scipy.sparse as sparse
+from pyomo.mpec import Complementarity, complements
+
+from formulations.catalog import load_method
+from formulations.mpec import Certificate, Stationarity, certify, certify_plan, certify_solution
+from formulations.mpec.certificate.multipliers import least_squares
+from formulations.solution import Outcome, Solution
+from models.catalog import load_scene
+from models.errors import TrajectoryError
+from models.trajectory import Trajectory
+
+SCENE = load_scene("three_cart").with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100)
+
+
+def solved(method: str, **options) -> Solution:
+    with load_method(method).open(SCENE, options) as session:
+        return session.solve(eps=1e-2 if method == "relaxed_lcp" else None, warm_start=None, time_limit=600.0)
+
+
+def plan_of(solution: Solution) -> Trajectory:
+    assert solution.outcome is Outcome.SOLVED, solution.message
+    assert solution.trajectory is not None
+    return solution.trajectory
+
+
+@pytest.fixture(scope="module")
+def best() -> Solution:
+    return solved("mpcc")
+
+
+@pytest.mark.parametrize("method", ["mpcc", "strict_lcp"])
+def test_exact_plans_are_certified(method: str) -> None:
+    solution = solved(method)
+    certificate = certify_plan(SCENE, plan_of(solution))
+    assert certificate.holds, certificate.sentence
+    assert certificate.stationarity is Stationarity.STRONG
+    assert certificate.objective == pytest.approx(solution.cost, rel=1e-12)
+    assert certificate.primal <= 1e-9
+    assert certificate.complementarity <= 1e-9
+    assert certificate.pairs == SCENE.nc * SCENE.task.steps
+
+
+def test_multipliers_agree_with_those_of_the_solver() -> None:
+    """Found by two codes that share nothing: banded KKT here, sparse least squares on the Pyomo model there."""
+    scene = load_scene("three_cart")
+    with load_method("mpcc").open(scene) as session:
+        solution = session.solve(eps=None, warm_start=None, time_limit=600.0)
+    certificate = certify_plan(scene, plan_of(solution))
+    assert certificate.holds, certificate.sentence
+    assert certificate.unique
+    assert certificate.biactive == solution.residuals["biactive_pairs"] > 0
+    assert certificate.least == pytest.approx(solution.residuals["least_biactive_multiplier"], rel=1e-6)
+
+
+@pytest.mark.parametrize("error", [1e-6, -1e-6])
+def test_a_force_that_is_off_is_found(best: Solution, error: float) -> None:
+    plan = plan_of(best)
+    closed = int(np.flatnonzero(plan.lam[:, 0] > 0)[3])
+    for step in (closed, 2):
+        lam = plan.lam.copy()
+        lam[step, 0] += error
+        certificate = certify_plan(SCENE, replace(plan, lam=lam))
+        assert not certificate.holds
+        assert not certificate.feasible
+        assert max(certificate.primal, certificate.complementarity) == pytest.approx(1e-6, rel=1e-2)
+
+
+def test_a_contact_moved_by_a_step_is_found(best: Solution) -> None:
+    plan = plan_of(best)
+    certificate = certify_plan(SCENE, replace(plan, lam=np.roll(plan.lam, 1, axis=0)))
+    assert not certificate.holds
+    assert certificate.primal > 1e-3
+    assert certificate.worst.startswith(("complementarity_contact", "constraint_velocity_step", "variable_lam"))
+
+
+def test_a_dearer_plan_of_the_same_task_is_not_stationary(best: Solution) -> None:
+    """Feasible, complementary, but not optimal: more than needed is pushed while nothing touches."""
+    from models.codegen.kernel import load_kernel
+
+    plan, task = plan_of(best), SCENE.task
+    u = plan.u.copy()
+    u[-2, 1] += 1e-3
+    rollout = load_kernel(SCENE).rollout(np.array(task.start), u, task.step)
+    other = replace(SCENE, task=replace(task, goal=(*rollout.q[-1], *rollout.v[-1])))
+    certificate = certify_plan(other, Trajectory(t=plan.t, q=rollout.q, v=rollout.v, u=u, lam=rollout.lam))
+    assert certificate.feasible
+    assert certificate.stationarity is Stationarity.NONE
+    assert certificate.b_stationary is False
+    assert certificate.dual > 1e-5
+
+
+def test_a_relaxed_plan_is_not_complementary() -> None:
+    certificate = certify_plan(SCENE, plan_of(solved("relaxed_lcp")))
+    assert not certificate.feasible
+    assert certificate.complementarity == pytest.approx(math.sqrt(1e-2), rel=0.5)
+
+
+def test_a_ball_around_the_goal_is_part_of_the_problem() -> None:
+    solution = solved("mpcc", goal_tolerance=0.01)
+    certified = certify_solution(SCENE, solution)
+    assert isinstance(certified.certificate, Certificate)
+    assert certified.certificate.holds, certified.certificate.sentence
+    assert not certify_plan(SCENE, plan_of(solution)).feasible
+
+
+def test_without_a_plan_there_is_nothing_to_certify() -> None:
+    nothing = Solution(method="mpcc", outcome=Outcome.INFEASIBLE)
+    assert certify_solution(SCENE, nothing) is nothing
+
+
+def test_a_plan_of_another_grid_is_refused(best: Solution) -> None:
+    with pytest.raises(TrajectoryError, match="100 steps"):
+        certify_plan(SCENE.with_task(steps=50), plan_of(best))
+
+
+def two_sided(x_slope: float, y_slope: float) -> Certificate:
+    """min x_slope x + y_slope y + x^2 + y^2 with 0 <= x complementary to 0 <= y, at (0, 0): the slopes are the multipliers."""
+    m = pyo.ConcreteModel()
+    m.x, m.y = pyo.Var(bounds=(0, None), initialize=0.0), pyo.Var(bounds=(0, None), initialize=0.0)
+    m.pair = Complementarity(expr=complements(m.x >= 0, m.y >= 0))
+    m.cost = pyo.Objective(expr=x_slope * m.x + y_slope * m.y + m.x**2 + m.y**2)
+    return certify(m)
+
+
+@pytest.mark.parametrize(
+    ("slopes", "letter"),
+    [((1.0, 2.0), "S"), ((0.0, -1.0), "M"), ((-1.0, -2.0), "C"), ((-1.0, 2.0), "A"), ((2.0, -1.0), "A")],
+)
+def test_bounds_of_a_pair_do_not_hide_the_signs(slopes: tuple[float, float], letter: str) -> None:
+    """x >= 0 is a bound of the variable and a side of the pair: one condition, one multiplier."""
+    certificate = two_sided(*slopes)
+    assert certificate.stationarity.letter == letter
+    assert certificate.unique
+    assert certificate.least == pytest.approx(min(slopes))
+    assert certificate.b_stationary is (letter == "S")
+    assert certificate.descent == (0.0 if letter == "S" else pytest.approx(min(slopes) / max(1.0, *(abs(slope) for slope in slopes))))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_least_squares_finds_multipliers_that_exist(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    matrix = sparse.random(40, 15, density=0.3, random_state=random, format="csc") + sparse.vstack(
+        [sparse.identity(15), sparse.csc_matrix((25, 15))]
+    )
+    y = random.normal(size=15)
+    found = least_squares(matrix.tocsc(), matrix @ y)
+    assert found is not None
+    np.testing.assert_allclose(found.y, y, atol=1e-10)
+    np.testing.assert_allclose(found.rest, 0.0, atol=1e-12)
+    direction = found.leaving(3)
+    np.testing.assert_allclose(matrix.T @ direction, np.eye(15)[3], atol=1e-10)
+
+
+def test_dependent_gradients_have_no_single_answer() -> None:
+    column = np.array([[1.0], [2.0], [3.0]])
+    assert least_squares(sparse.csc_matrix(np.hstack([column, 2 * column])), column.ravel()) is None
+    assert least_squares(sparse.csc_matrix(np.ones((1, 2))), np.ones(1)) is None
