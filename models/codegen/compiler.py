@@ -59,6 +59,20 @@ def _find(cc: str, path: str) -> Compiler:
     )
 
 
+def zig_compiler(target: str) -> Compiler:
+    """The cross-compiler of the `[compiler]` extra for a target such as x86_64-linux-gnu.2.17. Raises MachineError if it does not run."""
+    command = (sys.executable, "-m", "ziglang", "cc")
+    version = _zig_version(command)
+    if version is None:
+        raise MachineError("the cross-compiler does not run; reinstall it with: pip install --force-reinstall ziglang")
+    return Compiler((*command, "-target", target), f"{version} for {target}")
+
+
+@lru_cache(maxsize=1)
+def _zig_version(command: tuple[str, ...]) -> str | None:
+    return _version(command)
+
+
 def _version(command: Sequence[str]) -> str | None:
     try:
         done = subprocess.run([*command, "--version"], capture_output=True, text=True, timeout=120, check=False)
@@ -74,18 +88,23 @@ def compile_shared(
     output: Path,
     extra_flags: Sequence[str] = (),
     include_dirs: Sequence[Path] = (),
+    flags: Sequence[str] = FLAGS,
 ) -> None:
     """Compile the .c files among `sources` (file name -> text) into the shared library `output`.
+
+    include_dirs: absolute, or relative to the sources.
 
     Raises MachineError with the compiler's first lines if it refuses.
     """
     with tempfile.TemporaryDirectory(prefix="touchstone-") as folder:
         for name, text in sources.items():
-            (Path(folder) / name).write_text(text, encoding="utf-8")
+            place = Path(folder) / name
+            place.parent.mkdir(parents=True, exist_ok=True)
+            place.write_text(text, encoding="utf-8")
         units = sorted(name for name in sources if name.endswith(".c"))
         command = [
             *compiler.command,
-            *FLAGS,
+            *flags,
             *extra_flags,
             "-I.",
             *(f"-I{path}" for path in include_dirs),

@@ -1,4 +1,4 @@
-"""Scene -> the generated texts of its FMI 2.0 FMU: C configuration, modelDescription.xml, documentation.
+"""Scene -> the generated texts of its FMU: C configuration, modelDescription.xml, build description, documentation.
 
 The output depends on the scene alone: no date but SOURCE_DATE_EPOCH's, and a GUID that is a hash of everything else.
 """
@@ -14,8 +14,9 @@ from datetime import UTC, datetime
 from models.dynamics import derive
 from models.errors import SceneError, TouchstoneError
 from models.fmu.rendering import render
+from models.fmu.standards import Standard
 from models.fmu.structure import Dependency, dependencies
-from models.fmu.variables import Kind, Variable, variable_table
+from models.fmu.variables import INTEGRATORS, Kind, Variable, variable_table
 from models.scene import Scene
 from models.units import base_exponents
 
@@ -46,22 +47,26 @@ def source_epoch() -> int:
 
 @dataclass(frozen=True)
 class Unknown:
-    """A row of the ModelStructure: 1-based indices, as FMI 2.0 counts."""
+    """A row of the ModelStructure: numbers of variables as the standard counts them."""
 
     index: int
     dependencies: tuple[int, ...]
     kinds: tuple[str, ...]
 
 
-def model_structure(scene: Scene) -> dict[str, list[Unknown]]:
-    """Section of the ModelStructure -> its unknowns. Parameters are knowns during initialization only."""
+def model_structure(scene: Scene, standard: Standard) -> dict[str, list[Unknown]]:
+    """Section of the ModelStructure -> its unknowns.
+
+    Parameters are knowns during initialization; in FMI 3.0 always.
+    """
     table = variable_table(scene)
-    number = {variable.name: position for position, variable in enumerate(table, start=1)}
+    number = {variable.name: position for position, variable in enumerate(table, start=standard.first_index)}
     parameters = {variable.name for variable in table if variable.kind is Kind.PARAMETER}
+    left_out = parameters if standard.version == "2.0" else set[str]()
     depends = dependencies(scene)
 
     def running(variable: Variable) -> Unknown:
-        rows = [(number[name], kind.value) for name, kind in depends[variable.name].items() if name not in parameters]
+        rows = [(number[name], kind.value) for name, kind in depends[variable.name].items() if name not in left_out]
         return Unknown(number[variable.name], tuple(row[0] for row in rows), tuple(row[1] for row in rows))
 
     def initial(variable: Variable) -> Unknown:
@@ -72,42 +77,43 @@ def model_structure(scene: Scene) -> dict[str, list[Unknown]]:
         ]
         return Unknown(number[variable.name], tuple(row[0] for row in rows), tuple(row[1] for row in rows))
 
-    outputs = [variable for variable in table if variable.causality == "output"]
     derivatives = [variable for variable in table if variable.kind in (Kind.POSITION_RATE, Kind.VELOCITY_RATE)]
-    calculated = [variable for variable in table if variable.initial == "calculated"]
     return {
-        "Outputs": [running(variable) for variable in outputs],
-        "Derivatives": [running(variable) for variable in derivatives],
-        "InitialUnknowns": [initial(variable) for variable in calculated],
+        "outputs": [running(variable) for variable in table if variable.causality == "output"],
+        "derivatives": [running(variable) for variable in derivatives],
+        "initial": [initial(variable) for variable in table if variable.initial == "calculated"],
+        "indicators": [running(variable) for variable in table if variable.kind is Kind.GAP],
     }
 
 
 def unit_table(scene: Scene) -> dict[str, dict[str, int]]:
     """Every unit of the FMU -> exponents of its base units, sorted by name."""
-    return {unit: base_exponents(unit) for unit in sorted({variable.unit for variable in variable_table(scene)})}
+    return {unit: base_exponents(unit) for unit in sorted({variable.unit for variable in variable_table(scene) if variable.unit})}
 
 
 @dataclass(frozen=True)
 class Description:
-    """Generated texts that carry the GUID."""
+    """Generated texts; the first two carry the GUID."""
 
     guid: str
     config: str
     xml: str
+    build: str
     documentation: str
 
 
-def describe(scene: Scene, sources: Mapping[str, str]) -> Description:
+def describe(scene: Scene, sources: Mapping[str, str], standard: Standard) -> Description:
     """The generated texts of the FMU made of these sources (file name -> text)."""
     table = variable_table(scene)
     identifier = model_identifier(scene)
     nominals = [coordinate.nominal for coordinate in scene.coordinates]
-    numbers = {variable.name: position for position, variable in enumerate(table, start=1)}
+    numbers = {variable.name: position for position, variable in enumerate(table, start=standard.first_index)}
     state_of = {
         variable.name: numbers[variable.name[4:-1]] for variable in table if variable.kind in (Kind.POSITION_RATE, Kind.VELOCITY_RATE)
     }
+    source_files = sorted(name for name in sources if name.endswith(".c"))
 
-    def texts(guid: str) -> Description:
+    def marked(guid: str) -> tuple[str, str]:
         config = render(
             "model_config.h.j2",
             identifier=identifier,
@@ -117,23 +123,32 @@ def describe(scene: Scene, sources: Mapping[str, str]) -> Description:
             contact_nominals=[contact.nominal for contact in scene.contacts] or [1.0],
         )
         xml = render(
-            "modelDescription_fmi2.xml.j2",
+            f"modelDescription_{standard.prefix}.xml.j2",
             scene=scene,
             identifier=identifier,
             guid=guid,
             date=datetime.fromtimestamp(source_epoch(), UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
-            source_files=sorted(name for name in sources if name.endswith(".c")),
+            source_files=source_files,
             units=unit_table(scene),
+            integrators=INTEGRATORS,
             tolerance=TOLERANCE,
             table=table,
             state_of=state_of,
-            structure=model_structure(scene),
+            structure=model_structure(scene, standard),
         )
-        documentation = render("index.html.j2", scene=scene, identifier=identifier, table=table, absent=derive(scene).absent)
-        return Description(guid, config, xml, documentation)
+        return config, xml
 
-    draft = texts("")
+    config, xml = marked("")
     content = hashlib.sha256()
-    for name, text in sorted({**sources, "model_config.h": draft.config, "modelDescription.xml": draft.xml}.items()):
+    for name, text in sorted({**sources, "model_config.h": config, "modelDescription.xml": xml}.items()):
         content.update(f"{name}\0{text}\0".encode())
-    return texts(content.hexdigest())
+    guid = content.hexdigest()
+    config, xml = marked(guid)
+    shared = {"identifier": identifier, "standard": standard}
+    return Description(
+        guid=guid,
+        config=config,
+        xml=xml,
+        build=render("buildDescription.xml.j2", source_files=source_files, **shared),
+        documentation=render("index.html.j2", scene=scene, table=table, absent=derive(scene).absent, integrators=INTEGRATORS, **shared),
+    )

@@ -1,102 +1,82 @@
 """Scene -> FMU file: the sources are put together, compiled, packed and kept by content.
 
-    build_fmu(scene)  ->  .../a1b2....three_cart.fmu
+    build_fmu(scene)                                                     ->  .../a1b2....three_cart.fmu
+    build_fmu(scene, version="3.0", platforms=("x86_64-linux", "win64"))
 
 Equal scenes give equal bytes: fixed time stamps, sorted names, no path of this machine inside.
 """
 
 from __future__ import annotations
 
-import importlib.util
-import platform
-import sys
 import tempfile
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
 from models.codegen.cache import cached
-from models.codegen.compiler import FLAGS, Compiler, compile_shared, find_compiler
+from models.codegen.compiler import Compiler, compile_shared
 from models.codegen.emit import emit_model
-from models.errors import MachineError, SceneError, UnknownNameError
 from models.fmu.description import describe, model_identifier, source_epoch
+from models.fmu.platforms import Platform, find_platforms, platform_compiler
 from models.fmu.rendering import render
 from models.fmu.sensitivity import emit_sensitivity
+from models.fmu.standards import Standard, find_standard, standard_headers
 from models.scene import Scene
 
 _SHELL = Path(__file__).parent / "shell"
-_VERSIONS = ("2.0",)
-_HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
 
 
-def build_fmu(scene: Scene, version: str = "2.0") -> Path:
+def build_fmu(scene: Scene, version: str = "2.0", platforms: Sequence[str] = ()) -> Path:
     """The FMU of a scene: Co-Simulation and Model Exchange in one file; found in the cache or built there.
 
-    Raises UnknownNameError for an FMI version that is not offered, SceneError for a scene whose names an FMU cannot carry,
-    MachineError without a compiler or a cache folder that can be written.
+    platforms: names of FMI 2.0 or 3.0 (`linux64` or `x86_64-linux`); without any, this machine's. Raises UnknownNameError for an
+    FMI version or platform that is not offered, SceneError for a scene whose names an FMU cannot carry, MachineError without a
+    compiler or a cache folder that can be written.
     """
-    if version not in _VERSIONS:
-        raise UnknownNameError(f"FMI version {version!r} is not offered; choose {' or '.join(_VERSIONS)}.")
-    folder = _platform_folder()
+    standard = find_standard(version)
     identifier = model_identifier(scene)
-    files = fmu_texts(scene)
-    compiler = find_compiler()
-    key = "\n".join([compiler.describe(), " ".join(FLAGS), folder, *(f"{name}\0{text}" for name, text in sorted(files.items()))])
-    return cached(key, f".{identifier}.fmu", lambda path: _pack(path, files, folder, identifier, compiler))
+    compilers = {platform: platform_compiler(platform) for platform in find_platforms(platforms)}
+    files = fmu_texts(scene, standard)
+    made_by = [f"{platform.name} {' '.join(platform.flags)} {compiler.describe()}" for platform, compiler in compilers.items()]
+    key = "\n".join([*made_by, *(f"{name}\0{text}" for name, text in sorted(files.items()))])
+    return cached(key, f".{identifier}.fmu", lambda path: _pack(path, files, standard, identifier, compilers))
 
 
-def fmu_texts(scene: Scene) -> dict[str, str]:
+def fmu_texts(scene: Scene, standard: Standard) -> dict[str, str]:
     """Every text file of the FMU, by its path inside."""
-    if scene.nf:
-        raise SceneError(f"scene {scene.name}: it has friction, which FMUs do not carry yet.")
-    sources = {path.name: path.read_text(encoding="utf-8") for path in sorted(_SHELL.iterdir()) if path.suffix in (".c", ".h")}
-    sources |= standard_headers()
+    sources = {path.name: path.read_text(encoding="utf-8") for path in sorted(_SHELL.iterdir()) if _belongs(path, standard)}
+    sources |= {f"{standard.header_folder}{name}": text for name, text in standard_headers(standard).items()}
     sources |= {"scene_model.h": emit_model(scene, defaults=False), "scene_sensitivity.h": emit_sensitivity(scene)}
-    description = describe(scene, sources)
-    sources["model_config.h"] = description.config
+    description = describe(scene, sources, standard)
+    sources |= {"model_config.h": description.config, "buildDescription.xml": description.build}
     return {
         "modelDescription.xml": description.xml,
         "documentation/index.html": description.documentation,
-        "documentation/licenses/license.txt": render("licenses.txt.j2", header_names=_HEADERS),
+        "documentation/licenses/license.txt": render("licenses.txt.j2", header_names=standard.headers),
         **{f"sources/{name}": text for name, text in sources.items()},
     }
 
 
-def standard_headers() -> dict[str, str]:
-    """The headers of the FMI standard, taken from the FMPy package. Raises MachineError if it is not installed."""
-    spec = importlib.util.find_spec("fmpy")
-    if spec is None or spec.origin is None:
-        raise MachineError("the headers of the FMI standard are missing: they come with FMPy; install it with: pip install fmpy")
-    folder = Path(spec.origin).parent / "c-code"
-    try:
-        return {name: (folder / name).read_text(encoding="utf-8") for name in _HEADERS}
-    except OSError as error:
-        raise MachineError(
-            f"the headers of the FMI standard cannot be read from FMPy ({error}); reinstall it with: pip install --force-reinstall fmpy"
-        ) from error
+def _belongs(path: Path, standard: Standard) -> bool:
+    """Whether a file of the shell is C of this version, or of all of them."""
+    return path.suffix in (".c", ".h") and (not path.name.startswith("fmi") or path.name.startswith(standard.prefix))
 
 
-def _platform_folder() -> str:
-    """FMI's name of this platform."""
-    if sys.platform.startswith("linux") and platform.machine() in ("x86_64", "AMD64"):
-        return "linux64"
-    raise MachineError(f"FMUs are built on Linux x86-64 only; this machine is {sys.platform} {platform.machine()}.")
-
-
-def _pack(path: Path, files: Mapping[str, str], folder: str, identifier: str, compiler: Compiler) -> None:
+def _pack(path: Path, files: Mapping[str, str], standard: Standard, identifier: str, compilers: Mapping[Platform, Compiler]) -> None:
     sources = {name.removeprefix("sources/"): text for name, text in files.items() if name.startswith("sources/")}
+    content = {name: text.encode() for name, text in files.items()}
     with tempfile.TemporaryDirectory(prefix="touchstone-fmu-") as temporary:
-        library = Path(temporary) / f"{identifier}.so"
-        compile_shared(compiler, sources, library)
-        content = {name: text.encode() for name, text in files.items()}
-        content[f"binaries/{folder}/{identifier}.so"] = library.read_bytes()
+        for platform, compiler in compilers.items():
+            library = Path(temporary) / f"{platform.name}{platform.suffix}"
+            compile_shared(compiler, sources, library, flags=platform.flags, include_dirs=[Path(standard.header_folder)])
+            content[f"binaries/{platform.folder(standard)}/{identifier}{platform.suffix}"] = library.read_bytes()
     stamp = datetime.fromtimestamp(source_epoch(), UTC).timetuple()[:6]
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
         # modelDescription.xml first: a reader of the stream finds it at once.
         for name in sorted(content, key=lambda name: (name != "modelDescription.xml", name)):
             entry = zipfile.ZipInfo(name, date_time=stamp)
             entry.compress_type = zipfile.ZIP_DEFLATED
-            entry.external_attr = (0o755 if name.endswith(".so") else 0o644) << 16
+            entry.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
             entry.create_system = 3  # Unix, whatever machine packs it
             archive.writestr(entry, content[name])

@@ -1,9 +1,12 @@
 """Scene -> `scene_sensitivity.h`: the derivatives an FMU must offer beyond those of `scene_model.h`.
 
-Jacobian-vector products of energies and powers, and of everything with respect to parameters:
+Jacobian-vector products of energies and powers, and of everything with respect to parameters, and their transposes, which
+add to the adjoints (q, v, u, p)_bar:
 
     scene_<quantity>_jvp            energies and powers along (dq, dv, du, dp)
+    scene_<quantity>_vjp            the same backwards, times the weight w
     scene_<quantity>_parameter_jvp  penetration, stiffness and acceleration along dp
+    scene_<quantity>_parameter_vjp  the same backwards
 """
 
 from __future__ import annotations
@@ -25,8 +28,8 @@ _HEAD = """\
 #include "scene_model.h"
 """
 
-# M da = (df/dp - dM/dp a) dp, for scenes whose mass matrix depends on q.
-_SOLVE = """\
+# M da = (df/dp - dM/dp a) dp and its transpose, for scenes whose mass matrix depends on q.
+_SOLVES = """\
 SCENE_FUNCTION int scene_acceleration_parameter_jvp(const double *q, const double *v, const double *u, const double *lam, const double *p,
     const double *a, const double *dp, double *d_a)
 {
@@ -34,6 +37,17 @@ SCENE_FUNCTION int scene_acceleration_parameter_jvp(const double *q, const doubl
     scene_mass(q, p, &M[0][0]);
     scene_residual_parameter_jvp(q, v, u, lam, p, a, dp, d_a);
     return scene_solve(M, d_a);
+}
+
+SCENE_FUNCTION int scene_acceleration_parameter_vjp(const double *q, const double *v, const double *u, const double *lam, const double *p,
+    const double *a, const double *a_bar, double *p_bar)
+{
+    double M[NQ][NQ], w[NQ];
+    scene_mass(q, p, &M[0][0]);
+    for (int i = 0; i < NQ; i++) w[i] = a_bar[i];
+    if (scene_solve(M, w)) return 1;
+    scene_residual_parameter_vjp(q, v, u, lam, p, a, w, p_bar);
+    return 0;
 }
 """
 
@@ -53,6 +67,14 @@ def _jvp(function: sp.Matrix, vectors: Sequence[Vector]) -> sp.Matrix:
     return total
 
 
+def _vjp(function: sp.Matrix, weights: Vector, vectors: Sequence[Vector]) -> list[tuple[str, sp.Matrix]]:
+    """(name of the adjoint, Jacobian' weights) for each of `vectors`."""
+    return [
+        (f"{vector.name}_bar", function.jacobian(vector.column).T * weights.column if vector.symbols and function.rows else sp.zeros(0, 1))
+        for vector in vectors
+    ]
+
+
 def _tangent(vector: Vector) -> Vector:
     return vector.like(f"d{vector.name}")
 
@@ -60,22 +82,34 @@ def _tangent(vector: Vector) -> Vector:
 def _parameter_functions(x: SceneVectors) -> list[str]:
     d, dp = x.dynamics, _tangent(x.p)
     phi, stiffness = x.local(d.penetration), x.local(d.stiffness)
-    a = x.q.like("a")
+    a, a_bar, phi_bar, k_bar = x.q.like("a"), x.q.like("a_bar"), x.lam.like("phi_bar"), x.lam.like("k_bar")
     functions = [
         c_function("void", "scene_penetration_parameter_jvp", (x.q, x.p, dp), "d_phi", _jvp(phi, [x.p])),
+        c_function("void", "scene_penetration_parameter_vjp", (x.q, x.p, phi_bar), _vjp(phi, phi_bar, [x.p]), operator="+="),
         c_function("void", "scene_stiffness_parameter_jvp", (x.p, dp), "d_k", _jvp(stiffness, [x.p])),
+        c_function("void", "scene_stiffness_parameter_vjp", (x.p, k_bar), _vjp(stiffness, k_bar, [x.p]), operator="+="),
     ]
     if d.acceleration is not None:
-        slope = _jvp(x.local(d.acceleration), [x.p])
-        functions.append(c_function("int", "scene_acceleration_parameter_jvp", (*x.arguments, a, dp), "d_a", slope, tail="return 0;"))
+        closed, back = x.local(d.acceleration), (*x.arguments, a, a_bar)
+        name = "scene_acceleration_parameter"
+        functions += [
+            c_function("int", f"{name}_jvp", (*x.arguments, a, dp), "d_a", _jvp(closed, [x.p]), tail="return 0;"),
+            c_function("int", f"{name}_vjp", back, _vjp(closed, a_bar, [x.p]), operator="+=", tail="return 0;"),
+        ]
     else:
-        residual = x.local(d.generalised_force) - x.local(d.mass_matrix) * a.column
-        functions += [c_function("void", "scene_residual_parameter_jvp", (*x.arguments, a, dp), "d_f", _jvp(residual, [x.p])), _SOLVE]
+        residual, w = x.local(d.generalised_force) - x.local(d.mass_matrix) * a.column, x.q.like("w")
+        name = "scene_residual_parameter"
+        functions += [
+            c_function("void", f"{name}_jvp", (*x.arguments, a, dp), "d_f", _jvp(residual, [x.p])),
+            c_function("void", f"{name}_vjp", (*x.arguments, a, w), _vjp(residual, w, [x.p]), operator="+="),
+            _SOLVES,
+        ]
     return functions
 
 
 def _energy_functions(x: SceneVectors) -> list[str]:
     d = x.dynamics
+    w = Vector.of("w", ["energy"])
     functions = []
     for name, expression, vectors in (
         ("kinetic_energy", d.kinetic_energy, (x.q, x.v, x.p)),
@@ -83,6 +117,8 @@ def _energy_functions(x: SceneVectors) -> list[str]:
         ("input_power", d.input_power, (x.q, x.v, x.u, x.p)),
         ("dissipated_power", d.dissipated_power, (x.q, x.v, x.p)),
     ):
+        local = x.local(expression)
         arguments = (*vectors, *(_tangent(vector) for vector in vectors))
-        functions.append(c_function("double", f"scene_{name}_jvp", arguments, None, _jvp(x.local(expression), vectors)))
+        functions.append(c_function("double", f"scene_{name}_jvp", arguments, None, _jvp(local, vectors)))
+        functions.append(c_function("void", f"scene_{name}_vjp", (*vectors, w), _vjp(local, w, vectors), operator="+="))
     return functions

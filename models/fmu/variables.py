@@ -19,6 +19,13 @@ from models.scene import Scene
 SMALLEST_INTERNAL_STEP = 1e-9
 # Internal steps within one step of the task: the everyday replay then follows the motion to about 1e-8 of its size.
 INTERNAL_STEPS = 100
+# The methods of Co-Simulation: name and meaning, numbered from 1 as in `shell/model.h`; the last is the default.
+INTEGRATORS = (
+    ("explicit_euler", "order 1, contacts are not located"),
+    ("semi_implicit_euler", "order 1, the time step of the plans: velocities first, contacts are not located"),
+    ("heun", "order 2, steps are divided where a contact opens or closes"),
+    ("runge_kutta", "order 4, steps are divided where a contact opens or closes"),
+)
 
 
 class Kind(Enum):
@@ -39,6 +46,7 @@ class Kind(Enum):
     INPUT_POWER = "KIND_INPUT_POWER"
     DISSIPATED_POWER = "KIND_DISSIPATED_POWER"
     INTERNAL_STEP = "KIND_INTERNAL_STEP"
+    INTEGRATOR = "KIND_INTEGRATOR"
 
 
 # Kind -> (causality, variability, initial) in the words of FMI.
@@ -51,13 +59,17 @@ _ROLES: dict[Kind, tuple[str, str, str | None]] = {
     Kind.INPUT: ("input", "continuous", None),
     Kind.PARAMETER: ("parameter", "fixed", "exact"),
     Kind.INTERNAL_STEP: ("parameter", "tunable", "exact"),
+    Kind.INTEGRATOR: ("parameter", "tunable", "exact"),
 }
 _OUTPUT = ("output", "continuous", "calculated")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Variable:
-    """One variable; `index` is its place among those of its kind. start is None where the value is calculated."""
+    """One variable; `index` is its place among those of its kind. start is None where the value is calculated.
+
+    unit is empty for an enumeration, which is the only kind that is not a real number.
+    """
 
     name: str
     kind: Kind
@@ -81,6 +93,10 @@ class Variable:
     def initial(self) -> str | None:
         return _ROLES.get(self.kind, _OUTPUT)[2]
 
+    @property
+    def is_enumeration(self) -> bool:
+        return self.kind is Kind.INTEGRATOR
+
 
 @dataclass(frozen=True, kw_only=True)
 class VariableNames:
@@ -103,6 +119,7 @@ class VariableNames:
     input_power: str | None
     dissipated_power: str | None
     internal_step: str
+    integrator: str
 
 
 def variable_names(scene: Scene) -> VariableNames:
@@ -130,6 +147,7 @@ def variable_names(scene: Scene) -> VariableNames:
         input_power=single(Kind.INPUT_POWER),
         dissipated_power=single(Kind.DISSIPATED_POWER),
         internal_step=names(Kind.INTERNAL_STEP)[0],
+        integrator=names(Kind.INTEGRATOR)[0],
     )
 
 
@@ -263,4 +281,13 @@ def _parameters(scene: Scene) -> list[Variable]:
         lower=SMALLEST_INTERNAL_STEP,
         description="largest internal step of Co-Simulation; equal steps divide each communication step",
     )
-    return [*physical, step]
+    integrator = Variable(
+        name="integrator",
+        kind=Kind.INTEGRATOR,
+        unit="",
+        start=float(len(INTEGRATORS)),
+        lower=1.0,
+        upper=float(len(INTEGRATORS)),
+        description="method of Co-Simulation",
+    )
+    return [*physical, step, integrator]

@@ -8,18 +8,32 @@ from pathlib import Path
 import click
 
 
-@click.command(epilog="Example: python -m validate fmu three_cart -o three_cart.fmu")
+@click.command(
+    epilog="""\b
+Examples:
+  python -m validate fmu three_cart -o three_cart.fmu
+  python -m validate fmu my_scene.py -o my_scene.fmu --fmi 3 --platform x86_64-linux --platform win64
+"""
+)
 @click.argument("scene", metavar="NAME|FILE.py")
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), required=True, metavar="FILE", help="Where to write the FMU."
 )
-def command(scene: str, output: Path) -> int:
-    """Export a scene as an FMU (FMI 2.0, Co-Simulation and Model Exchange)."""
+@click.option("--fmi", "version", type=click.Choice(["2", "3"]), default="2", show_default=True, help="Version of FMI.")
+@click.option(
+    "--platform",
+    "platforms",
+    multiple=True,
+    metavar="NAME",
+    help="Carry binaries for this platform, by its name in FMI 2.0 or 3.0 (linux64 or x86_64-linux); may be repeated. Default: this machine's.",
+)
+def command(scene: str, output: Path, version: str, platforms: tuple[str, ...]) -> int:
+    """Export a scene as an FMU: Co-Simulation and Model Exchange in one file."""
     from models.catalog import load_scene
     from models.fmu import build_fmu
     from validate.store import disk_error
 
-    built = build_fmu(load_scene(scene))
+    built = build_fmu(load_scene(scene), version=f"{version}.0", platforms=platforms)
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(built, output)

@@ -20,20 +20,37 @@ static inline int contact_mode(int contact, double phi, double phi_rate, int bef
     return before;
 }
 
-/* Bring the contact modes up to date; returns how many changed. */
-static inline int model_update_modes(Model *m)
+/* Bring contact modes up to date with a point of the motion; returns how many changed. */
+static inline int update_modes(const Model *m, const double *q, const double *v, int *active)
 {
     double phi[ROOM(NC)], rate[ROOM(NC)];
     int changes = 0;
-    scene_penetration(m->q, m->p, phi);
-    scene_penetration_jvp(m->q, m->p, m->v, rate);
+    scene_penetration(q, m->p, phi);
+    scene_penetration_jvp(q, m->p, v, rate);
     for (int i = 0; i < NC; i++) {
-        const int mode = contact_mode(i, phi[i], rate[i], m->active[i]);
-        changes += mode != m->active[i];
-        m->active[i] = mode;
+        const int mode = contact_mode(i, phi[i], rate[i], active[i]);
+        changes += mode != active[i];
+        active[i] = mode;
     }
+    return changes;
+}
+
+/* As update_modes, of the Model itself. */
+static inline int model_update_modes(Model *m)
+{
+    const int changes = update_modes(m, m->q, m->v, m->active);
     if (changes) m->evaluated = 0;
     return changes;
+}
+
+/* Whether a contact is beyond its hysteresis in the wrong mode. */
+static inline int model_modes_wrong(const Model *m)
+{
+    double phi[ROOM(NC)];
+    int wrong = 0;
+    scene_penetration(m->q, m->p, phi);
+    for (int i = 0; i < NC; i++) wrong |= contact_mode(i, phi[i], 0.0, m->active[i]) != m->active[i];
+    return wrong;
 }
 
 /* lam = active ? k phi : 0, the smooth continuation of one contact mode beyond its boundary; without modes the true law,
@@ -93,6 +110,7 @@ static inline double model_value(const Model *m, const Variable *variable)
     case KIND_INPUT_POWER: return scene_input_power(m->q, m->v, m->u, m->p);
     case KIND_DISSIPATED_POWER: return scene_dissipated_power(m->q, m->v, m->p);
     case KIND_INTERNAL_STEP: return m->internal_step;
+    case KIND_INTEGRATOR: return m->integrator;
     }
     return NAN;
 }
@@ -105,16 +123,30 @@ static inline void model_assign(Model *m, const Variable *variable, double value
     case KIND_INPUT: m->u[variable->index] = value; break;
     case KIND_PARAMETER: m->p[variable->index] = value; break;
     case KIND_INTERNAL_STEP: m->internal_step = value; break;
+    case KIND_INTEGRATOR: m->integrator = (int)value; break;
     default: break;
     }
     m->evaluated = 0;
 }
 
-/* A direction in the space of everything the model depends on, and what follows from it. */
+/* A direction in the space of everything the model depends on, and what follows from it. As an adjoint: the derivatives of
+ * one number with respect to all of these. */
 typedef struct {
     double q[NQ], v[NQ], u[ROOM(NU)], p[ROOM(NP)];
     double phi[ROOM(NC)], k[ROOM(NC)], lam[ROOM(NC)], a[NQ];
 } Tangent;
+
+/* Where a tangent or an adjoint has the entry of a state, an input or a parameter; NULL for any other variable. */
+static inline double *known_entry(const Variable *variable, Tangent *tangent)
+{
+    switch (variable->kind) {
+    case KIND_POSITION: return &tangent->q[variable->index];
+    case KIND_VELOCITY: return &tangent->v[variable->index];
+    case KIND_INPUT: return &tangent->u[variable->index];
+    case KIND_PARAMETER: return &tangent->p[variable->index];
+    default: return NULL;
+    }
+}
 
 /* Complete a tangent whose q, v, u, p are given, in the contact modes of the (evaluated) Model; 1 as in model_evaluate. */
 static inline int model_tangent(const Model *m, Tangent *d)
@@ -159,9 +191,56 @@ static inline double model_value_tangent(const Model *m, const Tangent *d, const
     case KIND_INPUT_POWER: return scene_input_power_jvp(m->q, m->v, m->u, m->p, d->q, d->v, d->u, d->p);
     case KIND_DISSIPATED_POWER: return scene_dissipated_power_jvp(m->q, m->v, m->p, d->q, d->v, d->p);
     case KIND_TIME:
-    case KIND_INTERNAL_STEP: break;
+    case KIND_INTERNAL_STEP:
+    case KIND_INTEGRATOR: break;
     }
     return 0.0;
+}
+
+/* Add to an adjoint what `weight` times a variable depends on directly; model_adjoint follows it to states, inputs and parameters. */
+static inline void model_value_adjoint(const Model *m, double weight, const Variable *variable, Tangent *bar)
+{
+    const int i = variable->index;
+    const double *w = &weight;
+    switch (variable->kind) {
+    case KIND_POSITION: bar->q[i] += weight; break;
+    case KIND_VELOCITY:
+    case KIND_POSITION_RATE: bar->v[i] += weight; break;
+    case KIND_VELOCITY_RATE: bar->a[i] += weight; break;
+    case KIND_INPUT: bar->u[i] += weight; break;
+    case KIND_PARAMETER: bar->p[i] += weight; break;
+    case KIND_FORCE: bar->lam[i] += weight; break;
+    case KIND_GAP: bar->phi[i] -= weight; break;
+    case KIND_KINETIC_ENERGY: scene_kinetic_energy_vjp(m->q, m->v, m->p, w, bar->q, bar->v, bar->p); break;
+    case KIND_POTENTIAL_ENERGY: scene_potential_energy_vjp(m->q, m->p, w, bar->q, bar->p); break;
+    case KIND_CONTACT_ENERGY:
+        for (int n = 0; n < NC; n++) {
+            bar->lam[n] += 0.5 * weight * m->phi[n];
+            bar->phi[n] += 0.5 * weight * m->lam[n];
+        }
+        break;
+    case KIND_INPUT_POWER: scene_input_power_vjp(m->q, m->v, m->u, m->p, w, bar->q, bar->v, bar->u, bar->p); break;
+    case KIND_DISSIPATED_POWER: scene_dissipated_power_vjp(m->q, m->v, m->p, w, bar->q, bar->v, bar->p); break;
+    case KIND_TIME:
+    case KIND_INTERNAL_STEP:
+    case KIND_INTEGRATOR: break;
+    }
+}
+
+/* Complete an adjoint: from a, lam, phi and k down to q, v, u and p; the transpose of model_tangent. 1 as in model_evaluate. */
+static inline int model_adjoint(const Model *m, Tangent *bar)
+{
+    if (scene_acceleration_vjp(m->q, m->v, m->u, m->lam, m->p, bar->a, bar->q, bar->v, bar->u, bar->lam)) return 1;
+    if (scene_acceleration_parameter_vjp(m->q, m->v, m->u, m->lam, m->p, m->a, bar->a, bar->p)) return 1;
+    for (int i = 0; i < NC; i++) {
+        if (!m->active[i]) continue;
+        bar->phi[i] += m->k[i] * bar->lam[i];
+        bar->k[i] += m->phi[i] * bar->lam[i];
+    }
+    scene_penetration_vjp(m->q, m->p, bar->phi, bar->q);
+    scene_penetration_parameter_vjp(m->q, m->p, bar->phi, bar->p);
+    scene_stiffness_parameter_vjp(m->p, bar->k, bar->p);
+    return 0;
 }
 
 #endif

@@ -29,8 +29,12 @@ typedef enum {
     KIND_CONTACT_ENERGY,
     KIND_INPUT_POWER,
     KIND_DISSIPATED_POWER,
-    KIND_INTERNAL_STEP
+    KIND_INTERNAL_STEP,
+    KIND_INTEGRATOR
 } VariableKind;
+
+/* How Co-Simulation integrates; the values of the variable `integrator`. */
+typedef enum { EXPLICIT_EULER = 1, SEMI_IMPLICIT_EULER, HEUN, RUNGE_KUTTA } Integrator;
 
 /* A row of the variable table; its position is the value reference. index: place within the variables of its kind. */
 typedef struct {
@@ -49,10 +53,11 @@ typedef struct {
     double u_rate[ROOM(NU)]; /* du/dt during the next communication step */
     double p[ROOM(NP)];
     double internal_step;
+    int integrator; /* an Integrator */
     double start_time, stop_time;
     double phi[ROOM(NC)], k[ROOM(NC)], lam[ROOM(NC)], a[NQ]; /* belong to the values above while `evaluated` */
     int active[ROOM(NC)]; /* contact modes */
-    int frozen;           /* Model Exchange: modes change at events only; otherwise they follow the true law */
+    int frozen;           /* modes change in event mode only; otherwise they follow the true law */
     int evaluated;
     int stop_defined;
     int phase; /* of the FMI state machine; here because it belongs to what is saved and restored */
@@ -75,6 +80,7 @@ static inline void model_start(Model *m)
         case KIND_INPUT: m->u[variable->index] = variable->start; break;
         case KIND_PARAMETER: m->p[variable->index] = variable->start; break;
         case KIND_INTERNAL_STEP: m->internal_step = variable->start; break;
+        case KIND_INTEGRATOR: m->integrator = (int)variable->start; break;
         default: break;
         }
     }
