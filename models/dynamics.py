@@ -84,6 +84,7 @@ class Dynamics:
     input_power: sp.Expr
     dissipated_power: sp.Expr
     running_cost: sp.Expr
+    final_cost: sp.Expr
     structure: Structure
 
     @property
@@ -175,6 +176,7 @@ def _build(scene: Scene) -> Dynamics:
         input_power=sp.expand((velocity.T * (forces - passive))[0]),
         dissipated_power=sp.expand(-(velocity.T * passive)[0]),
         running_cost=sp.sympify(scene.task.running_cost),
+        final_cost=sp.sympify(scene.task.final_cost),
         structure=_structure(mass, tau, phi, gravity, passive, slip, q, v, u),
     )
 

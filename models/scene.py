@@ -135,7 +135,7 @@ class Task:
 
     start, goal: (2*nq,) positions then velocities; a goal of None leaves its component free at the end, and a goal of nothing but None is
     a free end. running_cost: an expression in q, v, u and parameters, summed over the starts of the steps (not integrated: as in the
-    paper, cost = sum_t u^2).
+    paper, cost = sum_t u^2); final_cost: an expression in q, v and parameters, of the last state, added to that sum.
     """
 
     start: tuple[float, ...]
@@ -143,6 +143,7 @@ class Task:
     running_cost: sp.Expr
     step: float
     steps: int
+    final_cost: sp.Expr = sp.S.Zero
 
     def __post_init__(self) -> None:
         for field in ("start", "goal"):
@@ -154,7 +155,8 @@ class Task:
                 None if may_be_free and value is None else as_number(f"task: {field}[{index}]", value) for index, value in enumerate(values)
             )
             settle(self, field, tuple(numbers))
-        settle(self, "running_cost", as_expression("task: running_cost", self.running_cost))
+        for field in ("running_cost", "final_cost"):
+            settle(self, field, as_expression(f"task: {field}", getattr(self, field)))
         settle(self, "step", as_number("task: step", self.step))
         if self.step <= 0:
             raise SceneError(f"task: step must be positive seconds, not {self.step!r}.")

@@ -171,9 +171,12 @@ def _check_symbols(scene: Scene) -> None:
         if friction.normal_force is not None:
             check(f"friction {friction.name}: normal_force", friction.normal_force, parameters | positions)
     check("task.running_cost", scene.task.running_cost, parameters | positions | velocities | inputs)
+    check("task.final_cost", scene.task.final_cost, parameters | positions | velocities)
     for shape in scene.shapes:
-        for field, value in (("x", shape.x), ("y", shape.y), ("angle", shape.angle), *(("size", size) for size in shape.size)):
+        for field, value in (("x", shape.x), ("y", shape.y), ("angle", shape.angle)):
             check(f"shape {shape.name}: {field}", value, parameters | positions)
+        for size in shape.size:
+            check(f"shape {shape.name}: size", size, parameters)
 
 
 def _start(scene: Scene) -> dict[sp.Symbol, float]:

@@ -81,6 +81,8 @@ def equations(dynamics: Dynamics) -> tuple[EquationRecord, ...]:
         found.append((f"time step of {coordinate.name}", _equation(new, coordinate.symbol + step * velocity)))
     cost = sp.Symbol("J")
     found.append(("cost, summed over the steps", _equation(cost, sp.Sum(dynamics.running_cost, (time, 0, sp.Symbol("T") - 1)))))
+    if dynamics.final_cost != 0:
+        found.append(("cost of the last state, added to that sum", _equation(sp.Symbol("J_T"), dynamics.final_cost)))
     return tuple(EquationRecord(caption=caption, mathml=presentation(equation)) for caption, equation in found)
 
 

@@ -22,7 +22,7 @@ What a block has, t in 0..T (`set_nodes`) or 0..T-1 (`set_steps`):
 | constraint_position_step, constraint_velocity_step | t in steps, coordinate | semi-implicit Euler |
 | constraint_contact_softplus or complementarity_contact | t in steps, contact | the contact law |
 | constraint_friction_regularised, or constraint_slip and complementarity_friction | t in steps, friction (, way) | the friction law (`friction`) |
-| expression_cost, objective_cost | | sum of the running cost; the objective exists in `build_model` only |
+| expression_cost, objective_cost | | sum of the running cost, and the final cost; the objective exists in `build_model` only |
 
 What the scene does not need is not there: no variable_u without inputs, no variable_lam without contacts, no
 variable_friction without friction.
@@ -200,7 +200,7 @@ def _add_steps(block: Any, scene: Scene, contact: ContactLaw, b: float | None) -
     block.constraint_position_step = pyo.Constraint(block.set_steps, block.set_coordinates, rule=position)
     block.constraint_velocity_step = pyo.Constraint(block.set_steps, block.set_coordinates, rule=velocity)
     costs = [law.running_cost(*arguments, p)[0] for arguments in zip(q[:-1], v[:-1], u, strict=True)]
-    block.expression_cost = pyo.Expression(expr=equations.expression_cost(costs))
+    block.expression_cost = pyo.Expression(expr=equations.expression_cost([*costs, *law.final_cost(q[-1], v[-1], p)]))
 
 
 def _add_contact(

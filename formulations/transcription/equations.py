@@ -66,9 +66,9 @@ def complementarity_friction(way: Any, reserve: Any) -> Any:
     return complements(reserve >= 0, way >= 0)
 
 
-def expression_cost(running_costs: Sequence[Any]) -> Any:
-    """sum over t = 0..T-1 of the running cost, not weighted with h (paper: sum_t u1^2 + u3^2 [N^2])"""
-    return sum(running_costs)
+def expression_cost(costs: Sequence[Any]) -> Any:
+    """sum over t = 0..T-1 of the running cost, not weighted with h (paper: sum_t u1^2 + u3^2 [N^2]); then the final cost, if there is one"""
+    return sum(costs)
 
 
 def _is_zero(entry: Any) -> bool:

@@ -41,6 +41,7 @@ class SceneExpressions:
         self.slip = _function(d, "a slip", list(d.slip), d.q, d.v, d.p)
         self.friction_limit = _function(d, "a friction coefficient or normal force", list(d.friction_limit), d.q, d.lam, d.p)
         self.running_cost = _function(d, "the running cost", [d.running_cost], d.q, d.v, d.u, d.p)
+        self.final_cost = _function(d, "the final cost", [] if d.final_cost == 0 else [d.final_cost], d.q, d.v, d.p)  # 0 or 1 entry
 
 
 def _function(dynamics: Dynamics, what: str, expressions: list[sp.Expr], *groups: Sequence[sp.Symbol]) -> Entries:

@@ -32,6 +32,7 @@ class PlanResiduals:
         self._limit = _function(scene, d.friction_limit, d.q, d.lam)
         self._slip_nominal = np.array([friction.nominal for friction in scene.frictions])
         self._cost = _function(scene, sp.Matrix([d.running_cost]), d.q, d.v, d.u)
+        self._final_cost = _function(scene, sp.Matrix([d.final_cost]), d.q, d.v)
         self._stiffness = np.array(d.stiffness.subs(scene.parameter_values), dtype=float).ravel()
 
     def separation(self, plan: Trajectory) -> np.ndarray:
@@ -53,8 +54,8 @@ class PlanResiduals:
         return self._slip(plan.q[:-1], plan.v[1:]), plan.lam[:, nc:], self._limit(plan.q[:-1], plan.lam[:, :nc])
 
     def cost(self, plan: Trajectory) -> float:
-        """Sum of the running cost over the steps."""
-        return float(self._cost(plan.q[:-1], plan.v[:-1], plan.u).sum())
+        """Sum of the running cost over the steps, and the final cost."""
+        return float(self._cost(plan.q[:-1], plan.v[:-1], plan.u).sum() + self._final_cost(plan.q[-1:], plan.v[-1:]).sum())
 
     def dynamics_defect(self, plan: Trajectory) -> float:
         """Largest miss of the semi-implicit step, in velocity or position."""

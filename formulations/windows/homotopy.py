@@ -74,7 +74,7 @@ def _own_stiffness(scene: Scene) -> dict[str, float]:
     """Parameters that are the stiffness of contacts and nothing else; empty unless all contacts have such."""
     symbols = {contact.stiffness for contact in scene.contacts}
     parameters = {parameter.symbol: parameter for parameter in scene.parameters}
-    physics = [scene.kinetic_energy, scene.potential_energy, *scene.forces, scene.task.running_cost]
+    physics = [scene.kinetic_energy, scene.potential_energy, *scene.forces, scene.task.running_cost, scene.task.final_cost]
     elsewhere = set().union(*(sp.sympify(e).free_symbols for e in (*physics, *(contact.penetration for contact in scene.contacts))))
     if not all(symbol in parameters and symbol not in elsewhere for symbol in symbols):
         return {}

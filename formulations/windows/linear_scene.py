@@ -86,6 +86,8 @@ def why_not_linear(scene: Scene) -> str | None:
     dynamics = derive(scene)
     if not dynamics.structure.linear:
         return f"scene {scene.name} is not linear in q, v and u"
+    if dynamics.final_cost != 0:
+        return f"scene {scene.name} has a final cost"
     hessian = _cost_hessian(dynamics)
     if hessian.free_symbols:
         return f"the running cost of scene {scene.name} is not quadratic"

@@ -144,6 +144,20 @@ def _energy_functions(x: SceneVectors) -> list[str]:
         c_function("double", "scene_dissipated_power", (x.q, x.v, x.p), None, x.local(d.dissipated_power)),
         c_function("double", "scene_running_cost", (x.q, x.v, x.u, x.p), None, cost),
         c_function("void", "scene_running_cost_vjp", (x.q, x.v, x.u, x.p, cost_bar), bars, operator="+="),
+        *_final_cost_functions(x, cost_bar),
+    ]
+
+
+def _final_cost_functions(x: SceneVectors, cost_bar: Vector) -> list[str]:
+    """The cost of the last state; nothing for a task without one."""
+    if x.dynamics.final_cost == 0:
+        return []
+    cost = x.local(x.dynamics.final_cost)
+    bars = [(f"{vector.name}_bar", cost.jacobian(vector.column).T * cost_bar.symbols[0]) for vector in (x.q, x.v)]
+    return [
+        "#define FINAL_COST",
+        c_function("double", "scene_final_cost", (x.q, x.v, x.p), None, cost),
+        c_function("void", "scene_final_cost_vjp", (x.q, x.v, x.p, cost_bar), bars, operator="+="),
     ]
 
 

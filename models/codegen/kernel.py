@@ -185,7 +185,7 @@ class Kernel:
         cost_bar: float = 0.0,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Gradients (u_bar (steps, nu), start_bar (2*nq,)) of a loss whose derivatives are q_bar, v_bar (steps+1, nq), lam_bar
-        (steps, nc+nf; None if it does not depend on lam) and cost_bar (with respect to the sum of the running cost)."""
+        (steps, nc+nf; None if it does not depend on lam) and cost_bar (with respect to the cost)."""
         u = self._array("u", u, self.scene.nu, len(rollout.lam))
         nodes = len(rollout.q)
         q_bar, v_bar = self._array("q_bar", q_bar, self.scene.nq, nodes), self._array("v_bar", v_bar, self.scene.nq, nodes)
@@ -222,9 +222,9 @@ class Kernel:
         return power[:, 0], power[:, 1]
 
     def cost(self, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> float:
-        """Sum of the running cost over the steps; q, v (steps+1 or steps, nq), u (steps, nu)."""
+        """Sum of the running cost over the steps, and the cost of the last state; q, v (steps+1, nq), u (steps, nu)."""
         u = self._array("u", u, self.scene.nu)
-        q, v = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq)
+        q, v = self._array("q", q, self.scene.nq, len(u) + 1), self._array("v", v, self.scene.nq, len(u) + 1)
         return float(self._library.kernel_cost(len(u), _at(self._p), _at(q), _at(v), _at(u)))
 
     def _array(self, name: str, value: np.ndarray, columns: int, rows: int | None = None) -> np.ndarray:

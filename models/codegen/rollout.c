@@ -82,7 +82,7 @@ EXPORT int kernel_rollout(int steps, double h, const double *parameters, int law
 }
 
 /* Reverse sweep: given the derivatives of a loss with respect to every entry of q, v and lam (q_bar, v_bar; lam_bar or NULL) and to
- * the sum of the running cost (cost_bar), writes those with respect to u (steps, NU) and start (2 NQ). Returns 0, or 1 if the mass
+ * the cost (cost_bar), writes those with respect to u (steps, NU) and start (2 NQ). Returns 0, or 1 if the mass
  * matrix is not positive definite. */
 EXPORT int kernel_adjoint(int steps, double h, const double *parameters, int law, double b, const double *q, const double *v,
     const double *lam, const double *u, const double *q_bar, const double *v_bar, const double *lam_bar, double cost_bar, double *u_bar,
@@ -95,6 +95,9 @@ EXPORT int kernel_adjoint(int steps, double h, const double *parameters, int law
         gq[i] = q_bar[steps * NQ + i];
         gv[i] = v_bar[steps * NQ + i];
     }
+#ifdef FINAL_COST
+    if (cost_bar != 0.0) scene_final_cost_vjp(q + steps * NQ, v + steps * NQ, p, &cost_bar, gq, gv);
+#endif
     for (int t = steps - 1; t >= 0; t--) {
         const double *qt = q + t * NQ, *vt = v + t * NQ;
         double a_bar[NQ], phi[SIZE(NC)], gl[SIZE(NL)];
@@ -173,7 +176,7 @@ EXPORT void kernel_energy(int n, const double *p, const double *q, const double 
     }
 }
 
-/* power: (n, 2) by the inputs and dissipated [W]; cost: (n) running cost. */
+/* power: (n, 2) by the inputs and dissipated [W]. */
 EXPORT void kernel_power(int n, const double *p, const double *q, const double *v, const double *u, double *power)
 {
     for (int t = 0; t < n; t++) {
@@ -182,9 +185,13 @@ EXPORT void kernel_power(int n, const double *p, const double *q, const double *
     }
 }
 
+/* The running cost summed over n steps, and the cost of the state after them (q, v: (n + 1) rows; without a final cost the last is not read). */
 EXPORT double kernel_cost(int n, const double *p, const double *q, const double *v, const double *u)
 {
     double total = 0.0;
     for (int t = 0; t < n; t++) total += scene_running_cost(q + t * NQ, v + t * NQ, u + t * NU, p);
+#ifdef FINAL_COST
+    total += scene_final_cost(q + n * NQ, v + n * NQ, p);
+#endif
     return total;
 }

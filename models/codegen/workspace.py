@@ -58,7 +58,7 @@ class Workspace:
         return self.finite_steps == self.steps
 
     def cost(self) -> float:
-        """Sum of the running cost of the last rollout."""
+        """The cost of the last rollout."""
         return self._functions.cost(*self._cost_arguments)
 
     def adjoint(self, cost_bar: float = 0.0) -> np.ndarray:

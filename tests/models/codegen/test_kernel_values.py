@@ -72,8 +72,9 @@ def test_energy_power_and_cost_are_those_of_the_scene(name: str):
     ):
         function = d.function([expression], *groups)
         assert found == pytest.approx(np.array([function(*row).item() for row in zip(q, v, u, strict=True)]), rel=1e-12, abs=1e-12)
-    cost = d.function([d.running_cost], *groups)
-    assert kernel.cost(q, v, u) == pytest.approx(sum(cost(*row).item() for row in zip(q, v, u, strict=True)), rel=1e-13)
+    cost, end = d.function([d.running_cost], *groups), d.function([d.final_cost], d.q, d.v)
+    expected = sum(cost(*row).item() for row in zip(q[:-1], v[:-1], u[:-1], strict=True)) + end(q[-1], v[-1]).item()
+    assert kernel.cost(q, v, u[:-1]) == pytest.approx(expected, rel=1e-13)
 
 
 @pytest.mark.parametrize(("law", "eps"), LAWS)

@@ -1,0 +1,83 @@
+"""A cart balances a pole between two soft walls that the pole may lean on: unstable, underactuated, nonlinear.
+
+x is the place of the cart, theta the angle of the pole from upright, positive to the right. The pole is a point mass at the end of a
+massless rod; its tip, at x + l sin(theta), touches the walls at +-w.
+
+At rest, a push of u can stop the pole from falling only where (m_c + m_p) g tan(|theta|) <= u: up to 0.36 rad with the 4 N there are. The start
+leans out by more, so it is the wall that must throw the pole back. Left alone near upright, an error grows as exp(3.67 t), a thousand
+and a half times over the 2 s: sqrt(g (m_c + m_p)/(l m_c)) is the rate.
+"""
+
+import math
+
+import sympy as sp
+
+from models.scene import Answer, Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
+
+x, theta = sp.symbols("x theta", real=True)
+vx, omega = sp.symbols("vx omega", real=True)
+u = sp.Symbol("u", real=True)
+m_c, m_p, l, g, k, w = sp.symbols("m_c m_p l g k w", positive=True)
+
+CART, POLE, LENGTH, GRAVITY = 1.0, 0.1, 0.8, 9.8
+GROWTH = math.sqrt(GRAVITY * (CART + POLE) / (LENGTH * CART))
+
+TIP = (x + l * sp.sin(theta), l * sp.cos(theta))
+TIP_VELOCITY = [sp.diff(place, x) * vx + sp.diff(place, theta) * omega for place in TIP]
+
+SCENE = Scene(
+    name="cart_pole_walls",
+    title="A cart-pole balances between soft walls",
+    source="Lagrange's equations of a cart and a point mass on a rod, derived by computer algebra from the energies in this file",
+    coordinates=(
+        Coordinate(symbol=x, velocity=vx, unit="m", description="place of the cart"),
+        Coordinate(symbol=theta, velocity=omega, unit="rad", description="angle of the pole from upright"),
+    ),
+    inputs=(Input(symbol=u, unit="N", lower=-4.0, upper=4.0, description="force on the cart"),),
+    parameters=(
+        Parameter(symbol=m_c, value=CART, unit="kg", lower=1e-6, description="mass of the cart"),
+        Parameter(symbol=m_p, value=POLE, unit="kg", lower=1e-6, description="mass at the end of the pole"),
+        Parameter(symbol=l, value=LENGTH, unit="m", lower=1e-6, description="length of the pole"),
+        Parameter(symbol=g, value=GRAVITY, unit="m/s^2", lower=0.0, description="gravity"),
+        Parameter(symbol=k, value=200.0, unit="N/m", lower=1e-6, description="stiffness of the walls"),
+        Parameter(symbol=w, value=1.0, unit="m", lower=0.0, description="distance of each wall from the middle"),
+    ),
+    kinetic_energy=sp.simplify(m_c * vx**2 / 2 + m_p * (TIP_VELOCITY[0] ** 2 + TIP_VELOCITY[1] ** 2) / 2),
+    potential_energy=m_p * g * TIP[1],
+    forces=(u, sp.Integer(0)),
+    contacts=(
+        Contact(name="right", penetration=TIP[0] - w, stiffness=k, nominal=0.05, description="tip against the right wall"),
+        Contact(name="left", penetration=-w - TIP[0], stiffness=k, nominal=0.05, description="tip against the left wall"),
+    ),
+    task=Task(
+        start=(0.3, 0.4, 0.0, 0.0),
+        goal=(0.0, 0.0, 0.0, 0.0),
+        running_cost=u**2 / 1000,
+        step=0.02,
+        steps=100,
+    ),
+    limits=(
+        Limit(
+            figure="physics_scaled",
+            value=1e-5,
+            reason="averaged over the 2 s a product of 5e-6 (k L)^2, L = 0.05 m: a force of 1 mN at a tip that only just touches",
+        ),
+        Limit(figure="defect", value=1e-6, reason="a plan that misses its own time step by more than 1e-6 was not solved to the end"),
+        Limit(figure="start_error", value=1e-6, reason="a plan from another start solves another task; 1e-6 is the solvers' own tolerance"),
+        Limit(figure="bound_violation", value=1e-6, reason="the actuator gives at most 4 N; 1e-6 N is the solvers' own tolerance"),
+    ),
+    answers=(
+        Answer(
+            quantity="growth rate of a small error about upright [1/s]",
+            value=GROWTH,
+            tolerance=1e-12,
+            source="linearised about upright: theta'' = (m_c + m_p) g/(l m_c) theta; checked on the derived equations",
+        ),
+    ),
+    shapes=(
+        Shape(name="cart", kind="box", x=x, y=sp.Float(-0.05), size=(0.3, 0.1)),
+        Shape(name="pole", kind="line", x=x + l * sp.sin(theta) / 2, y=l * sp.cos(theta) / 2, size=(l,), angle=sp.pi / 2 - theta),
+        Shape(name="right wall", kind="wall", x=w, y=l / 2, size=(2.0,), angle=sp.pi / 2),
+        Shape(name="left wall", kind="wall", x=-w, y=l / 2, size=(2.0,), angle=sp.pi / 2),
+    ),
+)

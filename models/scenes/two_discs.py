@@ -1,0 +1,115 @@
+"""One disc is thrown at another, which then glides on and has to pass close by the goal when the time is over: elastic, without friction.
+
+    two_discs()                                          # starts (-1, -2) and (-1, -1)
+    two_discs(wall=True)                                 # starts (0.25, -0.3) and (-0.5, 0.6), a wall at y = 1: off the wall, to the goal
+
+The cost is |q2(T)|^2 + 0.01 int |u|^2 dt, with nothing asked of the end; disc 1 starts at rest and must be at the right place of the rim of disc 2
+with the right speed. As k grows the soft contact tends to the impact of rigid discs. There, equal masses hand over the speed s along the line of
+centres n, and the least work that brings disc 1 from rest to a place d away, with speed s along n and any speed across, within time t is
+(per unit of mass and weight)
+
+    12 (d.n)^2/t^3 - 12 (d.n) s/t^2 + 4 s^2/t + 3 |d - (d.n) n|^2/t^3
+
+so that the optimum is a minimum over n, t and s alone (`rigid_cost`): 0.3114169, and 0.3736364 with the wall, where disc 2 heads for the goal's
+mirror image behind the line of its reflected centre, y = 1 - r.
+"""
+
+import math
+
+import sympy as sp
+
+from models.scene import Answer, Contact, Coordinate, Input, Parameter, Scene, Shape, Task
+
+RADIUS, MASS, WEIGHT, STEPS, WALL = 0.2, 1.0, 0.01, 480, 1.0
+RIGID_OPTIMUM, RIGID_OPTIMUM_WALL = 0.3114169, 0.3736364
+# Centres closer than this [m] have no direction of contact between them: the distance sqrt(|q2 - q1|^2 + BLUR^2) is smooth even there, its
+# gradient zero; where discs touch it is 1e-12 m off.
+BLUR = 1e-6
+
+x1, y1, x2, y2 = q = sp.symbols("x1 y1 x2 y2", real=True)
+vx1, vy1, vx2, vy2 = v = sp.symbols("vx1 vy1 vx2 vy2", real=True)
+ux, uy = sp.symbols("ux uy", real=True)
+m, r, k, y_w = sp.symbols("m r k y_w", positive=True)
+
+
+def rigid_cost(direction: float, time: float, speed: float, start: tuple[float, ...], goal: tuple[float, float]) -> float:
+    """The cost in the rigid limit of hitting disc 2 at `time` [s], along the angle `direction` [rad], with `speed` [m/s] > 0 along it.
+
+    start: (4,) centres of disc 1 and 2 [m]; goal: where disc 2 heads for [m].
+    """
+    nx, ny = math.cos(direction), math.sin(direction)
+    dx, dy = start[2] - 2 * RADIUS * nx - start[0], start[3] - 2 * RADIUS * ny - start[1]
+    along, across = dx * nx + dy * ny, dy * nx - dx * ny
+    work = 12 * along**2 / time**3 - 12 * along * speed / time**2 + 4 * speed**2 / time + 3 * across**2 / time**3
+    glide = speed * (STEPS * _step() - time)
+    return (start[2] + glide * nx - goal[0]) ** 2 + (start[3] + glide * ny - goal[1]) ** 2 + WEIGHT * work
+
+
+def _step() -> float:
+    return 1.0 / STEPS
+
+
+def two_discs(wall: bool = False, name: str = "two_discs") -> Scene:
+    """The scene with or without the wall at y = 1."""
+    distance = sp.sqrt((x2 - x1) ** 2 + (y2 - y1) ** 2 + BLUR**2)
+    contacts = [Contact(name="pair", penetration=2 * r - distance, stiffness=k, nominal=0.02, description="disc 1 against disc 2")]
+    parameters = [
+        Parameter(symbol=m, value=MASS, unit="kg", lower=1e-6, description="mass of each disc"),
+        Parameter(symbol=r, value=RADIUS, unit="m", lower=1e-6, description="radius of each disc"),
+        Parameter(symbol=k, value=5000.0, unit="N/m", lower=1e-6, description="contact stiffness"),
+    ]
+    shapes = [Shape(name="disc 1", kind="disc", x=x1, y=y1, size=(r,)), Shape(name="disc 2", kind="disc", x=x2, y=y2, size=(r,))]
+    start = (-1.0, -2.0, -1.0, -1.0)
+    if wall:
+        start = (0.25, -0.3, -0.5, 0.6)
+        parameters.append(Parameter(symbol=y_w, value=WALL, unit="m", description="height of the wall"))
+        for index, height in ((1, y1), (2, y2)):
+            contacts.append(
+                Contact(
+                    name=f"wall_{index}",
+                    penetration=height + r - y_w,
+                    stiffness=k,
+                    nominal=0.02,
+                    description=f"disc {index} against the wall",
+                )
+            )
+        shapes.append(Shape(name="wall", kind="wall", x=sp.Integer(0), y=y_w, size=(4.0,)))
+    optimum = RIGID_OPTIMUM_WALL if wall else RIGID_OPTIMUM
+    return Scene(
+        name=name,
+        title="A disc is thrown at another, towards a goal" + (", off a wall" if wall else ""),
+        source="Newton's second law; task after the two-ball examples of optimal control through contact (480 steps of 1/480 s, radius 0.2 m)",
+        coordinates=tuple(
+            Coordinate(symbol=place, velocity=speed, unit="m", description=f"{axis} of the centre of disc {index}")
+            for place, speed, axis, index in zip(q, v, "xyxy", (1, 1, 2, 2), strict=True)
+        ),
+        inputs=(
+            Input(symbol=ux, unit="N", lower=-50.0, upper=50.0, description="force on disc 1 along x"),
+            Input(symbol=uy, unit="N", lower=-50.0, upper=50.0, description="force on disc 1 along y"),
+        ),
+        parameters=tuple(parameters),
+        kinetic_energy=m * (vx1**2 + vy1**2 + vx2**2 + vy2**2) / 2,
+        potential_energy=sp.Integer(0),
+        forces=(ux, uy, sp.Integer(0), sp.Integer(0)),
+        contacts=tuple(contacts),
+        task=Task(
+            start=(*start, 0.0, 0.0, 0.0, 0.0),
+            goal=(None,) * 8,
+            running_cost=WEIGHT * _step() * (ux**2 + uy**2),
+            final_cost=x2**2 + y2**2,
+            step=_step(),
+            steps=STEPS,
+        ),
+        answers=(
+            Answer(
+                quantity="least cost in the limit of rigid discs",
+                value=optimum,
+                tolerance=1e-7,
+                source="minimum of rigid_cost over direction, time and speed of the impact, see the docstring",
+            ),
+        ),
+        shapes=tuple(shapes),
+    )
+
+
+SCENE = two_discs()
