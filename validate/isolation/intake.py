@@ -64,7 +64,11 @@ CHECKS = (
 )
 
 
-class IntakeError(TouchstoneError):
+class FmuError(TouchstoneError):
+    """An FMU cannot be opened or does not offer what is needed."""
+
+
+class IntakeError(FmuError):
     """An FMU file that is not let in; `check` says which check it failed."""
 
     def __init__(self, problem: Problem) -> None:

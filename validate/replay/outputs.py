@@ -8,24 +8,29 @@ import numpy as np
 
 from models.codegen.kernel import Kernel, load_kernel
 from models.scene import Scene
-from validate.replay.package import ENERGIES, Variables
 from validate.replay.reference import Run
+from validate.replay.subject import Subject
+from validate.replay.wiring import ENERGIES, Variables
 
 
 class Outputs:
     """q, v (n, nq), lam, gap (n, nc), kinetic, potential, contact energy (n,) of a run, at all its points or at some rows."""
 
-    def __init__(self, scene: Scene, variables: Variables, run: Run, rows: list[int] | None = None) -> None:
+    def __init__(self, scene: Subject, variables: Variables, run: Run, rows: list[int] | None = None) -> None:
         self._scene, self._variables = scene, variables
+        known = isinstance(scene, Scene)
         chosen = slice(None) if rows is None else rows
         values = np.array(run.outputs).reshape(len(run.t), len(variables.outputs))[chosen]
         self._count = len(values)
         references = variables.outputs
         nq, nc = scene.nq, scene.nc
-        self.q, self.v = values[:, :nq].copy(), values[:, nq : 2 * nq].copy()
-        at = 2 * nq + len(variables.lam)
-        self.lam = values[:, 2 * nq : at].copy() if variables.lam or not nc else self._kernel.contact_force(self.q)
-        self.gap = values[:, at : at + nc].copy() if variables.gap or not nc else -self._kernel.penetration(self.q)
+        first = nq + len(variables.v)
+        at = first + len(variables.lam)
+        zeros = np.zeros((self._count, nc))  # of a foreign model, for what its `lacks` names
+        self.q = values[:, :nq].copy()
+        self.v = values[:, nq:first].copy() if variables.v or not nq else np.zeros((self._count, nq))
+        self.lam = values[:, first:at].copy() if variables.lam or not nc else self._kernel.contact_force(self.q) if known else zeros
+        self.gap = values[:, at : at + nc].copy() if variables.gap or not nc else -self._kernel.penetration(self.q) if known else zeros
         first_energy = len(references) - len(variables.energies)
         given = {name: values[:, first_energy + index].copy() for index, name in enumerate(variables.energies)}
         self.kinetic, self.potential, self.contact = (self._energy(name, given) for name in ENERGIES)
@@ -51,7 +56,7 @@ class Outputs:
     def _energy(self, name: str, given: dict[str, np.ndarray]) -> np.ndarray:
         if name in given:
             return given[name]
-        if name in self._variables.zero:
+        if name in self._variables.zero or not isinstance(self._scene, Scene):
             return np.zeros(self._count)
         if name == "contact_energy":
             return (np.maximum(-self.gap, 0.0) ** 2 @ self._kernel.stiffness()) / 2
@@ -60,4 +65,6 @@ class Outputs:
 
     @cached_property
     def _kernel(self) -> Kernel:
+        if not isinstance(self._scene, Scene):
+            raise TypeError(f"{self._scene.name} is no scene: it has no equations to compute from.")
         return load_kernel(self._scene)

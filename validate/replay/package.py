@@ -1,101 +1,75 @@
-"""An FMU file opened for replay: unpacked, described, and its variables found by the scene's names.
+"""An FMU file opened for replay: examined, described, unpacked, and its variables found by the scene's names.
 
-with open_package(path) as package:
-    variables = find_variables(package, scene, {"q1": "cart_1.s"})
+package = read_package(path)
+variables = find_variables(package, scene, {"q1": "cart_1.s"})
+with unpacked(package) as package: ...
 """
 
 from __future__ import annotations
 
-import hashlib
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from models.dynamics import derive
-from models.errors import MachineError, TouchstoneError
 from models.scene import Scene
+from validate.isolation.intake import FmuError, Intake, examine, unpack
+from validate.replay.wiring import ENERGIES, INTERNAL_STEP, POWERS, Variables
 
-# The outputs a replay can use beside positions and velocities; what an FMU lacks is computed from the scene or left out.
-ENERGIES = ("kinetic_energy", "potential_energy", "contact_energy")
-POWERS = ("input_power", "dissipated_power")
-INTERNAL_STEP = "internal_step"
-
-
-class FmuError(TouchstoneError):
-    """An FMU cannot be opened or does not offer what the scene needs."""
+# The types of a number in FMI 2.0 and 3.0.
+REAL = ("Real", "Float64")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Package:
-    """An unpacked FMU: `description` is FMPy's model description, `folder` where it lies, `digest` the SHA-256 of the file."""
+    """An FMU that was let in: `description` is FMPy's model description, `intake` what was examined, `folder` where it lies unpacked, if it does."""
 
     path: Path
-    folder: Path
     description: Any
-    digest: str
+    intake: Intake
+    folder: Path | None = None
+
+    @property
+    def digest(self) -> str:
+        return self.intake.digest
+
+    @property
+    def is_three(self) -> bool:
+        return self.intake.version.startswith("3.")
 
     @property
     def exchange(self) -> Any | None:
-        return self.description.modelExchange
+        return self.description.modelExchange if "ModelExchange" in self.intake.kinds else None
 
     @property
     def cosimulation(self) -> Any | None:
-        return self.description.coSimulation
+        return self.description.coSimulation if "CoSimulation" in self.intake.kinds else None
 
 
-@dataclass(frozen=True, kw_only=True)
-class Variables:
-    """Value references by the scene's names. lam and gap are empty where the FMU lacks one of them.
+def read_package(path: Path) -> Package:
+    """Examine and describe an FMU, without unpacking it. Raises IntakeError, FmuError, MachineError."""
+    import fmpy  # 0.2 s to import
 
-    energies, powers: those the FMU has, by name; zero: names of energies and powers that the scene does not have at all;
-    parameters: (reference, value) of every parameter of the scene that the FMU has; internal_step: of the Co-Simulation.
-    """
-
-    q: tuple[int, ...]
-    v: tuple[int, ...]
-    u: tuple[int, ...]
-    lam: tuple[int, ...]
-    gap: tuple[int, ...]
-    energies: Mapping[str, int]
-    powers: Mapping[str, int]
-    zero: frozenset[str]
-    parameters: tuple[tuple[int, float], ...]
-    internal_step: int | None
-
-    @property
-    def outputs(self) -> tuple[int, ...]:
-        """Of all that is read at a point of the replay: q, v, lam, gap, energies."""
-        return self.q + self.v + self.lam + self.gap + tuple(self.energies.values())
-
-    @property
-    def rates(self) -> tuple[int, ...]:
-        """Of what is integrated beside the states: contact forces, powers."""
-        return self.lam + tuple(self.powers.values())
+    intake = examine(path)
+    try:
+        description = fmpy.read_model_description(str(path), validate=False)
+    except Exception as error:  # FMPy raises anything for a description it does not understand; it is reported
+        raise FmuError(f"FMU {path}: its modelDescription.xml cannot be understood ({type(error).__name__}: {error}).") from error
+    package = Package(path=path, description=description, intake=intake)
+    if package.exchange is None and package.cosimulation is None:
+        raise FmuError(f"FMU {path}: it offers neither Model Exchange nor Co-Simulation.")
+    return package
 
 
 @contextmanager
-def open_package(path: Path) -> Iterator[Package]:
-    """Unpack and describe an FMU 2.0; the folder is removed afterwards. Raises FmuError."""
-    import fmpy  # 0.2 s to import
-
-    if not path.is_file():
-        raise FmuError(f"FMU {path}: there is no such file.")
+def unpacked(package: Package) -> Iterator[Package]:
+    """The package unpacked; the folder is removed afterwards."""
     with tempfile.TemporaryDirectory(prefix="touchstone-replay-", ignore_cleanup_errors=True) as folder:
-        try:
-            description = fmpy.read_model_description(str(path), validate=False)
-            fmpy.extract(str(path), unzipdir=folder)
-        except OSError as error:
-            raise MachineError(f"FMU {path}: it cannot be unpacked to {folder} ({error}).") from error
-        except Exception as error:  # FMPy raises anything for a file that is no FMU; it is reported
-            raise FmuError(f"FMU {path}: it cannot be read as an FMU ({type(error).__name__}: {error}).") from error
-        if description.fmiVersion != "2.0":
-            raise FmuError(f"FMU {path}: it is FMI {description.fmiVersion}, but replay reads FMI 2.0.")
-        if description.modelExchange is None and description.coSimulation is None:
-            raise FmuError(f"FMU {path}: it offers neither Model Exchange nor Co-Simulation.")
-        yield Package(path=path, folder=Path(folder), description=description, digest=hashlib.sha256(path.read_bytes()).hexdigest())
+        unpack(package.intake, Path(folder))
+        yield replace(package, folder=Path(folder))
 
 
 def find_variables(package: Package, scene: Scene, names: Mapping[str, str] | None = None) -> Variables:
@@ -127,8 +101,8 @@ def find_variables(package: Package, scene: Scene, names: Mapping[str, str] | No
         variable = by_name.get(names.get(name, name))
         if variable is None and name in names:
             raise FmuError(f"FMU {package.path}: the map gives {names[name]!r} for {name!r}, but the FMU has no such variable.")
-        if variable is not None and variable.type != "Real":
-            raise FmuError(f"FMU {package.path}: {variable.name} is of type {variable.type}, but must be Real.")
+        if variable is not None and variable.type not in REAL:
+            raise FmuError(f"FMU {package.path}: {variable.name} is of type {variable.type}, but must be {' or '.join(REAL)}.")
         return None if variable is None else int(variable.valueReference)
 
     found: dict[str, tuple[int, ...]] = {}
@@ -166,5 +140,6 @@ def find_variables(package: Package, scene: Scene, names: Mapping[str, str] | No
         powers=present(POWERS),
         zero=frozenset(name for name, is_absent in absent.items() if is_absent),
         parameters=tuple(parameters),
+        start=found["q"] + found["v"],
         internal_step=reference(INTERNAL_STEP),
     )

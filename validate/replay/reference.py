@@ -51,16 +51,17 @@ class _Stop(Exception):  # noqa: N818 - it ends a run, and is no error of the pr
 
 def integrate(model: ContinuousModel, start: np.ndarray, inputs: HeldInputs, rtol: float, event_budget: int) -> Run:
     """Integrate over the plan's grid from start (2*nq,). Numerical failure is the run's outcome, never an exception."""
-    from fmpy.fmi1 import FMICallException
+    from validate.replay.fmi import CallError
 
     run = Run()
     try:
         _Integration(model, inputs, rtol, event_budget, run).over_all_steps(start)
     except _Stop as stop:
         run.outcome, run.message = stop.outcome, stop.message
-    except FMICallException as error:
+    except CallError as error:
         reached = run.t[-1] if run.t else float(inputs.times[0])
-        run.outcome, run.message = ReplayOutcome.FMU_FAILED, f"{error} (after t = {reached:.6g} s)"
+        run.outcome = ReplayOutcome.FATAL if error.fatal else ReplayOutcome.FMU_FAILED
+        run.message = f"{error} (after t = {reached:.6g} s)."
     return run
 
 
@@ -96,13 +97,16 @@ class _Integration:
         mode = "onestep" if self.model.wants_steps else "normal"
         while True:
             # An FMU that wants to know each internal step is integrated up to every recorded point, the others past it.
-            result = self.solver.step(target, mode, target if self.model.wants_steps else stop)
+            # Beyond an event that the model knows of no integration may go either.
+            known = self.model.next_event
+            result = self.solver.step(min(target, known), mode, min(target if self.model.wants_steps else stop, known))
             time, y = float(result.t), result.y
             if result.status < 0:
                 self.within_bounds(time, y)
                 raise _Stop(ReplayOutcome.INTEGRATION_FAILED, f"CVODE stopped at t = {time:.6g} s: {result.message}")
             wanted = self.model.wants_steps and result.status != _ROOT_RETURN and self.model.step_completed(time, y)
-            if result.status == _ROOT_RETURN or wanted:
+            is_due = result.status != _ROOT_RETURN and time >= known
+            if result.status == _ROOT_RETURN or wanted or is_due:
                 if result.status == _ROOT_RETURN:
                     self.note(time, result.i_events[-1])
                 y = self.model.event(time, y, None)
@@ -147,7 +151,7 @@ class _Integration:
                 model.set_inputs(inputs.values[step] + inputs.slopes[step] * (time - inputs.times[step]))
             model.rates(time, y, yp)
             if not math.isfinite(sum(yp.tolist())):
-                raise _Stop(ReplayOutcome.DIVERGED, f"A rate of change was not a finite number at t = {time:.6g} s.")
+                raise _Stop(ReplayOutcome.NOT_A_NUMBER, f"A rate of change was not a finite number at t = {time:.6g} s.")
 
         return rates
 
@@ -164,7 +168,7 @@ class _Integration:
         if not (np.abs(y[: len(self.bound)]) < self.bound).all():
             raise _Stop(ReplayOutcome.DIVERGED, f"A state left every bound at t = {time:.6g} s.")
         if not np.isfinite(y).all():
-            raise _Stop(ReplayOutcome.DIVERGED, f"Work or impulse was not a finite number at t = {time:.6g} s.")
+            raise _Stop(ReplayOutcome.NOT_A_NUMBER, f"Work or impulse was not a finite number at t = {time:.6g} s.")
 
     def note(self, time: float, crossed: np.ndarray) -> None:
         """Count an event; the sign CVODE gives is that of the indicator's slope."""
@@ -177,7 +181,7 @@ class _Integration:
         self.within_bounds(time, y)
         outputs = self.model.read(time, y)
         if not np.isfinite(outputs).all():
-            raise _Stop(ReplayOutcome.DIVERGED, f"An output was not a finite number at t = {time:.6g} s.")
+            raise _Stop(ReplayOutcome.NOT_A_NUMBER, f"An output was not a finite number at t = {time:.6g} s.")
         if knot:
             self.run.knots.append(len(self.run.t))
         self.run.t.append(time)

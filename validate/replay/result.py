@@ -12,10 +12,17 @@ class ReplayOutcome(Enum):
     """How a replay ended; the value is a sentence."""
 
     OK = "The replay reached the end of the plan."
-    DIVERGED = "The state left every bound or was no longer a finite number."
+    DIVERGED = "The state left every bound."
+    NOT_A_NUMBER = "The FMU gave a value that is not a finite number."
     INTEGRATION_FAILED = "The integrator could not go on within its tolerances."
     EVENT_BUDGET = "More contact events than the replay allows; the contact chatters."
     FMU_FAILED = "The FMU refused a call."
+    FATAL = "The FMU reported a fatal status."
+    TIME_LIMIT = "The FMU did not come to an end within the time limit."
+    MEMORY_LIMIT = "The FMU wanted more memory than it may have."
+    CRASHED = "The FMU crashed."
+    ABORTED = "The FMU aborted the process."
+    NO_RESULT = "The FMU ended the process, which left no result."
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-import time as clock
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from models.scene import Scene
 from models.trajectory import Trajectory
+from validate.isolation import Limits
 from validate.replay.error_estimate import difference, estimate
-from validate.replay.everyday import everyday_refusal, require_some_method, simulate
-from validate.replay.exchange import ExchangeModel
-from validate.replay.inputs import HeldInputs
+from validate.replay.job import Settings, Simulated, run_job
 from validate.replay.outputs import Outputs
-from validate.replay.package import Package, Variables, find_variables, open_package
-from validate.replay.reference import Run, integrate
+from validate.replay.package import Package, find_variables, read_package
+from validate.replay.reference import Run
 from validate.replay.result import Event, Replay, ReplayError, ReplayOutcome
+from validate.replay.subject import ForeignModel, Subject
+from validate.replay.wiring import Variables
 
 # Relative tolerances of the reference. On three_cart the looser is 1.4e-9 m from the truth, the tighter 1e-11 m, at 1.1 times the time.
 LOOSE, TIGHT = 1e-11, 1e-13
@@ -25,6 +26,23 @@ LOOSE, TIGHT = 1e-11, 1e-13
 COARSE, FINE = 100, 200
 # Contact events before a replay is stopped as chattering; the plans of the scenes have 2 to 40.
 EVENT_BUDGET = 10_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Foreign:
+    """Somebody's FMU, wired (validate.replay.mapping): what it is called, its references, and how its numbers become the plan's.
+
+    scale, offset (outputs,): plan's value = scale * FMU's + offset, in the order of Variables.outputs; input_scale, input_offset (nu,): FMU's value
+    = scale * plan's + offset; start: values in the FMU's units, in the order of Variables.start; hold as the plan's.
+    """
+
+    model: ForeignModel
+    variables: Variables
+    scale: np.ndarray
+    offset: np.ndarray
+    input_scale: np.ndarray
+    input_offset: np.ndarray
+    start: np.ndarray
 
 
 def replay(
@@ -36,77 +54,103 @@ def replay(
     tolerances: tuple[float, float] = (LOOSE, TIGHT),
     fineness: tuple[int, int] = (COARSE, FINE),
     event_budget: int = EVENT_BUDGET,
+    limits: Limits | None = None,
 ) -> Replay:
     """Apply the plan's inputs from its start to the FMU of the scene, or to anybody's (`names`: scene name -> FMU name).
 
-    Raises FmuError or TrajectoryError if FMU, map and plan do not fit the scene; how the simulation went is `Replay.outcome`.
+    limits: run the FMU in a child process of its own; None runs it here, which is for our own FMU in a process that is a child already.
+    Raises IntakeError, FmuError or TrajectoryError if FMU, map and plan do not fit the scene; how the simulation went is `Replay.outcome`.
     """
     trajectory.check_fits(scene)
-    inputs = HeldInputs(trajectory)
-    with open_package(fmu) as package:
-        variables = find_variables(package, scene, names)
-        refusal = everyday_refusal(package, variables, inputs)
-        require_some_method(package, refusal)
-        started = clock.process_time()
-        reference = []
-        if package.exchange is not None:
-            reference = [_reference(package, variables, trajectory.start, inputs, rtol, event_budget) for rtol in tolerances]
-        reference_seconds = clock.process_time() - started
-        started = clock.process_time()
-        everyday = []
-        if refusal is None:
-            everyday = [simulate(package, variables, trajectory.start, inputs, count) for count in fineness]
-        everyday_seconds = clock.process_time() - started
-    judged = (reference or everyday)[-1]
-    nodes = [Outputs(scene, variables, run, run.knots) if run.outcome is ReplayOutcome.OK else None for run in (*reference, *everyday)]
-    loose, tight = nodes[:2] if reference else (None, None)
-    coarse, fine = nodes[-2:] if everyday else (None, None)
-    error = estimate(
-        tolerance=difference(loose, tight), step=difference(coarse, fine), everyday=difference(fine, tight), has_reference=bool(reference)
+    package = read_package(fmu)
+    variables = find_variables(package, scene, names)
+    settings = Settings(tolerances=tolerances, fineness=fineness, event_budget=event_budget)
+    simulated = run_job(package, variables, trajectory, trajectory.start, settings, limits)
+    return _assemble(scene, package, variables, simulated, event_budget)
+
+
+def replay_foreign(
+    foreign: Foreign,
+    package: Package,
+    trajectory: Trajectory,
+    *,
+    limits: Limits,
+    tolerances: tuple[float, float] = (LOOSE, TIGHT),
+    fineness: tuple[int, int] = (COARSE, FINE),
+    event_budget: int = EVENT_BUDGET,
+) -> Replay:
+    """The same for an FMU without a scene, always in a child process."""
+    trajectory.check_fits(foreign.model)  # type: ignore[arg-type] - it answers what a scene answers
+    settings = Settings(tolerances=tolerances, fineness=fineness, event_budget=event_budget)
+    driven = Trajectory(
+        t=trajectory.t,
+        q=trajectory.q,
+        v=trajectory.v,
+        u=foreign.input_scale * trajectory.u + foreign.input_offset,
+        lam=trajectory.lam,
+        hold=trajectory.hold,
     )
+    simulated = run_job(package, foreign.variables, driven, foreign.start, settings, limits)
+    first = len(foreign.variables.q) + len(foreign.variables.v)
+    impulse_scale = foreign.scale[first : first + len(foreign.variables.lam)]
+    for run in (*simulated.reference, *simulated.everyday):
+        run.outputs = [foreign.scale * row + foreign.offset for row in run.outputs]
+        run.accumulated = [
+            np.concatenate([impulse_scale * row[: len(impulse_scale)], row[len(impulse_scale) :]]) for row in run.accumulated
+        ]
+    return _assemble(foreign.model, package, foreign.variables, simulated, event_budget)
+
+
+def _assemble(subject: Subject, package: Package, variables: Variables, simulated: Simulated, event_budget: int) -> Replay:
+    reference, everyday = simulated.reference, simulated.everyday
+    judged = (reference or everyday)[-1]
+    # A run that ended the process has no other beside it: what is compared must be there twice.
+    nodes = [_at_nodes(subject, variables, run) for run in (*reference, *everyday)]
+    loose, tight = nodes[:2] if len(reference) == 2 else (None, None)
+    coarse, fine = nodes[-2:] if len(everyday) == 2 else (None, None)
+    error = estimate(
+        tolerance=difference(loose, tight),
+        step=difference(coarse, fine),
+        everyday=difference(fine, tight),
+        has_reference=bool(reference),
+    )
+    refusal = simulated.refusal
     if refusal is None and reference:
         refusal = next((run.message for run in everyday if run.outcome is not ReplayOutcome.OK), None)
-    return _assemble(
-        scene, variables, judged, error=error, refusal=refusal, has_reference=bool(reference), event_budget=event_budget, fmu=package.digest,
-        seconds=(reference_seconds, everyday_seconds),
-    )  # fmt: skip
-
-
-def _reference(package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, rtol: float, event_budget: int) -> Run:
-    model = ExchangeModel(package, variables)
-    try:
-        return integrate(model, start, inputs, rtol, event_budget)
-    finally:
-        model.close()
-
-
-def _assemble(
-    scene: Scene,
-    variables: Variables,
-    run: Run,
-    *,
-    error: ReplayError,
-    refusal: str | None,
-    has_reference: bool,
-    event_budget: int,
-    fmu: str,
-    seconds: tuple[float, float],
-) -> Replay:
-    out = Outputs(scene, variables, run)
-    names = [contact.name for contact in scene.contacts]
-    notes = [run.message] if run.message else []
+    notes = [judged.message] if judged.message else []
     if refusal is not None:
         notes.append(f"No everyday replay: {refusal.rstrip('.')}.")
-    if not has_reference:
+    if not reference:
         notes.append("No reference replay: the FMU offers no Model Exchange.")
-    indicators = {index for _, index, _ in run.events}
-    named = all(index < len(names) for index in indicators)
+    if simulated.note:
+        notes.append(simulated.note)
+    return _replay(subject, variables, judged, package, simulated, error, " ".join(notes), event_budget)
+
+
+def _at_nodes(subject: Subject, variables: Variables, run: Run) -> Outputs | None:
+    return Outputs(subject, variables, run, run.knots) if run.outcome is ReplayOutcome.OK else None
+
+
+def _replay(
+    subject: Subject,
+    variables: Variables,
+    run: Run,
+    package: Package,
+    simulated: Simulated,
+    error: ReplayError,
+    message: str,
+    event_budget: int,
+) -> Replay:
+    out = Outputs(subject, variables, run)
+    names = [contact.name for contact in subject.contacts]
+    # Indicators are the contacts' gaps, in their order, where the scene made the FMU; elsewhere they have no names.
+    named = isinstance(subject, Scene) and all(index < len(names) for _, index, _ in run.events)
     return Replay(
-        scene=scene.name,
+        scene=subject.name,
         outcome=run.outcome,
-        message=" ".join(notes),
-        method="reference" if has_reference else "everyday",
-        t=np.array(run.t),
+        message=message,
+        method="reference" if simulated.reference else "everyday",
+        t=np.array(run.t, dtype=float),
         q=out.q,
         v=out.v,
         lam=out.lam,
@@ -123,7 +167,7 @@ def _assemble(
         ),
         event_budget=event_budget,
         error=error,
-        seconds_reference=seconds[0],
-        seconds_everyday=seconds[1],
-        fmu=fmu,
+        seconds_reference=simulated.seconds_reference,
+        seconds_everyday=simulated.seconds_everyday,
+        fmu=package.digest,
     )

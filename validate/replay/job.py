@@ -1,0 +1,151 @@
+"""The four simulations of a replay as one job: files and numbers in, numbers out. It runs in this process or in a child (validate.isolation).
+
+value, arrays = simulate(request, arrays)              # here
+run_isolated("validate.replay.job:simulate", request, arrays)
+"""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from models.trajectory import Hold, Trajectory
+from validate.isolation import Ending, Limits, run_isolated
+from validate.replay.everyday import everyday_refusal, require_some_method
+from validate.replay.everyday import simulate as simulate_everyday
+from validate.replay.exchange import ExchangeModel
+from validate.replay.inputs import HeldInputs
+from validate.replay.package import FmuError, Package, read_package, unpacked
+from validate.replay.reference import Run, integrate
+from validate.replay.result import ReplayOutcome
+from validate.replay.wiring import Variables
+
+# What an ending of the child means for the replay. The others are mistakes: of the user (a sentence), of the machine, or ours.
+_ENDED = {
+    Ending.TIME_LIMIT: ReplayOutcome.TIME_LIMIT,
+    Ending.MEMORY_LIMIT: ReplayOutcome.MEMORY_LIMIT,
+    Ending.SIGNAL: ReplayOutcome.CRASHED,
+    Ending.ABORT: ReplayOutcome.ABORTED,
+    Ending.NO_RESULT: ReplayOutcome.NO_RESULT,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """tolerances: relative, of the reference, the looser first; fineness: internal steps a plan step of the everyday replay, the coarser first."""
+
+    tolerances: tuple[float, ...]
+    fineness: tuple[int, ...]
+    event_budget: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulated:
+    """reference, everyday: one run a tolerance or step, empty where the FMU cannot; refusal: why there is no everyday run;
+    note: what else is to be told; CPU seconds of each."""
+
+    reference: tuple[Run, ...]
+    everyday: tuple[Run, ...]
+    refusal: str | None
+    seconds_reference: float
+    seconds_everyday: float
+    note: str = ""
+
+
+def simulate(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """request: path, variables, hold, tolerances, fineness, event_budget; arrays: t (nodes,), u (steps, nu), start (n,). Raises FmuError."""
+    variables = Variables.from_json(request["variables"])
+    empty = np.zeros((len(arrays["t"]), 0))
+    plan = Trajectory(t=arrays["t"], q=empty, v=empty, u=arrays["u"], lam=empty[1:], hold=Hold(request["hold"]))
+    inputs, start = HeldInputs(plan), arrays["start"]
+    value: dict[str, Any] = {"refusal": None, "runs": []}
+    found: dict[str, np.ndarray] = {}
+
+    def keep(kind: str, run: Run) -> None:
+        number = len(value["runs"])
+        value["runs"].append({"kind": kind, "outcome": run.outcome.name, "message": run.message, "events": run.events})
+        for name in ("t", "outputs", "accumulated", "knots"):
+            found[f"{number}_{name}"] = np.array(getattr(run, name))
+
+    with unpacked(read_package(Path(request["path"]))) as package:
+        value["refusal"] = refusal = everyday_refusal(package, variables, inputs)
+        require_some_method(package, refusal)
+        began = clock.process_time()
+        for rtol in request["tolerances"] if package.exchange is not None else ():
+            keep("reference", _reference(package, variables, start, inputs, rtol, request["event_budget"]))
+        middle = clock.process_time()
+        for fineness in request["fineness"] if refusal is None else ():
+            keep("everyday", simulate_everyday(package, variables, start, inputs, fineness))
+        value["seconds"] = [middle - began, clock.process_time() - middle]
+    return value, found
+
+
+def _reference(package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, rtol: float, event_budget: int) -> Run:
+    model = ExchangeModel(package, variables)
+    try:
+        return integrate(model, start, inputs, rtol, event_budget)
+    finally:
+        model.close()
+
+
+def run_job(
+    package: Package, variables: Variables, plan: Trajectory, start: np.ndarray, settings: Settings, limits: Limits | None
+) -> Simulated:
+    """Simulate here (limits None: this process is a child already, or the FMU is ours), or in a child with limits.
+
+    How the FMU ends the child is the outcome of an empty run. Raises FmuError for what is the user's, MachineError for what is the machine's.
+    """
+    request = {
+        "path": str(package.path.resolve()),
+        "variables": variables.to_json(),
+        "hold": plan.hold.value,
+        "tolerances": list(settings.tolerances),
+        "fineness": list(settings.fineness),
+        "event_budget": settings.event_budget,
+    }
+    given = {"t": plan.t, "u": plan.u, "start": start}
+    if limits is None:
+        value, arrays = simulate(request, given)
+        return _simulated(value, arrays, "")
+    done = run_isolated("validate.replay.job:simulate", request, given, limits=limits, what=f"FMU {package.path}")
+    if done.ending in _ENDED:
+        kind = "reference" if package.exchange is not None else "everyday"
+        ended = Run(outcome=_ENDED[done.ending], message=done.sentence)
+        empty: tuple[Run, ...] = ()
+        return Simulated(
+            reference=(ended,) if kind == "reference" else empty,
+            everyday=(ended,) if kind == "everyday" else empty,
+            refusal=None,
+            seconds_reference=done.cpu,
+            seconds_everyday=0.0,
+        )
+    if done.ending is Ending.MACHINE:
+        from models.errors import MachineError
+
+        raise MachineError(done.sentence)
+    if not done.ok:
+        raise FmuError(done.sentence)
+    note = "" if not done.strays else f"The FMU left {done.strays} process{'es' if done.strays > 1 else ''} behind, which we ended."
+    return _simulated(done.value, done.arrays, note)
+
+
+def _simulated(value: Mapping[str, Any], arrays: Mapping[str, np.ndarray], note: str) -> Simulated:
+    runs: dict[str, list[Run]] = {"reference": [], "everyday": []}
+    for number, item in enumerate(value["runs"]):
+        stored = {name: list(arrays[f"{number}_{name}"]) for name in ("t", "outputs", "accumulated", "knots")}
+        events = [(float(time), int(index), bool(closes)) for time, index, closes in item["events"]]
+        run = Run(**stored, events=events, outcome=ReplayOutcome[item["outcome"]], message=item["message"])
+        runs[item["kind"]].append(run)
+    return Simulated(
+        reference=tuple(runs["reference"]),
+        everyday=tuple(runs["everyday"]),
+        refusal=value["refusal"],
+        seconds_reference=value["seconds"][0],
+        seconds_everyday=value["seconds"][1],
+        note=note,
+    )
