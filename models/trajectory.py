@@ -13,7 +13,7 @@ NetCDF-4: the same arrays with units, for the store.
 
 from __future__ import annotations
 
-import csv
+import difflib
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from models.errors import TrajectoryError
+from models.plan_table import PlanTable
 from models.scene import Scene
 
 
@@ -129,31 +130,26 @@ def write_csv(path: Path, trajectory: Trajectory, scene: Scene) -> None:
 def read_csv(path: Path, scene: Scene, hold: Hold = Hold.ZERO_ORDER) -> Trajectory:
     """Read a plan written by anybody: cells apart by comma, semicolon (then 0,5 is a number too) or tab; lines with # are comments.
 
-    Velocity and `lam_*` columns may be absent; the plan says so in `missing`. Forces are then 0, velocities backward differences (those of
-    semi-implicit Euler) with the task's velocities at the start if the plan starts at the task's positions.
+    A column may say its unit, `q1 [m]`, which must then be the scene's. Velocity and `lam_*` columns may be absent; the plan says so in
+    `missing`. Forces are then 0, velocities backward differences (those of semi-implicit Euler) with the task's velocities at the start if
+    the plan starts at the task's positions.
     Raises TrajectoryError naming the file, the line and the column.
     """
-    rows = _rows(path)
-    if len(rows) < 3:
-        raise TrajectoryError(f"plan {path}: it has {max(len(rows) - 1, 0)} rows; a header and at least two rows are needed.")
-    header = rows[0][1]
-    names = column_names(scene)
+    table = PlanTable(path)
+    header, names = table.names, column_names(scene)
     known = ["t", *(name for group in names.values() for name in group)]
     for column in header:
         if column not in known:
-            raise TrajectoryError(f"plan {path}: the column {column!r} is unknown; scene {scene.name} has {', '.join(known)}.")
-        if header.count(column) > 1:
-            raise TrajectoryError(f"plan {path}: the column {column!r} stands there twice.")
-    for number, row in rows[1:]:
-        if any(row[len(header) :]):
-            raise TrajectoryError(f"plan {path}: line {number} has {len(row)} cells, but there are {len(header)} columns.")
+            close = difflib.get_close_matches(column, known, n=1)
+            hint = f"did you mean {close[0]!r}? " if close else ""
+            raise TrajectoryError(f"plan {path}: the column {column!r} is unknown; {hint}scene {scene.name} has {', '.join(known)}.")
+    table.check_form()
     for column in ("t", *names["q"], *names["u"]):
         if column not in header:
             raise TrajectoryError(f"plan {path}: the column {column!r} is missing; it has {', '.join(header)}.")
-    columns: dict[str, np.ndarray] = {}
-    for index, column in enumerate(header):
-        last_is_open = column in (*names["u"], *names["lam"])
-        columns[column] = _parse_column(path, rows[1:], index, column, last_is_open)
+    for column, unit in _units(scene).items():
+        table.check_unit(column, unit)
+    columns = {column: table.column(column, last_is_open=column in (*names["u"], *names["lam"])) for column in header}
     t = columns["t"]
     q = np.column_stack([columns[name] for name in names["q"]])
     if all(name in columns for name in names["v"]):
@@ -173,19 +169,14 @@ def read_csv(path: Path, scene: Scene, hold: Hold = Hold.ZERO_ORDER) -> Trajecto
         raise TrajectoryError(f"{error} (file {path})") from error
 
 
-def _rows(path: Path) -> list[tuple[int, list[str]]]:
-    """(line number, cells) of the lines that hold any."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")  # Excel writes a byte order mark
-    except (OSError, UnicodeDecodeError) as error:
-        raise TrajectoryError(f"plan {path}: it cannot be read ({error}).") from error
-    lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip() and not line.startswith("#")]
-    header = lines[0][1] if lines else ""
-    mark = next((mark for mark in ";\t" if mark in header), ",")
-    rows = [(number, [cell.strip() for cell in next(csv.reader([line], delimiter=mark, skipinitialspace=True))]) for number, line in lines]
-    if mark == ";":
-        return [(number, [cell.replace(",", ".") for cell in row]) for number, row in rows]
-    return rows
+def _units(scene: Scene) -> dict[str, str]:
+    """Column -> the unit it is in."""
+    return {
+        "t": "s",
+        **{item.name: item.unit for item in (*scene.coordinates, *scene.inputs)},
+        **{item.velocity_name: item.velocity_unit for item in scene.coordinates},
+        **dict.fromkeys(scene.force_names, "N"),
+    }
 
 
 def _velocities(t: np.ndarray, q: np.ndarray, scene: Scene) -> np.ndarray:
@@ -193,16 +184,3 @@ def _velocities(t: np.ndarray, q: np.ndarray, scene: Scene) -> np.ndarray:
     v = np.diff(q, axis=0) / np.diff(t)[:, None]
     at_start = np.allclose(q[0], scene.task.start[: scene.nq], rtol=1e-9, atol=1e-9)
     return np.vstack([scene.task.start[scene.nq :] if at_start else v[0], v])
-
-
-def _parse_column(path: Path, rows: list[tuple[int, list[str]]], index: int, column: str, last_is_open: bool) -> np.ndarray:
-    values = []
-    for place, (number, row) in enumerate(rows, start=1):
-        cell = row[index] if index < len(row) else ""
-        if last_is_open and place == len(rows):
-            break
-        try:
-            values.append(float(cell))
-        except ValueError:
-            raise TrajectoryError(f"plan {path}: line {number}, column {column!r}: {cell!r} is not a number.") from None
-    return np.array(values)

@@ -1,0 +1,79 @@
+"""A plan's CSV as a table of columns, before anybody knows what they mean.
+
+Cells are apart by comma, semicolon (then 0,5 is a number too) or tab; lines with # are comments; a column may say its unit, `q1 [m]`.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from pathlib import Path
+
+import numpy as np
+
+from models.errors import TrajectoryError
+
+
+class PlanTable:
+    """names: of the columns, without units; units: by name, for those that say one; rows: of numbers below the header."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises TrajectoryError naming the file, and the line and the column where there is one."""
+        self.path = path
+        rows = _rows(path)
+        if len(rows) < 3:
+            raise TrajectoryError(f"plan {path}: it has {max(len(rows) - 1, 0)} rows; a header and at least two rows are needed.")
+        self._rows = rows[1:]
+        self.rows = len(self._rows)
+        self.units: dict[str, str] = {}
+        names = []
+        for cell in rows[0][1]:
+            split = re.fullmatch(r"(.*?)\s*\[(.*)\]", cell)
+            names.append(split.group(1) if split else cell)
+            if split:
+                self.units[split.group(1)] = split.group(2).strip()
+        self.names = tuple(names)
+
+    def check_form(self) -> None:
+        """Raise TrajectoryError for a column that stands there twice, or a line with more cells than there are columns."""
+        for name in self.names:
+            if self.names.count(name) > 1:
+                raise TrajectoryError(f"plan {self.path}: the column {name!r} stands there twice.")
+        for number, row in self._rows:
+            if any(row[len(self.names) :]):
+                raise TrajectoryError(f"plan {self.path}: line {number} has {len(row)} cells, but there are {len(self.names)} columns.")
+
+    def check_unit(self, name: str, unit: str) -> None:
+        """Raise TrajectoryError if the column says another unit than this."""
+        given = self.units.get(name, unit)
+        if given != unit:
+            raise TrajectoryError(f"plan {self.path}: the column {name!r} is in {given!r}, but {unit!r} is expected; convert it.")
+
+    def column(self, name: str, last_is_open: bool) -> np.ndarray:
+        """The numbers of a column; without the last row where it may be empty (it begins no step)."""
+        index = self.names.index(name)
+        values = []
+        for place, (number, row) in enumerate(self._rows, start=1):
+            cell = row[index] if index < len(row) else ""
+            if last_is_open and place == self.rows:
+                break
+            try:
+                values.append(float(cell))
+            except ValueError:
+                raise TrajectoryError(f"plan {self.path}: line {number}, column {name!r}: {cell!r} is not a number.") from None
+        return np.array(values)
+
+
+def _rows(path: Path) -> list[tuple[int, list[str]]]:
+    """(line number, cells) of the lines that hold any."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")  # Excel writes a byte order mark
+    except (OSError, UnicodeDecodeError) as error:
+        raise TrajectoryError(f"plan {path}: it cannot be read ({error}).") from error
+    lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip() and not line.startswith("#")]
+    header = lines[0][1] if lines else ""
+    mark = next((mark for mark in ";\t" if mark in header), ",")
+    rows = [(number, [cell.strip() for cell in next(csv.reader([line], delimiter=mark, skipinitialspace=True))]) for number, line in lines]
+    if mark == ";":
+        return [(number, [cell.replace(",", ".") for cell in row]) for number, row in rows]
+    return rows
