@@ -17,14 +17,20 @@ from pathlib import Path
 from models.codegen.cache import cached
 from models.codegen.compiler import Compiler, compile_shared
 from models.codegen.emit import emit_model
+from models.errors import SceneError
 from models.fmu.description import describe, model_identifier, source_epoch
+from models.fmu.experiment import experiment_texts
 from models.fmu.platforms import Platform, find_platforms, platform_compiler
 from models.fmu.rendering import render
 from models.fmu.sensitivity import emit_sensitivity
 from models.fmu.standards import Standard, find_standard, standard_headers
 from models.scene import Scene
 
-_SHELL = Path(__file__).parent / "shell"
+_HERE = Path(__file__).parent
+_SHELL = _HERE / "shell"
+_ICON = _HERE / "icon"
+# What makes the reference results, which are computed only when an FMU is packed.
+_EXPERIMENT = ("experiment.py", "reference.py")
 
 
 def build_fmu(scene: Scene, version: str = "2.0", platforms: Sequence[str] = ()) -> Path:
@@ -36,11 +42,21 @@ def build_fmu(scene: Scene, version: str = "2.0", platforms: Sequence[str] = ())
     """
     standard = find_standard(version)
     identifier = model_identifier(scene)
+    if scene.frictions:
+        raise SceneError(
+            f"scene {scene.name}: its FMU would leave out the friction {scene.frictions[0].name!r}; export a scene without friction."
+        )
     compilers = {platform: platform_compiler(platform) for platform in find_platforms(platforms)}
     files = fmu_texts(scene, standard)
     made_by = [f"{platform.name} {' '.join(platform.flags)} {compiler.describe()}" for platform, compiler in compilers.items()]
+    made_by += [(_HERE / name).read_text(encoding="utf-8") for name in _EXPERIMENT]
     key = "\n".join([*made_by, *(f"{name}\0{text}" for name, text in sorted(files.items()))])
-    return cached(key, f".{identifier}.fmu", lambda path: _pack(path, files, standard, identifier, compilers))
+
+    def build(path: Path) -> None:
+        content = {name: text.encode() for name, text in (files | experiment_texts(scene)).items()}
+        _pack(path, content | _icons(standard) | _binaries(files, standard, identifier, compilers))
+
+    return cached(key, f".{identifier}.fmu", build)
 
 
 def fmu_texts(scene: Scene, standard: Standard) -> dict[str, str]:
@@ -54,6 +70,7 @@ def fmu_texts(scene: Scene, standard: Standard) -> dict[str, str]:
         "modelDescription.xml": description.xml,
         "documentation/index.html": description.documentation,
         "documentation/licenses/license.txt": render("licenses.txt.j2", header_names=standard.headers),
+        "terminalsAndIcons/terminalsAndIcons.xml": render("terminalsAndIcons.xml.j2", scene=scene),
         **{f"sources/{name}": text for name, text in sources.items()},
     }
 
@@ -63,14 +80,25 @@ def _belongs(path: Path, standard: Standard) -> bool:
     return path.suffix in (".c", ".h") and (not path.name.startswith("fmi") or path.name.startswith(standard.prefix))
 
 
-def _pack(path: Path, files: Mapping[str, str], standard: Standard, identifier: str, compilers: Mapping[Platform, Compiler]) -> None:
+def _icons(standard: Standard) -> dict[str, bytes]:
+    """The icon, drawn and as pixels; FMI 2.0 has a place of its own for it."""
+    pixels, drawing = ((_ICON / name).read_bytes() for name in ("icon.png", "icon.svg"))
+    icons = {"terminalsAndIcons/icon.png": pixels, "terminalsAndIcons/icon.svg": drawing}
+    return icons | ({"model.png": pixels} if standard.version == "2.0" else {})
+
+
+def _binaries(files: Mapping[str, str], standard: Standard, identifier: str, compilers: Mapping[Platform, Compiler]) -> dict[str, bytes]:
     sources = {name.removeprefix("sources/"): text for name, text in files.items() if name.startswith("sources/")}
-    content = {name: text.encode() for name, text in files.items()}
+    binaries = {}
     with tempfile.TemporaryDirectory(prefix="touchstone-fmu-") as temporary:
         for platform, compiler in compilers.items():
             library = Path(temporary) / f"{platform.name}{platform.suffix}"
-            compile_shared(compiler, sources, library, flags=platform.flags, include_dirs=[Path(standard.header_folder)])
-            content[f"binaries/{platform.folder(standard)}/{identifier}{platform.suffix}"] = library.read_bytes()
+            compile_shared(compiler, sources, library, include_dirs=[Path(standard.header_folder)], flags=platform.flags)
+            binaries[f"binaries/{platform.folder(standard)}/{identifier}{platform.suffix}"] = library.read_bytes()
+    return binaries
+
+
+def _pack(path: Path, content: Mapping[str, bytes]) -> None:
     stamp = datetime.fromtimestamp(source_epoch(), UTC).timetuple()[:6]
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
         # modelDescription.xml first: a reader of the stream finds it at once.

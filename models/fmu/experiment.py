@@ -1,0 +1,83 @@
+"""Reference results inside the FMU by the layered standard FMI-LS-REF: an experiment, its inputs, and the true motion.
+
+The inputs push and pull so that contacts close and open; they are constant between knots, at which the CSV has the time
+twice. The results are those of `reference.py`, not of the FMU.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from models.fmu.reference import Equations, Piece, true_motion
+from models.fmu.rendering import render
+from models.fmu.variables import variable_table
+from models.scene import Input, Scene
+
+FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
+# Rows of the results, about: the experiment lasts as long as the task, in steps that are whole multiples of the task's.
+_ROWS = 200
+# Inputs in each quarter of the experiment, as a share of `_strength`; the next input has them with the other sign.
+_SHARES = (1.0, -0.5, 0.0, 0.75)
+# Largest difference that a right simulation should have from the results, relative to the nominal of a state.
+ACCURACY = 1e-6
+
+
+def experiment_texts(scene: Scene) -> dict[str, str]:
+    """Path inside the FMU -> text of each file of the layered standard."""
+    stride = -(-scene.task.steps // _ROWS)
+    step, count = scene.task.step * stride, scene.task.steps // stride
+    pieces = _pieces(scene, step, count)
+    texts = {
+        "fmi-ls-manifest.xml": render("fmi-ls-manifest.xml.j2", scene=scene),
+        "validation.exp": render("experiment.xml.j2", scene=scene, stop=step * count, step=step, accuracy=ACCURACY),
+        "validation_results.csv": _results(scene, pieces, np.arange(count + 1) * step),
+    }
+    if scene.inputs:
+        texts["validation_inputs.csv"] = _inputs(scene, pieces)
+    files = {f"{FOLDER}/{name}": text for name, text in texts.items()}
+    return files | {"documentation/fmi-ls-ref.html": render("fmi-ls-ref.html.j2", scene=scene, accuracy=ACCURACY, folder=FOLDER)}
+
+
+def _strength(item: Input) -> float:
+    """Half of what the actuator can do, or 1 in its unit if nothing bounds it."""
+    bounds = [abs(bound) for bound in (item.lower, item.upper) if np.isfinite(bound) and bound != 0]
+    return 0.5 * min(bounds) if bounds else 1.0
+
+
+def _pieces(scene: Scene, step: float, count: int) -> list[Piece]:
+    strength = np.array([_strength(item) * (-1) ** index for index, item in enumerate(scene.inputs)])
+    if not scene.inputs:
+        return [Piece(step * count, strength)]
+    ends = [step * round(count * (quarter + 1) / len(_SHARES)) for quarter in range(len(_SHARES))]
+    return [Piece(end, share * strength) for end, share in zip(ends, _SHARES, strict=True)]
+
+
+def _inputs(scene: Scene, pieces: Sequence[Piece]) -> str:
+    rows, begin = [], 0.0
+    for piece in pieces:
+        rows += [(begin, *piece.u), (piece.end, *piece.u)]
+        begin = piece.end
+    return _csv(["time", *(item.name for item in scene.inputs)], rows)
+
+
+def _results(scene: Scene, pieces: Sequence[Piece], times: np.ndarray) -> str:
+    equations = Equations(scene)
+    states = true_motion(equations, pieces, times)
+    outputs = [variable.name for variable in variable_table(scene) if variable.causality == "output"]
+    names = [coordinate.name for coordinate in scene.coordinates] + [coordinate.velocity_name for coordinate in scene.coordinates]
+    # At a knot the inputs are those that end there, as in a simulation that has just reached it.
+    held = [next((piece.u for piece in pieces if t <= piece.end), pieces[-1].u) for t in times]
+    rows = []
+    for t, x, u in zip(times, states, held, strict=True):
+        values = equations.outputs(x, u) | dict(zip(names, x, strict=True))
+        rows.append((t, *(values[name] for name in outputs)))
+    return _csv(["time", *outputs], rows)
+
+
+def _csv(header: Sequence[str], rows: Iterable[Sequence[float]]) -> str:
+    """Ten digits: below the accuracy, and the same on every machine."""
+    lines = [",".join(header)]
+    lines += [",".join("0" if value == 0 else f"{value:.10g}" for value in row) for row in rows]
+    return "\n".join(lines) + "\n"
