@@ -20,6 +20,9 @@ from formulations.ipopt.status import NOT_SENT, name_of, outcome_of
 from formulations.ipopt.warm_start import complete_start, warm_options
 from formulations.solution import Outcome
 
+# Ipopt stops as diverging where a variable passes 1e20: an objective that went along is below this, in any unit.
+_UNBOUNDED = 1e8
+
 Callback = Callable[[Iteration], "bool | None"]
 
 
@@ -146,6 +149,8 @@ def _judge(problem: IpoptProblem, answer: Answer, options: Mapping[str, Any]) ->
         return (Outcome.INFEASIBLE, answer.message, certificate) if answer.message else _empty(problem, certificate)
     outcome = outcome_of(answer.status)
     message = f"{name_of(answer.status)}: {certificate.sentence}"
+    if outcome is Outcome.DIVERGED and not (finite and _is_unbounded(problem, answer.x)):
+        return Outcome.STALLED, f"{message}; the objective does not fall without bound there", certificate
     if outcome is not Outcome.SOLVED:
         return outcome, message, certificate
     if not finite or certificate.constraint_violation != certificate.constraint_violation:
@@ -154,6 +159,14 @@ def _judge(problem: IpoptProblem, answer: Answer, options: Mapping[str, Any]) ->
     if certificate.meets(tolerance):
         return outcome, message, certificate
     return Outcome.STALLED, f"{name_of(answer.status)}, but {certificate.sentence} does not meet the tolerances", certificate
+
+
+def _is_unbounded(problem: IpoptProblem, x: np.ndarray) -> bool:
+    """Whether iterates that left for infinity took the objective down with them, along points that are feasible at their own scale."""
+    g = problem.constraints(x)
+    sides = (problem.lower - x, x - problem.upper, problem.constraint_lower - g, g - problem.constraint_upper)
+    violation = max((float(np.max(side)) for side in sides if side.size), default=0.0)
+    return problem.objective(x) < -_UNBOUNDED and violation <= FEASIBILITY * max(1.0, float(np.max(np.abs(x))))
 
 
 def _empty(problem: IpoptProblem, certificate: Residuals) -> tuple[Outcome, str, Residuals]:

@@ -8,6 +8,7 @@ branch is kept.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,6 +27,8 @@ _BIACTIVE, _WANTING = 1e-6, 1e-6
 _BETTER = 1e-9
 # A branch is a smooth problem started near its solution, or one without any: no need to insist.
 _BRANCH_ITERATIONS = 200
+# Ipopt's codes for a point that it takes for a solution, in its own scaling.
+_CLAIMS_SUCCESS = (0, 1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,6 +61,7 @@ class Branching:
         self._columns = work.branches
         self._known: dict[bytes, Branch | None] = {}
         self.last: IpoptResult | None = None
+        self.unbounded = False  # whether some branch turned out to be
 
     def polish(self, x: np.ndarray) -> Branch | None:
         """The best branch reached from a point of the relaxation; None if the branch read off has no solution."""
@@ -84,6 +88,28 @@ class Branching:
             if not found:
                 return branch
             branch = min(found, key=self._sense)
+
+    def every_branch(self, starts: Sequence[np.ndarray]) -> tuple[Branch | None, Outcome]:
+        """(the best of all branches, improved; how it ended): for a few pairs of which no branch is known.
+
+        starts: in the columns of the problem without products. DIVERGED where a branch is; INFEASIBLE only where each is from every start.
+        """
+        best, endings = None, set[Outcome]()
+        for closed in itertools.product((True, False), repeat=len(self._columns.first)):
+            for start in starts:
+                if self._account.is_over:
+                    return best, Outcome.TIME_LIMIT
+                branch = self._solve_anew(np.array(closed), start)
+                assert self.last is not None
+                endings.add(self.last.outcome)
+                if branch is not None:
+                    best = branch if best is None or self._is_better(branch, best) else best
+                    break
+        if self.unbounded:
+            return best, Outcome.DIVERGED
+        if best is not None:
+            return self._improve(best), Outcome.SOLVED
+        return None, Outcome.INFEASIBLE if endings == {Outcome.INFEASIBLE} else Outcome.STALLED
 
     # -- branches -----------------------------------------------------------------------------------------------------------------
 
@@ -140,10 +166,15 @@ class Branching:
 
     def _solve_anew(self, closed: np.ndarray, point: np.ndarray) -> Branch | None:
         problem, columns = self._columns.problem, self._columns
-        low, high = (bound.copy() for bound in self._work.branch_bounds)
+        low, high, row_low, row_high = (bound.copy() for bound in self._work.branch_bounds)
         held = np.where(closed, columns.first, columns.second)
         high[held] = np.minimum(high[held], 0.0)
-        problem.lower, problem.upper = low, high
+        # Where v equals a variable u of the user both are held and the row between them says nothing more: a row holds within a tolerance
+        # only, and x = 5e-13 beside y = 2e12 would satisfy x y >= 1. (It also makes them one side, with one multiplier.)
+        twins = closed & (columns.twin >= 0)
+        high[columns.twin[twins]] = np.minimum(high[columns.twin[twins]], 0.0)
+        row_low[columns.twin_row[twins]], row_high[columns.twin_row[twins]] = -np.inf, np.inf
+        problem.lower, problem.upper, problem.constraint_lower, problem.constraint_upper = low, high, row_low, row_high
         options = {
             "max_iter": min(self._settings.step_iterations, _BRANCH_ITERATIONS),
             "bound_relax_factor": 0.0,
@@ -153,13 +184,11 @@ class Branching:
         start = Start(x=np.clip(point, low, np.maximum(low, high)))
         result = self._account.run(problem, options, start)
         self.last = result
-        usable = result.solved or (
-            result.outcome is Outcome.STALLED and result.residuals.feasible and result.residuals.relative_dual < 1e-4
-        )
+        self.unbounded = self.unbounded or result.outcome is Outcome.DIVERGED
+        # Where a branch has a single point, say, its multipliers may not exist: the point counts, and the certificate judges it.
+        usable = result.solved or (result.status in _CLAIMS_SUCCESS and result.residuals.feasible)
         if not usable:
             return None
-        twins = columns.twin[closed & (columns.twin >= 0)]
-        high[twins] = np.minimum(high[twins], 0.0)  # now for the multipliers: u and v == u are one side, held at 0
         better = refined(problem, result)
         x = better.x
         first, second = columns.pair_values(x)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from formulations.mpec.certificate.certificate import Certificate
@@ -20,12 +21,19 @@ def verdict(candidate: Candidate, residual: float, certificate: Certificate | No
     )
     if candidate.branch is None and candidate.outcome is not Outcome.SOLVED:
         return candidate.outcome, f"{candidate.message}; {told}"
+    if certificate is not None and certificate.lives_on_tolerance:
+        told = (
+            f"violated by {certificate.forced:.1e} if the pairs held exactly" if certificate.forced < math.inf else "unknown at exact pairs"
+        )
+        return Outcome.STALLED, f"the point holds only because complementarity is not exact (constraints {told}); {certificate.sentence}"
     if certificate is not None and not certificate.feasible:
         worst = f" (worst: {certificate.worst})" if certificate.worst else ""
         return Outcome.STALLED, f"the point found is not feasible{worst}; {told}"
     if residual > settings.complementarity_tolerance:
         return Outcome.STALLED, f"the pairs could not be decided; {told}"
     if certificate is not None and certificate.b_stationary is False:
+        if candidate.unbounded:
+            return Outcome.DIVERGED, f"a branch of the problem is unbounded, and a direction goes down towards it; {told}"
         return Outcome.STALLED, f"the point is feasible, but a direction goes down; {told}"
     return Outcome.SOLVED, told
 

@@ -38,7 +38,7 @@ WRONG_MULTIPLIERS = 1e-4
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
-    """What one strategy found: a branch, or only a point of its relaxation, or neither."""
+    """What one strategy found: a branch, or only a point of its relaxation, or neither; and whether it met a branch without a lower bound."""
 
     strategy: Strategy
     lifted: Lifted
@@ -48,6 +48,7 @@ class Candidate:
     outcome: Outcome
     message: str
     steps: tuple[Step, ...]
+    unbounded: bool = False
 
 
 def load_strategy(name: str) -> Strategy:
@@ -93,7 +94,7 @@ def run_strategy(model: Any, strategy: Strategy, settings: Settings, account: Ac
         message = "" if branching.last is None else branching.last.message
         outcome = Outcome.SOLVED if branch else Outcome.FAILED if branching.last is None else branching.last.outcome
         return Candidate(strategy=strategy, lifted=lifted, work=work, branch=branch, point=None, outcome=outcome, message=message, steps=())
-    before = None
+    before: np.ndarray | None = None
     for last in path.points(work.start()):
         first, second = work.relaxed.pair_values(last.x)
         closed = first < second
@@ -109,17 +110,35 @@ def run_strategy(model: Any, strategy: Strategy, settings: Settings, account: Ac
     if branch is not None:
         branch = branching.search(branch, work.start())
     outcome, message = Outcome.SOLVED, ""
-    if branch is None and account.is_over:
-        outcome, message = Outcome.TIME_LIMIT, "the time limit was reached before the last eps"
-    elif branch is None and branching.last is not None and branching.last.outcome is Outcome.DIVERGED:
-        outcome, message = Outcome.DIVERGED, f"a branch of the problem is unbounded: {branching.last.message}"
-    elif branch is None and (last is None or path.gave_up):
-        outcome, message = path.last_outcome, path.last_message
-    elif branch is None and last is not None and not last.result.solved:
-        outcome, message = last.result.outcome, last.result.message
+    if branch is None:
+        branch, outcome, message = _without_branch(work, branching, path, last, settings, account)
     return Candidate(
-        strategy=strategy, lifted=lifted, work=work, branch=branch, point=last, outcome=outcome, message=message, steps=tuple(path.steps)
-    )
+        strategy=strategy, lifted=lifted, work=work, branch=branch, point=last, outcome=outcome, message=message, steps=tuple(path.steps),
+        unbounded=branching.unbounded,
+    )  # fmt: skip
+
+
+def _without_branch(
+    work: Workspace, branching: Branching, path: Path, last: Point | None, settings: Settings, account: Account
+) -> tuple[Branch | None, Outcome, str]:
+    """What to make of a path that led to no branch: all branches are tried where there are few, else it is told why the path ended."""
+    if settings.polish and len(work.lifted.pairs) <= settings.max_biactive and not account.is_over:
+        starts = [work.branch_point(work.start())] if last is None else [work.branch_point(x) for x in (last.x, work.start())]
+        branch, outcome = branching.every_branch(starts)
+        if outcome is Outcome.INFEASIBLE:
+            reason = f"{path.last_message}; " if path.last_outcome is Outcome.INFEASIBLE else ""
+            return None, outcome, f"{reason}each of the {2 ** len(work.lifted.pairs)} branches of the problem is infeasible (locally)"
+        if outcome is Outcome.SOLVED:
+            return branch, outcome, ""
+    if account.is_over:
+        return None, Outcome.TIME_LIMIT, "the time limit was reached before the last eps"
+    if branching.unbounded:
+        return None, Outcome.DIVERGED, "a branch of the problem is unbounded: its objective falls without end at feasible points"
+    if last is None or path.gave_up:
+        return None, path.last_outcome, path.last_message
+    if not last.result.solved:
+        return None, last.result.outcome, last.result.message
+    return None, Outcome.SOLVED, ""
 
 
 def judged(model: Any, candidate: Candidate, settings: Settings, account: Account, begin: float) -> MpecResult:

@@ -14,7 +14,7 @@ from formulations.mpec.strategy import Strategy
 
 class Columns:
     """Where things are in a compiled problem: `first[k]`, `second[k]` are the columns of pair k; `twin[k]` that of the user's variable
-    which first[k] equals, or -1."""
+    which first[k] equals, or -1, and `twin_row[k]` the row that says so."""
 
     def __init__(self, problem: IpoptProblem, lifted: Lifted) -> None:
         self.problem = problem
@@ -22,6 +22,8 @@ class Columns:
         self.first = np.array([self.place[id(v)] for v in lifted.firsts], dtype=np.intp)
         self.second = np.array([self.place[id(w)] for w in lifted.seconds], dtype=np.intp)
         self.twin = np.array([-1 if u is None else self.place[id(u)] for u in lifted.twins], dtype=np.intp)
+        row = {id(equation): number for number, equation in enumerate(problem.equations)}
+        self.twin_row = np.array([row[id(pair.ve)] for pair in lifted.pairs], dtype=np.intp)
 
     def pair_values(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(v, w), each (number of pairs,)."""
@@ -39,7 +41,8 @@ class Workspace:
     def __init__(self, lifted: Lifted, strategy: Strategy) -> None:
         self.lifted = lifted
         self.branches = _compile_branches(lifted)
-        self.branch_bounds = (self.branches.problem.lower.copy(), self.branches.problem.upper.copy())
+        problem = self.branches.problem
+        self.branch_bounds = (problem.lower.copy(), problem.upper.copy(), problem.constraint_lower.copy(), problem.constraint_upper.copy())
         self._strategy = strategy
         strategy.attach(lifted)
         self.relaxed = Columns(compile_model(lifted.shadow), lifted)

@@ -20,7 +20,11 @@ from formulations.mpec.certificate.evaluation import LocalModel
 _SMALL_STEP = 1e-2
 # Sides that are 0 but for rounding of their own terms need no step.
 _ROUNDING = 4.0 * float(np.finfo(float).eps)
-# Up to this many variables other steps than the shortest are sought (by a dense null space) where that one breaks a row.
+# A side is made exact where this much of it is left at most.
+_EXACT = 1e-3
+# What linear algebra leaves of the largest side in every other.
+_SOLVED = 1e-12
+# Up to this many variables other steps than the shortest are sought (by a dense null space) where that one breaks a row, and found directly.
 _DENSE = 600
 
 
@@ -38,17 +42,20 @@ def forced_violation(local: LocalModel, tolerance: float) -> float:
     def violation(now: np.ndarray) -> float:
         return float(np.max(np.maximum(np.maximum(low - now, now - high), 0.0) / scale, initial=0.0))
 
-    rounding = _ROUNDING * (abs(matrix) @ np.abs(x))
+    rounding = _ROUNDING * (abs(matrix) @ np.abs(x) + np.abs(sides - matrix @ x))  # of its terms and its constant
     if np.all(np.abs(sides) <= rounding):
         return violation(value)
     radius = sparse.diags(_SMALL_STEP * np.maximum(1.0, np.abs(x)))
     scaled = matrix @ radius
     norm = np.sqrt(np.asarray(scaled.multiply(scaled).sum(axis=1)).ravel())
-    scaled = sparse.diags(1.0 / np.where(norm > 0, norm, 1.0)) @ scaled
-    wanted = -sides / np.where(norm > 0, norm, 1.0)
-    shortest = lsqr(scaled, wanted, atol=1e-15, btol=1e-15)[0]
-    missed = np.abs(matrix @ (radius @ shortest) + sides)
-    if np.any(missed > rounding + 1e-6 * np.abs(sides)):
+    norm = np.where(norm > 0, norm, 1.0)
+    scaled, wanted = sparse.diags(1.0 / norm) @ scaled, -sides / norm
+    if len(x) <= _DENSE:
+        shortest = np.linalg.lstsq(scaled.toarray(), wanted, rcond=1e-13)[0]
+    else:
+        shortest = lsqr(scaled, wanted, atol=1e-15, btol=1e-15)[0]
+    missed = np.abs(scaled @ shortest - wanted)
+    if np.any(missed > 4.0 * rounding / norm + _EXACT * np.abs(wanted) + _SOLVED * np.max(np.abs(wanted))):
         return float("inf")
     everything = sparse.vstack([local.jacobian, sparse.identity(len(x), format="csr")], format="csr") @ radius
     moved = value + everything @ shortest
