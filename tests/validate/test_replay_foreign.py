@@ -118,15 +118,30 @@ def test_without_an_internal_step_the_communication_step_is_halved(tmp_path: Pat
     assert result.error.everyday.position < 1e-9
 
 
-def test_ramps_are_not_given_to_an_fmu_that_holds_its_inputs(tmp_path: Path, scene: Scene, fmu: Path):
+def test_ramps_become_stairs_for_an_fmu_that_holds_its_inputs(tmp_path: Path, scene: Scene, fmu: Path):
     holding = edited(fmu, tmp_path / "hold.fmu", lambda text: text.replace('canInterpolateInputs="true"', 'canInterpolateInputs="false"'))
-    ramped = replay(scene, holding, make_plan(scene, Hold.LINEAR))
-    assert ramped.ok
-    assert ramped.error.everyday is None
-    assert "lines within a step" in ramped.message
-    only = edited(holding, tmp_path / "only.fmu", without("ModelExchange"))
-    with pytest.raises(FmuError, match="no Model Exchange, and the plan's inputs are lines within a step"):
-        replay(scene, only, make_plan(scene, Hold.LINEAR))
+    ramped, exact = replay(scene, holding, make_plan(scene, Hold.LINEAR)), replay(scene, fmu, make_plan(scene, Hold.LINEAR))
+    assert ramped.error.everyday is not None
+    assert exact.error.everyday is not None
+    # Stairs at a hundredth of the step, wrong by their square: far above the integrator's own error, far below what the hold makes.
+    assert 10 * exact.error.everyday.position < ramped.error.everyday.position < 1e-6
+    assert ramped.error.step_ratio == pytest.approx(4.0, rel=0.05)
+    assert ramped.q.tobytes() == exact.q.tobytes()
+
+
+def test_steps_of_different_length_are_not_given_to_an_fmu_that_wants_equal_ones(tmp_path: Path, scene: Scene, fmu: Path):
+    word = 'canHandleVariableCommunicationStepSize="true"'
+    equal = edited(fmu, tmp_path / "equal.fmu", lambda text: text.replace(word, word.replace("true", "false")))
+    plan = make_plan(scene)
+    t = plan.t.copy()
+    t[10] += 0.003
+    uneven = Trajectory(t=t, q=plan.q, v=plan.v, u=plan.u, lam=plan.lam)
+    result = replay(scene, equal, uneven)
+    assert (result.method, result.error.everyday) == ("reference", None)
+    assert "differ in length" in result.message
+    assert replay(scene, fmu, uneven).error.everyday is not None
+    with pytest.raises(FmuError, match="no Model Exchange, and the plan's steps differ in length"):
+        replay(scene, edited(equal, tmp_path / "only.fmu", without("ModelExchange")), uneven)
 
 
 def test_another_version_of_fmi_is_named(tmp_path: Path, scene: Scene, fmu: Path):

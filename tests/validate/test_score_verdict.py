@@ -100,7 +100,7 @@ def test_what_is_not_resolved_says_why():
     why = explain((blurred,), Verdict.NOT_RESOLVED, 0.0)
     assert "the replay leaves the plan by 0.0599 m, limit 0.06 m" in why
     assert "own error of 0.0001 m" in why
-    assert "sets no limits" in explain((FREE,), Verdict.NOT_RESOLVED, 0.0)
+    assert "there are no limits" in explain((FREE,), Verdict.NOT_RESOLVED, 0.0)
 
 
 def test_what_holds_shows_the_figure_closest_to_its_limit():

@@ -1,57 +1,181 @@
-"""`replay`: score anybody's plan."""
+"""`replay`: score anybody's plan, on a scene or on anybody's FMU."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from validate.cli.table import one_line, short, table, use_colour
 
+if TYPE_CHECKING:
+    from models.trajectory import Trajectory
+    from validate.replay.result import Replay
+    from validate.replay.subject import Subject
+    from validate.score import Score
 
-@click.command(epilog="Example: python -m validate replay plan.csv --scene three_cart")
+
+@click.command(
+    epilog="""\b
+Examples:
+  python -m validate replay plan.csv --scene three_cart
+  python -m validate replay plan.csv --fmu robot.fmu --map robot.toml --json
+"""
+)
 @click.argument("plan", type=click.Path(path_type=Path), metavar="PLAN.csv")
-@click.option("--scene", required=True, metavar="NAME|FILE.py", help="The scene the plan is for.")
+@click.option("--scene", metavar="NAME|FILE.py", help="The scene the plan is for.")
+@click.option("--fmu", type=click.Path(path_type=Path), metavar="FILE.fmu", help="Somebody's FMU (2.0 or 3.0) instead of a scene's own.")
+@click.option(
+    "--map",
+    "map_path",
+    type=click.Path(path_type=Path),
+    metavar="MAP.toml",
+    help="What of the plan is what of the FMU; equal names without it.",
+)
+@click.option("--hold", type=click.Choice(["zero", "linear"]), help="Inputs within a step: constant (default), or a line to the next row.")
+@click.option(
+    "--time-limit", type=click.FloatRange(min=0.1), default=300.0, show_default=True, help="Seconds after which the FMU is ended."
+)
+@click.option(
+    "--memory-limit", type=click.FloatRange(min=0.5), default=4.0, show_default=True, help="GiB of address space of the FMU's process."
+)
 @click.option("--json", "as_json", is_flag=True, help="The score as JSON on stdout.")
-def command(plan: Path, scene: str, as_json: bool) -> int:
-    """Replay a plan through the scene's FMU and print its score.
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Write score.json and replay.nc there.")
+def command(
+    plan: Path,
+    scene: str | None,
+    fmu: Path | None,
+    map_path: Path | None,
+    hold: str | None,
+    time_limit: float,
+    memory_limit: float,
+    as_json: bool,
+    out: Path | None,
+) -> int:
+    """Replay a plan through an FMU, in a process of its own, and print its score.
 
-    PLAN.csv has one row a node: t, the scene's positions and inputs by name, and velocities and contact forces if they are
-    known (figures that need them are missing otherwise); the last row has no inputs. Exit code 0 if the plan holds, 1 if it does not or if that is not resolved.
+    PLAN.csv has one row a node: t, positions and inputs by name, and velocities and contact forces if they are
+    known (figures that need them are missing otherwise); the last row has no inputs. docs/replay.md describes plan and map.
+    Exit code 0 if the plan holds, 1 if it does not or if that is not resolved.
     """
+    from validate.isolation import Limits
+
+    if (scene is None) == (fmu is None):
+        raise click.UsageError("give either --scene or --fmu.")
+    if map_path is not None and fmu is None:
+        raise click.UsageError("--map belongs to --fmu; a scene knows its own names.")
+    limits = Limits(seconds=time_limit, memory=int(memory_limit * 1024**3))
+    lacks: dict[str, str] = {}
+    if fmu is not None:
+        subject, trajectory, replay, lacks = _of_fmu(fmu, plan, map_path, hold, limits)
+    else:
+        subject, trajectory, replay = _of_scene(str(scene), plan, hold, limits)
+    from validate.score import score
+
+    result = score(subject, trajectory, replay)
+    told = _told(subject, replay, result, lacks)
+    if out is not None:
+        _write(out, told, replay, subject)
+    if as_json:
+        click.echo(json.dumps(told, indent=1))
+    else:
+        _print(result, replay, lacks)
+    return 0 if result.verdict.value == "holds" else 1
+
+
+def _of_scene(scene: str, plan: Path, hold: str | None, limits: Any) -> tuple[Subject, Trajectory, Replay]:
     from models.catalog import load_scene
-    from models.trajectory import read_csv
-    from validate.tools import DEFAULT
+    from models.fmu import build_fmu
+    from models.trajectory import Hold, read_csv
+    from validate.replay import replay
 
     loaded = load_scene(scene)
-    trajectory = read_csv(plan, loaded)
-    replay = DEFAULT.replay(loaded, DEFAULT.build_fmu(loaded), trajectory)
-    score = DEFAULT.score(loaded, trajectory, replay)
-    verdict = getattr(score.verdict, "value", score.verdict)
-    if as_json:
-        figures = [asdict(figure) for figure in score.figures]
-        click.echo(json.dumps({"scene": loaded.name, "verdict": verdict, "why": score.why, "figures": figures}, indent=1, default=str))
-    else:
-        rows = [
-            [
-                figure.name,
-                short(figure.value, ".4e"),
-                figure.unit,
-                short(figure.limit, ".3g"),
-                _judgement(figure),
-                one_line(figure.meaning if figure.value is not None else f"not measured: {figure.reason}"),
-            ]
-            for figure in score.figures
+    trajectory = read_csv(plan, loaded, Hold.LINEAR if hold == "linear" else Hold.ZERO_ORDER)
+    return loaded, trajectory, replay(loaded, build_fmu(loaded), trajectory, limits=limits)
+
+
+def _of_fmu(
+    fmu: Path, plan: Path, map_path: Path | None, hold: str | None, limits: Any
+) -> tuple[Subject, Trajectory, Replay, dict[str, str]]:
+    from models.plan_table import PlanTable
+    from validate.replay.equal_names import hint
+    from validate.replay.map_schema import MapError, read_map
+    from validate.replay.mapping import wire
+    from validate.replay.package import read_package
+    from validate.replay.run import replay_foreign
+    from validate.score import figure_names
+
+    given = read_map(map_path) if map_path is not None else None
+    for name in given.limits if given is not None else ():
+        if name not in figure_names():
+            raise MapError(f"map {map_path}: limits.{name}: there is no figure of that name{hint(name, figure_names())}.")
+    package = read_package(fmu)
+    where = f"map {map_path}" if map_path is not None else f"FMU {fmu}"
+    foreign, trajectory = wire(package, PlanTable(plan), given, hold, where)
+    return foreign.model, trajectory, replay_foreign(foreign, package, trajectory, limits=limits), dict(foreign.model.lacks)
+
+
+def _told(subject: Subject, replay: Replay, result: Score, lacks: dict[str, str]) -> dict[str, Any]:
+    """What is printed as JSON and written to score.json."""
+    return {
+        "subject": subject.name,
+        "verdict": result.verdict.value,
+        "why": result.why,
+        "figures": [asdict(figure) for figure in result.figures],
+        "replay": {
+            "outcome": replay.outcome.name.lower(),
+            "message": replay.message,
+            "method": replay.method,
+            "events": len(replay.events),
+            "error": asdict(replay.error),
+            "fmu_sha256": replay.fmu,
+            "seconds": {"reference": replay.seconds_reference, "everyday": replay.seconds_everyday},
+        },
+        "not_shown": lacks,
+    }
+
+
+def _write(out: Path, told: dict[str, Any], replay: Replay, subject: Subject) -> None:
+    from validate.replay.netcdf import write_replay
+    from validate.store import disk_error, write_durably
+
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise disk_error(out, error) from error
+    write_durably(out / "score.json", json.dumps(told, indent=1))
+    if len(replay.t):
+        write_replay(out / "replay.nc", replay, subject)
+
+
+def _print(result: Score, replay: Replay, lacks: dict[str, str]) -> None:
+    rows = [
+        [
+            figure.name,
+            short(figure.value, ".4e"),
+            figure.unit,
+            short(figure.limit, ".3g"),
+            _judgement(figure),
+            one_line(figure.meaning if figure.value is not None else f"not measured: {figure.reason}"),
         ]
-        click.echo(table(["figure", "value", "unit", "limit", "", "meaning"], rows, ("value", "limit")), color=use_colour())
-        click.echo()
-        click.echo(one_line(f"{verdict}: {score.why}"), color=use_colour())
-    return 0 if verdict == "holds" else 1
+        for figure in result.figures
+    ]
+    click.echo(table(["figure", "value", "unit", "limit", "", "meaning"], rows, ("value", "limit")), color=use_colour())
+    click.echo()
+    estimate = replay.error.estimate
+    ratio = replay.error.step_ratio
+    shrinks = "" if ratio is None else f"; half the step shrinks the everyday replay's error {ratio:.3g} times"
+    own = "has no estimate" if estimate is None else f"is {estimate.position:.2g} in any position, {estimate.state:.2g} in the state"
+    click.echo(one_line(f"The replay's own error {own} ({replay.method}; {len(replay.events)} events{shrinks}). {replay.message}".rstrip()))
+    for text in lacks.values():
+        click.echo(one_line(f"Not shown: {text}."))
+    click.echo(one_line(f"{result.verdict.value}: {result.why}"), color=use_colour())
 
 
-def _judgement(figure) -> str:
+def _judgement(figure: Any) -> str:
     if figure.value is None:
         return "missing"
     if figure.limit is None:

@@ -31,10 +31,28 @@ def difference(one: AtNodes | None, other: AtNodes | None) -> Difference | None:
     )
 
 
-def estimate(*, tolerance: Difference | None, step: Difference | None, everyday: Difference | None, has_reference: bool) -> ReplayError:
+# Below this position difference [m or rad] a ratio is one of roundings.
+_ROUNDING = 1e-11
+
+
+def step_ratio(before: Difference | None, after: Difference | None) -> float | None:
+    """Position difference of one step halving over that of the next; None where there is none to speak of."""
+    if before is None or after is None or after.position < _ROUNDING:
+        return None
+    return before.position / after.position
+
+
+def estimate(
+    *,
+    tolerance: Difference | None,
+    step: Difference | None,
+    everyday: Difference | None,
+    has_reference: bool,
+    ratio: float | None = None,
+) -> ReplayError:
     """The error of the judged trajectory by the rule that `ReplayError` states."""
     if not has_reference:
-        return ReplayError(estimate=step, step=step)
+        return ReplayError(estimate=step, step=step, step_ratio=ratio)
     judged = tolerance
     if tolerance is not None and step is not None and everyday is not None:
         judged = Difference(
@@ -42,7 +60,7 @@ def estimate(*, tolerance: Difference | None, step: Difference | None, everyday:
             state=_judged(tolerance.state, step.state, everyday.state),
             gap=_judged(tolerance.gap, step.gap, everyday.gap),
         )
-    return ReplayError(estimate=judged, tolerance=tolerance, step=step, everyday=everyday)
+    return ReplayError(estimate=judged, tolerance=tolerance, step=step, everyday=everyday, step_ratio=ratio)
 
 
 def _judged(tolerance: float, step: float, everyday: float) -> float:

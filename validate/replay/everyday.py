@@ -11,20 +11,31 @@ from validate.replay.reference import DIVERGENCE, Run
 from validate.replay.result import ReplayOutcome
 from validate.replay.wiring import Variables
 
+# Calls of doStep a plan step, of an FMU that has no internal step to set: its fineness over this.
+_FINENESS_OF_A_CALL = 50
 
-def everyday_refusal(package: Package, variables: Variables, inputs: HeldInputs) -> str | None:
+
+def everyday_refusal(package: Package, inputs: HeldInputs) -> str | None:
     """None, or why the FMU's Co-Simulation cannot replay this plan."""
-    if package.cosimulation is None:
+    interface = package.cosimulation
+    if interface is None:
         return "the FMU offers no Co-Simulation"
-    if inputs.linear and (package.is_three or not package.cosimulation.canInterpolateInputs):
-        return "the plan's inputs are lines within a step, which the FMU's Co-Simulation does not take"
+    steps = np.diff(inputs.times)
+    if not interface.canHandleVariableCommunicationStepSize and not np.allclose(steps, steps[0], rtol=1e-9, atol=0.0):
+        return "the plan's steps differ in length, which the FMU's Co-Simulation does not take"
     return None
 
 
-def simulate(package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, fineness: int) -> Run:
-    """Step over the plan's grid from start (2*nq,); outputs and knots are those of the plan's nodes, accumulated stays empty.
+def _takes_slopes(package: Package) -> bool:
+    """Whether inputs may be lines within a communication step. FMI 3.0 has no call for that."""
+    return not package.is_three and package.cosimulation is not None and package.cosimulation.canInterpolateInputs
 
-    fineness: internal steps a plan step; an FMU without the parameter `internal_step` gets fineness/100 calls of doStep a step.
+
+def simulate(package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, fineness: int) -> Run:
+    """Step over the plan's grid from start (in the order of Variables.start); outputs and knots are those of the plan's nodes, accumulated stays empty.
+
+    fineness: internal steps a plan step; an FMU without the parameter `internal_step` gets fineness/50 calls of doStep a step. Inputs that
+    are lines within a step become stairs of `fineness` calls, each at its middle, for an FMU that takes no slopes: wrong by the square of a stair.
     """
     run = Run()
     try:
@@ -35,8 +46,11 @@ def simulate(package: Package, variables: Variables, start: np.ndarray, inputs: 
             if variables.internal_step is not None:
                 settings.append((variables.internal_step, float(np.diff(inputs.times).min()) / fineness))
             fmu.initialise(float(inputs.times[0]), settings, inputs_of, inputs.values[0])
-            parts = 1 if variables.internal_step is not None else max(1, fineness // 100)
-            _step_through(fmu, (inputs_of, outputs_of), inputs, parts, len(variables.q) + len(variables.v), run)
+            parts = 1 if variables.internal_step is not None else max(1, fineness // _FINENESS_OF_A_CALL)
+            slopes = inputs.linear and _takes_slopes(package)
+            states = len(variables.q) + len(variables.v)
+            parts = fineness if inputs.linear and not slopes else parts
+            _step_through(fmu, (inputs_of, outputs_of), inputs, parts, slopes, states, run)
         finally:
             fmu.close()
     except CallError as error:
@@ -46,7 +60,9 @@ def simulate(package: Package, variables: Variables, start: np.ndarray, inputs: 
     return run
 
 
-def _step_through(fmu: Instance, references: tuple[References, References], inputs: HeldInputs, parts: int, states: int, run: Run) -> None:
+def _step_through(
+    fmu: Instance, references: tuple[References, References], inputs: HeldInputs, parts: int, slopes: bool, states: int, run: Run
+) -> None:
     inputs_of, outputs_of = references
     times = inputs.times
 
@@ -69,8 +85,9 @@ def _step_through(fmu: Instance, references: tuple[References, References], inpu
         begin, length = float(times[step]), float(times[step + 1] - times[step])
         for part in range(parts):
             if inputs_of.count:
-                fmu.write(inputs_of, value + inputs.slopes[step] * (length * part / parts))
-                if inputs.linear:
+                at = part if slopes or not inputs.linear else part + 0.5
+                fmu.write(inputs_of, value + inputs.slopes[step] * (length * at / parts))
+                if slopes:
                     fmu.input_slopes(inputs_of, inputs.slopes[step])
             # Communication points are taken from the grid, never summed up.
             fmu.do_step(begin + length * part / parts, length / parts)

@@ -73,7 +73,7 @@ def simulate(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tu
             found[f"{number}_{name}"] = np.array(getattr(run, name))
 
     with unpacked(read_package(Path(request["path"]))) as package:
-        value["refusal"] = refusal = everyday_refusal(package, variables, inputs)
+        value["refusal"] = refusal = everyday_refusal(package, inputs)
         require_some_method(package, refusal)
         began = clock.process_time()
         for rtol in request["tolerances"] if package.exchange is not None else ():

@@ -17,6 +17,7 @@ from models.errors import TrajectoryError
 from models.netcdf import Column, numbers, read_columns, write_columns
 from models.scene import Scene
 from validate.replay.result import Difference, Event, Replay, ReplayError, ReplayOutcome
+from validate.replay.subject import Subject
 
 _CONTENT = "touchstone replay"
 _SERIES = {
@@ -27,7 +28,7 @@ _SERIES = {
 _WORK = {"input_work": "work of the inputs since the start", "dissipated_work": "work dissipated since the start"}
 
 
-def _groups(scene: Scene) -> dict[str, list[tuple[str, str, str]]]:
+def _groups(scene: Subject) -> dict[str, list[tuple[str, str, str]]]:
     """(name, unit, description) of the columns of every array with more than one column."""
     return {
         "q": [(item.name, item.unit, item.description) for item in scene.coordinates],
@@ -40,7 +41,7 @@ def _groups(scene: Scene) -> dict[str, list[tuple[str, str, str]]]:
     }
 
 
-def write_replay(path: Path, replay: Replay, scene: Scene) -> None:
+def write_replay(path: Path, replay: Replay, scene: Subject) -> None:
     """Write a replay of this scene. Raises MachineError if the file cannot be written."""
     if replay.scene != scene.name:
         raise TrajectoryError(f"file {path}: the replay is of scene {replay.scene}, not of {scene.name}.")
@@ -108,7 +109,7 @@ def read_replay(path: Path, scene: Scene) -> Replay:
             **arrays,
             events=tuple(Event(time=float(time), contact=str(contact), closes=bool(closes)) for time, contact, closes in facts["events"]),
             event_budget=int(facts["event_budget"]),
-            error=ReplayError(**{name: None if item is None else Difference(**item) for name, item in facts["error"].items()}),
+            error=_error(facts["error"]),
             seconds_reference=float(facts["seconds_reference"]),
             seconds_everyday=float(facts["seconds_everyday"]),
             fmu=str(attributes.get("fmu_sha256", "")),
@@ -117,6 +118,12 @@ def read_replay(path: Path, scene: Scene) -> Replay:
         raise TrajectoryError(
             f"file {path}: its facts are not those of a replay ({type(error).__name__}: {error}); replay the plan again."
         ) from error
+
+
+def _error(stored: dict[str, Any]) -> ReplayError:
+    ratio = stored.pop("step_ratio", None)
+    differences = {name: None if item is None else Difference(**item) for name, item in stored.items()}
+    return ReplayError(**differences, step_ratio=None if ratio is None else float(ratio))
 
 
 def _facts(path: Path, attributes: dict[str, str | int | float]) -> dict[str, Any]:

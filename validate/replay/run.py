@@ -11,7 +11,7 @@ import numpy as np
 from models.scene import Scene
 from models.trajectory import Trajectory
 from validate.isolation import Limits
-from validate.replay.error_estimate import difference, estimate
+from validate.replay.error_estimate import difference, estimate, step_ratio
 from validate.replay.job import Settings, Simulated, run_job
 from validate.replay.outputs import Outputs
 from validate.replay.package import Package, find_variables, read_package
@@ -22,8 +22,8 @@ from validate.replay.wiring import Variables
 
 # Relative tolerances of the reference. On three_cart the looser is 1.4e-9 m from the truth, the tighter 1e-11 m, at 1.1 times the time.
 LOOSE, TIGHT = 1e-11, 1e-13
-# Internal steps a plan step of the everyday replay, and halved.
-COARSE, FINE = 100, 200
+# Internal steps a plan step of the everyday replay: the ratio of the differences tells whether it converges, the last two how far it is.
+FINENESS = (50, 100, 200)
 # Contact events before a replay is stopped as chattering; the plans of the scenes have 2 to 40.
 EVENT_BUDGET = 10_000
 
@@ -52,7 +52,7 @@ def replay(
     names: Mapping[str, str] | None = None,
     *,
     tolerances: tuple[float, float] = (LOOSE, TIGHT),
-    fineness: tuple[int, int] = (COARSE, FINE),
+    fineness: tuple[int, ...] = FINENESS,
     event_budget: int = EVENT_BUDGET,
     limits: Limits | None = None,
 ) -> Replay:
@@ -76,7 +76,7 @@ def replay_foreign(
     *,
     limits: Limits,
     tolerances: tuple[float, float] = (LOOSE, TIGHT),
-    fineness: tuple[int, int] = (COARSE, FINE),
+    fineness: tuple[int, ...] = FINENESS,
     event_budget: int = EVENT_BUDGET,
 ) -> Replay:
     """The same for an FMU without a scene, always in a child process."""
@@ -107,12 +107,13 @@ def _assemble(subject: Subject, package: Package, variables: Variables, simulate
     # A run that ended the process has no other beside it: what is compared must be there twice.
     nodes = [_at_nodes(subject, variables, run) for run in (*reference, *everyday)]
     loose, tight = nodes[:2] if len(reference) == 2 else (None, None)
-    coarse, fine = nodes[-2:] if len(everyday) == 2 else (None, None)
+    first, coarse, fine = ([None, None, None, *nodes[len(reference) :]])[-3:]
     error = estimate(
         tolerance=difference(loose, tight),
         step=difference(coarse, fine),
         everyday=difference(fine, tight),
         has_reference=bool(reference),
+        ratio=step_ratio(difference(first, coarse), difference(coarse, fine)),
     )
     refusal = simulated.refusal
     if refusal is None and reference:

@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 
 from models.errors import SceneError, TrajectoryError
-from models.scene import Scene
 from models.trajectory import Trajectory
 from validate.replay.result import Replay
+from validate.replay.subject import Subject
 from validate.score.evidence import Evidence, Unmeasured
 from validate.score.result import Figure, Score, Verdict
 from validate.score.table import TABLE, Entry
@@ -27,14 +27,14 @@ def figure_names() -> tuple[str, ...]:
     return tuple(entry.name for entry in TABLE)
 
 
-def check_limits(scene: Scene) -> None:
+def check_limits(scene: Subject) -> None:
     """Raise SceneError for a limit on a figure that does not exist."""
     for limit in scene.limits:
         if limit.figure not in figure_names():
             raise SceneError(f"scene {scene.name}: there is a limit on {limit.figure!r}, but the figures are {', '.join(figure_names())}.")
 
 
-def score(scene: Scene, trajectory: Trajectory | None, replay: Replay | None) -> Score:
+def score(scene: Subject, trajectory: Trajectory | None, replay: Replay | None) -> Score:
     """All figures of a plan, and whether it holds by the scene's limits. Without a replay (or one that failed) only a violation can be found.
 
     Raises TrajectoryError if plan, replay and scene do not belong together, SceneError for a limit on a figure that does not exist.
@@ -43,7 +43,7 @@ def score(scene: Scene, trajectory: Trajectory | None, replay: Replay | None) ->
     if trajectory is None:
         none = Verdict.NO_PLAN
         return Score(figures=(), verdict=none, why="there is no plan to judge.", contact=none, grid=none)
-    trajectory.check_fits(scene)
+    trajectory.check_fits(scene)  # type: ignore[arg-type] - a foreign model answers what a scene answers
     if replay is not None:
         _check_belongs(scene, trajectory, replay)
     case = Evidence(scene, trajectory, replay)
@@ -58,7 +58,7 @@ def score(scene: Scene, trajectory: Trajectory | None, replay: Replay | None) ->
     )
 
 
-def _check_belongs(scene: Scene, trajectory: Trajectory, replay: Replay) -> None:
+def _check_belongs(scene: Subject, trajectory: Trajectory, replay: Replay) -> None:
     if replay.scene != scene.name:
         raise TrajectoryError(f"replay: it is of scene {replay.scene}, but the plan is judged as one of {scene.name}.")
     if replay.ok and (len(replay.knots) != len(trajectory.t) or not (replay.t[replay.knots] == trajectory.t).all()):

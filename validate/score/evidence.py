@@ -11,6 +11,7 @@ from models.goal import goal_state
 from models.scene import Scene
 from models.trajectory import Trajectory
 from validate.replay.result import Difference, Replay
+from validate.replay.subject import Subject
 
 
 class Unmeasured(Exception):  # noqa: N818 - a figure that cannot be measured is a value with a reason
@@ -20,17 +21,35 @@ class Unmeasured(Exception):  # noqa: N818 - a figure that cannot be measured is
 class Evidence:
     """Arrays by the symbols of the equations; each computed once."""
 
-    def __init__(self, scene: Scene, trajectory: Trajectory, replay: Replay | None) -> None:
+    def __init__(self, scene: Subject, trajectory: Trajectory, replay: Replay | None) -> None:
         self.scene, self.trajectory, self._replay = scene, trajectory, replay
 
     @cached_property
     def kernel(self) -> Kernel:
+        if not isinstance(self.scene, Scene):
+            raise Unmeasured("it needs the equations, which only a scene has; an FMU keeps its own to itself.")
         return load_kernel(self.scene)
+
+    def need(self, *parts: str) -> None:
+        """Raise Unmeasured if the plan does not say, or somebody's FMU does not offer, one of these: q, v, lam, gap."""
+        lacks = {} if isinstance(self.scene, Scene) else self.scene.lacks
+        for part in parts:
+            if part in lacks:
+                raise Unmeasured(f"{lacks[part]}.")
+
+    @property
+    def q(self) -> np.ndarray:
+        """(nodes, nq) positions of the plan, if it says any."""
+        self.need("q")
+        if "q" in self.trajectory.missing:
+            columns = ", ".join(coordinate.name for coordinate in self.scene.coordinates)
+            raise Unmeasured(f"the plan does not say its positions ({columns}).")
+        return self.trajectory.q
 
     @cached_property
     def goal(self) -> np.ndarray:
         """(2*nq,) positions, then velocities; NaN where the end is free."""
-        return goal_state(self.scene.task)
+        return goal_state(self.scene.task)  # type: ignore[arg-type] - a foreign task has a goal of the same form
 
     @cached_property
     def h(self) -> np.ndarray:
@@ -121,7 +140,28 @@ class Evidence:
     @property
     def replay_q(self) -> np.ndarray:
         """(nodes, nq) of the replay, at the plan's nodes."""
+        self.need("q")
         return self.replay.q[self.replay.knots]
+
+    @property
+    def end(self) -> np.ndarray:
+        """(2*nq,) where the plan ends; the velocities only if a velocity of the goal is given."""
+        wants_v = np.isfinite(self.goal[self.scene.nq :]).any()
+        return np.concatenate([self.q[-1], self.v[-1] if wants_v else np.zeros(self.scene.nq)])
+
+    @property
+    def replay_end(self) -> np.ndarray:
+        """(2*nq,) where the replay ends; the velocities only if a velocity of the goal is given."""
+        self.need("q")
+        if np.isfinite(self.goal[self.scene.nq :]).any():
+            self.need("v")
+        return self.replay.end
+
+    @property
+    def replay_gap(self) -> np.ndarray:
+        """(n, nc) of the replay [m], negative in contact."""
+        self.need("gap")
+        return self.replay.gap
 
     @cached_property
     def step_of(self) -> np.ndarray:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.scene import Scene
+from validate.replay.subject import Subject
 from validate.score import equations as eq
 from validate.score.evidence import Evidence, Unmeasured
 
@@ -17,49 +18,49 @@ class Entry:
     """One row. measure gives the value, or (value, error by the replay's own error); it raises Unmeasured with a reason."""
 
     name: str
-    unit: Callable[[Scene], str]
+    unit: Callable[[Subject], str]
     meaning: str
     measure: Callable[[Evidence], float | tuple[float, float]]
-    applies: Callable[[Scene], bool] = lambda scene: True
+    applies: Callable[[Subject], bool] = lambda scene: True
 
 
 def _units(*names: str) -> str:
     return ", ".join(dict.fromkeys(names))
 
 
-def _position_unit(scene: Scene) -> str:
+def _position_unit(scene: Subject) -> str:
     return _units(*(item.unit for item in scene.coordinates))
 
 
-def _state_unit(scene: Scene) -> str:
+def _state_unit(scene: Subject) -> str:
     return _units(*(item.unit for item in scene.coordinates), *(item.velocity_unit for item in scene.coordinates))
 
 
-def _input_unit(scene: Scene) -> str:
+def _input_unit(scene: Subject) -> str:
     return _units(*(item.unit for item in scene.inputs))
 
 
-def _unit(text: str) -> Callable[[Scene], str]:
+def _unit(text: str) -> Callable[[Subject], str]:
     return lambda scene: text
 
 
-def _has_contacts(scene: Scene) -> bool:
+def _has_contacts(scene: Subject) -> bool:
     return scene.nc > 0
 
 
-def _has_velocity_bounds(scene: Scene) -> bool:
+def _has_velocity_bounds(scene: Subject) -> bool:
     return any(item.has_velocity_bounds for item in scene.coordinates)
 
 
-def _velocity_unit(scene: Scene) -> str:
+def _velocity_unit(scene: Subject) -> str:
     return _units(*(item.velocity_unit for item in scene.coordinates))
 
 
-def _has_goal(scene: Scene) -> bool:
+def _has_goal(scene: Subject) -> bool:
     return scene.task.has_goal
 
 
-def _has_goal_position(scene: Scene) -> bool:
+def _has_goal_position(scene: Subject) -> bool:
     return any(value is not None for value in scene.task.goal[: scene.nq])
 
 
@@ -92,11 +93,11 @@ def _velocity_bound_violation(case: Evidence) -> float:
 
 
 def _terminal_error(case: Evidence) -> float:
-    return eq.distance(np.concatenate([case.trajectory.q[-1], case.v[-1]]), case.goal)
+    return eq.distance(case.end, case.goal)
 
 
 def _terminal_position_error(case: Evidence) -> float:
-    return eq.distance(case.trajectory.q[-1], case.goal[: case.scene.nq])
+    return eq.distance(case.q[-1], case.goal[: case.scene.nq])
 
 
 def _discrete_terminal_error(case: Evidence) -> float:
@@ -112,20 +113,20 @@ def _law_error(case: Evidence) -> float:
 
 
 def _replay_terminal_error(case: Evidence) -> tuple[float, float]:
-    return eq.distance(case.replay.end, case.goal), case.error.state
+    return eq.distance(case.replay_end, case.goal), case.error.state
 
 
 def _replay_terminal_position_error(case: Evidence) -> tuple[float, float]:
     # The norm over positions cannot differ by more than the norm over the state does.
-    return eq.distance(case.replay.q[-1], case.goal[: case.scene.nq]), case.error.state
+    return eq.distance(case.replay_q[-1], case.goal[: case.scene.nq]), case.error.state
 
 
 def _replay_error(case: Evidence) -> tuple[float, float]:
-    return eq.largest_difference(case.trajectory.q, case.replay_q)[0], case.error.position
+    return eq.largest_difference(case.q, case.replay_q)[0], case.error.position
 
 
 def _replay_error_time(case: Evidence) -> float:
-    return float(case.trajectory.t[eq.largest_difference(case.trajectory.q, case.replay_q)[1]])
+    return float(case.trajectory.t[eq.largest_difference(case.q, case.replay_q)[1]])
 
 
 def _grid_error(case: Evidence) -> tuple[float, float]:
@@ -134,7 +135,7 @@ def _grid_error(case: Evidence) -> tuple[float, float]:
 
 def _ghost_impulse(case: Evidence) -> tuple[float, float]:
     def ghost(shift: float) -> float:
-        return eq.ghost_impulse(plan_lam=case.lam, step_of=case.step_of, gap=case.replay.gap, duration=case.duration, shift=shift)
+        return eq.ghost_impulse(plan_lam=case.lam, step_of=case.step_of, gap=case.replay_gap, duration=case.duration, shift=shift)
 
     if not np.isfinite(case.error.gap):
         return ghost(0.0), np.inf
@@ -142,13 +143,16 @@ def _ghost_impulse(case: Evidence) -> tuple[float, float]:
 
 
 def _missed_impulse(case: Evidence) -> tuple[float, float]:
+    case.need("lam")
     value = eq.missed_impulse(plan_lam=case.lam, step_of=case.step_of, lam=case.replay.lam, duration=case.duration)
+    if not isinstance(case.scene, Scene):
+        return value, np.inf  # how wrong a force is that somebody's FMU puts out, only its own stiffness would say
     # Each force may be wrong by k times the error of its gap, all the time.
     return value, float(case.k.sum() * case.duration.sum()) * case.error.gap
 
 
 def _max_penetration(case: Evidence) -> tuple[float, float]:
-    return eq.max_penetration(case.replay.gap), case.error.gap
+    return eq.max_penetration(case.replay_gap), case.error.gap
 
 
 def _work(case: Evidence) -> tuple[np.ndarray, np.ndarray]:
@@ -181,7 +185,10 @@ TABLE = (
         name="defect", unit=_state_unit, measure=_defect,
         meaning="largest residual of the plan in its own time step, with its own contact forces",
     ),
-    Entry(name="start_error", unit=_state_unit, measure=_start_error, meaning="largest distance of the plan's first state from the task's start"),
+    Entry(
+        name="start_error", unit=_state_unit, measure=_start_error, applies=lambda scene: isinstance(scene, Scene),
+        meaning="largest distance of the plan's first state from the task's start",
+    ),
     Entry(
         name="bound_violation", unit=_input_unit, measure=_bound_violation, applies=lambda scene: scene.nu > 0,
         meaning="by how much the plan's inputs leave their bounds",

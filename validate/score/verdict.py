@@ -83,7 +83,7 @@ def explain(figures: Sequence[Figure], verdict: Verdict, planned_impulse: float)
         return text + (f"; also above their limits: {', '.join(figure.name for figure in others)}." if others else ".")
     if verdict is Verdict.NOT_RESOLVED:
         if not judged:
-            return "the scene sets no limits, so there is nothing to judge by; give it some (models.scene.Limit), each with its reason."
+            return "there are no limits, so there is nothing to judge by; give the scene (or the map of an FMU) some, each with its reason."
         open_ones = [figure for figure in judged if figure.ok is None]
         first = open_ones[0]
         if first.value is None:
