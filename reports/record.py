@@ -181,7 +181,7 @@ class RunRecord(_Model):
     outcome: str  # of the cell: that of its last stage, or crashed / time_limit / refused
     message: str = ""
     verdict: Verdict = "no plan"  # of the last stage
-    must_hold: bool  # the last stage is a direct method: a violation makes the campaign fail
+    must_hold: bool  # the last stage is a direct method: where it says `solved`, its plan must hold (reports.rule)
     wall_seconds: Finite
     cpu_seconds: Finite
     provenance: ProvenanceRecord

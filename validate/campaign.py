@@ -87,25 +87,6 @@ class Narrator(Protocol):
     def ends(self) -> None: ...
 
 
-def failure(record: RunRecord) -> str | None:
-    """The sentence why a cell makes the campaign fail, or None.
-
-    A cell fails if its process crashed, whatever its method. Beyond that, only a cell whose last stage is a *direct* method can
-    fail: its plan must hold. `violates` and `not resolved` fail it, and so does having no plan, unless the method refused the scene and said
-    why. A cell whose last stage is indirect is expected to violate: the report shows by how much.
-    """
-    name = f"{record.scene.name} x {record.pipeline}"
-    if record.outcome == "refused":
-        return None
-    if record.outcome == "crashed":
-        return f"{name}: crashed - {record.message}"
-    if not record.must_hold or record.verdict == "holds":
-        return None
-    if record.verdict == "no plan":
-        return f"{name}: no plan ({record.outcome}) - {record.message or record.stages[-1].advice}"
-    return f"{name}: {record.verdict} - {record.stages[-1].why}"
-
-
 def select(settings: Settings) -> tuple[list[Entry], tuple[str, ...]]:
     """The cells asked for, in order, and what a quick campaign leaves out, in words. Raises TouchstoneError."""
     from validate.score import check_limits
@@ -184,6 +165,7 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
     Raises TouchstoneError for what the user can mend; KeyboardInterrupt passes through when children are stopped and what finished is written.
     """
     from models.codegen.compiler import find_compiler
+    from reports.rule import failures
     from validate.provenance import gather
     from validate.violation import measure, write_violation
 
@@ -226,8 +208,7 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
         narrator.ends()
         done = write()
     report = load_tools(settings.tools).write_report(settings.out)
-    failures = tuple(sentence for record in done if (sentence := failure(record)) is not None)
-    return Outcome(records=done, failures=failures, left_out=left_out, report=report)
+    return Outcome(records=done, failures=failures(done), left_out=left_out, report=report)
 
 
 def _run(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from reports.pages.section import Report, Section
 from reports.record import RunRecord, StageRecord
 from reports.rows import Row
+from reports.rule import RESULTS, RULE, failures
 from reports.wording import capital, cost, count, error, listing, seconds, spaced
 
 # An outcome that came back with what was asked for; a limit of iterations is the paper's own stopping rule for gradient descent.
@@ -31,12 +32,15 @@ def build(report: Report) -> Section:
         "summary.html",
         {
             "sentences": [
+                *_rule(runs, whole=not (stored.missing or stored.unreadable)),
                 *_direct(runs, whole=not (stored.missing or stored.unreadable)),
                 *_indirect(report.rows),
                 *_cheapest(report.rows),
                 *_times(runs),
                 *_stored(report),
             ],
+            "rule": RULE,
+            "results": RESULTS,
             "counts": _counts(runs),
             "failures": [(run, report.anchor(run), _failure(run)) for run in runs if _failure(run)],
             "campaign": stored.campaign,
@@ -61,6 +65,14 @@ def _failure(run: RunRecord) -> str:
 
 def _named(run: RunRecord) -> str:
     return f"{run.pipeline} on {run.scene.name}"
+
+
+def _rule(runs: tuple[RunRecord, ...], *, whole: bool) -> list[Sentence]:
+    """Whether the campaign fails, by its rule, and why."""
+    found = failures(runs)
+    if found:
+        return [Sentence("violates", "✗", f"The campaign fails: {sentence.rstrip('.')}.") for sentence in found]
+    return [Sentence("holds", "✓", f"The campaign does not fail{'' if whole else ', as far as it is stored'}.")] if runs else []
 
 
 def _direct(runs: tuple[RunRecord, ...], *, whole: bool) -> list[Sentence]:

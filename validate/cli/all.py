@@ -5,22 +5,29 @@ from __future__ import annotations
 import json
 import math
 import signal
+import textwrap
 from pathlib import Path
 
 import click
 
+from reports.rule import RESULTS, RULE
 from validate.cli.table import use_colour
 from validate.tools import DEFAULT_TOOLS
 
 _DEFAULT_OUT = "runs/all"
-_EPILOG = """\b
-What fails a campaign (exit code 1):
-  a cell whose process or method crashed, whatever the method;
-  a cell that ends in a direct method (strict_lcp, relu_gd) whose last plan
-  violates, is not resolved by the replay, or does not exist - unless the
-  method refused the scene and said why.
-  Cells and stages of indirect methods are expected to violate physics: the
-  report shows by how much, and they fail nothing.
+
+
+def _wrapped(text: str) -> str:
+    return textwrap.fill(text, width=77, initial_indent="  ", subsequent_indent="  ")
+
+
+_RULE = "\n\n".join(
+    [
+        "\b\nA campaign fails (exit code 1) if\n" + ";\n".join(_wrapped(line) for line in RULE) + ".",
+        "\b\n" + "\n".join(_wrapped(line) for line in RESULTS),
+    ]
+)
+_EPILOG = f"""{_RULE}
 
 \b
 What is stored is used again, except cells that crashed or ran out of a
@@ -142,11 +149,11 @@ def _print_table(outcome, settings, resume: str) -> None:
     if settings.quick:
         click.echo(f"left out by --quick: {', '.join(outcome.left_out) or 'nothing'}")
     for sentence in outcome.failures:
-        click.echo(click.style("does not hold: ", fg="red") + one_line(sentence), color=colour)
+        click.echo(click.style("fails: ", fg="red") + one_line(sentence), color=colour)
     if all(record.outcome == "refused" for record in outcome.records):
         click.echo("nothing was judged: every method refused its scene, for the reasons in the report")
     elif not outcome.failures:
-        click.echo("all that must hold holds")
+        click.echo("the campaign does not fail: all that must hold holds")
     click.echo(f"report:  {outcome.report}")
     click.echo(f"results: {settings.out / 'results.csv'}")
     click.echo(f"again:   {resume}   (stored cells are used again; --fresh runs them anew)")

@@ -1,0 +1,57 @@
+"""What makes a campaign fail: in words, and as a function of its records. `validate all` and the report say and do the same.
+
+failures(records)           # one sentence each; none: exit code 0
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # the words are shown by --help, which must not cost pydantic
+    from reports.record import RunRecord
+
+# What fails a campaign, each ending a sentence that begins "A campaign fails if".
+RULE = (
+    "a cell crashed, or failed in a way that its method does not explain, whatever the method",
+    "a direct method says that it solved the scene, and its plan violates a limit or is not resolved by the replay",
+    "a plan of a direct method stands beside a row of the paper, and does not hold",
+    "direct methods ran on a scene, and no cell of that scene holds",
+)
+# What does not.
+RESULTS = (
+    "A method that says itself that it stopped at a limit, stalled, diverged, found no plan or does not apply to the scene has given a result, "
+    "not a failure.",
+    "A relaxed (indirect) method is expected to violate contact physics: the report shows by how much.",
+    "A scene without inputs has nothing to plan: its free motion is replayed and judged by its closed forms.",
+)
+
+
+def failures(runs: Sequence[RunRecord]) -> tuple[str, ...]:
+    """Why the campaign of these records fails, by `RULE`; a sentence for each cell or scene."""
+    found = [sentence for run in runs if (sentence := _cell_failure(run))]
+    for scene in dict.fromkeys(run.scene.name for run in runs):
+        found += _scene_failure(scene, [run for run in runs if run.scene.name == scene])
+    return tuple(found)
+
+
+def _cell_failure(run: RunRecord) -> str:
+    name = f"{run.scene.name} x {run.pipeline}"
+    if run.outcome in {"crashed", "failed"}:
+        return f"{name}: {run.outcome} - {run.message}"
+    if not run.must_hold or run.verdict == "holds" or not run.stages:
+        return ""
+    last = run.stages[-1]
+    if run.outcome != "solved" and not last.paper:
+        return ""
+    if run.verdict == "no plan":
+        return f"{name}: no plan ({run.outcome}) - {run.message or last.advice}"
+    return f"{name}: {run.verdict} - {last.why}"
+
+
+def _scene_failure(scene: str, runs: Sequence[RunRecord]) -> list[str]:
+    direct = [run for run in runs if run.must_hold and run.outcome != "refused"]
+    if not direct or any(run.verdict == "holds" for run in runs):
+        return []
+    endings = ", ".join(f"{run.pipeline} {run.outcome.replace('_', ' ')}, {run.verdict}" for run in direct)
+    return [f"{scene}: no cell holds ({endings})"]
