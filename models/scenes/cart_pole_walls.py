@@ -4,7 +4,9 @@ x is the place of the cart, theta the angle of the pole from upright, positive t
 massless rod; its tip, at x + l sin(theta), touches the walls at +-w.
 
 At rest, a push of u can stop the pole from falling only where (m_c + m_p) g tan(|theta|) <= u: up to 0.36 rad with the 4 N there are. The start
-leans out by more, so it is the wall that must throw the pole back. Left alone near upright, an error grows as exp(3.67 t), a thousand
+leans out by more, so it is the wall that must throw the pole back. The end weighs 100 |x_T|^2, and is asked to be upright exactly as well, so that
+the verdict says whether the pole stands. The score judges the inputs on the plan's own grid, under the true contact law. It sets no limit on the
+replay without feedback, which no plan of this grid could keep: left alone near upright, an error grows as exp(3.67 t), a thousand
 and a half times over the 2 s: sqrt(g (m_c + m_p)/(l m_c)) is the rate.
 """
 
@@ -17,7 +19,7 @@ from models.scene import Answer, Contact, Coordinate, Input, Limit, Parameter, S
 x, theta = sp.symbols("x theta", real=True)
 vx, omega = sp.symbols("vx omega", real=True)
 u = sp.Symbol("u", real=True)
-m_c, m_p, l, g, k, w = sp.symbols("m_c m_p l g k w", positive=True)
+m_c, m_p, l, g, k, w = sp.symbols("m_c m_p l g k w", positive=True)  # noqa: E741 - l is the field's name for a length
 
 CART, POLE, LENGTH, GRAVITY = 1.0, 0.1, 0.8, 9.8
 GROWTH = math.sqrt(GRAVITY * (CART + POLE) / (LENGTH * CART))
@@ -53,6 +55,7 @@ SCENE = Scene(
         start=(0.3, 0.4, 0.0, 0.0),
         goal=(0.0, 0.0, 0.0, 0.0),
         running_cost=u**2 / 1000,
+        final_cost=100 * (x**2 + theta**2 + vx**2 + omega**2),
         step=0.02,
         steps=100,
     ),
@@ -65,6 +68,11 @@ SCENE = Scene(
         Limit(figure="defect", value=1e-6, reason="a plan that misses its own time step by more than 1e-6 was not solved to the end"),
         Limit(figure="start_error", value=1e-6, reason="a plan from another start solves another task; 1e-6 is the solvers' own tolerance"),
         Limit(figure="bound_violation", value=1e-6, reason="the actuator gives at most 4 N; 1e-6 N is the solvers' own tolerance"),
+        Limit(
+            figure="discrete_terminal_error",
+            value=0.1,
+            reason="from 0.1 in the norm of the state the 4 N catch the pole again: it falls on by omega/3.67 s, 0.03 rad, of the 0.36 rad they can hold",
+        ),
     ),
     answers=(
         Answer(

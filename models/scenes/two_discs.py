@@ -18,7 +18,7 @@ import math
 
 import sympy as sp
 
-from models.scene import Answer, Contact, Coordinate, Input, Parameter, Scene, Shape, Task
+from models.scene import Answer, Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
 
 RADIUS, MASS, WEIGHT, STEPS, WALL = 0.2, 1.0, 0.01, 480, 1.0
 RIGID_OPTIMUM, RIGID_OPTIMUM_WALL = 0.3114169, 0.3736364
@@ -99,6 +99,24 @@ def two_discs(wall: bool = False, name: str = "two_discs") -> Scene:
             final_cost=x2**2 + y2**2,
             step=_step(),
             steps=STEPS,
+        ),
+        limits=(
+            Limit(
+                figure="physics_scaled",
+                value=1e-5,
+                reason="averaged over the 1 s a product of 1e-5 (k L)^2, L = 0.02 m: a force of 1 mN at discs that only just touch, or less at a "
+                "distance",
+            ),
+            Limit(figure="defect", value=1e-6, reason="a plan that misses its own time step by more than 1e-6 was not solved to the end"),
+            Limit(
+                figure="start_error", value=1e-6, reason="a plan from another start solves another task; 1e-6 is the solvers' own tolerance"
+            ),
+            Limit(figure="bound_violation", value=1e-6, reason="the actuators give at most 50 N; 1e-6 is the solvers' own tolerance"),
+            Limit(
+                figure="law_error",
+                value=0.01,
+                reason="a tenth of the width of the contact that matters: discs that glide 1 m after the impact must hit within 0.01 m",
+            ),
         ),
         answers=(
             Answer(

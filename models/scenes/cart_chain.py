@@ -1,0 +1,87 @@
+"""n carts in a row, n = 2..20; the outer two are driven and push those between them: the paper's scene at any size.
+
+    cart_chain(3)      # is three_cart, bit for bit, but for its name
+    cart_chain(20)     # 40 states, 19 contacts, still 2 inputs
+
+Beyond three carts the row starts with a free space of 1 m in all, shared by the n - 1 gaps, and every cart has to move on by one gap: 0.5 m
+for three carts, as in the paper. No cart in between can move unless it is pushed, so every plan needs contact.
+"""
+
+import sympy as sp
+
+from models.errors import SceneError
+from models.scene import Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
+from models.scenes.three_cart import SCENE as THREE_CART
+
+SMALLEST, LARGEST = 2, 20
+LENGTH, FREE_SPACE, FIRST = 0.5, 1.0, 2.0
+
+m, c, k, d = sp.symbols("m c k d", positive=True)
+
+
+def cart_chain(n: int, steps: int = 500, name: str = "cart_chain") -> Scene:
+    """The scene of n carts on `steps` steps of 0.01 s. Raises SceneError unless 2 <= n <= 20."""
+    if isinstance(n, bool) or not isinstance(n, int) or not SMALLEST <= n <= LARGEST:
+        raise SceneError(f"scene {name}: n is {n!r}, but must be a whole number of carts from {SMALLEST} to {LARGEST}.")
+    q = sp.symbols(f"q1:{n + 1}", real=True)
+    v = sp.symbols(f"v1:{n + 1}", real=True)
+    first, last = sp.symbols(f"u1 u{n}", real=True)
+    gap = FREE_SPACE / (n - 1)
+    start = tuple(FIRST + index * (LENGTH + gap) for index in range(n))
+    forces = [-c * speed for speed in v]
+    forces[0] += first
+    forces[-1] += last
+    places = ["left", *(f"inner_{index}" for index in range(2, n)), "right"]
+    return Scene(
+        name=name,
+        title=f"{n} carts in a row: the outer two push those between them",
+        source="ours: section V of Suh and Wang (three_cart) with n carts; masses, damping, stiffness, length, bounds and limits are those there",
+        coordinates=tuple(
+            Coordinate(symbol=position, velocity=speed, unit="m", description=f"position of cart {index}")
+            for index, (position, speed) in enumerate(zip(q, v, strict=True), start=1)
+        ),
+        inputs=(
+            Input(symbol=first, unit="N", lower=-10.0, upper=10.0, description="force on the left cart"),
+            Input(symbol=last, unit="N", lower=-10.0, upper=10.0, description="force on the right cart"),
+        ),
+        parameters=(
+            Parameter(symbol=m, value=1.0, unit="kg", lower=1e-6, description="mass of each cart"),
+            Parameter(symbol=c, value=2.0, unit="N s/m", lower=0.0, description="viscous damping of each cart"),
+            Parameter(symbol=k, value=30.0, unit="N/m", lower=1e-6, description="contact stiffness"),
+            Parameter(symbol=d, value=LENGTH, unit="m", lower=1e-6, description="length of a cart"),
+        ),
+        kinetic_energy=m * sum(speed**2 for speed in v) / 2,
+        potential_energy=sp.Integer(0),
+        forces=tuple(forces),
+        contacts=tuple(
+            Contact(
+                name=contact,
+                penetration=d - (right - left),
+                stiffness=k,
+                nominal=0.1,
+                description=f"cart {index} against cart {index + 1}",
+            )
+            for index, (contact, left, right) in enumerate(zip(_contact_names(n), q[:-1], q[1:], strict=True), start=1)
+        ),
+        task=Task(
+            start=(*start, *[0.0] * n),
+            goal=(*(position + gap for position in start), *[0.0] * n),
+            running_cost=first**2 + last**2,
+            step=0.01,
+            steps=steps,
+        ),
+        limits=tuple(_limit(limit) for limit in THREE_CART.limits),
+        shapes=tuple(Shape(name=place, kind="box", x=position, y=d / 2, size=(d, d)) for place, position in zip(places, q, strict=True)),
+    )
+
+
+def _contact_names(n: int) -> list[str]:
+    return ["left", *(f"inner_{index}" for index in range(2, n - 1)), "right"] if n > 2 else ["pair"]
+
+
+def _limit(limit: Limit) -> Limit:
+    """The same cart on the same grid: the paper's limits, whatever the number of carts."""
+    return Limit(figure=limit.figure, value=limit.value, reason=f"as for three carts of this kind on this grid: {limit.reason}")
+
+
+SCENE = cart_chain(5, steps=250)

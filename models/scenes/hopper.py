@@ -1,0 +1,93 @@
+"""A hopper on one leg, in the vertical: a body, a light foot on a springy, driven leg below it, and a soft floor that only pushes.
+
+z is the height of the body, y that of the foot; the leg z - y has the rest length l0 and pulls or pushes with u beside its spring. When the
+foot flies and when it stands is found by the optimiser. No force acts on the whole but weight and floor, so that whatever the leg does
+
+    floor's impulse = (m_b + m_f) g T + change of momentum
+
+and its centre of mass flies on a parabola: a hop from rest to a higher rest 1 s later needs the floor to give exactly (m_b + m_f) g T.
+Without input the motion is piecewise linear in either mode, and exact by matrix exponentials.
+"""
+
+import sympy as sp
+
+from models.scene import Answer, Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
+
+z, y = sp.symbols("z y", real=True)
+vz, vy = sp.symbols("vz vy", real=True)
+u = sp.Symbol("u", real=True)
+m_b, m_f, g, l0, k_l, k = sp.symbols("m_b m_f g l0 k_l k", positive=True)
+
+BODY, FOOT, GRAVITY, LEG = 1.0, 0.2, 9.81, 1.0
+STEP, STEPS = 0.005, 200
+IMPULSE = (BODY + FOOT) * GRAVITY * STEP * STEPS
+
+SCENE = Scene(
+    name="hopper",
+    title="A hopper jumps higher than it fell",
+    source="Lagrange's equations of two masses and a spring, derived by computer algebra from the energies in this file",
+    coordinates=(
+        Coordinate(symbol=z, velocity=vz, unit="m", description="height of the body"),
+        Coordinate(symbol=y, velocity=vy, unit="m", description="height of the foot"),
+    ),
+    inputs=(Input(symbol=u, unit="N", lower=-40.0, upper=40.0, description="push of the leg, beside its spring"),),
+    parameters=(
+        Parameter(symbol=m_b, value=BODY, unit="kg", lower=1e-6, description="mass of the body"),
+        Parameter(symbol=m_f, value=FOOT, unit="kg", lower=1e-6, description="mass of the foot"),
+        Parameter(symbol=g, value=GRAVITY, unit="m/s^2", lower=0.0, description="gravity"),
+        Parameter(symbol=l0, value=LEG, unit="m", lower=1e-6, description="rest length of the leg"),
+        Parameter(symbol=k_l, value=100.0, unit="N/m", lower=0.0, description="stiffness of the leg"),
+        Parameter(symbol=k, value=500.0, unit="N/m", lower=1e-6, description="stiffness of the floor"),
+    ),
+    kinetic_energy=(m_b * vz**2 + m_f * vy**2) / 2,
+    potential_energy=g * (m_b * z + m_f * y) + k_l * (z - y - l0) ** 2 / 2,
+    forces=(u, -u),
+    contacts=(Contact(name="floor", penetration=-y, stiffness=k, nominal=0.1, description="foot against floor"),),
+    task=Task(
+        start=(1.5, 0.5, 0.0, 0.0),
+        goal=(1.8, 0.8, 0.0, 0.0),
+        running_cost=u**2,
+        step=STEP,
+        steps=STEPS,
+    ),
+    limits=(
+        Limit(
+            figure="physics_scaled",
+            value=1e-5,
+            reason="averaged over the 1 s a product of 1e-5 (k L)^2, L = 0.1 m: a force of 5 mN where the foot only just touches",
+        ),
+        Limit(figure="defect", value=1e-6, reason="a plan that misses its own time step by more than 1e-6 was not solved to the end"),
+        Limit(figure="start_error", value=1e-6, reason="a plan from another start solves another task; 1e-6 is the solvers' own tolerance"),
+        Limit(figure="bound_violation", value=1e-6, reason="the actuators give at most 40 N; 1e-6 is the solvers' own tolerance"),
+        Limit(
+            figure="discrete_terminal_error",
+            value=0.1,
+            reason="0.1 m/s at the top is 0.5 mm of height; 0.1 m a third of what the hop has to win",
+        ),
+        Limit(
+            figure="replay_terminal_position_error",
+            value=0.1,
+            reason="a third of the 0.3 m that the hop has to win",
+        ),
+        Limit(
+            figure="replay_error",
+            value=0.12,
+            reason="three times what the time step of 5 ms leaves the continuous motion by under the true law (0.040 and 0.041 m for two exact plans: "
+            "light foot and stiff floor swing at h w = 0.26); plans whose floor acts at a distance leave theirs by metres",
+        ),
+    ),
+    answers=(
+        Answer(
+            quantity="impulse of the floor on every plan that reaches the goal [N s]",
+            value=IMPULSE,
+            tolerance=1e-9,
+            source="momentum from rest to rest: (m_b + m_f) g T",
+        ),
+    ),
+    shapes=(
+        Shape(name="body", kind="disc", x=sp.Integer(0), y=z, size=(0.15,)),
+        Shape(name="leg", kind="line", x=sp.Integer(0), y=(z + y) / 2, size=(l0,), angle=sp.pi / 2),
+        Shape(name="foot", kind="disc", x=sp.Integer(0), y=y, size=(0.05,)),
+        Shape(name="floor", kind="wall", x=sp.Integer(0), y=sp.Integer(0), size=(2.0,)),
+    ),
+)
