@@ -47,7 +47,18 @@ class Mpcc(Method):
             lower=0.0,
         ),
         OptionSpec(
-            name="starts", default=1, description="starts in all, the first as given, the others random; the cheapest plan is kept", lower=1
+            name="starts",
+            default=1,
+            description="so many starts - the one given, softplus chain and gradient descent, both mirrored, random - the cheapest plan is kept",
+            lower=1,
+            upper=10**6,
+        ),
+        OptionSpec(
+            name="first_start",
+            default=0,
+            description="number of the first of these starts, so that others can be run elsewhere",
+            lower=0,
+            upper=10**6,
         ),
         OptionSpec(
             name="seed", default=0, description="of random starts, also of those tried where the first guess leads nowhere", lower=0
@@ -78,19 +89,9 @@ class Mpcc(Method):
     )
 
     def accepts(self, scene: Scene) -> str | None:
-        if not scene.inputs:
-            return f"scene {scene.name} has no inputs, so there is nothing to plan."
-        if scene.nf:
-            return f"scene {scene.name} has friction, and contact windows alone do not say where it sticks; strict_lcp plans it."
-        from formulations.transcription.expressions import SceneExpressions
-        from models.dynamics import derive
-        from models.errors import SceneError
+        from formulations.windows.applies import why_not
 
-        try:
-            SceneExpressions(derive(scene))
-        except SceneError as error:
-            return str(error)
-        return None
+        return why_not(scene)
 
     def open(self, scene: Scene, options: Mapping[str, object] = MappingProxyType({})) -> Session:
         opening = (perf_counter(), process_time())

@@ -3,67 +3,89 @@
     points = front(load_scene("three_cart"), (0.0, 1e-3, 1e-2, 5e-2, 0.2))
     [(point.tolerance, point.solution.cost) for point in points]
 
-A cold start at each tolerance first: which windows are best changes on the way (three carts: two windows at 0.01, one at 0.001). Then the
-plans are handed on, outwards and inwards: each tolerance is solved again from its neighbour's windows, and the cheaper plan is kept.
+A sweep: from a cold start at one tolerance the windows are handed on to the next, outwards and inwards, and searched there, as long as
+that is cheaper than what is known. The best windows change their number on the way (three carts: two pushes on the left at 0.01, one at 0.001, one on
+each side at 0), and no small move leads from one kind to the other: hence three cold starts, in the middle and at both ends. Where two
+sweeps meet, the cheaper one goes on.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from itertools import pairwise
 from time import perf_counter
 from types import MappingProxyType
 
 from formulations.catalog import load_method
 from formulations.method import OptionError
-from formulations.solution import Solution
+from formulations.solution import FrontPoint, Outcome, Solution
 from models.scene import Scene
 from models.trajectory import Trajectory
 
-# A neighbour's windows are searched around if they cost less than this part of the best known, before anything was shifted: between two
-# tolerances the best windows move by some ten steps, which cost up to a tenth.
-_WORTH_A_SEARCH = 1.2
+__all__ = ["FrontPoint", "checked_tolerances", "front"]
 
 
-@dataclass(frozen=True, kw_only=True)
-class FrontPoint:
-    """tolerance: largest norm of (q, v)[T] - goal; solution: the cheapest plan found within it (no trajectory: none was found)."""
-
-    tolerance: float
-    solution: Solution
+def checked_tolerances(given: Iterable[float]) -> tuple[float, ...]:
+    """Each once, in rising order. Raises OptionError."""
+    values = tuple(given) if isinstance(given, Iterable) and not isinstance(given, str) else (given,)
+    for value in values:
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value < float("inf"):
+            raise OptionError(f"front: {value!r} is no terminal tolerance; give finite numbers of at least 0.")
+    if not values:
+        raise OptionError("front: no tolerance was given; name at least one, e.g. 0.0.")
+    return tuple(sorted({float(value) for value in values}))
 
 
 def front(
-    scene: Scene, tolerances: Iterable[float], *, options: Mapping[str, object] = MappingProxyType({}), time_limit: float = 600.0
+    scene: Scene,
+    tolerances: Iterable[float],
+    *,
+    options: Mapping[str, object] = MappingProxyType({}),
+    start: Trajectory | None = None,
+    time_limit: float = 600.0,
 ) -> tuple[FrontPoint, ...]:
-    """Points by increasing tolerance. options: of method mpcc; time_limit: wall seconds for all of them."""
-    ordered = sorted(set(tolerances))
-    if not ordered:
-        raise OptionError("front: no tolerance was given; name at least one, e.g. 0.0.")
+    """Points by increasing tolerance. options: of method mpcc; start: a plan that the first solve starts from; time_limit: wall seconds for
+    all of them. Raises OptionError."""
+    ordered = checked_tolerances(tolerances)
     end = perf_counter() + time_limit
+    best: dict[float, Solution] = {}
 
-    def solve(tolerance: float, plan: Trajectory | None, search: object) -> Solution:
-        own = {**options, "goal_tolerance": tolerance, "search": search}
-        with load_method("mpcc").open(scene, own) as session:
-            return session.solve(eps=None, warm_start=plan, time_limit=max(1e-3, end - perf_counter()))
+    def solve(tolerance: float, plan: Trajectory | None) -> tuple[Solution, bool]:
+        """What was found there, and whether it is cheaper than all before."""
+        with load_method("mpcc").open(scene, {**options, "goal_tolerance": tolerance}) as session:
+            found = session.solve(eps=None, warm_start=plan, time_limit=max(1e-3, end - perf_counter()))
+        is_better = tolerance not in best or _cost(found) < _cost(best[tolerance])
+        if is_better:
+            best[tolerance] = found
+        return found, is_better
 
-    wanted = options.get("search", True)
-    best = {tolerance: solve(tolerance, None, wanted) for tolerance in ordered}
-    for sweep in (ordered, ordered[::-1]):
-        for before, tolerance in pairwise(sweep):
-            plan = best[before].trajectory
+    def sweep(plan: Trajectory | None, way: Iterable[float]) -> None:
+        for tolerance in way:
             if plan is None or perf_counter() >= end:
-                continue
-            found = solve(tolerance, plan, False)
-            if wanted and _cost(found) < _WORTH_A_SEARCH * _cost(best[tolerance]):
-                found = solve(tolerance, found.trajectory, True)
-            if _cost(found) < _cost(best[tolerance]):
-                best[tolerance] = found
+                return
+            found, is_better = solve(tolerance, plan)
+            if not is_better:
+                return
+            plan = found.trajectory
+
+    for place in dict.fromkeys((len(ordered) // 2, 0, len(ordered) - 1)):
+        if best and perf_counter() >= end:
+            break
+        found, _ = solve(ordered[place], start)
+        sweep(found.trajectory, ordered[place + 1 :])
+        sweep(found.trajectory, ordered[:place][::-1])
+    for tolerance in ordered:  # a sweep may have ended before it got here
+        if tolerance not in best and perf_counter() < end:
+            solve(tolerance, start)
+    return _falling(ordered, best)
+
+
+def _falling(ordered: tuple[float, ...], best: Mapping[float, Solution]) -> tuple[FrontPoint, ...]:
+    """A plan within a tolerance is within every larger one: costs never rise."""
     points: list[FrontPoint] = []
     for tolerance in ordered:
-        cheaper = points and _cost(points[-1].solution) < _cost(best[tolerance])
-        points.append(FrontPoint(tolerance=tolerance, solution=points[-1].solution if cheaper else best[tolerance]))
+        own = best.get(tolerance) or Solution(method="mpcc", outcome=Outcome.TIME_LIMIT, message="the time was over before this tolerance.")
+        cheaper = points and _cost(points[-1].solution) < _cost(own)
+        points.append(FrontPoint(tolerance=tolerance, solution=points[-1].solution if cheaper else own))
     return tuple(points)
 
 

@@ -16,12 +16,12 @@ from typing import Any, cast
 import numpy as np
 
 from formulations.method import Method, OptionError, Session
-from formulations.solution import Outcome, Solution
+from formulations.solution import Attempt, Outcome, Solution
 from formulations.transcription.residuals import PlanResiduals
 from formulations.transcription.workbench import Account
 from formulations.windows.finder import Finder, Search
 from formulations.windows.landing import land
-from formulations.windows.starts import random_plan
+from formulations.windows.multistart import MultiStart
 from models.codegen.kernel import load_kernel
 from models.errors import TrajectoryError
 from models.goal import distance, goal_state
@@ -36,6 +36,8 @@ class MpccSession(Session):
         self._method, self._scene, self._options = method, scene, dict(options)
         self._kernel, self._residuals = load_kernel(scene), PlanResiduals(scene)
         self._finder = Finder(scene, self._kernel, self._options)
+        ipopt = {"tol": self._number("homotopy_tolerance"), "max_iter": int(self._number("max_iterations"))}
+        self._starts = MultiStart(scene, self._kernel, self._finder, self._options, ipopt)
         self._opening = (perf_counter() - opening[0], process_time() - opening[1])
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
@@ -45,24 +47,9 @@ class MpccSession(Session):
         if warm_start is not None:
             self._check_grid(warm_start)
         account, self._opening = Account(time_limit, self._opening), (0.0, 0.0)
-        search, optima = self._best_of_starts(account, warm_start)
-        return self._solution(account, search, optima)
-
-    def _best_of_starts(self, account: Account, warm_start: Trajectory | None) -> tuple[Search, list[float]]:
-        """The cheapest of all starts, and the cost of each that was solved. Random plans serve in turn as start of a homotopy and, steered
-        to the goal, as source of contact modes: the first forget where they began, the second do not."""
-        best = self._finder.find(account, warm_start)
-        optima = [] if best.answer is None else [best.answer.cost]
-        for index in range(1, int(self._number("starts"))):
-            if account.is_over:
-                break
-            plan = random_plan(self._scene, self._kernel, (int(self._number("seed")), index))
-            found = self._finder.find(account, start=plan) if index % 2 else self._finder.find(account, plan, plan)
-            if found.answer is not None:
-                optima.append(found.answer.cost)
-                if best.answer is None or found.answer.cost < best.answer.cost:
-                    best = found
-        return best, optima
+        first = int(self._number("first_start"))
+        search, attempts = self._starts.run(account, range(first, first + int(self._number("starts"))), warm_start)
+        return self._solution(account, search, attempts)
 
     def _check_grid(self, plan: Trajectory) -> None:
         plan.check_fits(self._scene)
@@ -75,15 +62,19 @@ class MpccSession(Session):
                 f"{task.step:g} s; resample it to that grid."
             )
 
-    def _solution(self, account: Account, search: Search, optima: list[float]) -> Solution:
-        empty = Solution(method=self._method.name, outcome=search.outcome, message=search.message, options=dict(self._options))
+    def _solution(self, account: Account, search: Search, attempts: tuple[Attempt, ...]) -> Solution:
+        several = attempts if len(attempts) > 1 else ()
+        empty = Solution(
+            method=self._method.name, outcome=search.outcome, message=search.message, options=dict(self._options), starts=several
+        )
         answer = search.answer
         if answer is None:
             return replace(empty, iterations=account.iterations, seconds=account.seconds(), history=_columns(account))
         plan = self.landed(answer.u)
         residuals = self.certificate(plan)
         stationarity = answer.stationarity()
-        if self._number("starts") > 1:
+        if several:
+            optima = [attempt.cost for attempt in several if attempt.cost is not None]
             spread = f"costs from {min(optima):.6g} to {max(optima):.6g}"
             search = replace(search, message=f"{len(optima)} of {self._options['starts']} starts were solved, {spread}. {search.message}")
             residuals |= {"starts_solved": float(len(optima)), "dearest_start": max(optima)}

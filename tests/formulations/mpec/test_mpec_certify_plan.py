@@ -115,7 +115,7 @@ def test_a_ball_around_the_goal_is_part_of_the_problem() -> None:
 
 def test_without_a_plan_there_is_nothing_to_certify() -> None:
     nothing = Solution(method="mpcc", outcome=Outcome.INFEASIBLE)
-    assert certify_solution(SCENE, nothing) is nothing
+    assert certify_solution(SCENE, nothing) == nothing
 
 
 def test_a_plan_of_another_grid_is_refused(best: Solution) -> None:

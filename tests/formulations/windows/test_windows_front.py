@@ -7,11 +7,13 @@ import pytest
 
 from formulations.catalog import load_method
 from formulations.method import OptionError
+from formulations.mpec import certify_solution
 from formulations.solution import Outcome, Solution
 from formulations.windows.front import front
 from formulations.windows.goal_ball import cheapest_in_ball
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
+from models.goal import goal_state
 from models.scene import Scene
 from models.trajectory import Trajectory
 
@@ -24,7 +26,7 @@ def miss(solution: Solution, scene: Scene) -> float:
     plan = solution.trajectory
     assert plan is not None
     rollout = load_kernel(scene).rollout(np.array(scene.task.start), plan.u, scene.task.step)
-    return float(np.linalg.norm(np.concatenate([rollout.q[-1], rollout.v[-1]]) - np.array(scene.task.goal)))
+    return float(np.linalg.norm(np.concatenate([rollout.q[-1], rollout.v[-1]]) - goal_state(scene.task)))
 
 
 def within(ball: float, plan: Trajectory | None = None, search: bool = True) -> Solution:
@@ -58,9 +60,41 @@ def test_a_front_falls() -> None:
         assert miss(point.solution, SMALL) <= point.tolerance + 1e-10
 
 
-def test_a_front_of_nothing_is_refused() -> None:
+@pytest.mark.parametrize("wrong", [(), (-0.1,), (float("nan"),), ("0.1",), (True,), "0.1"])
+def test_tolerances_that_are_none_are_refused(wrong) -> None:
     with pytest.raises(OptionError, match="tolerance"):
-        front(SMALL, ())
+        front(SMALL, wrong)
+    with pytest.raises(OptionError, match="tolerance"):
+        load_method("mpcc_front").open(SMALL, {"tolerances": wrong})
+
+
+def test_the_method_hands_on_the_tightest_plan_and_the_whole_front() -> None:
+    with load_method("mpcc_front").open(SMALL, {"tolerances": (0.05, 0.0)}) as session:
+        solution = certify_solution(SMALL, session.solve(eps=None, warm_start=None, time_limit=600.0))
+    assert miss(solution, SMALL) <= 1e-10
+    assert solution.options["tolerances"] == (0.0, 0.05)
+    assert [point.tolerance for point in solution.front] == [0.0, 0.05]
+    assert solution.cost == solution.front[0].solution.cost
+    for point in solution.front:
+        assert point.solution.certificate is not None
+        assert point.solution.certificate.holds, point.solution.certificate.sentence
+    assert solution.certificate is solution.front[0].solution.certificate
+    assert "2 of 2" in solution.message
+
+
+def test_no_time_leaves_a_front_without_plans() -> None:
+    with load_method("mpcc_front").open(SMALL) as session:
+        solution = session.solve(eps=None, warm_start=None, time_limit=1e-3)
+    assert solution.outcome is Outcome.TIME_LIMIT
+    assert len(solution.front) == 9
+    assert all(point.solution.trajectory is None for point in solution.front)
+
+
+def test_a_free_end_has_no_front() -> None:
+    free = SMALL.with_task(goal=(None, 2.7, 3.3, 0.0, 0.0, 0.0))
+    assert load_method("mpcc_front").accepts(free) is None
+    nowhere = SMALL.with_task(goal=(None,) * 6)
+    assert "free" in str(load_method("mpcc_front").accepts(nowhere))
 
 
 @pytest.mark.parametrize("seed", range(5))

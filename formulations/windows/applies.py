@@ -1,0 +1,25 @@
+"""To which scenes contact windows apply. Light to import: a method is asked before anything is opened."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from models.scene import Scene
+
+
+def why_not(scene: Scene) -> str | None:
+    """None, or the reason why contact windows do not make a plan of this scene."""
+    if not scene.inputs:
+        return f"scene {scene.name} has no inputs, so there is nothing to plan."
+    if scene.nf:
+        return f"scene {scene.name} has friction, and contact windows alone do not say where it sticks; strict_lcp plans it."
+    from formulations.transcription.expressions import SceneExpressions
+    from models.dynamics import derive
+    from models.errors import SceneError
+
+    try:
+        SceneExpressions(derive(scene))
+    except SceneError as error:
+        return str(error)
+    return None

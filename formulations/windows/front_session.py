@@ -1,0 +1,55 @@
+"""`mpcc_front` opened on a scene: the sweep of `front` as one stage, whose plan is that of the smallest tolerance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import fields, replace
+from time import perf_counter, process_time
+from typing import cast
+
+from formulations.method import Method, OptionError, Session
+from formulations.solution import Outcome, Seconds, Solution
+from formulations.windows.front import checked_tolerances, front
+from models.scene import Scene
+from models.trajectory import Trajectory
+
+
+class FrontSession(Session):
+    """See the module docstring."""
+
+    def __init__(self, method: Method, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> None:
+        self._method, self._scene = method, scene
+        self._tolerances = checked_tolerances(cast(Iterable[float], options["tolerances"]))
+        self._options = {**options, "tolerances": self._tolerances}
+        self._opening = (perf_counter() - opening[0], process_time() - opening[1])
+
+    def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
+        self._method.check_eps(eps)
+        if not time_limit > 0.0:
+            raise OptionError(f"method {self._method.name}: the time limit is {time_limit!r}, but must be a positive number of seconds.")
+        wall, cpu = perf_counter() - self._opening[0], process_time() - self._opening[1]
+        self._opening = (0.0, 0.0)
+        own = {name: value for name, value in self._options.items() if name != "tolerances"}
+        points = front(self._scene, self._tolerances, options=own, start=warm_start, time_limit=time_limit)
+        first = points[0].solution
+        solutions = list({id(point.solution): point.solution for point in points}.values())
+        found = sum(point.solution.trajectory is not None for point in points)
+        late = any(point.solution.outcome is Outcome.TIME_LIMIT for point in points)
+        outcome = Outcome.TIME_LIMIT if late and first.outcome is Outcome.SOLVED else first.outcome
+        return replace(
+            first,
+            method=self._method.name,
+            outcome=outcome,
+            message=f"Plans were found within {found} of {len(points)} terminal tolerances; this is the one within {points[0].tolerance:g}. "
+            f"{first.message}",
+            options=self._options,
+            iterations=sum(solution.iterations for solution in solutions),
+            seconds=_together(solutions, perf_counter() - wall, process_time() - cpu),
+            front=points,
+        )
+
+
+def _together(solutions: list[Solution], wall: float, cpu: float) -> Seconds:
+    """Seconds of the solves that the front is made of; wall and cpu are those of the whole sweep."""
+    parts = {item.name: sum(getattr(solution.seconds, item.name) for solution in solutions) for item in fields(Seconds)}
+    return Seconds(**{**parts, "wall": wall, "cpu": cpu})
