@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Model, FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
+from fmpy.fmi3 import FMU3Model, FMU3Slave
 
 from models.catalog import load_scene
 from models.dynamics import derive
@@ -141,7 +142,82 @@ class Driver:
             assert word in message, message
 
 
+class Driver3(Driver):
+    """As Driver, for FMI 3.0."""
+
+    def __init__(self, scene: Scene, folder: str, kind: type, **options: Any) -> None:
+        self.scene, self.names = scene, variable_names(scene)
+        self.description = fmpy.read_model_description(folder)
+        self.references = {variable.name: variable.valueReference for variable in self.description.modelVariables}
+        self.log = []
+        self.fmu = kind(
+            guid=self.description.instantiationToken, unzipDirectory=folder, modelIdentifier=scene.name, instanceName="under 100 % test"
+        )
+
+        def log(environment: Any, status: int, category: bytes, message: bytes) -> None:
+            self.log.append((status, category.decode(), message.decode()))
+
+        self.fmu.instantiate(logMessage=log, **options)
+
+    def close(self) -> None:
+        if self.fmu.component is not None:
+            self.fmu.fmi3FreeInstance(self.fmu.component)
+            self.fmu.component = None
+
+    def get(self, *names: str) -> np.ndarray:
+        return np.array(self.fmu.getFloat64(self.vr(names)))
+
+    def set(self, **values: float) -> None:
+        self.fmu.setFloat64(self.vr(list(values)), list(values.values()))
+
+    def set_all(self, names: tuple[str, ...], values: np.ndarray) -> None:
+        if names:
+            self.fmu.setFloat64(self.vr(names), [float(value) for value in values])
+
+    def adjoint(self, unknowns: tuple[str, ...], knowns: tuple[str, ...], seed: np.ndarray) -> np.ndarray:
+        # FMPy takes as many results as unknowns where it is not told.
+        return np.array(self.fmu.getAdjointDerivative(self.vr(unknowns), self.vr(knowns), list(seed), nSensitivity=len(knowns)))
+
+    def initialise(self, q: Any = None, v: Any = None, u: Any = None, stop: float | None = None, **values: float) -> Driver3:
+        self.fmu.enterInitializationMode(startTime=0.0, stopTime=stop)
+        for names, given in ((self.names.q, q), (self.names.v, v), (self.names.u, u)):
+            if given is not None:
+                self.set_all(names, given)
+        self.set(**values)
+        self.fmu.exitInitializationMode()
+        return self
+
+    def continuous(self, q: Any = None, v: Any = None, u: Any = None) -> Driver3:
+        self.initialise(q, v, u)
+        self.fmu.updateDiscreteStates()
+        self.fmu.enterContinuousTimeMode()
+        return self
+
+    def _array(self, call: str, size: int) -> np.ndarray:
+        return super()._array(call.replace("fmi2GetDerivatives", "fmi3GetContinuousStateDerivatives").replace("fmi2", "fmi3"), size)
+
+    @property
+    def states(self) -> np.ndarray:
+        return super().states
+
+    @states.setter
+    def states(self, x: np.ndarray) -> None:
+        array = np.ascontiguousarray(x, dtype=float)
+        self.fmu.fmi3SetContinuousStates(self.fmu.component, array.ctypes.data_as(_DOUBLES), array.size)
+
+    def event(self) -> None:
+        self.fmu.enterEventMode()
+        self.fmu.updateDiscreteStates()
+        self.fmu.enterContinuousTimeMode()
+
+
 _DOUBLES = fmpy.fmi2.POINTER(fmpy.fmi2.c_double)
+_KINDS = {
+    ("2.0", "me"): (Driver, FMU2Model),
+    ("2.0", "cs"): (Driver, FMU2Slave),
+    ("3.0", "me"): (Driver3, FMU3Model),
+    ("3.0", "cs"): (Driver3, FMU3Slave),
+}
 
 
 @dataclass(frozen=True)
@@ -191,24 +267,25 @@ def constants() -> Callable[[str], types.SimpleNamespace]:
 
 
 @pytest.fixture(scope="session")
-def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Scene], str]:
-    """Scene -> folder of its unpacked FMU."""
+def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., str]:
+    """unpacked(scene, version="2.0") -> folder of its unpacked FMU."""
 
     @cache
-    def unpack(scene: Scene) -> str:
+    def unpack(scene: Scene, version: str = "2.0") -> str:
         folder = tmp_path_factory.mktemp(scene.name)
-        return fmpy.extract(str(build_fmu(scene)), unzipdir=str(folder))
+        return fmpy.extract(str(build_fmu(scene, version)), unzipdir=str(folder))
 
     return unpack
 
 
 @pytest.fixture
-def drive(unpacked: Callable[[Scene], str]) -> Iterator[Callable[..., Driver]]:
-    """drive(scene, "me" | "cs", ...) -> a fresh instance, freed after the test."""
+def drive(unpacked: Callable[..., str]) -> Iterator[Callable[..., Driver]]:
+    """drive(scene, "me" | "cs", version="2.0", ...) -> a fresh instance, freed after the test."""
     made: list[Driver] = []
 
-    def new(scene: Scene, kind: str, **options: Any) -> Driver:
-        made.append(Driver(scene, unpacked(scene), {"me": FMU2Model, "cs": FMU2Slave}[kind], **options))
+    def new(scene: Scene, kind: str, version: str = "2.0", **options: Any) -> Driver:
+        driver, importer = _KINDS[version, kind]
+        made.append(driver(scene, unpacked(scene, version), importer, **options))
         return made[-1]
 
     yield new

@@ -4,6 +4,7 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
+from xml.etree import ElementTree
 
 import fmpy
 import pytest
@@ -13,7 +14,11 @@ from models.fmu import variable_names
 from models.fmu.standards import STANDARDS, standard_headers
 
 STRICT = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wstrict-prototypes", "-Werror"]
-DRIVER = Path(__file__).with_name("driver.c")
+DRIVERS = {version: Path(__file__).with_name(name) for version, name in (("2.0", "driver.c"), ("3.0", "driver3.c"))}
+FUNCTIONS = {"2.0": 44, "3.0": 75}
+BINARIES = {"2.0": "linux64", "3.0": "x86_64-linux"}
+
+both = pytest.mark.parametrize("version", STANDARDS)
 
 
 def run(command, **options):
@@ -22,87 +27,115 @@ def run(command, **options):
     return done.stdout
 
 
-def test_sources_compile_on_their_own_without_a_warning(any_scene, unpacked, tmp_path):
-    sources = Path(unpacked(any_scene)) / "sources"
-    xml = (sources.parent / "modelDescription.xml").read_text()
-    listed = re.findall(r'<File name="(.+)"/>', xml)
-    assert sorted(listed) == sorted([path.name for path in sources.glob("*.c")] * 2)  # once for each FMU type
-    listed = sorted(set(listed))
-    run([*find_compiler().command, *STRICT, "-fPIC", "-shared", *listed, "-o", tmp_path / "model.so", "-lm"], cwd=sources)
+@both
+def test_sources_compile_on_their_own_without_a_warning(any_scene, unpacked, tmp_path, version):
+    """As the build description says it, from the unpacked FMU alone. The standard's own headers may warn."""
+    sources = Path(unpacked(any_scene, version)) / "sources"
+    files = ElementTree.parse(sources / "buildDescription.xml").getroot().find("BuildConfiguration/SourceFileSet")
+    listed = [file.get("name") for file in files.findall("SourceFile")]
+    assert sorted(listed) == sorted(path.name for path in sources.glob("*.c"))
+    if version == "2.0":
+        xml = (sources.parent / "modelDescription.xml").read_text()
+        assert sorted(re.findall(r'<File name="(.+)"/>', xml)) == sorted(listed * 2)  # once for each FMU type
+    include = [f"-isystem{folder.get('name')}" for folder in files.findall("IncludeDirectory")]
+    libraries = [f"-l{library.get('name')}" for library in ElementTree.parse(sources / "buildDescription.xml").getroot().iter("Library")]
+    command = [*find_compiler().command, *STRICT, *files.get("compilerOptions").split(), *include, "-fPIC", "-shared", *listed]
+    run([*command, "-o", tmp_path / "model.so", *libraries], cwd=sources)
 
 
-def test_every_function_of_the_standard_is_exported_and_nothing_else(any_scene, unpacked):
-    declared = set(re.findall(r"fmi2FullName\((fmi2\w+)\)", standard_headers(STANDARDS["2.0"])["fmi2Functions.h"]))
-    assert len(declared) == 44
+@both
+def test_every_function_of_the_standard_is_exported_and_nothing_else(any_scene, unpacked, version):
+    standard = STANDARDS[version]
+    text = standard_headers(standard)[standard.headers[0]]
+    declared = set(re.findall(rf"{standard.prefix}FullName\(({standard.prefix}\w+)\)", text))
+    assert len(declared) == FUNCTIONS[version]
     nm = shutil.which("nm")
     if nm is None:
         pytest.skip("nm is not installed")
-    library = Path(unpacked(any_scene)) / "binaries" / "linux64" / f"{any_scene.name}.so"
+    library = Path(unpacked(any_scene, version)) / "binaries" / BINARIES[version] / f"{any_scene.name}.so"
     exported = {line.split()[-1] for line in run([nm, "-D", "--defined-only", library]).splitlines()}
     assert exported == declared
 
 
-def test_binary_has_no_mutable_globals_and_names_no_path_of_this_machine(any_scene, unpacked):
-    folder = Path(unpacked(any_scene))
+@both
+def test_binary_has_no_mutable_globals_and_names_no_path_of_this_machine(any_scene, unpacked, version):
+    folder = Path(unpacked(any_scene, version))
     for name in (folder / "sources").glob("*.[ch]"):
         text = name.read_text()
         for line in text.splitlines():
             assert not re.match(r"\s*(static|extern) (?!const |inline ).*[;=]", line), f"{name.name}: {line}"
-    data = (folder / "binaries" / "linux64" / f"{any_scene.name}.so").read_bytes()
+    data = (folder / "binaries" / BINARIES[version] / f"{any_scene.name}.so").read_bytes()
     assert b"/home" not in data
     assert b"/tmp" not in data
     assert str(Path(__file__).parents[3]).encode() not in data
 
 
-@pytest.mark.parametrize("sanitizer", ["address,undefined", "undefined"])
-def test_two_models_in_one_program_under_sanitizers(scene_of, unpacked, tmp_path, sanitizer):
-    """Two models linked into one program by their prefixes: no clash, no leak, no access out of bounds, no undefined behaviour."""
+def program(scene_of, unpacked, tmp_path, version, compiler, flags):
+    """Three models linked into one program by their prefixes, with a driver each; the program's path."""
+    objects, names = [], ("two_link_arm", "three_cart", "oscillator")
+    driver = DRIVERS[version]
+    for name in names:
+        scene, folder = scene_of(name), Path(unpacked(scene_of(name), version))
+        description = fmpy.read_model_description(str(folder))
+        table = variable_names(scene)
+        assert description.modelVariables[1].name == table.q[0]
+        number = {variable.name: variable.valueReference for variable in description.modelVariables}
+        prefix = STANDARDS[version].prefix
+        own = tmp_path / name
+        own.mkdir()
+        macros = {
+            "GUID": f'"{description.guid if version == "2.0" else description.instantiationToken}"',
+            "CHECK": f"check_{name}",
+            "STATES": 2 * scene.nq,
+            "CONTACTS": scene.nc,
+            "INPUTS": scene.nu,
+            "INPUT": number[table.u[0]] if scene.nu else 0,
+            "VARIABLES": len(description.modelVariables) - 1,  # all but the enumeration, which is the last
+            f"{prefix.upper()}_FUNCTION_PREFIX": f"{name}_",
+        }
+        include = [f"-I{folder / 'sources'}", f"-I{own}", f"-isystem{folder / 'sources' / STANDARDS[version].header_folder}"]
+        defines = [f"-D{key}={value}" for key, value in macros.items()]
+        if version == "2.0":  # some copies of its headers ignore the prefix
+            used = sorted(set(re.findall(r"\bfmi2[A-Z]\w+(?=\()", driver.read_text())))
+            declared = [f"#define {function} {name}_{function}\nextern {function}TYPE {function};\n" for function in used]
+            (own / "names.h").write_text("".join(declared))
+        for source in sorted((folder / "sources").glob("*.c")):
+            objects.append(tmp_path / f"{name}_{source.stem}.o")
+            run([compiler, *flags, *include, f"-D{prefix.upper()}_FUNCTION_PREFIX={name}_", "-c", source, "-o", objects[-1]])
+        objects.append(tmp_path / f"{name}_driver.o")
+        run([compiler, *flags, *include, *defines, "-c", driver, "-o", objects[-1]])
+    main = tmp_path / "main.c"
+    calls = " || ".join(f"check_{name}()" for name in names)
+    main.write_text("".join(f"int check_{name}(void);\n" for name in names) + f"int main(void) {{ return {calls}; }}\n")
+    run([compiler, *flags, main, *objects, "-o", tmp_path / "program", "-lm"])
+    return tmp_path / "program"
+
+
+def native_compiler():
     compiler = shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
-        pytest.skip("sanitizers need gcc or clang")
+        pytest.skip("sanitizers and valgrind need gcc or clang")
+    return compiler
+
+
+@both
+@pytest.mark.parametrize("sanitizer", ["address,undefined", "undefined"])
+def test_models_in_one_program_under_sanitizers(scene_of, unpacked, tmp_path, version, sanitizer):
+    """No clash, no leak, no access out of bounds, no undefined behaviour."""
+    compiler = native_compiler()
     flags = ["-std=c99", "-g", "-O1", f"-fsanitize={sanitizer}", "-fno-sanitize-recover=all", "-Wall", "-Wextra", "-Werror"]
     probe = tmp_path / "probe.c"
     probe.write_text("int main(void) { return 0; }\n")
     if subprocess.run([compiler, *flags, probe, "-o", tmp_path / "probe"], capture_output=True, check=False).returncode:
         pytest.skip(f"this compiler has no -fsanitize={sanitizer}")
-    objects, names = [], ("two_link_arm", "three_cart", "oscillator")
-    for name in names:
-        scene, folder = scene_of(name), Path(unpacked(scene_of(name)))
-        description = fmpy.read_model_description(str(folder))
-        include = [f"-I{folder / 'sources'}"]
-        macros = {
-            "GUID": f'"{description.guid}"',
-            "CHECK": f"check_{name}",
-            "STATES": 2 * scene.nq,
-            "CONTACTS": scene.nc,
-            "VARIABLES": len(description.modelVariables) - 1,  # all but the enumeration, which is the last
-        }
-        assert description.modelVariables[1].name == variable_names(scene).q[0]
-        used = sorted(set(re.findall(r"\bfmi2[A-Z]\w+(?=\()", DRIVER.read_text())))
-        own = tmp_path / name
-        own.mkdir()
-        (own / "names.h").write_text(
-            "".join(f"#define {function} {name}_{function}\nextern {function}TYPE {function};\n" for function in used)
-        )
-        for source in sorted((folder / "sources").glob("*.c")):
-            objects.append(tmp_path / f"{name}_{source.stem}.o")
-            run([compiler, *flags, *include, f"-DFMI2_FUNCTION_PREFIX={name}_", "-c", source, "-o", objects[-1]])
-        objects.append(tmp_path / f"{name}_driver.o")
-        run(
-            [
-                compiler,
-                *flags,
-                *include,
-                f"-I{own}",
-                *(f"-D{key}={value}" for key, value in macros.items()),
-                "-c",
-                DRIVER,
-                "-o",
-                objects[-1],
-            ]
-        )
-    main = tmp_path / "main.c"
-    calls = " || ".join(f"check_{name}()" for name in names)
-    main.write_text("".join(f"int check_{name}(void);\n" for name in names) + f"int main(void) {{ return {calls}; }}\n")
-    run([compiler, *flags, main, *objects, "-o", tmp_path / "program", "-lm"])
-    run([tmp_path / "program"])
+    run([program(scene_of, unpacked, tmp_path, version, compiler, flags)])
+
+
+@both
+def test_models_in_one_program_under_valgrind(scene_of, unpacked, tmp_path, version):
+    """No leak and no use of a value that was never set."""
+    valgrind = shutil.which("valgrind")
+    if valgrind is None:
+        pytest.skip("valgrind is not installed")
+    binary = program(scene_of, unpacked, tmp_path, version, native_compiler(), ["-std=c99", "-g", "-O1"])
+    run([valgrind, "-q", "--leak-check=full", "--show-leak-kinds=all", "--errors-for-leak-kinds=all", "--error-exitcode=9", binary])

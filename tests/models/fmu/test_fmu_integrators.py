@@ -1,0 +1,57 @@
+"""The methods of Co-Simulation: measured orders, also through contact, and the plans' own time step."""
+
+import numpy as np
+import pytest
+
+from models.codegen.kernel import load_kernel
+from models.fmu.reference import Equations, Piece, true_motion
+from models.fmu.variables import INTEGRATORS
+
+NUMBER = {name: number for number, (name, _) in enumerate(INTEGRATORS, start=1)}
+ORDERS = {"explicit_euler": 1, "semi_implicit_euler": 1, "heun": 2, "runge_kutta": 4}
+
+
+def chosen(driver, name, **values):
+    """Initialise with this integrator; FMI 2.0 and 3.0 set an enumeration by different calls."""
+    (driver.fmu.setInteger if hasattr(driver.fmu, "setInteger") else driver.fmu.setInt64)(driver.vr(["integrator"]), [NUMBER[name]])
+    return driver.initialise(**values)
+
+
+@pytest.mark.parametrize("name", ORDERS)
+@pytest.mark.parametrize(("scene", "q", "u", "end"), [("oscillator", None, [], 2.0), ("three_cart", None, [8.0, -5.0], 1.5)])
+def test_order(scene_of, drive, name, scene, q, u, end):
+    """three_cart goes through two contacts on the way."""
+    scene = scene_of(scene)
+    want = true_motion(Equations(scene), [Piece(end, np.array(u))], np.array([end]))[0]
+    steps = (1e-3 if ORDERS[name] == 1 else 0.03) / 2.0 ** np.arange(4)
+    errors = [np.abs(chosen(drive(scene, "cs"), name, u=u, internal_step=step).run(end, 5).state() - want).max() for step in steps]
+    slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert abs(slope - ORDERS[name]) < 0.25, (slope, errors)
+
+
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_semi_implicit_euler_is_the_time_step_of_the_plans(any_scene, drive, version):
+    """One internal step a plan step gives the kernel's rollout, contacts included."""
+    step, count = any_scene.task.step, 150
+    rng = np.random.default_rng(2)
+    u = 6 * rng.standard_normal((count, any_scene.nu))
+    want = load_kernel(any_scene).rollout(np.array(any_scene.task.start), u, step)
+    cs = chosen(drive(any_scene, "cs", version), "semi_implicit_euler", internal_step=step)
+    for n in range(count):
+        cs.set_all(cs.names.u, u[n])
+        cs.fmu.doStep(n * step, step)
+        np.testing.assert_allclose(cs.state(), [*want.q[n + 1], *want.v[n + 1]], rtol=1e-12, atol=1e-12)
+
+
+def test_integrator_is_checked(scene_of, drive):
+    cs = drive(scene_of("three_cart"), "cs")
+    reference = cs.vr(["integrator"])
+    cs.refused(lambda: cs.fmu.setInteger(reference, [0]), "range [1, 4]", "integrator")
+    cs.refused(lambda: cs.fmu.setInteger(reference, [5]), "range [1, 4]")
+    cs.refused(lambda: cs.fmu.setInteger(cs.vr(["q1"]), [1]), "q1", "real")
+    cs.refused(lambda: cs.fmu.setReal(reference, [1.0]), "enumeration")
+    cs.initialise()
+    assert cs.fmu.getInteger(reference) == [4]
+    cs.fmu.setInteger(reference, [3])  # tunable: also between two steps
+    cs.run(0.1, 1)
+    assert cs.fmu.getInteger(reference) == [3]
