@@ -200,7 +200,10 @@ def load_instance(package: Package, exchange: bool) -> Instance:
         # FMPy goes to the library's folder to load it, and stays there if that fails - in a folder that is about to be removed.
         with contextlib.chdir(os.getcwd()):
             fmu: Any = kind(
-                guid=description.guid, modelIdentifier=identifier, unzipDirectory=str(package.folder), instanceName=f"replay_{identifier}"
+                guid=description.guid,
+                modelIdentifier=identifier,
+                unzipDirectory=str(package.folder),
+                instanceName=f"replay_{identifier}",
             )
         fmu.instantiate()
     except Exception as error:  # FMPy raises a bare Exception where a binary is missing or does not load

@@ -69,6 +69,7 @@ class ForeignModel:
     limits: tuple[Limit, ...] = ()
     lacks: Mapping[str, str] = field(default_factory=dict)
     frictions: tuple[()] = ()
+    answers: tuple[()] = ()
     nf: int = 0
 
     @property

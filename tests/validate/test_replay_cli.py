@@ -1,0 +1,215 @@
+"""`replay` on the command line: somebody's FMU by a map, equal names, and every mistake one sentence with its exit code."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from foreign_fmu import FULL_MAP, build_foreign, foreign_plan, write_plan
+
+from models.catalog import load_scene
+from models.fmu import build_fmu
+from validate.cli.group import run
+
+Command = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("cli")
+    build_foreign(folder / "cart.fmu")
+    write_plan(folder / "plan.csv")
+    (folder / "map.toml").write_text(FULL_MAP, encoding="utf-8")
+    return folder
+
+
+@pytest.fixture
+def command(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+    monkeypatch.chdir(folder)
+
+    def call(*arguments: str) -> tuple[int, str, str]:
+        code = run(["replay", *arguments])
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return call
+
+
+def write(path: Path, text: str) -> str:
+    path.write_text(text, encoding="utf-8")
+    return str(path)
+
+
+def test_a_foreign_fmu_is_judged_by_its_map(command: Command, folder: Path):
+    code, out, _ = command("plan.csv", "--fmu", "cart.fmu", "--map", "map.toml", "--json", "--out", "told")
+    told = json.loads(out)
+    figures = {figure["name"]: figure for figure in told["figures"]}
+    assert (code, told["verdict"]) == (0, "holds")
+    assert figures["replay_error"]["value"] < 1e-7
+    assert figures["ghost_impulse"]["value"] < 0.1
+    assert figures["max_penetration"]["value"] == pytest.approx(foreign_plan()[:, 4].max() / 1000, rel=0.1)
+    assert figures["replay_terminal_position_error"]["value"] == pytest.approx(abs(foreign_plan()[-1, 1] - 0.2), abs=1e-6)
+    assert "equations" in figures["physics"]["reason"]
+    # Its Co-Simulation has a step of its own that nobody can halve, so its distance from the reference counts: 1e-8.
+    assert told["replay"]["error"]["estimate"]["position"] < 1e-7
+    assert sorted(path.name for path in (folder / "told").iterdir()) == ["replay.nc", "score.json"]
+    assert json.loads((folder / "told/score.json").read_text()) == told
+
+
+def test_what_is_not_named_is_said_and_not_shown(command: Command, folder: Path):
+    bare = '[inputs]\nF = { variable = "drive.force", scale = 0.001 }\n[positions]\nx = { variable = "body.pos", scale = 0.001 }\n'
+    bare += '[contacts.stop]\nforce = "stop.push"\n[start]\n"body.vel" = 2000\n[limits]\nghost_impulse = 1.0\nreplay_error = 1e-3\n'
+    write_plan(folder / "short.csv", "t,x,F,lam_stop")
+    code, out, _ = command("short.csv", "--fmu", "cart.fmu", "--map", write(folder / "bare.toml", bare), "--json")
+    told = json.loads(out)
+    figures = {figure["name"]: figure for figure in told["figures"]}
+    assert (code, told["verdict"]) == (1, "not resolved")
+    assert figures["ghost_impulse"]["reason"] == "not every contact has a gap named."
+    assert told["not_shown"]["gap"] == "not every contact has a gap named"
+    assert figures["replay_error"]["value"] < 1e-7
+    assert figures["missed_impulse"]["value"] is not None
+
+
+def test_equal_names_need_no_map(command: Command, folder: Path):
+    (folder / "own.fmu").write_bytes(build_fmu(load_scene("three_cart")).read_bytes())
+    rows = [[0.01 * n, 2, 3, 4, 0, 0, 0, 1.0, -1.0] for n in range(6)]
+    text = "t,q1,q2,q3,v1,v2,v3,u1,u3\n" + "\n".join(",".join(map(str, row)) for row in rows)
+    code, out, _ = command(write(folder / "own.csv", text), "--fmu", "own.fmu")
+    assert code == 1
+    assert "Not shown: no contacts are named" in out
+    assert "no limits" in out
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("[positions]", '[positions]\ny = "body.poss"'), "positions.y: the FMU has no variable 'body.poss' (near it: body.pos"),
+        (('"drive.force"', '"body.mass"'), "inputs.F: 'body.mass' is no input of the FMU"),
+        (("scale = 0.001, unit = \"m\" }\n[velocities]", "unit = \"m\" }\n[velocities]"), "positions.x: the plan is in 'm', but 'body.pos' is in 'mm'; give a scale"),
+        (("[goal]\nx", "[goal]\nxx"), "goal.xx: there is no position or velocity of that name (near it: x"),
+        (("ghost_impulse", "ghost_impuls"), "limits.ghost_impuls: there is no figure of that name (near it: ghost_impulse"),
+        (("[goal]", '[parameters]\n"body.mas" = 1\n[goal]'), "parameters.body.mas: the FMU has no variable 'body.mas' (near it: body.mass"),
+        (("[goal]", "[start]\nlabel = 1\n[goal]"), "start.label: 'label' is of type String"),
+        (("[goal]", '[start]\n"body.vel" = "w"\n[goal]'), "start.body.vel: the plan has no column 'w'"),
+        (("scale = 0.001, unit = \"N\"", 'scale = "big", factor = 2'), "inputs.F.scale: input should be a valid number"),
+        (("scale = 0.001, unit = \"N\"", 'scale = "big", factor = 2'), "inputs.F.factor: extra inputs are not permitted"),
+        (("[goal]", "[goals]"), "goals: extra inputs are not permitted"),
+        (("[goal]", "[goal"), "it is not TOML"),
+    ],
+)  # fmt: skip
+def test_a_mistake_in_the_map_is_one_sentence_with_its_path(command: Command, folder: Path, change: tuple[str, str], words: str):
+    assert change[0] in FULL_MAP
+    code, out, err = command("plan.csv", "--fmu", "cart.fmu", "--map", write(folder / "wrong.toml", FULL_MAP.replace(*change)))
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert words in err
+    assert "wrong.toml" in err
+
+
+def broken(plan: np.ndarray, row: int, column: int, value: float) -> np.ndarray:
+    changed = plan.copy()
+    changed[row, column] = value
+    return changed
+
+
+@pytest.mark.parametrize(
+    ("columns", "plan", "words"),
+    [
+        ("t,x,v_x,F,lam_stop", broken(foreign_plan(), 3, 1, np.nan), "q[3, 0] is nan"),
+        ("t,x,v_x,F,lam_stop", broken(foreign_plan(), 3, 3, np.inf), "u[3, 0] is inf"),
+        ("t,x,v_x,F,lam_stop", broken(foreign_plan(), 3, 0, 0.0), "time must increase"),
+        ("t,x,v_x", foreign_plan(), "the column 'F' is missing"),
+        ("x,F", foreign_plan(), "the column 't' is missing"),
+        ("t,x,x,F", foreign_plan(), "'x' stands there twice"),
+    ],
+)
+def test_a_mistake_in_the_plan_is_one_sentence(command: Command, folder: Path, columns: str, plan: np.ndarray, words: str):
+    write_plan(folder / "wrong.csv", columns, plan)
+    code, out, err = command("wrong.csv", "--fmu", "cart.fmu", "--map", "map.toml")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert words in err
+    assert "wrong.csv" in err
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("t,x,F,y\n0,1,1,1\n1,1,1,1\n", "the column 'y' is unknown"),
+        ("t,x,F\n0,1,1,1\n1,1,1\n", "line 2 has 4 cells, but there are 3 columns"),
+        ("t,x,F\n0,1,1\n1,,1\n", "line 3, column 'x': '' is not a number"),
+        ("t,x,F\n0,1,1\n", "a header and at least two rows are needed"),
+        ("t [ms],x,F\n0,1,1\n1,1,1\n", "the column 't' is in 'ms', but 's' is expected"),
+        ("t,x [km],F\n0,1,1\n1,1,1\n", None),
+    ],
+)
+def test_a_plan_of_the_wrong_form(command: Command, folder: Path, text: str, words: str | None):
+    given = FULL_MAP.replace(', unit = "m" }\n[velocities]', " }\n[velocities]").replace(
+        "scale = 0.001 }\n[velocities]", "scale = 1.0 }\n[velocities]"
+    )
+    code, out, err = command(write(folder / "form.csv", text), "--fmu", "cart.fmu", "--map", write(folder / "form.toml", given))
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert (words or "the plan is in 'km', but 'body.pos' is in 'mm'; give a scale") in err
+
+
+def test_a_scene_plan_with_another_unit_is_refused(command: Command, folder: Path):
+    text = "t,q1 [mm],q2,q3,u1,u3\n0,2,3,4,0,0\n0.01,2,3,4,0,0\n"
+    code, _, err = command(write(folder / "unit.csv", text), "--scene", "three_cart")
+    assert code == 2
+    assert "the column 'q1' is in 'mm', but 'm' is expected" in err
+    near = text.replace("q1 [mm]", "q1").replace("u3", "u_3")
+    code, _, err = command(write(folder / "near.csv", near), "--scene", "three_cart")
+    assert (code, "did you mean 'u3'" in err) == (2, True)
+
+
+def _entries(path: Path, change: Callable[[str, bytes], bytes | None], source: Path) -> str:
+    with zipfile.ZipFile(source) as old, zipfile.ZipFile(path, "w") as new:
+        for item in old.infolist():
+            data = change(item.filename, old.read(item))
+            if data is not None:
+                new.writestr(item.filename, data)
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda name, data: None if name == "modelDescription.xml" else data, "no modelDescription.xml"),
+        (lambda name, data: data.replace(b'fmiVersion="2.0"', b'fmiVersion="1.0"'), "FMI version '1.0'"),
+        (lambda name, data: None if name.startswith("binaries") else data, "no binary for this machine"),
+        (lambda name, data: b"not a library" if name.startswith("binaries") else data, "cannot be loaded on this machine"),
+        (lambda name, data: data.replace(b"<ModelVariables>", b"<!DOCTYPE x><ModelVariables>"), "not well-formed"),
+    ],
+)
+def test_an_fmu_that_cannot_be_used_is_one_sentence(command: Command, folder: Path, change, words: str):
+    wrong = _entries(folder / "wrong.fmu", change, folder / "cart.fmu")
+    code, out, err = command("plan.csv", "--fmu", wrong, "--map", "map.toml")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert words in err
+
+
+def test_files_that_are_not_there_or_no_zip(command: Command, folder: Path):
+    for arguments, words in (
+        (("plan.csv", "--fmu", "absent.fmu"), "there is no such file"),
+        (("plan.csv", "--fmu", "plan.csv"), "it is not a zip file"),
+        (("absent.csv", "--fmu", "cart.fmu", "--map", "map.toml"), "it cannot be read"),
+        (("plan.csv", "--fmu", "cart.fmu", "--map", "absent.toml"), "it cannot be read"),
+        (("plan.csv", "--fmu", "cart.fmu"), "the FMU has no variable 'x'"),
+        (("plan.csv",), "give either --scene or --fmu"),
+        (("plan.csv", "--scene", "three_cart", "--fmu", "cart.fmu"), "give either --scene or --fmu"),
+        (("plan.csv", "--scene", "three_cart", "--map", "map.toml"), "--map belongs to --fmu"),
+    ):
+        code, out, err = command(*arguments)
+        assert (code, out) == (2, ""), err
+        assert words in err
+
+
+def test_a_misbehaving_fmu_leaves_a_verdict(command: Command, folder: Path):
+    build_foreign(folder / "segfault.fmu", "segfault")
+    code, out, _ = command("plan.csv", "--fmu", "segfault.fmu", "--map", "map.toml", "--json", "--out", "crashed")
+    told = json.loads(out)
+    assert (code, told["verdict"], told["replay"]["outcome"]) == (1, "not resolved", "crashed")
+    assert "SIGSEGV" in told["why"]
+    assert (folder / "crashed/score.json").exists()
