@@ -53,7 +53,7 @@ class BarrierMethod:
         self._lower = np.where(np.isfinite(linear.lower), linear.lower, 0.0)
         self._upper = np.where(np.isfinite(linear.upper), linear.upper, 0.0)
 
-    def active_set(self, closed: np.ndarray, goal: np.ndarray, ball: float) -> tuple[np.ndarray, np.ndarray] | None:
+    def active_set(self, closed: np.ndarray, goal: np.ndarray, ball: float, softness: float = 0.0) -> tuple[np.ndarray, np.ndarray] | None:
         """(side (steps, nu), touching (steps, nc)) at the optimum, or None where none was found."""
         kinds = self._kinds
         here = _Iterate(
@@ -63,7 +63,7 @@ class BarrierMethod:
         )
         for _ in range(_ITERATIONS):
             gap = here.gap(kinds)
-            columns = self._factor(closed, here, ball)
+            columns = self._factor(closed, here, ball, softness)
             if columns is None:
                 return None
             affine = self._newton(closed, goal, ball, columns, here, [np.zeros(kind.shape) for kind in kinds])
@@ -83,11 +83,11 @@ class BarrierMethod:
                 return on[1].astype(int) - on[0].astype(int), on[2]
         return None
 
-    def _factor(self, closed: np.ndarray, here: _Iterate, ball: float) -> np.ndarray | None:
+    def _factor(self, closed: np.ndarray, here: _Iterate, ball: float, softness: float) -> np.ndarray | None:
         """Factorise at an iterate; the columns of the goal if there is a ball (else none), or None where the matrix is singular."""
         low, up = self._ratios(here)
         held = np.zeros(self._kinds[0].shape, dtype=bool)
-        if not self._kkt.factor(closed, held, self._kinds[2], stiffness=low + up, compliance=self._compliance(here)):
+        if not self._kkt.factor(closed, held, self._kinds[2], stiffness=low + up, compliance=self._compliance(here), softness=softness):
             return None
         return self._kkt.solve(self._kkt.goal_columns()) if ball > 0.0 else np.zeros((0, 0))
 

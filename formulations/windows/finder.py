@@ -10,10 +10,12 @@ from typing import Any, cast
 import numpy as np
 
 from formulations.solution import Outcome
+from formulations.transcription.reach import nearest
 from formulations.transcription.workbench import Account
+from formulations.windows.approach import approach
 from formulations.windows.grids import coarse_scene, on_grid
-from formulations.windows.homotopy import SoftplusHomotopy
-from formulations.windows.landing import land, miss_of
+from formulations.windows.homotopy import PATIENCE, SoftplusHomotopy
+from formulations.windows.landing import land, land_by_softplus, miss_of
 from formulations.windows.linear_scene import linear_scene, why_not_linear
 from formulations.windows.nonlinear import NlpAnswer, NonlinearModes
 from formulations.windows.quadratic import ModesAnswer, ModesProblem
@@ -27,7 +29,8 @@ from models.trajectory import Trajectory, uniform_grid
 _ARRIVED = 1e-6  # from the goal: what remains is taken out by the exact problem
 _STRIDES = 125  # the first stride is this part of the steps: 4 steps of 500
 _STAGES = 3  # of the homotopy whose modes are tried, the sharpest first
-_RESTARTS = 3  # homotopies from random plans if the first guess leads nowhere
+_RANDOM = 6  # random inputs that are steered to the goal if the first guess leads nowhere
+_NEAREST = 3  # of the rollouts that came nearest an approach is tried from so many
 
 Answer = ModesAnswer | NlpAnswer
 
@@ -57,9 +60,10 @@ class Finder:
         problem = self._modes_problem(account)
         account.build += perf_counter() - begin
         self._ending = (Outcome.FAILED, "no source of contact modes gave a plan.")
+        self._near: list[tuple[float, np.ndarray]] = []  # (miss, modes) of rollouts that do not quite reach the goal
         answer, stride = None, max(1, self._scene.task.steps // _STRIDES)
         for guess, fineness in self._guesses(account, modes_of, start):
-            answer = self._exact(account, problem, guess)
+            answer = self._approached(account, problem, stride) if guess is None else self._exact(account, problem, guess)
             if answer is not None or account.is_over:
                 stride = fineness or stride
                 break
@@ -80,8 +84,9 @@ class Finder:
 
     # -- where modes come from --------------------------------------------------------------------------------------------------
 
-    def _guesses(self, account: Account, modes_of: Trajectory | None, start: Trajectory | None) -> Iterator[tuple[Trajectory, int]]:
-        """Plans whose modes are worth a try, with the stride (in steps) of a search around them, 0 for the usual one."""
+    def _guesses(self, account: Account, modes_of: Trajectory | None, start: Trajectory | None) -> Iterator[tuple[Trajectory | None, int]]:
+        """Plans whose modes are worth a try, with the stride (in steps) of a search around them, 0 for the usual one; None: no more from
+        this source, so that what came nearest is worth an approach."""
         if modes_of is not None:
             yield modes_of, 0
         coarse = self._coarse(account, start)
@@ -89,21 +94,55 @@ class Finder:
             yield coarse
         if account.is_over:
             return
+        first = coarse[0] if coarse is not None else start if start is not None else modes_of
+        had_plan = False
+        for plan in self._stages(account, first, PATIENCE):
+            had_plan = True
+            yield plan, 0
+        if not had_plan and not account.is_over and self._is_out_of_reach(account):
+            return
+        yield None, 0
+        for plan in self._steered(account, first):
+            yield plan, 0
+        yield None, 0
+        if had_plan:
+            for plan in self._stages(account, first, int(self._number("max_iterations"))):
+                yield plan, 0
+            yield None, 0
+
+    def _stages(self, account: Account, begin_at: Trajectory | None, patience: int) -> list[Trajectory]:
+        """The plans of the sharpest stages of the homotopy, the sharpest first."""
         if self._homotopy is None:
             begin = perf_counter()
             self._homotopy = SoftplusHomotopy(self._scene, self._number("goal_tolerance"), self._schedule())
             account.build += perf_counter() - begin
-        first = coarse[0] if coarse is not None else start if start is not None else modes_of
-        seed = int(self._number("seed"))
-        others = (random_plan(self._scene, self._kernel, (seed, index)) for index in range(_RESTARTS))
-        for begin_at in (first, *others):
-            stages: list[Trajectory] = []
-            outcome, message = self._homotopy.run(account, self._ipopt_options("homotopy_tolerance"), begin_at, stages.append)
-            self._ending = self._words(outcome, message)
-            for plan in stages[: -_STAGES - 1 : -1]:
-                yield plan, 0
-            if account.is_over or (outcome is Outcome.ITERATION_LIMIT and not stages):
-                return
+        stages: list[Trajectory] = []
+        ending = self._homotopy.run(account, self._ipopt_options("homotopy_tolerance"), begin_at, stages.append, patience)
+        self._ending = self._words(*ending)
+        return stages[: -_STAGES - 1 : -1]
+
+    def _steered(self, account: Account, first: Trajectory | None) -> Iterator[Trajectory]:
+        """Random inputs, and those of a plan, steered to the goal through softplus contact that grows sharper."""
+        task, ball, seed = self._scene.task, self._number("goal_tolerance"), int(self._number("seed"))
+        plans = [first, *(random_plan(self._scene, self._kernel, (seed, index)) for index in range(_RANDOM))]
+        for plan in plans:
+            if plan is None or account.is_over:
+                continue
+            bounds = (np.array([item.lower for item in self._scene.inputs]), np.array([item.upper for item in self._scene.inputs]))
+            sharpness = self._number("first_sharpness")
+            rollout, u = land_by_softplus(self._kernel, np.array(task.start), goal_state(task), plan.u, task.step, bounds, ball, sharpness)
+            if not rollout.diverged:
+                yield Trajectory(t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+
+    def _is_out_of_reach(self, account: Account) -> bool:
+        """Not even softplus contact had a plan: how near do the inputs come to the goal at all?"""
+        if not self._scene.task.has_goal or self._number("goal_tolerance") > 0.0:
+            return False
+        found = nearest(self._scene, account, account.iterations + int(self._number("max_iterations")))
+        if found.is_out_of_reach:
+            words = f"no plan reaches the goal within the input bounds: the nearest found misses {found.words}."
+            self._ending = (Outcome.INFEASIBLE, words)
+        return found.is_out_of_reach
 
     def _coarse(self, account: Account, start: Trajectory | None) -> tuple[Trajectory, int] | None:
         """The best plan of a coarser grid, on this one."""
@@ -157,8 +196,25 @@ class Finder:
         bounds = (np.array([item.lower for item in self._scene.inputs]), np.array([item.upper for item in self._scene.inputs]))
         goal = goal_state(task)
         rollout, _ = land(self._kernel, np.array(task.start), goal, plan.u, task.step, bounds, ball)
-        if not rollout.diverged and np.linalg.norm(miss_of(rollout, goal, ball)) <= _ARRIVED:
+        if rollout.diverged:
+            return
+        missed = float(np.linalg.norm(miss_of(rollout, goal, ball)))
+        if missed <= _ARRIVED:
             yield rollout.lam > 0.0
+        self._near.append((missed, rollout.lam > 0.0))
+
+    def _approached(self, account: Account, problem: ModesProblem | NonlinearModes, stride: int) -> Answer | None:
+        """From the modes of the rollouts that came nearest to the goal, nearest first."""
+        begin = perf_counter()
+        near, self._near = sorted(self._near, key=lambda pair: pair[0]), []
+        answer = None
+        if isinstance(problem, ModesProblem):
+            for _, closed in near[:_NEAREST]:
+                answer = approach(problem, closed, stride, lambda: account.is_over)
+                if answer is not None or account.is_over:
+                    break
+            account.linear_algebra += perf_counter() - begin
+        return answer
 
     def _searched(self, account: Account, problem: Any, answer: Answer, stride: int) -> Search:
         how = "the rest is a convex quadratic program, solved exactly" if self._is_linear else "the rest was solved by Ipopt"

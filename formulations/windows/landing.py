@@ -1,8 +1,10 @@
-"""Inputs that hit the goal to rounding: the last 1e-9 between a solver's plan and its replay, taken out by Newton steps on the true rollout.
+"""Inputs that hit the goal to rounding: what a solver's plan misses it by in its replay is taken out by steps on the true rollout.
 
     rollout, u = land(kernel, start, goal, u, step, (lower, upper), ball)
 
-Each step is the smallest change of the inputs that moves the end state where it should be, by the adjoint of the time step; inputs on their bounds stay.
+Each step is the smallest change of the inputs that moves the end state where it should be, by the adjoint of the time step (Levenberg and
+Marquardt: a Newton step where that works, as it does for a miss of 1e-9; a shorter one, along which contacts may begin and end, from further
+off). Inputs on a bound are not pushed across it.
 """
 
 from __future__ import annotations
@@ -11,12 +13,19 @@ import numpy as np
 
 from models import goal as goals
 from models.codegen.kernel import Kernel, Rollout
+from models.contact_law import ContactLaw
 
 _GOOD_ENOUGH = 1e-13  # relative to the size of the goal: what a rollout of some hundred steps rounds to
-_MOST, _HALVINGS = (
-    30,
-    6,
-)  # Newton steps (a plan of a solver needs one or two), and how often one is halved where contact modes change on the way
+_MOST = 150  # steps tried; the plan of a solver needs one or two, a softplus plan with many contacts up to a hundred
+_FIRST, _CALMER, _BOLDER = (
+    1e-4,
+    4.0,
+    0.2,
+)  # damping after the first failure (part of the largest eigenvalue); its factor after failure and success
+_LEAST, _LARGEST = 1e-10, 1e8  # damping below which it is none at all, and above which nothing is left to try
+
+# By softplus: factor between two sharpnesses, the last (eps = exp(-b) must be a number), steps tried at each, and the miss that is enough there.
+_SHARPER, _SHARPEST, _EACH, _ON_THE_WAY = 1.25, 700.0, 25, 1e-7
 
 
 def land(
@@ -27,28 +36,54 @@ def land(
     step: float,
     bounds: tuple[np.ndarray, np.ndarray],
     ball: float = 0.0,
+    *,
+    law: ContactLaw = ContactLaw.RELU,
+    eps: float | None = None,
+    most: int = _MOST,
+    enough: float = _GOOD_ENOUGH,
 ) -> tuple[Rollout, np.ndarray]:
     """The rollout and the corrected inputs; it ends nearer to the goal (or to the ball around it) than that of u, or is that of u."""
     u = np.clip(u, *bounds)
-    best = kernel.rollout(start, u, step)
+    best = kernel.rollout(start, u, step, law, eps)
     miss = miss_of(best, goal, ball)
-    for _ in range(_MOST):
-        if best.diverged or np.linalg.norm(miss) <= _GOOD_ENOUGH * max(1.0, float(np.linalg.norm(np.nan_to_num(goal)))):
+    near = enough * max(1.0, float(np.linalg.norm(np.nan_to_num(goal))))
+    damping, slopes = 0.0, None
+    for _ in range(most):
+        if best.diverged or np.linalg.norm(miss) <= near or damping > _LARGEST:
             break
-        slopes = _sensitivity(kernel, best, u, len(goal))
-        slopes = np.where((u > bounds[0]) & (u < bounds[1]), slopes, 0.0).reshape(len(goal), -1)
-        slopes[np.isnan(goal)] = 0.0  # a free component does not ask for anything
-        change = np.linalg.lstsq(slopes, -miss, rcond=1e-12)[0].reshape(u.shape)
-        for halving in range(_HALVINGS):
-            tried_u = np.clip(u + 0.5**halving * change, *bounds)
-            tried = kernel.rollout(start, tried_u, step)
-            tried_miss = miss_of(tried, goal, ball)
-            if not tried.diverged and np.linalg.norm(tried_miss) < np.linalg.norm(miss):
-                break
+        if slopes is None:
+            slopes = _sensitivity(kernel, best, u, len(goal))
+            slopes[np.isnan(goal)] = 0.0  # a free component does not ask for anything
+        tried_u = np.clip(u + _change(slopes, miss, u, bounds, damping), *bounds)
+        tried = kernel.rollout(start, tried_u, step, law, eps)
+        tried_miss = miss_of(tried, goal, ball)
+        if not tried.diverged and np.linalg.norm(tried_miss) < np.linalg.norm(miss):
+            best, u, miss, slopes = tried, tried_u, tried_miss, None
+            damping = damping * _BOLDER if damping > _LEAST else 0.0
         else:
-            break
-        best, u, miss = tried, tried_u, tried_miss
+            damping = max(_FIRST, damping * _CALMER)
     return best, u
+
+
+def land_by_softplus(
+    kernel: Kernel,
+    start: np.ndarray,
+    goal: np.ndarray,
+    u: np.ndarray,
+    step: float,
+    bounds: tuple[np.ndarray, np.ndarray],
+    ball: float,
+    sharpness: float,
+) -> tuple[Rollout, np.ndarray]:
+    """The same by way of softplus contact that grows sharper in small steps, from `sharpness` [1/m], at which u nearly ends where it should.
+
+    A contact that begins or ends on the way bends the path of the true law, and a miss may be smallest at such a bend; softplus has none.
+    """
+    for b in np.geomspace(sharpness, _SHARPEST, 2 + int(np.log(_SHARPEST / sharpness) / np.log(_SHARPER))):
+        _, u = land(
+            kernel, start, goal, u, step, bounds, ball, law=ContactLaw.SOFTPLUS, eps=float(np.exp(-b)), most=_EACH, enough=_ON_THE_WAY
+        )
+    return land(kernel, start, goal, u, step, bounds, ball)
 
 
 def miss_of(rollout: Rollout, goal: np.ndarray, ball: float) -> np.ndarray:
@@ -56,6 +91,21 @@ def miss_of(rollout: Rollout, goal: np.ndarray, ball: float) -> np.ndarray:
     error = goals.miss(np.concatenate([rollout.q[-1], rollout.v[-1]]), goal)
     size = float(np.linalg.norm(error))
     return error * (max(0.0, size - ball) / size) if size > 0.0 else error
+
+
+def _change(slopes: np.ndarray, miss: np.ndarray, u: np.ndarray, bounds: tuple[np.ndarray, np.ndarray], damping: float) -> np.ndarray:
+    """The damped step of the inputs (steps, nu); those on a bound that it would push outwards are left out of it."""
+    free = np.ones(u.shape, dtype=bool)
+    change = np.zeros(u.shape)
+    for _ in range(2):
+        matrix = (slopes * free).reshape(len(slopes), -1)
+        gram = matrix @ matrix.T
+        values, vectors = np.linalg.eigh(gram)
+        shifted = values + damping * values[-1]
+        along = np.where(shifted > 1e-14 * values[-1], vectors.T @ -miss / np.where(shifted > 0.0, shifted, 1.0), 0.0)
+        change = (matrix.T @ (vectors @ along)).reshape(u.shape)
+        free = ~(((u <= bounds[0]) & (change < 0.0)) | ((u >= bounds[1]) & (change > 0.0)))
+    return change
 
 
 def _sensitivity(kernel: Kernel, rollout: Rollout, u: np.ndarray, n: int) -> np.ndarray:

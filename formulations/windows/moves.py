@@ -20,6 +20,9 @@ import numpy as np
 Window = tuple[int, int]
 Windows = tuple[tuple[Window, ...], ...]
 
+_APART = (0.05, 0.1, 0.15, 0.2, 0.3)  # of the horizon: how far a window is from its repetition
+_PLACES = tuple(0.05 * place for place in range(1, 20))  # of the horizon: where a first window of a contact is tried
+
 
 def windows_of(closed: np.ndarray) -> Windows:
     """The windows of closed (steps, nc)."""
@@ -190,3 +193,17 @@ def rearrangements(windows: Windows, phi: np.ndarray) -> Iterator[Move]:
             if stop - first >= 3:
                 nearest = first + 1 + int(depth[first + 1 : stop - 1].argmax())
                 yield Add(contact=contact, first=nearest, stop=nearest + 1)
+
+
+def repetitions(windows: Windows, steps: int) -> Iterator[Move]:
+    """Every window once more, as long as it is, before or after it where the contact is open; where a contact has none, one as long as the
+    others' at places all over the horizon."""
+    lengths = sorted(stop - first for row in windows for first, stop in row)
+    usual = lengths[len(lengths) // 2] if lengths else max(1, steps // 20)
+    for contact, row in enumerate(windows):
+        wanted = [(first + sign * round(part * steps), stop - first) for first, stop in row for part in _APART for sign in (-1, 1)]
+        if not row:
+            wanted = [(round(place * steps), usual) for place in _PLACES]
+        for begin, length in wanted:
+            if begin >= 1 and begin + length <= steps and all(begin + length < before or begin > after for before, after in row):
+                yield Add(contact=contact, first=begin, stop=begin + length)

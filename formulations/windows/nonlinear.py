@@ -49,8 +49,18 @@ class NlpAnswer:
 
     def stationarity(self) -> Stationarity:
         """The class of the pairs that touch without pressing."""
+        return classify(self.of_force, self.of_separation, self._biactive())
+
+    @property
+    def pull(self) -> np.ndarray:
+        """(steps, nc) what holds a touching pair in its mode, 0 elsewhere: where it is negative the other mode is cheaper."""
+        return np.where(self._biactive(), np.minimum(0.0, np.minimum(self.of_force, self.of_separation)), 0.0)
+
+    def _biactive(self) -> np.ndarray:
         lam, separation = self.plan.lam, self.plan.lam - self.stiffness * self.phi
-        return classify(self.of_force, self.of_separation, (lam <= _BIACTIVE) & (separation <= _BIACTIVE))
+        biactive = (lam <= _BIACTIVE) & (separation <= _BIACTIVE)
+        biactive[:1] = False  # the start is no choice
+        return biactive
 
 
 class NonlinearModes:

@@ -24,8 +24,12 @@ from formulations.windows.goal_ball import nearest_goal
 from formulations.windows.kkt import BandedKKT, Point
 from formulations.windows.linear_scene import LinearScene
 from formulations.windows.stationarity import Stationarity, classify
+from models.goal import miss
 
 _ROUNDS = 12  # of the active set before it counts as going in circles; from a neighbour's set 2 to 4 are needed
+# From a neighbour's set so many rounds (a factorisation each), before the dual method is asked (one factorisation, and a back substitution for
+# each condition): worth it where that set has more conditions than this.
+_WARM_ROUNDS, _MANY = 5, 12
 _VIOLATED = 1e-12  # [m], [N]: rounding of the banded solution
 _PULLING = 1e-9  # a multiplier below minus this asks for its condition to be dropped
 _BIACTIVE = 1e-11  # [m] penetration or gap below which a pair touches without pressing
@@ -39,6 +43,10 @@ class ActiveSet:
 
     side: np.ndarray
     touching: np.ndarray
+
+    @property
+    def count(self) -> int:
+        return int(np.count_nonzero(self.side) + np.count_nonzero(self.touching))
 
     def same_as(self, other: ActiveSet) -> bool:
         return np.array_equal(self.side, other.side) and np.array_equal(self.touching, other.touching)
@@ -63,18 +71,30 @@ class ModesAnswer:
 
     def stationarity(self) -> Stationarity:
         """The class of the pairs that touch without pressing."""
+        return classify(self.of_force, self.of_separation, self._biactive())
+
+    @property
+    def pull(self) -> np.ndarray:
+        """(steps, nc) what holds a touching pair in its mode, 0 elsewhere: where it is negative the other mode is cheaper."""
+        return np.where(self._biactive(), np.minimum(0.0, np.minimum(self.of_force, self.of_separation)), 0.0)
+
+    def _biactive(self) -> np.ndarray:
         biactive = np.abs(self.phi) <= _BIACTIVE
         biactive[:1] = False  # the start is no choice
-        return classify(self.of_force, self.of_separation, biactive)
+        return biactive
 
 
 class ModesProblem:
-    """See the module docstring. `ball` may be moved between solves."""
+    """See the module docstring. `ball` and `softness` may be moved between solves.
+
+    softness: where positive, the goal need not be met: |z[T] - goal|^2 / (2 softness) is added to the cost. The modes of any rollout have a plan
+    then.
+    """
 
     def __init__(self, linear: LinearScene, ball: float = 0.0) -> None:
         self.linear, self.ball = linear, ball
         self.kkt = BandedKKT(linear)
-        self.solves = 0
+        self.solves, self.softness = 0, 0.0
         self._barrier, self._dual = BarrierMethod(linear, self.kkt), DualRounds(linear, self.kkt)
 
     def empty_set(self) -> ActiveSet:
@@ -85,7 +105,11 @@ class ModesProblem:
         """The optimum, or None where these modes have no plan of a cost below `below`. near: the answer of similar modes."""
         closed = self._whole(closed)
         self.solves += 1
-        softness = 0.0 if self.ball == 0.0 or near is None else self._softness(near)
+        if near is not None and near.active.count > _MANY:
+            found = self._rounds(closed, near.active, _WARM_ROUNDS, below)
+            if found is not None:
+                return found if found.cost < below else None
+        softness = self.softness if self.ball == 0.0 or near is None else self._softness(near)
         guess = self.empty_set()
         if self.ball == 0.0 or softness > 0.0:
             # with a ball: by weak duality cost + (|e|^2 - ball^2)/(2 softness) never exceeds the optimum, whatever the softness
@@ -97,7 +121,7 @@ class ModesProblem:
                 guess = ActiveSet(side=dual.side, touching=dual.touching)
         found = self._rounds(closed, guess)
         if found is None:
-            named = self._barrier.active_set(closed, self.linear.goal, self.ball)
+            named = self._barrier.active_set(closed, self.linear.goal, self.ball, self.softness)
             found = None if named is None else self._rounds(closed, ActiveSet(side=named[0], touching=named[1]))
         return found if found is not None and found.cost < below else None
 
@@ -122,15 +146,18 @@ class ModesProblem:
         x = np.hstack([point.z[:-1], point.u])
         return x @ lin.H[:, n:] + lin.g[n:] + point.y @ lin.B
 
-    def _rounds(self, closed: np.ndarray, active: ActiveSet) -> ModesAnswer | None:
+    def _rounds(self, closed: np.ndarray, active: ActiveSet, most: int = _ROUNDS, below: float = np.inf) -> ModesAnswer | None:
+        """The optimum, from a guess of its active set; or None. An answer of a cost of `below` or more may only be a lower bound: conditions
+        that are imposed and all pull the right way are those of a problem with fewer."""
         sign = np.where(closed, 1.0, -1.0)
         active = ActiveSet(side=active.side, touching=active.touching & (np.arange(len(closed)) > 0)[:, None])
-        for _ in range(_ROUNDS):
+        for _ in range(most):
             point = self._equality(closed, active)
             if point is None:
                 return None
             better = self._next(point, sign, active)
-            if better.same_as(active):
+            is_bound = not ((better.side != active.side) & (active.side != 0)).any() and not (active.touching & ~better.touching).any()
+            if better.same_as(active) or (is_bound and self._cost(point) >= below):
                 return self._answer(closed, point, active)
             active = better
         return None
@@ -145,12 +172,16 @@ class ModesProblem:
             closed=closed[:, contacts],
             point=point,
             active=active,
-            cost=lin.cost(point.z[:-1], point.u),
+            cost=self._cost(point),
             phi=lin.penetration(point.z[:-1])[:, contacts],
             of_force=of_force[:, contacts],
             of_separation=(both - of_force)[:, contacts],
             dual_infeasibility=float(np.abs(np.where(active.side == 0, self.slopes(point), 0.0)).max(initial=0.0)),
         )
+
+    def _cost(self, point: Point) -> float:
+        cost = self.linear.cost(point.z[:-1], point.u)
+        return cost if self.softness == 0.0 else cost + 0.5 / self.softness * float((miss(point.z[-1], self.linear.goal) ** 2).sum())
 
     def _next(self, point: Point, sign: np.ndarray, active: ActiveSet) -> ActiveSet:
         lin, side = self.linear, active.side
@@ -166,7 +197,7 @@ class ModesProblem:
 
     def _equality(self, closed: np.ndarray, active: ActiveSet) -> Point | None:
         lin, held = self.linear, active.side != 0
-        if not self.kkt.factor(closed, held, active.touching):
+        if not self.kkt.factor(closed, held, active.touching, softness=self.softness):
             return None
         bound = np.where(active.side > 0, lin.upper, np.where(active.side < 0, lin.lower, 0.0))
         right = self.kkt.right_side(closed, held, bound, active.touching, lin.goal)

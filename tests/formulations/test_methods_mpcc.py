@@ -136,3 +136,14 @@ def test_several_starts_keep_the_cheapest_and_tell_the_spread() -> None:
     assert several.residuals["starts_solved"] == 4
     assert several.residuals["dearest_start"] >= several.cost * (1 - 1e-9)
     assert "4 of 4 starts were solved" in several.message
+
+
+def test_a_stiff_contact_is_pushed_twice() -> None:
+    """k = 300: one push on each side costs 4.98 J s, two on the left 4.53; no shift of a window leads from one to the other."""
+    scene = SCENE.with_parameters(k=300.0).with_task(steps=250, step=0.02)
+    solution = solved(scene)
+    check(solution, scene)
+    assert solution.cost is not None
+    assert solution.cost * scene.task.step <= 4.54
+    assert solution.trajectory is not None
+    assert len(windows_of(solution.trajectory.lam > 0)[0]) == 2

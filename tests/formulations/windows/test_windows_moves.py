@@ -9,7 +9,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from formulations.windows.moves import Add, Drop, Merge, MoveEnd, Split, Translate, closed_of, rearrangements, shifts, windows_of
+from formulations.windows.moves import (
+    Add,
+    Drop,
+    Merge,
+    MoveEnd,
+    Split,
+    Translate,
+    closed_of,
+    rearrangements,
+    repetitions,
+    shifts,
+    windows_of,
+)
 from formulations.windows.search import search_windows
 
 STEPS = 40
@@ -69,6 +81,7 @@ class Plan:
     closed: np.ndarray
     cost: float
     phi: np.ndarray
+    pull: np.ndarray
 
 
 class Landscape:
@@ -78,7 +91,7 @@ class Landscape:
         self.target, self.asked = target, 0
 
     def plan(self, closed: np.ndarray) -> Plan:
-        return Plan(closed, float((closed != self.target).sum()), np.where(self.target, 1.0, -1.0) - 0.01 * closed)
+        return Plan(closed, float((closed != self.target).sum()), np.where(self.target, 1.0, -1.0) - 0.01 * closed, np.zeros(closed.shape))
 
     def improve(self, closed: np.ndarray, best: Plan) -> Plan | None:
         self.asked += 1
@@ -103,6 +116,52 @@ def test_the_search_reaches_the_target(start, target) -> None:
     around = (*shifts(target, 1), *rearrangements(target, found.best.phi))
     moved = [neighbour for move in around if (neighbour := move.apply(target, STEPS)) is not None]
     assert all(land.plan(closed_of(neighbour, STEPS)).cost > 0 for neighbour in moved)
+
+
+class Pulling(Landscape):
+    """The same with multipliers: every wrong mode says so."""
+
+    def plan(self, closed: np.ndarray) -> Plan:
+        plan = super().plan(closed)
+        return Plan(plan.closed, plan.cost, plan.phi, np.where(closed != self.target, -1.0, 0.0))
+
+
+def test_multipliers_lead_to_the_target_at_once() -> None:
+    target = closed_of((((11, 20), (25, 27)), ((22, 36),)), STEPS)
+    land = Pulling(target)
+    found = search_windows(land.plan(closed_of((((3, 8),), ((30, 35),)), STEPS)), land.improve, stride=4, is_over=lambda: land.asked >= 1)
+    assert found.tried == 1
+    assert np.array_equal(found.best.closed, target)
+
+
+def test_windows_are_repeated_where_the_contact_is_open() -> None:
+    moves = list(repetitions((((50, 60),), ()), 100))
+    for move in moves:
+        moved = move.apply((((50, 60),), ()), 100)
+        assert moved is not None
+        assert sum(len(row) for row in moved) == 2
+    assert {move.contact for move in moves} == {0, 1}
+    assert Add(contact=0, first=70, stop=80) in moves
+    assert Add(contact=0, first=20, stop=30) in moves
+
+
+def test_the_search_repeats_a_window() -> None:
+    """No small move helps on the way: one window more is worth something only where it is."""
+    target = closed_of((((30, 36), (60, 66)), ()), 150)
+
+    class Far(Landscape):
+        def plan(self, closed: np.ndarray) -> Plan:
+            second = bool(closed[60:66, 0].all())
+            return Plan(
+                closed,
+                10.0 - 5.0 * second + float((closed != target).sum()) * (0.01 if second else 1.0),
+                np.zeros(closed.shape),
+                np.zeros(closed.shape),
+            )
+
+    land = Far(target)
+    found = search_windows(land.plan(closed_of((((30, 36),), ()), 150)), land.improve, stride=4, is_over=lambda: False)
+    assert windows_of(found.best.closed) == (((30, 36), (60, 66)), ())
 
 
 def test_a_search_out_of_time_says_so() -> None:
