@@ -15,7 +15,7 @@ static inline const Variable *typed_variable(const Instance *self, const char *f
 {
     const Variable *variable = variable_of(self, function, reference);
     if (variable && is_integer(variable) != integer) {
-        FAIL(self, "%s: %s is %s.", function, variable->name, integer ? "a real variable" : "an enumeration, which has whole numbers");
+        FAIL(self, "%s: %s is %s.", function, variable->name, integer ? "a real variable" : "a whole number (an enumeration)");
         return NULL;
     }
     return variable;
@@ -45,9 +45,9 @@ static inline Instance *writable(void *instance, const char *function, const voi
     return self;
 }
 
-static inline int is_start_value(VariableKind kind)
+static inline int is_state(VariableKind kind)
 {
-    return kind == KIND_POSITION || kind == KIND_VELOCITY || kind == KIND_PARAMETER;
+    return kind == KIND_POSITION || kind == KIND_VELOCITY;
 }
 
 static inline int is_setting(VariableKind kind)
@@ -63,7 +63,8 @@ static inline Status check_assignment(const Instance *self, const char *function
     const VariableKind kind = variable->kind;
     const int phases = kind == KIND_INPUT ? PHASES_STARTING | PHASES_RUNNING | PHASE_INPUT_UPDATE
         : is_setting(kind)                ? PHASES_STARTING | PHASE_EVENT | PHASE_STEP_COMPLETE
-        : is_start_value(kind)            ? PHASES_STARTING
+        : is_state(kind)                  ? PHASES_STARTING | PHASE_CONTINUOUS /* instead of SetContinuousStates */
+        : kind == KIND_PARAMETER          ? PHASES_STARTING
                                           : 0;
     if (!phases) return FAIL(self, "%s: %s is calculated and cannot be set.", function, variable->name);
     if (!(self->model.phase & phases)) return FAIL(self, "%s: %s cannot be set in the state '%s'.", function, variable->name, phase_name(self->model.phase));
@@ -114,7 +115,7 @@ static inline Status set_reals(void *instance, const char *function, References 
 static inline Status check_known(const Instance *self, const char *function, const Variable *variable, int parameter_phases)
 {
     const VariableKind kind = variable->kind;
-    if (kind == KIND_POSITION || kind == KIND_VELOCITY || kind == KIND_INPUT) return STATUS_OK;
+    if (is_state(kind) || kind == KIND_INPUT) return STATUS_OK;
     if (kind == KIND_PARAMETER && self->model.phase & parameter_phases) return STATUS_OK;
     return FAIL(self, "%s: %s is not a known in the state '%s'; states and inputs are, and parameters %s.", function, variable->name,
         phase_name(self->model.phase), parameter_phases == PHASE_INITIALIZATION ? "during initialization" : "too");

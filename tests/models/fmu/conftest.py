@@ -83,9 +83,12 @@ class Driver:
 
     def continuous(self, q: Any = None, v: Any = None, u: Any = None) -> Driver:
         self.initialise(q, v, u)
-        self.fmu.newDiscreteStates()
+        self.update_modes()
         self.fmu.enterContinuousTimeMode()
         return self
+
+    def update_modes(self) -> None:
+        self.fmu.newDiscreteStates()
 
     def _array(self, call: str, size: int) -> np.ndarray:
         array = np.full(size, np.nan)
@@ -115,7 +118,7 @@ class Driver:
 
     def event(self) -> None:
         self.fmu.enterEventMode()
-        self.fmu.newDiscreteStates()
+        self.update_modes()
         self.fmu.enterContinuousTimeMode()
 
     # Co-Simulation
@@ -175,7 +178,6 @@ class Driver3(Driver):
             self.fmu.setFloat64(self.vr(names), [float(value) for value in values])
 
     def adjoint(self, unknowns: tuple[str, ...], knowns: tuple[str, ...], seed: np.ndarray) -> np.ndarray:
-        # FMPy takes as many results as unknowns where it is not told.
         return np.array(self.fmu.getAdjointDerivative(self.vr(unknowns), self.vr(knowns), list(seed), nSensitivity=len(knowns)))
 
     def initialise(self, q: Any = None, v: Any = None, u: Any = None, stop: float | None = None, **values: float) -> Driver3:
@@ -187,11 +189,8 @@ class Driver3(Driver):
         self.fmu.exitInitializationMode()
         return self
 
-    def continuous(self, q: Any = None, v: Any = None, u: Any = None) -> Driver3:
-        self.initialise(q, v, u)
+    def update_modes(self) -> None:
         self.fmu.updateDiscreteStates()
-        self.fmu.enterContinuousTimeMode()
-        return self
 
     def _array(self, call: str, size: int) -> np.ndarray:
         return super()._array(call.replace("fmi2GetDerivatives", "fmi3GetContinuousStateDerivatives").replace("fmi2", "fmi3"), size)
@@ -204,11 +203,6 @@ class Driver3(Driver):
     def states(self, x: np.ndarray) -> None:
         array = np.ascontiguousarray(x, dtype=float)
         self.fmu.fmi3SetContinuousStates(self.fmu.component, array.ctypes.data_as(_DOUBLES), array.size)
-
-    def event(self) -> None:
-        self.fmu.enterEventMode()
-        self.fmu.updateDiscreteStates()
-        self.fmu.enterContinuousTimeMode()
 
 
 _DOUBLES = fmpy.fmi2.POINTER(fmpy.fmi2.c_double)
