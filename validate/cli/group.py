@@ -27,6 +27,7 @@ _COMMANDS = {
     "report": "Rebuild results.csv and report.html of a campaign from its records.",
     "replay": "Replay and score anybody's plan on a scene.",
     "fmu": "Export a scene as an FMU.",
+    "check": "Check any FMU: its files, and how its code behaves.",
 }
 _EPILOG = """\b
 Examples:

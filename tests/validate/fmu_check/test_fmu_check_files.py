@@ -1,0 +1,152 @@
+"""What is found in the file itself, what is refused before it is opened, and the command's exit codes and forms."""
+
+from __future__ import annotations
+
+import json
+import stat
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from models.errors import UnknownNameError
+from validate.fmu_check import Status, check_fmu
+from validate.fmu_check.elf import NotElf, read_library
+from validate.isolation import IntakeError
+
+_STATIC = ["archive", "description is valid", "exported functions"]
+
+
+def _pack(path: Path, content: dict[str, bytes], **changes) -> Path:
+    """changes: method (of compression), names (old -> new)."""
+    names = changes.get("names", {})
+    with zipfile.ZipFile(path, "w", changes.get("method", zipfile.ZIP_DEFLATED)) as archive:
+        for name, data in content.items():
+            entry = zipfile.ZipInfo(name)
+            entry.filename = names.get(name, name)
+            entry.compress_type = changes.get("method", zipfile.ZIP_DEFLATED)
+            archive.writestr(entry, data)
+    return path
+
+
+def _sentence(path: Path, check: str = "archive") -> str:
+    report = check_fmu(path, names=_STATIC)
+    return " ".join(row.sentence for row in report.rows if row.name == check and row.status is Status.FAILED)
+
+
+def test_backslashes(tmp_path: Path, sound_content):
+    names = {"sources/model.h": "sources\\model.h"}
+    assert "backslash" in _sentence(_pack(tmp_path / "bad.fmu", sound_content("2.0"), names=names))
+
+
+@pytest.mark.parametrize("name", ["../outside.txt", "/tmp/outside.txt"])
+def test_entry_outside(tmp_path: Path, sound_content, name: str):
+    content = sound_content("2.0") | {name: b"x"}
+    report = check_fmu(_pack(tmp_path / "bad.fmu", content))
+    assert [row.name for row in report.rows if row.status is Status.FAILED] == ["archive"]
+    assert all(row.status is Status.NOT_OFFERED for row in report.rows[1:]), "what is unsafe is not unpacked"
+
+
+def test_link(tmp_path: Path, sound_content):
+    path = tmp_path / "bad.fmu"
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in sound_content("2.0").items():
+            archive.writestr(name, data)
+        link = zipfile.ZipInfo("resources/link")
+        link.external_attr = (stat.S_IFLNK | 0o777) << 16
+        archive.writestr(link, "/etc/passwd")
+    assert "symbolic link" in _sentence(path)
+
+
+def test_compression_method(tmp_path: Path, sound_content):
+    assert "other than deflate" in _sentence(_pack(tmp_path / "bad.fmu", sound_content("2.0"), method=zipfile.ZIP_LZMA))
+
+
+def test_no_schema(tmp_path: Path, sound_content):
+    content = sound_content("2.0")
+    content["modelDescription.xml"] = content["modelDescription.xml"].replace(b"<ModelVariables>", b"<ModelVariables><Odd/>")
+    assert "Odd" in _sentence(_pack(tmp_path / "bad.fmu", content), "description is valid")
+
+
+def test_binary_that_is_none(tmp_path: Path, sound_content):
+    content = sound_content("2.0")
+    binary = next(name for name in content if name.startswith("binaries/"))
+    content[binary] = b"MZ not what it should be"
+    assert "does not begin like an ELF file" in _sentence(_pack(tmp_path / "bad.fmu", content), "exported functions")
+
+
+def test_other_platform_only(tmp_path: Path, sound_content, cli):
+    content = sound_content("2.0")
+    binary = next(name for name in content if name.startswith("binaries/"))
+    content["binaries/win64/three_cart.dll"] = content.pop(binary)
+    path = _pack(tmp_path / "other.fmu", content)
+    report = check_fmu(path)
+    assert report.ok
+    assert report.unrunnable
+    assert "0 problems" in " ".join(row.sentence for row in report.rows)
+    done = cli("check", str(path))
+    assert done.returncode == 3
+    assert "no binary for this machine" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "words"),
+    [("text.fmu", b"hello", "not a zip file"), ("missing.fmu", None, "no such file")],
+)
+def test_no_fmu(tmp_path: Path, cli, name: str, data: bytes | None, words: str):
+    path = tmp_path / name
+    if data is not None:
+        path.write_bytes(data)
+    with pytest.raises(IntakeError, match=words):
+        check_fmu(path)
+    done = cli("check", str(path))
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: FMU ")
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_no_description(tmp_path: Path):
+    with pytest.raises(IntakeError, match=r"no modelDescription.xml"):
+        check_fmu(_pack(tmp_path / "empty.fmu", {"readme.txt": b""}))
+
+
+def test_unknown_check(tmp_path: Path):
+    with pytest.raises(UnknownNameError, match="there is no check 'speed'"):
+        check_fmu(tmp_path / "any.fmu", names=["speed"])
+
+
+def test_command_in_json_and_plain(tmp_path: Path, sound_content, cli):
+    path = _pack(tmp_path / "sound.fmu", sound_content("2.0"))
+    done = cli("check", str(path), "--only", "start values are the XML's", "--json")
+    assert done.returncode == 0, done.stderr
+    data = json.loads(done.stdout)
+    assert data["ok"]
+    assert data["fmi"] == "2.0"
+    assert [row["check"] for row in data["rows"] if row["status"] == "passed"].count("start values are the XML's") == 2
+    content = sound_content("2.0")
+    content["modelDescription.xml"] = content["modelDescription.xml"].replace(b'start="30.0"', b'start="31.0"')
+    done = cli("check", str(_pack(tmp_path / "bad.fmu", content)), "--only", "start values are the XML's")
+    assert done.returncode == 1
+    assert "k is 30 in the binary, 31 in the description" in done.stdout
+    assert "2 failed" in done.stdout
+
+
+def test_command_needs_neither_solver_nor_torch(cli_environment):
+    import subprocess
+    import sys
+
+    code = "import sys, validate.cli.check, validate.fmu_check; print([name for name in ('pyomo', 'torch', 'formulations') if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], env=cli_environment, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]", done.stderr
+
+
+def test_elf_of_our_own(sound_content):
+    content = sound_content("3.0")
+    data = content[next(name for name in content if name.startswith("binaries/"))]
+    library = read_library(data)
+    assert (library.bits, library.machine) == (64, "x86_64")
+    assert "fmi3GetAdjointDerivative" in library.exported
+    assert not any(name.startswith("scene_") for name in library.exported)
+    for broken in (b"", b"\x7fELF", data[:100], b"\x7fELF" + bytes(60)):
+        with pytest.raises(NotElf):
+            read_library(broken)

@@ -1,0 +1,106 @@
+"""A check in a fork of this process, which never loads an FMU itself: libraries are imported once, and each check has a fresh process.
+
+The answer is a file written last and whole; what the FMU prints, and how the process exits, cannot pass for one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import signal
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from validate.isolation.process import exit_in_words
+
+# Pause between two looks where the system cannot tell us the end of a process [s].
+_LOOK = 0.005
+
+
+@dataclass(frozen=True)
+class Answer:
+    """value: what the function gave (as JSON holds it), if it came to its end; else the end in words: `it crashed with ...`."""
+
+    value: Any
+    problem: str
+
+
+def in_fork(function: Callable[[], Any], seconds: float, *, own_group: bool = False) -> Answer:
+    """Call function() in a fork. own_group: a process group of its own, ended as a whole at the time limit."""
+    descriptor, name = tempfile.mkstemp(prefix="answer-")
+    os.close(descriptor)
+    path = Path(name)
+    child = os.fork()
+    if child == 0:
+        _answer(function, path, own_group)
+    problem = _wait(child, seconds, own_group)
+    try:
+        answer = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:
+        return Answer(None, problem or "its process ended without a result (exit code 0)")
+    finally:
+        path.unlink(missing_ok=True)
+    return Answer(answer.get("value"), answer.get("problem", ""))
+
+
+def _answer(function: Callable[[], Any], path: Path, own_group: bool) -> None:
+    """In the child: never returns."""
+    first = os.getpid()
+    code = 1
+    try:
+        if own_group:
+            os.setpgid(0, 0)
+        try:
+            answer = {"value": function()}
+        except MemoryError:
+            answer = {"problem": "it was ended at its memory limit"}
+        if os.getpid() == first:  # an FMU may fork within a call: only the first process answers
+            aside = path.with_suffix(".part")
+            aside.write_text(json.dumps(answer), encoding="utf-8")
+            os.replace(aside, path)
+        code = 0
+    except BaseException:  # noqa: BLE001 - it goes to the output; without an answer the parent knows enough
+        import traceback
+
+        traceback.print_exc()
+    finally:
+        os._exit(code)
+
+
+def _wait(child: int, seconds: float, own_group: bool) -> str:
+    """Wait for the child, end it at the limit; how it ended if not with exit code 0."""
+    over_time = not _ended_within(child, seconds)
+    with contextlib.suppress(ProcessLookupError, PermissionError):
+        if over_time:
+            os.kill(child, signal.SIGKILL)
+        if own_group:
+            os.killpg(child, signal.SIGKILL)
+    _, status = os.waitpid(child, 0)
+    code = os.waitstatus_to_exitcode(status)
+    if over_time:
+        return f"it hung: it was ended at its time limit of {seconds:g} s"
+    if code == 0:
+        return ""
+    return f"it crashed with {exit_in_words(code)}" if code < 0 else f"its process ended without a result ({exit_in_words(code)})"
+
+
+def _ended_within(child: int, seconds: float) -> bool:
+    """Whether it ends in time; it is not waited for, so that its number stays its own."""
+    until = time.monotonic() + seconds
+    if hasattr(os, "pidfd_open"):
+        handle = os.pidfd_open(child)
+        try:
+            return bool(select.select([handle], [], [], seconds)[0])
+        finally:
+            os.close(handle)
+    while os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
+        if time.monotonic() > until:
+            return False
+        time.sleep(_LOOK)
+    return True

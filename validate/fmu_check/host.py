@@ -1,0 +1,114 @@
+"""Runs the checks of one FMU, each in a fork of its own; itself called in an isolated child (validate.isolation).
+
+run_checks({"path": ..., "folder": ..., "names": [...] or None, "seconds": 60}, {}) -> rows, as JSON holds them
+"""
+
+from __future__ import annotations
+
+import importlib
+import time
+from pathlib import Path
+from typing import Any
+
+from validate.fmu_check.archive import library_path
+from validate.fmu_check.catalog import BEHAVIOUR, FIRST, READING, STATIC
+from validate.fmu_check.forked import in_fork
+from validate.fmu_check.instance import Misbehaviour
+from validate.fmu_check.result import Check, Scope, Status
+from validate.fmu_check.subject import Subject
+
+_TYPES = {Scope.FILE: ("",), Scope.EACH: ("ME", "CS"), Scope.EXCHANGE: ("ME",), Scope.COSIMULATION: ("CS",)}
+
+
+def run_checks(request: dict[str, Any], _arrays: dict[str, Any]) -> dict[str, Any]:
+    """See the module docstring."""
+    import fmpy
+
+    if request["names"] is None:
+        importlib.import_module("sksundae.cvode")  # 0.9 s, once, before anything is forked
+    table = _Table(request)
+    path, folder = Path(request["path"]), Path(request["folder"])
+    for item, place in zip(STATIC, (path, folder), strict=True):
+        table.add(item, "", (place,))
+    try:
+        description = fmpy.read_model_description(str(folder), validate=False)
+    except Exception as error:  # noqa: BLE001 - FMPy raises anything; the check above has said why
+        reason = f"the description cannot be read ({type(error).__name__}: {next(iter(str(error).splitlines()), '')})."
+        for item in (*READING, *BEHAVIOUR):
+            table.skip(item, "", reason)
+        return {"version": "", "types": [], "rows": table.rows}
+    subject = Subject(path, folder, description)
+    for item in (*READING, *BEHAVIOUR):
+        for kind in _TYPES[item.scope]:
+            if not kind or kind in subject.types:
+                table.of_description(item, kind, subject)
+    return {"version": description.fmiVersion, "types": list(subject.types), "rows": table.rows}
+
+
+class _Table:
+    """The rows so far, and which types turned out not to run."""
+
+    def __init__(self, request: dict[str, Any]) -> None:
+        self.rows: list[dict[str, Any]] = []
+        self._names, self._seconds = request["names"], request["seconds"]
+        self._broken: set[str] = set()
+
+    def of_description(self, item: Check, kind: str, subject: Subject) -> None:
+        """One check of a described FMU, if it can be run."""
+        if item in READING:
+            self.add(item, kind, (subject, kind) if kind else (subject,))
+            return
+        needed = (kind,) if kind else subject.types
+        missing = [name for name in needed if not library_path(subject, name).is_file()]
+        broken = [name for name in needed if name in self._broken]
+        if missing:
+            self.skip(item, kind, "there is no binary for this machine.")
+        elif broken:
+            self.skip(item, kind, f"it does not run as {' and '.join(broken)}: see `{FIRST.name}`.")
+        else:
+            pace = self.add(item, kind, (subject, kind) if kind else (subject,))
+            if item is FIRST:
+                if self.rows[-1]["status"] == Status.FAILED.name:
+                    self._broken.add(kind)
+                subject.pace[kind] = pace or 0.0
+
+    def add(self, item: Check, kind: str, arguments: tuple[Any, ...]) -> float | None:
+        """Run one check in a fork; the pace, if it measures that."""
+        if not self._wanted(item):
+            return None
+        began = time.monotonic()
+        answer = in_fork(lambda: _call(item, arguments), self._seconds, own_group=True)
+        if answer.problem:
+            self._row(item, kind, Status.FAILED, f"{answer.problem}.", began)
+            return None
+        self._row(item, kind, Status[answer.value["status"]], answer.value["sentence"], began)
+        return answer.value["pace"]
+
+    def skip(self, item: Check, kind: str, sentence: str) -> None:
+        if self._wanted(item):
+            self._row(item, kind, Status.NOT_OFFERED, sentence, time.monotonic())
+
+    def _wanted(self, item: Check) -> bool:
+        return self._names is None or item.name in self._names or item is FIRST
+
+    def _row(self, item: Check, kind: str, status: Status, sentence: str, began: float) -> None:
+        row = {"name": item.name, "type": kind, "claim": item.claim, "status": status.name, "sentence": sentence}
+        self.rows.append({**row, "seconds": time.monotonic() - began})
+
+
+def _call(item: Check, arguments: tuple[Any, ...]) -> dict[str, Any]:
+    """In the fork: the finding as JSON. What an FMU refuses is a finding, too."""
+    from fmpy.fmi1 import FMICallException
+
+    try:
+        finding = item(*arguments)
+    except (Misbehaviour, FMICallException) as fault:
+        text = str(fault) if isinstance(fault, Misbehaviour) else f"a call that must be possible is refused ({str(fault).rstrip('.')})"
+        return {"status": Status.FAILED.name, "sentence": f"{text}.", "pace": None}
+    except Exception as error:  # noqa: BLE001 - our own mistake must not pass for the FMU's
+        import traceback
+
+        traceback.print_exc()
+        text = f"this check itself broke off ({type(error).__name__}: {error}); please report it with the FMU."
+        return {"status": Status.FAILED.name, "sentence": text, "pace": None}
+    return {"status": finding.status.name, "sentence": finding.sentence, "pace": finding.pace}

@@ -1,0 +1,278 @@
+"""One instance of an FMU, the same for FMI 2.0 and 3.0, Model Exchange and Co-Simulation, on FMPy's low-level classes.
+
+Every FMI call that returns more than a warning raises FMPy's FMICallException; `said` keeps what the FMU logged.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import math
+import os
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from validate.fmu_check.subject import Subject, Variable
+
+# Rounds of one event iteration before it is called endless.
+_EVENT_ROUNDS = 100
+_DOUBLES = ctypes.POINTER(ctypes.c_double)
+
+
+class Misbehaviour(Exception):  # noqa: N818 - a finding about the FMU, not an error of ours
+    """The FMU did something that leaves the check nothing to do but to fail, with this sentence."""
+
+
+@dataclass(frozen=True)
+class EventInfo:
+    """What an event update said: whether states changed, when the next time event is (inf: none), whether to end."""
+
+    states_changed: bool
+    next_time: float
+    terminate: bool
+
+
+class Instance:
+    """One instance of `subject` of type "ME" or "CS"; made and, with close(), freed. Subclasses: FMI 2.0 and 3.0."""
+
+    prefix: str
+
+    def __init__(self, subject: Subject, kind: str, name: str = "check") -> None:
+        self.subject, self.kind = subject, kind
+        self.said: deque[str] = deque(maxlen=4)
+        self.stop: float | None = None
+        identifier = subject.interface(kind).modelIdentifier
+        try:
+            with contextlib.chdir(os.getcwd()):  # FMPy goes to the library's folder, and stays there if that fails
+                self.fmu: Any = self._class()(
+                    guid=subject.description.guid, modelIdentifier=identifier, unzipDirectory=str(subject.folder), instanceName=name
+                )
+        except AttributeError as error:
+            raise Misbehaviour(f"a function of FMI is missing in the binary ({error})") from error
+        except Exception as error:  # FMPy raises a bare Exception where a binary is missing or does not load
+            raise Misbehaviour(f"the binary cannot be loaded ({error})") from error
+        self.make()
+
+    # What the versions do differently
+
+    def _class(self) -> type:
+        raise NotImplementedError
+
+    def make(self) -> None:
+        """Prepare callbacks and instantiate."""
+        raise NotImplementedError
+
+    def again(self) -> None:
+        """Instantiate once more, after free()."""
+        raise NotImplementedError
+
+    def setup(self, start: float, stop: float | None) -> None:
+        raise NotImplementedError
+
+    def enter_initialisation(self, start: float, stop: float | None) -> None:
+        raise NotImplementedError
+
+    def _update(self) -> tuple[bool, bool, bool, bool, bool, float]:
+        raise NotImplementedError
+
+    def read_group(self, kind: str, references: Sequence[int], size: int) -> Sequence[float]:
+        raise NotImplementedError
+
+    def write_group(self, kind: str, references: Sequence[int], values: Sequence[float]) -> None:
+        raise NotImplementedError
+
+    def do_step(self, time: float, step: float) -> float | None:
+        """One communication step; the time it says it reached, None if it does not say."""
+        raise NotImplementedError
+
+    def last_successful_time(self) -> float | None:
+        """What Co-Simulation tells of the last step beside do_step; None if it does not tell."""
+        return None
+
+    def directional(self, unknowns: Sequence[Variable], knowns: Sequence[Variable], seed: Sequence[float]) -> np.ndarray:
+        raise NotImplementedError
+
+    def adjoint(self, unknowns: Sequence[Variable], knowns: Sequence[Variable], seed: Sequence[float]) -> np.ndarray:
+        raise NotImplementedError
+
+    # Life
+
+    def free(self) -> None:
+        if self.fmu.component:
+            self._free_component()
+            self.fmu.component = None
+
+    def _free_component(self) -> None:
+        getattr(self.fmu, f"{self.prefix}FreeInstance")(self.fmu.component)
+
+    def close(self) -> None:
+        """Terminate and free, whatever happened before."""
+        from fmpy.fmi1 import FMICallException
+
+        if self.fmu.component:
+            with contextlib.suppress(FMICallException):
+                self.fmu.terminate()
+        self.free()
+
+    def __enter__(self) -> Instance:
+        return self
+
+    def __exit__(self, kind: type | None, *_: object) -> None:
+        if kind is None:
+            self.close()  # after a failure the instance may be in any state: the process ends soon anyway
+
+    def begin(
+        self,
+        before: Mapping[Variable, np.ndarray] | None = None,
+        during: Mapping[Variable, np.ndarray] | None = None,
+        stop: float | None = None,
+    ) -> Instance:
+        """Through initialisation, and to Continuous-Time Mode or the first step. before, during: values set before and in it."""
+        self.stop = stop
+        start = self.subject.start_time
+        self.setup(start, stop)
+        self.set_all(before or {})
+        self.enter_initialisation(start, stop)
+        self.set_all(during or {})
+        return self.finish_initialisation()
+
+    def finish_initialisation(self) -> Instance:
+        self.fmu.exitInitializationMode()
+        self.next_event = math.inf
+        if self.kind == "ME":
+            self.next_event = self.settle().next_time
+        return self
+
+    def reset(self) -> None:
+        self.fmu.reset()
+
+    # Values
+
+    def get(self, variables: Sequence[Variable]) -> np.ndarray:
+        """(sum of sizes,) the values in the order given; one call a type."""
+        if not variables:
+            return np.empty(0)
+        places = np.cumsum([0, *(item.size for item in variables)])
+        values = np.empty(places[-1])
+        for kind in dict.fromkeys(item.type for item in variables):
+            chosen = [index for index, item in enumerate(variables) if item.type == kind]
+            sizes = [variables[index].size for index in chosen]
+            read = self.read_group(kind, [variables[index].reference for index in chosen], sum(sizes))
+            at = 0
+            for index, size in zip(chosen, sizes, strict=True):
+                values[places[index] : places[index] + size] = read[at : at + size]
+                at += size
+        return values
+
+    def set(self, variables: Sequence[Variable], values: np.ndarray) -> None:
+        at = 0
+        groups: dict[str, tuple[list[int], list[float]]] = {}
+        for item in variables:
+            references, numbers = groups.setdefault(item.type, ([], []))
+            references.append(item.reference)
+            numbers.extend(float(value) for value in values[at : at + item.size])
+            at += item.size
+        for kind, (references, numbers) in groups.items():
+            self.write_group(kind, references, numbers)
+
+    def set_all(self, values: Mapping[Variable, np.ndarray]) -> None:
+        if values:
+            self.set(list(values), np.concatenate(list(values.values())))
+
+    def observe(self) -> np.ndarray:
+        return self.get(self.subject.observed)
+
+    # States of the FMU
+
+    def save(self) -> Any:
+        return self.fmu.getFMUState()
+
+    def restore(self, saved: Any) -> None:
+        self.fmu.setFMUState(saved)
+
+    def forget(self, saved: Any) -> None:
+        self.fmu.freeFMUState(saved)
+
+    def serialise(self, saved: Any) -> bytes:
+        return self.fmu.serializeFMUState(saved)
+
+    def deserialise(self, data: bytes) -> Any:
+        return self.fmu.deserializeFMUState(data)
+
+    # Model Exchange
+
+    def settle(self) -> EventInfo:
+        """Event updates until the FMU is content, then Continuous-Time Mode. Raises Misbehaviour if that does not end."""
+        changed = False
+        for _ in range(_EVENT_ROUNDS):
+            again, terminate, _, states_changed, defined, when = self._update()
+            changed = changed or bool(states_changed)
+            if not again or terminate:
+                self.fmu.enterContinuousTimeMode()
+                self.next_event = float(when) if defined else math.inf
+                return EventInfo(changed, self.next_event, bool(terminate))
+        raise Misbehaviour(f"the event iteration did not end after {_EVENT_ROUNDS} rounds")
+
+    def event(self) -> EventInfo:
+        self.fmu.enterEventMode()
+        return self.settle()
+
+    def _array(self, call: Callable[..., Any], size: int) -> np.ndarray:
+        array = np.full(size, np.nan)
+        call(array.ctypes.data_as(_DOUBLES), size)
+        return array
+
+    @property
+    def state_count(self) -> int:
+        return int(self.subject.description.numberOfContinuousStates)
+
+    @property
+    def indicator_count(self) -> int:
+        return int(self.subject.description.numberOfEventIndicators)
+
+    def states(self) -> np.ndarray:
+        return self._array(self.fmu.getContinuousStates, self.state_count)
+
+    def nominals(self) -> np.ndarray:
+        return self._array(self.fmu.getNominalsOfContinuousStates, self.state_count)
+
+    def rates(self) -> np.ndarray:
+        raise NotImplementedError
+
+    def indicators(self) -> np.ndarray:
+        return self._array(self.fmu.getEventIndicators, self.indicator_count)
+
+    def move(self, time: float, states: np.ndarray) -> None:
+        self.fmu.setTime(time)
+        if self.state_count:
+            array = np.ascontiguousarray(states, dtype=float)
+            self.fmu.setContinuousStates(array.ctypes.data_as(_DOUBLES), self.state_count)
+
+    def completed(self) -> bool:
+        """Tell of an accepted integrator step; whether the FMU wants an event."""
+        return bool(self.fmu.completedIntegratorStep()[0])
+
+    @property
+    def wants_steps(self) -> bool:
+        interface = self.subject.description.modelExchange
+        return bool(interface.needsCompletedIntegratorStep) if self.subject.major >= 3 else not interface.completedIntegratorStepNotNeeded
+
+    def quote(self) -> str:
+        """What the FMU logged last, for the end of a sentence."""
+        text = " ".join(self.said[-1].split()) if self.said else ""
+        return f"; it said: {text[:200]}" if text else ""
+
+
+def new_instance(subject: Subject, kind: str, name: str = "check") -> Instance:
+    """An instance of type "ME" or "CS". Raises Misbehaviour if the binary cannot be loaded or refuses."""
+    if subject.major == 2:
+        from validate.fmu_check.instance_fmi2 import Instance2
+
+        return Instance2(subject, kind, name)
+    from validate.fmu_check.instance_fmi3 import Instance3
+
+    return Instance3(subject, kind, name)

@@ -1,0 +1,86 @@
+"""An instance of an FMI 2.0 FMU."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from fmpy.fmi1 import FMICallException
+from fmpy.fmi2 import (
+    FMU2Model,
+    FMU2Slave,
+    defaultCallbacks,
+    fmi2CallbackFunctions,
+    fmi2CallbackLoggerTYPE,
+    fmi2LastSuccessfulTime,
+)
+
+from validate.fmu_check.instance import Instance, Misbehaviour
+from validate.fmu_check.subject import Variable
+
+_GROUPS = {"Real": "Real", "Integer": "Integer", "Enumeration": "Integer", "Boolean": "Boolean"}
+
+
+class Instance2(Instance):
+    """See validate.fmu_check.instance."""
+
+    prefix = "fmi2"
+
+    def _class(self) -> type:
+        return FMU2Model if self.kind == "ME" else FMU2Slave
+
+    def make(self) -> None:
+        def keep(_environment: Any, _name: Any, _status: int, _category: Any, message: Any) -> None:
+            self.said.append((message or b"").decode("utf-8", errors="replace"))
+
+        self._callbacks = fmi2CallbackFunctions()
+        self._callbacks.logger = fmi2CallbackLoggerTYPE(keep)
+        self._callbacks.allocateMemory = defaultCallbacks.allocateMemory
+        self._callbacks.freeMemory = defaultCallbacks.freeMemory
+        self.again()
+
+    def again(self) -> None:
+        """Instantiate with the callbacks there are."""
+        try:
+            self.fmu.instantiate(callbacks=self._callbacks)
+        except FMICallException:
+            raise
+        except Exception as error:  # FMPy's bare Exception for a null pointer
+            raise Misbehaviour(f"fmi2Instantiate returned no instance{self.quote()}") from error
+
+    def setup(self, start: float, stop: float | None) -> None:
+        self.fmu.setupExperiment(startTime=start, stopTime=stop)
+
+    def enter_initialisation(self, start: float, stop: float | None) -> None:
+        self.fmu.enterInitializationMode()
+
+    def _update(self) -> tuple[bool, bool, bool, bool, bool, float]:
+        return self.fmu.newDiscreteStates()
+
+    def read_group(self, kind: str, references: Sequence[int], size: int) -> Sequence[float]:
+        return getattr(self.fmu, f"get{_GROUPS[kind]}")(list(references))
+
+    def write_group(self, kind: str, references: Sequence[int], values: Sequence[float]) -> None:
+        numbers = list(values) if kind == "Real" else [int(value) for value in values]
+        getattr(self.fmu, f"set{_GROUPS[kind]}")(list(references), numbers)
+
+    def rates(self) -> np.ndarray:
+        return self._array(self.fmu.getDerivatives, self.state_count)
+
+    def do_step(self, time: float, step: float) -> float | None:
+        self.fmu.doStep(time, step)
+        return None
+
+    def last_successful_time(self) -> float | None:
+        """fmi2LastSuccessfulTime; None if the FMU does not tell it."""
+        try:
+            return float(self.fmu.getRealStatus(fmi2LastSuccessfulTime))
+        except FMICallException:
+            return None
+
+    def directional(self, unknowns: Sequence[Variable], knowns: Sequence[Variable], seed: Sequence[float]) -> np.ndarray:
+        result = self.fmu.getDirectionalDerivative(
+            [item.reference for item in unknowns], [item.reference for item in knowns], [float(value) for value in seed]
+        )
+        return np.array(result)

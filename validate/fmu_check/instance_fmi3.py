@@ -1,0 +1,85 @@
+"""An instance of an FMI 3.0 FMU."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from fmpy.fmi1 import FMICallException
+from fmpy.fmi3 import FMU3Model, FMU3Slave
+
+from validate.fmu_check.instance import Instance, Misbehaviour
+from validate.fmu_check.subject import Variable
+
+
+class Instance3(Instance):
+    """See validate.fmu_check.instance. Co-Simulation without event mode and without early return."""
+
+    prefix = "fmi3"
+
+    def _class(self) -> type:
+        return FMU3Model if self.kind == "ME" else FMU3Slave
+
+    def make(self) -> None:
+        self.again()
+
+    def again(self) -> None:
+        def keep(_environment: Any, _status: int, _category: Any, message: Any) -> None:
+            self.said.append((message or b"").decode("utf-8", errors="replace"))
+
+        try:
+            self.fmu.instantiate(logMessage=keep)
+        except FMICallException:
+            raise
+        except Exception as error:  # FMPy's bare Exception for a null pointer
+            raise Misbehaviour(f"the FMU returned no instance{self.quote()}") from error
+
+    def setup(self, start: float, stop: float | None) -> None:
+        """FMI 3.0 is given the times on entering initialisation."""
+
+    def enter_initialisation(self, start: float, stop: float | None) -> None:
+        self.fmu.enterInitializationMode(startTime=start, stopTime=stop)
+
+    def _update(self) -> tuple[bool, bool, bool, bool, bool, float]:
+        return self.fmu.updateDiscreteStates()
+
+    def read_group(self, kind: str, references: Sequence[int], size: int) -> Sequence[float]:
+        name = "Int64" if kind == "Enumeration" else kind
+        return getattr(self.fmu, f"get{name}")(list(references), nValues=size)
+
+    def write_group(self, kind: str, references: Sequence[int], values: Sequence[float]) -> None:
+        name = "Int64" if kind == "Enumeration" else kind
+        numbers: list[Any] = list(values)
+        if name == "Boolean":
+            numbers = [bool(value) for value in values]
+        elif not name.startswith("Float"):
+            numbers = [int(value) for value in values]
+        getattr(self.fmu, f"set{name}")(list(references), numbers)
+
+    def rates(self) -> np.ndarray:
+        return self._array(self.fmu.getContinuousStateDerivatives, self.state_count)
+
+    def do_step(self, time: float, step: float) -> float | None:
+        _, terminate, _, reached = self.fmu.doStep(time, step)
+        if terminate:
+            raise Misbehaviour(f"fmi3DoStep asked to end the simulation at t = {time:.6g} s{self.quote()}")
+        return float(reached)
+
+    def directional(self, unknowns: Sequence[Variable], knowns: Sequence[Variable], seed: Sequence[float]) -> np.ndarray:
+        result = self.fmu.getDirectionalDerivative(
+            [item.reference for item in unknowns],
+            [item.reference for item in knowns],
+            [float(value) for value in seed],
+            nSensitivity=sum(item.size for item in unknowns),
+        )
+        return np.array(result)
+
+    def adjoint(self, unknowns: Sequence[Variable], knowns: Sequence[Variable], seed: Sequence[float]) -> np.ndarray:
+        result = self.fmu.getAdjointDerivative(
+            [item.reference for item in unknowns],
+            [item.reference for item in knowns],
+            [float(value) for value in seed],
+            nSensitivity=sum(item.size for item in knowns),
+        )
+        return np.array(result)

@@ -1,0 +1,218 @@
+"""Runs of an instance: communication steps of Co-Simulation, and CVODE with event location over Model Exchange.
+
+A run is a pure function of the instance's state, the steps and the inputs: two runs from equal states must give equal bits.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from validate.fmu_check.instance import Instance, Misbehaviour
+from validate.fmu_check.subject import HOLD
+
+# Relative tolerance of runs that are compared with each other only.
+TOLERANCE = 1e-6
+# Internal steps to the next communication point before the integrator is given up.
+_STEP_LIMIT = 200_000
+# More events than this in one run: it ends here, as does one whose events crowd (a bouncing ball that comes to rest).
+_MOST_EVENTS = 300
+_CROWDED = 1e-7
+# What changes by more than this share of its size at an event update jumps.
+_JUMP = 1e-8
+# Less than this, as a share of the time, is no time to integrate over.
+_NO_TIME = 1e-13
+_ROOT = 2
+
+
+@dataclass
+class Record:
+    """events: (time, indicators that crossed, indicators there); surprises: jumps at events that nothing announced, in words;
+    crowded: from when on events crowd."""
+
+    events: list[tuple[float, tuple[int, ...], np.ndarray]] = field(default_factory=list)
+    surprises: list[str] = field(default_factory=list)
+    crowded: float = math.inf
+
+
+class Crowded(Exception):  # noqa: N818 - ends a run
+    """Events follow each other without end."""
+
+
+def run(
+    instance: Instance,
+    first: int,
+    last: int,
+    *,
+    seed: int = 0,
+    after: Callable[[int], Any] | None = None,
+    observe: Literal["each", "end"] = "each",
+    record: Record | None = None,
+) -> np.ndarray:
+    """Communication steps first..last; (last - first + 1, observed) values of all variables at their ends and at the beginning.
+
+    seed: of the inputs' signal; after(step) is called when each step is done; observe: each of them, or only the end;
+    record: where events of Model Exchange are noted.
+    """
+    subject = instance.subject
+    rows = [instance.observe()] if observe == "each" else []
+    mover = Exchange(instance, TOLERANCE) if instance.kind == "ME" else None
+    if mover is not None and record is not None:
+        mover.record = record
+    for step in range(first, last):
+        if step == first or step % HOLD == 0:
+            values = subject.inputs_at(step, seed)
+            if mover is not None:
+                mover.jump(subject.time(step), values)
+            else:
+                instance.set(subject.continuous_inputs, values)
+        if mover is None:
+            instance.do_step(subject.time(step), subject.step)
+        else:
+            try:
+                mover.advance(subject.time(step + 1))
+            except Crowded:
+                break
+        if observe == "each":
+            rows.append(instance.observe())
+        if after is not None:
+            after(step)
+    return np.array(rows) if observe == "each" else instance.observe()[np.newaxis]
+
+
+class Exchange:
+    """CVODE over an instance in Continuous-Time Mode."""
+
+    def __init__(self, instance: Instance, rtol: float, method: str = "BDF", max_step: float = 0.0) -> None:
+        self.instance, self.rtol, self.method, self.max_step = instance, rtol, method, max_step
+        self.record = Record()
+        self.problem: Exception | None = None
+        self.count = instance.state_count
+        # An FMU without continuous states still has time and events: a state that stands still lets CVODE find them.
+        self.nominal = np.abs(instance.nominals()) if self.count else np.ones(1)
+        self.nominal[~(self.nominal > 0.0)] = 1.0
+        self.time = math.nan
+        self.y = np.zeros(1)
+        self.solver: Any = None
+
+    def jump(self, time: float, inputs: np.ndarray) -> None:
+        """Begin at `time` with these inputs, by an event if they change or the integrator has not begun."""
+        instance = self.instance
+        if self.solver is not None or inputs.size:
+            instance.fmu.setTime(time)
+            instance.fmu.enterEventMode()
+            instance.set(instance.subject.continuous_inputs, inputs)
+            instance.settle()
+        self.renew(time)
+
+    def renew(self, time: float) -> None:
+        """A new solver from the instance's own states."""
+        from sksundae.cvode import CVODE
+
+        self.time = time
+        self.y = self.instance.states() if self.count else np.zeros(1)
+        options: dict[str, Any] = {}
+        if self.instance.indicator_count:
+            options = {"eventsfn": lambda time, y, values: self._indicate(time, y, values), "num_events": self.instance.indicator_count}
+        step = self.instance.subject.step
+        self.solver = CVODE(
+            self._rate,
+            method=self.method,
+            rtol=self.rtol,
+            atol=0.1 * self.rtol * self.nominal,
+            max_num_steps=_STEP_LIMIT,
+            min_step=4e-16 * max(1.0, abs(time)),
+            max_step=self.max_step or 10.0 * step,
+            **options,
+        )
+        self.solver.init_step(time, self.y)
+        self._check()
+
+    def advance(self, target: float) -> None:
+        """Integrate to `target` through all events; the instance is left there. Raises Crowded where events do not end."""
+        instance = self.instance
+        while self.time < target:
+            if self.time >= self.record.crowded:
+                raise Crowded
+            stop = min(target, instance.next_event)
+            if stop - self.time <= _NO_TIME * max(1.0, abs(stop)):
+                self.time = stop  # there already, but for rounding
+                if stop >= instance.next_event:
+                    self._move(stop, self.y)
+                    self._event(())
+                continue
+            result = self.solver.step(stop, "onestep" if instance.wants_steps else "normal", stop)
+            self._check()
+            if result.status < 0:
+                raise Misbehaviour(f"CVODE cannot integrate its derivatives beyond t = {self.time:.6g} s ({result.message})")
+            self.time = float(result.t)
+            self.y = np.array(result.y)
+            self._move(self.time, self.y)
+            root = result.status == _ROOT
+            wanted = instance.wants_steps and not root and instance.completed()
+            if root or wanted or (self.time >= instance.next_event):
+                crossed = tuple(int(place) for place in np.flatnonzero(result.i_events[-1])) if root else ()
+                self._event(crossed)
+        self._move(target, self.y)
+
+    def _event(self, crossed: tuple[int, ...]) -> None:
+        events = self.record.events
+        indicators = self.instance.indicators() if self.instance.indicator_count else np.empty(0)
+        if crossed or self.time >= self.instance.next_event:
+            self.instance.event()
+        else:
+            self.update_unannounced()
+        events.append((self.time, crossed, indicators))
+        length = self.instance.subject.step
+        if len(events) >= _MOST_EVENTS or (len(events) > 20 and self.time - events[-20][0] < 20 * _CROWDED * length):
+            self.record.crowded = self.time
+        self.renew(self.time)
+
+    def update_unannounced(self) -> None:
+        """An event update that no indicator and no time announced: what it makes jump is noted."""
+        instance = self.instance
+        if not self.count:
+            instance.event()
+            return
+        before, rates = instance.states(), instance.rates()
+        instance.event()
+        largest = np.maximum(np.abs(rates).max(), self.nominal)
+        for what, old, new, scale in (("state", before, instance.states(), self.nominal), ("derivative", rates, instance.rates(), largest)):
+            jump = np.abs(new - old) / np.maximum(np.abs(old), scale)
+            place = int(np.argmax(jump))
+            if jump[place] > _JUMP:
+                subject = instance.subject
+                names = [item.name for item in (subject.states if what == "state" else subject.derivatives) for _ in range(item.size)]
+                name = names[place] if place < len(names) else f"{what} {place}"
+                self.record.surprises.append(f"{name} from {old[place]:.6g} to {new[place]:.6g} at t = {self.time:.6g} s")
+
+    def _move(self, time: float, y: np.ndarray) -> None:
+        self.instance.move(time, y[: self.count])
+
+    def _rate(self, time: float, y: np.ndarray, rate: np.ndarray) -> None:
+        if not self.count:
+            rate[:] = 0.0
+            return
+        try:
+            self._move(time, y)
+            rate[:] = self.instance.rates()
+        except Exception as error:  # noqa: BLE001 - nothing may pass through CVODE; raised again in _check
+            self.problem = error
+            rate[:] = np.nan
+
+    def _indicate(self, time: float, y: np.ndarray, values: np.ndarray) -> None:
+        try:
+            self._move(time, y)
+            values[:] = self.instance.indicators()
+        except Exception as error:  # noqa: BLE001 - as above
+            self.problem = error
+            values[:] = np.nan
+
+    def _check(self) -> None:
+        if self.problem is not None:
+            problem, self.problem = self.problem, None
+            raise problem

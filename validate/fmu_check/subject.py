@@ -1,0 +1,239 @@
+"""The FMU under check: its description, and what follows from it for all checks - variables, times, inputs, what may be varied.
+
+Nothing of the FMU's code is loaded here.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+_FLOATS = ("Real", "Float64", "Float32")
+_WHOLE = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Enumeration")
+# Communication steps of a run that is repeated often; of one that is to meet the model's events, at most.
+STEPS = {"CS": 100, "ME": 40}
+LONG_STEPS = 500
+# A run of a slow FMU is shortened to about this [s], but not below FEWEST_STEPS.
+RUN_SECONDS, FEWEST_STEPS = 2.0, 8
+# Steps for which the inputs stay as they are.
+HOLD = 10
+# Inputs move about their starts by this share of their range, or of their size if they have no range.
+RANGE_SHARE, SIZE_SHARE = 0.3, 0.1
+# Tolerance of an FMU that proposes none (the value FMI's own examples use).
+DEFAULT_TOLERANCE = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Variable:
+    """A variable of the FMU that has a number: `size` entries, start as numbers (or None)."""
+
+    name: str
+    reference: int
+    type: str
+    causality: str
+    variability: str
+    initial: str | None
+    size: int
+    start: np.ndarray | None
+    lower: float
+    upper: float
+    nominal: float | None
+    unit: str | None
+
+    @property
+    def is_float(self) -> bool:
+        return self.type in _FLOATS
+
+    @property
+    def scale(self) -> float:
+        """Typical magnitude: the nominal, else that of the start, else 1."""
+        if self.nominal:
+            return abs(self.nominal)
+        size = float(np.max(np.abs(self.start))) if self.start is not None and self.start.size else 0.0
+        return size if size > 0.0 and math.isfinite(size) else 1.0
+
+    def near(self, value: np.ndarray, share: float) -> np.ndarray:
+        """Another value: `share` of the size away, on the side that the range allows; the same where it allows none."""
+        away = share * np.where(value == 0.0, self.scale, np.abs(value))
+        above, below = value + away, value - away
+        return np.where(above <= self.upper, above, np.where(below >= self.lower, below, value))
+
+
+@dataclass(eq=False)
+class Subject:
+    """An unpacked FMU. `description` is FMPy's; `pace` the seconds of one step of each type, once known."""
+
+    path: Path
+    folder: Path
+    description: Any
+    pace: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def major(self) -> int:
+        return int(self.description.fmiVersion.split(".")[0])
+
+    @property
+    def types(self) -> tuple[str, ...]:
+        offered = {"ME": self.description.modelExchange, "CS": self.description.coSimulation}
+        return tuple(name for name, interface in offered.items() if interface is not None)
+
+    def interface(self, kind: str) -> Any:
+        return self.description.modelExchange if kind == "ME" else self.description.coSimulation
+
+    def can(self, kind: str, ability: str) -> bool:
+        """Whether the description claims an ability, by its name in this version of FMI (FMPy does not read all of them)."""
+        return self._attributes[kind].get(ability) in ("true", "1")
+
+    @cached_property
+    def _attributes(self) -> dict[str, dict[str, str]]:
+        root = ElementTree.parse(self.folder / "modelDescription.xml").getroot()
+        elements = {"ME": root.find("ModelExchange"), "CS": root.find("CoSimulation")}
+        return {kind: dict(element.attrib) if element is not None else {} for kind, element in elements.items()}
+
+    @cached_property
+    def variables(self) -> tuple[Variable, ...]:
+        """All variables that have numbers, in the order of the description (aliases included)."""
+        made = (_variable(item) for item in self.description.modelVariables)
+        return tuple(item for item in made if item is not None)
+
+    @cached_property
+    def by_name(self) -> dict[str, Variable]:
+        return {variable.name: variable for variable in self.variables}
+
+    def of(self, unknowns: list[Any]) -> list[Variable]:
+        """The variables of a section of the ModelStructure, those without numbers left out."""
+        return [self.by_name[item.variable.name] for item in unknowns if item.variable.name in self.by_name]
+
+    @cached_property
+    def states(self) -> list[Variable]:
+        """Of which the derivatives are listed, in that order."""
+        names = [item.variable.derivative.name for item in self.description.derivatives if item.variable.derivative is not None]
+        return [self.by_name[name] for name in names if name in self.by_name]
+
+    @cached_property
+    def derivatives(self) -> list[Variable]:
+        return self.of(self.description.derivatives)
+
+    @cached_property
+    def outputs(self) -> list[Variable]:
+        return self.of(self.description.outputs)
+
+    @cached_property
+    def observed(self) -> list[Variable]:
+        """One variable a value reference and type: what runs are compared by."""
+        return list({(item.reference, item.type): item for item in reversed(self.variables)}.values())[::-1]
+
+    @cached_property
+    def continuous_inputs(self) -> list[Variable]:
+        return [item for item in self.variables if item.causality == "input" and item.is_float and item.variability == "continuous"]
+
+    @cached_property
+    def parameters(self) -> list[Variable]:
+        """Floating-point parameters that may be set before a run."""
+        return [item for item in self.variables if item.causality == "parameter" and item.is_float and item.variability != "constant"]
+
+    @cached_property
+    def start_time(self) -> float:
+        return self._experiment("startTime", 0.0)
+
+    @cached_property
+    def step(self) -> float:
+        """The communication step [s]: the FMU's own, else a 500th of its experiment, else 10 ms."""
+        stop = self._experiment("stopTime", math.nan)
+        length = stop - self.start_time
+        fallback = length / 500.0 if length > 0.0 else 1e-2
+        fixed = getattr(self.description.coSimulation, "fixedInternalStepSize", None)
+        return self._experiment("stepSize", float(fixed) if fixed else fallback)
+
+    @cached_property
+    def tolerance(self) -> float:
+        return self._experiment("tolerance", DEFAULT_TOLERANCE)
+
+    def _experiment(self, name: str, fallback: float) -> float:
+        text = getattr(self.description.defaultExperiment, name, None)
+        try:
+            value = float(text) if text is not None else fallback
+        except ValueError:
+            return fallback
+        return value if math.isfinite(value) and (value > 0.0 or name == "startTime") else fallback
+
+    def steps(self, kind: str) -> int:
+        """Communication steps of a run of this type."""
+        return self._affordable(kind, STEPS[kind])
+
+    def long_steps(self, kind: str) -> int:
+        """Communication steps of a run through the FMU's experiment."""
+        length = self._experiment("stopTime", math.nan) - self.start_time
+        return self._affordable(kind, min(LONG_STEPS, max(STEPS["CS"], round(length / self.step))) if length > 0.0 else STEPS["CS"])
+
+    def _affordable(self, kind: str, steps: int) -> int:
+        pace = self.pace.get(kind, 0.0)
+        return steps if pace <= 0.0 else int(np.clip(RUN_SECONDS / pace, min(FEWEST_STEPS, steps), steps))
+
+    def time(self, step: int) -> float:
+        return self.start_time + step * self.step
+
+    def inputs_at(self, step: int, seed: int = 0) -> np.ndarray:
+        """Values of the continuous inputs from this step on; they change every HOLD steps. Another seed, another signal."""
+        values = []
+        for place, item in enumerate(self.continuous_inputs):
+            start = item.start if item.start is not None else np.zeros(item.size)
+            bounded = math.isfinite(item.lower) and math.isfinite(item.upper)
+            size = RANGE_SHARE * (item.upper - item.lower) if bounded else SIZE_SHARE * item.scale
+            dice = np.random.default_rng([seed, place, step // HOLD])
+            values.append(np.clip(start + size * dice.uniform(-1.0, 1.0, start.shape), item.lower, item.upper))
+        return np.concatenate(values) if values else np.empty(0)
+
+    def varied_parameters(self, share: float = 0.01) -> dict[Variable, np.ndarray]:
+        """Other values of the parameters, a little off their starts."""
+        return {item: item.near(item.start, share) for item in self.parameters if item.start is not None}
+
+
+def _variable(item: Any) -> Variable | None:
+    """Ours for FMPy's; None if it has no number."""
+    if item.type not in (*_FLOATS, *_WHOLE, "Boolean"):
+        return None
+    declared = item.declaredType
+
+    def number(name: str) -> float | None:
+        for source in (item, declared):
+            text = getattr(source, name, None)
+            if text is not None:
+                return _number(text)
+        return None
+
+    start = None
+    if item.start is not None:
+        try:
+            start = np.array([_number(word) for word in str(item.start).split()])
+        except ValueError:
+            start = None
+    size = int(np.prod(item.shape)) if item.shape else 1
+    if start is not None and start.size == 1:
+        start = np.full(size, start[0])
+    lower, upper = number("min"), number("max")
+    return Variable(
+        name=item.name,
+        reference=int(item.valueReference),
+        type=item.type,
+        causality=item.causality,
+        variability=item.variability,
+        initial=item.initial,
+        size=size,
+        start=start if start is not None and start.size == size else None,
+        lower=-math.inf if lower is None else lower,
+        upper=math.inf if upper is None else upper,
+        nominal=number("nominal"),
+        unit=item.unit or getattr(declared, "unit", None),
+    )
+
+
+def _number(text: Any) -> float:
+    words = {"true": 1.0, "false": 0.0}
+    return words[str(text)] if str(text) in words else float(text)

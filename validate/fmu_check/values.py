@@ -1,0 +1,164 @@
+"""Values: every variable can be read, start values are those of the description and are obeyed, nothing becomes NaN."""
+
+from __future__ import annotations
+
+import numpy as np
+from fmpy.fmi1 import FMICallException
+
+from validate.fmu_check.comparison import compare
+from validate.fmu_check.instance import Instance, new_instance
+from validate.fmu_check.motion import run
+from validate.fmu_check.result import Finding, Scope, check, failed, listed, not_offered, passed
+from validate.fmu_check.subject import Subject, Variable
+
+# A start value may lose its last digits on its way through text.
+_TEXT = 1e-9
+# How far a start value is moved to see whether it is obeyed.
+_MOVED = 0.01
+
+
+@check("variables can be read", "after initialisation each variable's value reference is accepted", Scope.EACH)
+def readable(subject: Subject, kind: str) -> Finding:
+    with new_instance(subject, kind) as instance:
+        instance.begin()
+        problems = []
+        for item in subject.variables:
+            try:
+                instance.get([item])
+            except FMICallException:
+                problems.append(f"{item.name} (value reference {item.reference}, {item.type}) is refused{instance.quote()}")
+    if problems:
+        return failed(listed(problems))
+    return passed(f"{len(subject.variables)} variables were read.")
+
+
+def _exact(subject: Subject) -> list[Variable]:
+    """Variables whose start is their value in initialisation."""
+    return [item for item in subject.variables if item.start is not None and (item.initial == "exact" or item.causality == "input")]
+
+
+@check("start values are the XML's", "in Initialization Mode variables have the start values of the description", Scope.EACH)
+def starts(subject: Subject, kind: str) -> Finding:
+    variables = _exact(subject)
+    if not variables:
+        return not_offered("no variable has a start value that counts.")
+    with new_instance(subject, kind) as instance:
+        instance.setup(subject.start_time, None)
+        instance.enter_initialisation(subject.start_time, None)
+        wrong = []
+        for item in variables:
+            value, start = instance.get([item]), item.start
+            if start is not None and not np.allclose(value, start, rtol=_TEXT, atol=0.0, equal_nan=True):
+                wrong.append(f"{item.name} is {value[0]:.10g} in the binary, {start[0]:.10g} in the description")
+    if wrong:
+        return failed(listed(wrong))
+    return passed(f"{len(variables)} start values agree to {_TEXT:g}.")
+
+
+def _moved(item: Variable) -> np.ndarray | None:
+    """Another value that may be given to it; None if there is none that is surely legal."""
+    if item.start is None or item.variability == "constant" or item.causality == "structuralParameter":
+        return None
+    if item.is_float:
+        value = item.near(item.start, _MOVED)
+    elif item.type == "Boolean" and item.causality == "input":
+        value = 1.0 - item.start
+    else:
+        return None  # another whole number may switch the model to something else
+    return None if np.array_equal(value, item.start) else value
+
+
+@check("start values are obeyed", "a start value set before or in initialisation is the value from then on", Scope.EACH)
+def obeyed(subject: Subject, kind: str) -> Finding:
+    moved = {item: value for item in _exact(subject) if (value := _moved(item)) is not None}
+    if not moved:
+        return not_offered("no start value can be moved.")
+    with new_instance(subject, kind, "default") as instance:
+        default = dict(zip(moved, _read(instance.begin(), list(moved)), strict=True))
+    wrong, refused = [], 0
+    for item, value in moved.items():
+        for phase in ("before", "in"):
+            with new_instance(subject, kind) as instance:
+                given = {item: value}
+                try:
+                    instance.setup(subject.start_time, None)
+                    if phase == "before":
+                        instance.set_all(given)
+                    instance.enter_initialisation(subject.start_time, None)
+                    if phase == "in":
+                        instance.set_all(given)
+                    inside = instance.get([item])
+                except FMICallException:
+                    wrong.append(f"{item.name} cannot be set {phase} initialisation{instance.quote()}")
+                    continue
+                try:
+                    after = instance.finish_initialisation().get([item])
+                except FMICallException:
+                    refused += 1  # the model has no solution there, and says so
+                    continue
+                wrong += _ignored(item, phase, value, inside, after, default[item])
+    if wrong:
+        return failed(listed(wrong))
+    more = f" {refused} of them make the model refuse to start." if refused else ""
+    return passed(f"{len(moved)} start values were moved, each before and in initialisation.{more}")
+
+
+def _read(instance: Instance, variables: list[Variable]) -> list[np.ndarray]:
+    return [instance.get([item]) for item in variables]
+
+
+def _ignored(item: Variable, phase: str, value: np.ndarray, inside: np.ndarray, after: np.ndarray, default: np.ndarray) -> list[str]:
+    """Why the value was not obeyed; nothing if it was. The first event may move a state, but not back to where it would be anyhow."""
+    told = f"{item.name} was set to {value[0]:.10g} {phase} initialisation"
+    if not np.allclose(inside, value, rtol=_TEXT, atol=0.0):
+        return [f"{told}, but is {inside[0]:.10g} in Initialization Mode"]
+    kept = np.allclose(after, value, rtol=_TEXT, atol=0.0)
+    free = item.causality not in ("parameter", "input")
+    if not kept and (not free or np.array_equal(after, default)):
+        return [f"{told}, but is {after[0]:.10g} after it"]
+    return []
+
+
+@check("values stay finite", "no variable becomes infinite or not a number in a run with moderate inputs", Scope.EACH)
+def finite(subject: Subject, kind: str) -> Finding:
+    steps = subject.long_steps(kind)
+    with new_instance(subject, kind) as instance:
+        rows = run(instance.begin(), 0, steps)
+    bad = np.argwhere(~np.isfinite(rows))
+    if len(bad):
+        names = [item.name for item in subject.observed for _ in range(item.size)]
+        row, column = bad[0]
+        return failed(f"{names[column]} is {rows[row, column]} at t = {subject.time(row):.6g} s.")
+    return passed(f"{rows.shape[1]} values over {len(rows) - 1} steps of {subject.step:g} s.")
+
+
+@check(
+    "order of reading does not matter", "values do not depend on which variables were read before, how often and in which order", Scope.EACH
+)
+def get_order(subject: Subject, kind: str) -> Finding:
+    steps = min(subject.steps(kind), 20)
+    observed = subject.observed
+    dice = np.random.default_rng(5)
+    with new_instance(subject, kind, "all") as instance:
+        reference = run(instance.begin(), 0, steps)
+    other = []
+    with new_instance(subject, kind, "single") as instance:
+
+        def shuffled() -> None:
+            values = np.empty(len(observed), dtype=object)
+            for place in (*dice.permutation(len(observed)), *dice.permutation(len(observed))):
+                values[place] = instance.get([observed[place]])
+            other.append(np.concatenate(list(values)))
+
+        instance.begin()
+        shuffled()
+        run(instance, 0, steps, after=lambda _: shuffled(), observe="end")
+    with new_instance(subject, kind, "last") as instance:
+        last = run(instance.begin(), 0, steps, observe="end")
+    for rows, told in ((np.array(other), "read one by one in another order"), (last, "read only at the end")):
+        apart = compare(subject, reference[-len(rows) :], rows)
+        if not apart.equal:
+            return failed(f"{told}, {apart.where(subject, len(reference) - len(rows))}.")
+    return passed(
+        f"{len(observed)} variables over {steps} steps: all at once, one by one in other orders, and at the end only: equal bits."
+    )
