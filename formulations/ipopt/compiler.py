@@ -9,7 +9,8 @@ from pyomo.common.gc_manager import PauseGC
 from pyomo.common.numeric_types import native_numeric_types
 
 from formulations.ipopt.components import active_constraints, active_objective, refuse_unknown_components, sense_of, sides_of
-from formulations.ipopt.problem import IpoptProblem, Layout
+from formulations.ipopt.layout import Layout
+from formulations.ipopt.problem import IpoptProblem
 from formulations.ipopt.shapes import shape_of
 from formulations.ipopt.term_group import TermGroup
 from formulations.ipopt.terms import TermReader

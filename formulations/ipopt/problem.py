@@ -8,36 +8,14 @@ them into a shorter step.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from formulations.ipopt.errors import MissingValueError
+from formulations.ipopt.layout import Layout
 from formulations.ipopt.refresh import check_structure, read_bounds, read_constraint_bounds, read_data
 from formulations.ipopt.term_group import TermGroup
-
-Deferred = tuple[np.ndarray, tuple[tuple[int, Any], ...]]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Layout:
-    """What of the Pyomo model belongs where. All constraints are listed, those without a variable too.
-
-    variables: by column; data: Params, fixed variables and data expressions by data number; named: (named expression, content when
-    compiled); lower, upper: numbers and the bounds that are expressions of data.
-    """
-
-    model: Any
-    constraints: tuple[Any, ...]
-    expressions: tuple[Any, ...]
-    objective: Any | None
-    sense: int
-    lower: Deferred
-    upper: Deferred
-    variables: tuple[Any, ...]
-    data: tuple[Any, ...]
-    named: tuple[tuple[Any, Any], ...]
 
 
 class IpoptProblem:

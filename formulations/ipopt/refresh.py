@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pyomo.core.expr import value
@@ -10,9 +10,7 @@ from pyomo.core.expr import value
 from formulations.ipopt.components import active_constraints, active_objective, sense_of
 from formulations.ipopt.errors import MissingValueError, StructureChangedError
 from formulations.ipopt.evaluated import EvaluatedExpression
-
-if TYPE_CHECKING:
-    from formulations.ipopt.problem import Layout
+from formulations.ipopt.layout import Layout
 
 
 def check_structure(layout: Layout) -> None:

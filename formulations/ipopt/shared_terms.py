@@ -5,7 +5,7 @@ Same alphabet as `TermReader`, with `"shared"` in front and `("ref", k)` for the
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from pyomo.common.numeric_types import native_numeric_types
 
@@ -13,11 +13,22 @@ from formulations.ipopt import kinds
 from formulations.ipopt.evaluated import as_data
 from formulations.ipopt.graph import UNARY
 
-if TYPE_CHECKING:
-    from formulations.ipopt.terms import TermReader
+
+class Places(Protocol):
+    """Where leaves belong: what a `TermReader` knows of the model it reads."""
+
+    where: Any
+
+    def place(self, leaf: Any) -> int:
+        """Column of a free variable, or ~k for the k-th datum."""
+        ...
+
+    def open_named(self, named: Any) -> Any:
+        """What a named expression holds."""
+        ...
 
 
-def read_shared(reader: TermReader, root: Any) -> tuple[tuple, list[int], list[float], list[int]]:
+def read_shared(reader: Places, root: Any) -> tuple[tuple, list[int], list[float], list[int]]:
     tokens: list[Any] = ["shared"]
     numbers: list[float] = []
     params: list[int] = []

@@ -33,6 +33,7 @@ from formulations.ipopt.kinds import (
     is_data,
     kind_of,
 )  # fmt: skip
+from formulations.ipopt.shared_terms import read_shared
 
 _SUMS = tuple(("+", n) for n in range(64))
 _ONE = ("c", 1.0)
@@ -244,8 +245,6 @@ class TermReader:
             else:
                 self._push(node, code, tokens, stack, params)
             if len(tokens) > _LONG_TERM:
-                from formulations.ipopt.shared_terms import read_shared  # the rare road, kept out of the way of the common one
-
                 return read_shared(self, root)
         return tuple(tokens), list(slot), numbers, params
 
