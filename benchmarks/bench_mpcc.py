@@ -1,0 +1,177 @@
+"""`mpcc` from a cold start, on the paper's scene and around it: outcome, cost, residuals, certificate, CPU seconds.
+
+    python benchmarks/bench_mpcc.py [--only TEXT] [--random 20] [--time-limit 60] [--out FILE.json]
+
+The three_cart rows are whole processes: CPU seconds of a fresh Python with imports, model and solve. The others run here, one after the other;
+their CPU seconds are those of opening and solving. J*h compares grids: cost is a sum over steps. `class` is what `formulations.mpec` says of
+the plan, from the strict Pyomo model and multipliers of its own.
+
+Random scenes: rows of 2 to 5 carts, the outer ones driven (of two, the left one), with random masses, damping, stiffness (20 to 3000 N/m, within
+half the stability limit of the grid), horizon, steps and start. kind `rest`: three carts from rest to rest; `roll`: the goal is where random
+inputs lead, so that it can be reached for certain, moving in general; `far`: out of reach.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+import sympy as sp
+
+from formulations.catalog import load_method
+from formulations.mpec.certificate.plan import certify_plan
+from models.catalog import load_scene
+from models.codegen.kernel import load_kernel
+from models.scene import Contact, Coordinate, Input, Parameter, Scene, Task
+
+_CHILD = """
+import json, sys, time
+from formulations.catalog import load_method
+from models.catalog import load_scene
+scene = load_scene("three_cart").with_task(steps=int(sys.argv[1]), step=5.0 / int(sys.argv[1]))
+with load_method("mpcc").open(scene, {"search": sys.argv[2] == "1"}) as session:
+    solution = session.solve(eps=None, warm_start=None, time_limit=float(sys.argv[3]))
+cpu = time.process_time()
+print(json.dumps({"outcome": solution.outcome.name, "cost": solution.cost, "cpu": cpu}))
+"""
+_COLUMNS = ("outcome", "cost", "cost_h", "complementarity", "terminal", "class", "tried", "cpu")
+
+
+@dataclass(frozen=True)
+class Case:
+    """name; scene; search, start (a number of `mpcc`'s starts)."""
+
+    name: str
+    scene: Scene
+    start: int = 0
+
+
+def cases(random_scenes: int) -> Iterator[Case]:
+    three = load_scene("three_cart")
+    for k in (30.0, 300.0, 3000.0):
+        for steps in (250, 500, 1000):
+            yield Case(f"k={k:g} T={steps}", three.with_parameters(k=k).with_task(steps=steps, step=5.0 / steps))
+    for start in range(20):
+        yield Case(f"start {start}", three, start)
+    for seed in range(random_scenes):
+        for kind in ("rest", "roll"):
+            yield Case(f"random {kind} {seed}", random_scene(seed, kind))
+    for seed in range(max(1, random_scenes // 5)):
+        yield Case(f"random far {seed}", random_scene(seed, "far"))
+
+
+def random_scene(seed: int, kind: str) -> Scene:
+    """See the module docstring."""
+    random = np.random.default_rng((seed, ("rest", "roll", "far").index(kind)))
+    carts = 3 if kind == "rest" else int(random.choice([2, 3, 3, 3, 4, 5]))
+    masses, damping, steps = random.uniform(0.5, 2.0, carts), random.uniform(0.2, 3.0), int(random.integers(100, 600))
+    step = random.uniform(3.0, 8.0) / steps
+    stable = (4.0 - 2.0 * step * damping / masses.min()) / step**2 * masses.min() / 4.0
+    stiffness = min(10.0 ** random.uniform(1.3, 3.5), 0.5 * stable)
+    start = np.concatenate([np.cumsum(random.uniform(0.52, 1.2, carts)), random.uniform(-0.3, 0.3, carts) * (random.random() < 0.5)])
+    inputs = 1 if carts == 2 else 2
+    scene = _chain(masses, damping, stiffness, inputs, start, start, step, steps)
+    if kind == "rest":
+        places = np.cumsum(random.uniform(0.52, 1.2, carts))
+        goal = np.concatenate([places - places[1] + start[1] + random.uniform(-0.8, 0.8), np.zeros(carts)])
+        return _chain(masses, damping, stiffness, inputs, start, goal, step, steps)
+    for _ in range(200):
+        u = 4.0 * random.uniform(-1.0, 1.0, (10, inputs))[np.arange(steps) * 10 // steps] + np.array([2.0, -2.0])[:inputs]
+        rollout = load_kernel(scene).rollout(start, u, step)
+        if not rollout.diverged and (rollout.lam > 0).any(axis=0).all() and (rollout.lam > 0).mean() < 0.5:
+            break
+    goal = np.concatenate([rollout.q[-1], rollout.v[-1]])
+    if kind == "far":
+        goal[0] -= 500.0
+    return _chain(masses, damping, stiffness, inputs, start, goal, step, steps)
+
+
+def _chain(
+    masses: np.ndarray, damping: float, stiffness: float, inputs: int, start: np.ndarray, goal: np.ndarray, step: float, steps: int
+) -> Scene:
+    n = len(masses)
+    q, v, m = (sp.symbols(f"{letter}1:{n + 1}", real=True) for letter in "qvm")
+    c, k, d = sp.symbols("c k d", real=True)
+    u = sp.symbols(f"u1:{inputs + 1}", real=True)
+    forces = [-c * speed for speed in v]
+    for index, force in zip((0, n - 1), u, strict=False):
+        forces[index] += force
+    values = [*zip(m, masses, ["kg"] * n, strict=True), (c, damping, "N s/m"), (k, stiffness, "N/m"), (d, 0.5, "m")]
+    return Scene(
+        name=f"chain_of_{n}",
+        title="A random row of carts",
+        source="benchmarks/bench_mpcc.py",
+        coordinates=tuple(Coordinate(symbol=a, velocity=b, unit="m") for a, b in zip(q, v, strict=True)),
+        inputs=tuple(Input(symbol=symbol, unit="N", lower=-10.0, upper=10.0) for symbol in u),
+        parameters=tuple(Parameter(symbol=symbol, value=float(value), unit=unit, lower=0.0) for symbol, value, unit in values),
+        kinetic_energy=sum((a * b**2 for a, b in zip(m, v, strict=True)), sp.Integer(0)) / 2,
+        potential_energy=sp.Integer(0),
+        forces=tuple(forces),
+        contacts=tuple(Contact(name=f"contact{i + 1}", penetration=d - (q[i + 1] - q[i]), stiffness=k, nominal=0.1) for i in range(n - 1)),
+        task=Task(start=tuple(start), goal=tuple(goal), running_cost=sum((x**2 for x in u), sp.Integer(0)), step=step, steps=steps),
+    )
+
+
+def run(case: Case, time_limit: float) -> dict[str, object]:
+    """One row, in this process."""
+    begin, scene = process_time(), case.scene
+    with load_method("mpcc").open(scene, {"first_start": case.start}) as session:
+        solution = session.solve(eps=None, warm_start=None, time_limit=time_limit)
+    row: dict[str, object] = {"name": case.name, "outcome": solution.outcome.name, "cpu": process_time() - begin}
+    if solution.trajectory is not None and solution.cost is not None:
+        row |= {
+            "cost": solution.cost,
+            "cost_h": solution.cost * scene.task.step,
+            "complementarity": solution.residuals["complementarity"],
+            "terminal": solution.residuals["discrete_terminal_error"],
+            "tried": int(solution.residuals["windows_tried"]),
+            "class": certify_plan(scene, solution.trajectory).stationarity.letter,
+        }
+    return row
+
+
+def run_child(name: str, steps: int, search: bool, time_limit: float) -> dict[str, object]:
+    """One row, as a process of its own."""
+    command = [sys.executable, "-c", _CHILD, str(steps), str(int(search)), str(time_limit)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    found = json.loads(done.stdout)
+    return {"name": name, **found, "cost_h": found["cost"] * 5.0 / steps if found["cost"] else None}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", default="", help="rows whose name contains this text")
+    parser.add_argument("--random", type=int, default=20, help="random scenes of each kind")
+    parser.add_argument("--time-limit", type=float, default=60.0, help="seconds of the clock a row")
+    parser.add_argument("--out", type=Path, help="write the rows as JSON")
+    options = parser.parse_args()
+    children = {"three_cart, no search": (500, False), "three_cart": (500, True), "three_cart T=5000": (5000, True)}
+    rows: list[dict[str, object]] = []
+
+    def show(row: dict[str, object]) -> None:
+        rows.append(row)
+        cells = [f"{row[key]:.6g}" if isinstance(row.get(key), float) else str(row.get(key, "-")) for key in _COLUMNS]
+        print(f"{row['name']:<24}" + "".join(f"{cell:>15}" for cell in cells), flush=True)
+        if options.out:
+            options.out.write_text(json.dumps(rows, indent=1), encoding="utf-8")
+
+    print(f"{'':<24}" + "".join(f"{name:>15}" for name in _COLUMNS))
+    for name, (steps, search) in children.items():
+        if options.only in name:
+            show(run_child(name, steps, search, options.time_limit))
+    for case in cases(options.random):
+        if options.only in case.name:
+            show(run(case, options.time_limit))
+    solved = sum(row["outcome"] == "SOLVED" for row in rows)
+    print(f"{solved} of {len(rows)} solved, {sum(float(str(row['cpu'])) for row in rows):.0f} CPU s")
+
+
+if __name__ == "__main__":
+    main()
