@@ -29,12 +29,22 @@ class Limit:
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """A known answer of the scene: what it is, its value, tolerance and source."""
+    """A known answer of the scene: what it is, its value, tolerance and source.
+
+    measure: what to hold against it in the replay of the free motion, by a name that the score knows (validate.score.closed_forms); empty: nothing.
+    """
 
     quantity: str
     value: float
     tolerance: float
     source: str
+    measure: str = ""
+
+    def __post_init__(self) -> None:
+        for field in ("value", "tolerance"):
+            settle(self, field, as_number(f"answer {self.quantity}: {field}", getattr(self, field)))
+        if self.tolerance <= 0.0:
+            raise SceneError(f"answer {self.quantity}: the tolerance is {self.tolerance:g}, but must be positive.")
 
 
 @dataclass(frozen=True, kw_only=True)

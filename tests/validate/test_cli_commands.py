@@ -156,12 +156,12 @@ def test_an_unexpected_error_is_one_sentence_and_its_traceback_is_kept(cli, tmp_
 
 
 def test_a_scene_of_ones_own_by_path(cli, tmp_path):
-    source = Path(__file__).parents[1] / "scenes" / "bouncing_mass.py"
+    source = Path(__file__).parents[1] / "scenes" / "oscillator.py"
     out = tmp_path / "out"
     done = cli("all", *TOOLS, "-k", "only_good", "--scene", os.path.relpath(source), "--out", str(out))
     assert done.returncode == 0, done.stderr
-    assert "bouncing_mass" in done.stdout
-    assert (out / "results.csv").read_text().splitlines()[1].startswith("bouncing_mass,only_good,1,good,,solved,")
+    assert "oscillator" in done.stdout
+    assert (out / "results.csv").read_text().splitlines()[1].startswith("oscillator,only_good,1,good,,solved,")
 
 
 def test_data_on_stdout_progress_on_stderr(cli, tmp_path):
@@ -213,8 +213,7 @@ def test_numbers_too_large_for_decimals_are_short():
 
 
 def test_a_campaign_of_refusals_claims_nothing(cli, tmp_path):
-    scene = Path(__file__).parents[1] / "scenes" / "bouncing_mass.py"  # no inputs: no method applies
-    done = cli("all", "--scene", str(scene), "-k", "softplus_dc+strict", "--out", str(tmp_path / "refused"))
+    done = cli("all", "--scene", "bouncing_mass", "-k", "softplus_dc+strict", "--out", str(tmp_path / "refused"))
     assert done.returncode == 0
     assert "every method refused its scene" in done.stdout
     assert "holds" not in done.stdout

@@ -71,7 +71,7 @@ def carts_replay(carts: Scene) -> Replay:
 
 
 def test_a_dropped_mass_meets_the_floor_as_the_closed_form_says():
-    scene = load_scene(str(SCENES / "bouncing_mass.py"))
+    scene = load_scene("bouncing_mass")
     answers = {answer.quantity: answer.value for answer in scene.answers}
     result = replay(scene, build_fmu(scene), passive(scene))
     assert result.ok, result.message
@@ -89,16 +89,17 @@ def test_a_dropped_mass_meets_the_floor_as_the_closed_form_says():
 
 
 def test_a_collision_keeps_momentum_and_energy_and_swaps_speeds():
-    scene = load_scene(str(SCENES / "two_body_collision.py"))
+    scene = load_scene("two_body_collision")
     answers = {answer.quantity: answer.value for answer in scene.answers}
     result = replay(scene, build_fmu(scene), passive(scene))
     assert result.ok, result.message
     assert [event.closes for event in result.events] == [True, False]
     assert result.events[1].time - result.events[0].time == pytest.approx(answers["contact time [s]"], abs=REFERENCE)
-    assert result.v[-1] == pytest.approx(scene.task.goal[scene.nq :], abs=REFERENCE)
+    after = [answers[f"velocity of the {which} disc afterwards [m/s]"] for which in ("left", "right")]
+    assert result.v[-1] == pytest.approx(np.array(after), abs=REFERENCE)
     assert result.v @ np.array([1.0, 3.0]) == pytest.approx(-1.0, abs=REFERENCE)
     assert result.contact_impulse is not None
-    assert result.contact_impulse[-1, 0] == pytest.approx(scene.task.start[2] - scene.task.goal[2], abs=REFERENCE)
+    assert result.contact_impulse[-1, 0] == pytest.approx(scene.task.start[2] - after[0], abs=REFERENCE)
 
 
 def test_three_carts_replay_to_1e_8_by_two_tolerances(carts_replay: Replay):
@@ -238,7 +239,7 @@ def test_an_unstable_scene_diverges_as_an_outcome_with_finite_numbers():
 
 
 def test_a_chattering_contact_ends_with_its_event_budget():
-    scene = load_scene(str(SCENES / "bouncing_mass.py"))
+    scene = load_scene("bouncing_mass")
     result = replay(scene, build_fmu(scene), passive(scene), event_budget=1)
     assert result.outcome is ReplayOutcome.EVENT_BUDGET
     assert len(result.events) == 2

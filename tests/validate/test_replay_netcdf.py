@@ -122,7 +122,7 @@ def test_a_file_of_another_kind_or_scene_is_refused(tmp_path: Path, scene: Scene
         read_netcdf(replay_file, scene)
     with pytest.raises(TrajectoryError, match="not a replay"):
         read_replay(plan_file, scene)
-    other = load_scene(str(Path(__file__).parents[1] / "scenes" / "bouncing_mass.py"))
+    other = load_scene("bouncing_mass")
     with pytest.raises(TrajectoryError, match="plan of scene 'three_cart', not of 'bouncing_mass'"):
         read_netcdf(plan_file, other)
 

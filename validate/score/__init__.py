@@ -14,6 +14,7 @@ from models.errors import SceneError, TrajectoryError
 from models.trajectory import Trajectory
 from validate.replay.result import Replay
 from validate.replay.subject import Subject
+from validate.score.closed_forms import MEASURES
 from validate.score.evidence import Evidence, Unmeasured
 from validate.score.result import Figure, Score, Verdict
 from validate.score.table import TABLE, Entry
@@ -28,7 +29,12 @@ def figure_names() -> tuple[str, ...]:
 
 
 def check_limits(scene: Subject) -> None:
-    """Raise SceneError for a limit on a figure that does not exist."""
+    """Raise SceneError for a limit on a figure, or an answer by a measure, that does not exist."""
+    for answer in scene.answers:
+        if answer.measure and answer.measure not in MEASURES:
+            raise SceneError(
+                f"scene {scene.name}: answer {answer.quantity!r} is measured by {answer.measure!r}, but the measures are {', '.join(MEASURES)}."
+            )
     for limit in scene.limits:
         if limit.figure not in figure_names():
             raise SceneError(f"scene {scene.name}: there is a limit on {limit.figure!r}, but the figures are {', '.join(figure_names())}.")

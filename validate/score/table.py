@@ -10,6 +10,7 @@ import numpy as np
 from models.scene import Scene
 from validate.replay.subject import Subject
 from validate.score import equations as eq
+from validate.score.closed_forms import answer_error
 from validate.score.evidence import Evidence, Unmeasured
 
 
@@ -240,6 +241,10 @@ TABLE = (
         meaning="impulse by which the replay's contact forces exceed the planned ones",
     ),
     Entry(name="max_penetration", unit=_unit("m"), measure=_max_penetration, applies=_has_contacts, meaning="deepest penetration in the replay"),
+    Entry(
+        name="answer_error", unit=_unit("1"), measure=answer_error, applies=lambda scene: any(answer.measure for answer in scene.answers),
+        meaning="largest distance of the replay from a closed form of the scene, in units of that answer's tolerance",
+    ),
     Entry(
         name="energy_residual", unit=_unit("J"), measure=_energy_residual,
         meaning="self-check of the replay: work in - dissipated - change of energy, largest over time",

@@ -22,7 +22,7 @@ CONTACT = ("physics", "physics_scaled", "law_error", "discrete_terminal_error", 
 # Figures of the replay in continuous time.
 GRID = (
     "replay_terminal_error", "replay_terminal_position_error", "replay_error", "grid_error", "ghost_impulse", "missed_impulse",
-    "max_penetration", "energy_residual", "energy_residual_relative",
+    "max_penetration", "answer_error", "energy_residual", "energy_residual_relative",
 )  # fmt: skip
 
 # What each figure says when it is quoted; the first in this order that is above its limit leads the sentence.
@@ -45,6 +45,7 @@ _PHRASES = {
     "ghost_impulse": "force from a distance of {}",
     "missed_impulse": "contact force that the plan does not have of {}",
     "max_penetration": "the bodies penetrate by {}",
+    "answer_error": "the replay is {} tolerances off a closed form of the scene",
     "energy_residual": "the replay's energy does not balance by {}",
     "energy_residual_relative": "the replay's energy does not balance by {} of what is turned over",
 }

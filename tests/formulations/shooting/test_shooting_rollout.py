@@ -10,7 +10,7 @@ import torch
 from formulations.shooting.errors import ShootingError
 from formulations.shooting.reference import reference_rollout
 from formulations.shooting.rollout import rollout
-from models.catalog import load_scene
+from models.catalog import load_scene, scene_names
 from models.codegen.kernel import KernelError
 from models.contact_law import ContactLaw, RelaxationError
 from models.scene import Scene
@@ -31,7 +31,7 @@ ROUNDING = 1e-12
 
 @cache
 def scene_of(name: str) -> Scene:
-    return load_scene(name if name == "three_cart" else str(SCENES / f"{name}.py"))
+    return load_scene(name if name in scene_names() else str(SCENES / f"{name}.py"))
 
 
 def _pattern(name: str, shape: tuple[int, ...]) -> torch.Tensor:

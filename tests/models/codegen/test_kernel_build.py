@@ -17,7 +17,7 @@ from models.errors import MachineError
 
 ROOT = Path(__file__).parents[3]
 SCENES = ROOT / "tests" / "scenes"
-REFERENCES = ("three_cart", *(str(SCENES / f"{name}.py") for name in ("two_link_arm", "two_body_collision", "bouncing_mass", "oscillator")))
+REFERENCES = ("three_cart", "two_body_collision", "bouncing_mass", *(str(SCENES / f"{name}.py") for name in ("two_link_arm", "oscillator")))
 ROLLOUT = (ROOT / "models" / "codegen" / "rollout.c").read_text(encoding="utf-8")
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from models.catalog import load_scene
+from models.catalog import load_scene, scene_names
 from models.codegen.kernel import Kernel, load_kernel
 from models.contact_law import ContactLaw
 from models.dynamics import derive
@@ -26,7 +26,7 @@ STARTS = {
 
 @cache
 def kernel_of(name: str) -> Kernel:
-    return load_kernel(load_scene(name if name == "three_cart" else str(SCENES / f"{name}.py")))
+    return load_kernel(load_scene(name if name in scene_names() else str(SCENES / f"{name}.py")))
 
 
 def _loss(kernel: Kernel, start: np.ndarray, u: np.ndarray, h: float, law: ContactLaw, eps: float | None, bars: tuple) -> float:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from models.catalog import load_scene
+from models.catalog import load_scene, scene_names
 from models.codegen.kernel import Kernel, KernelError, load_kernel
 from models.codegen.workspace import Workspace
 from models.contact_law import ContactLaw, contact_force
@@ -20,7 +20,7 @@ LAWS = ((ContactLaw.RELU, None), (ContactLaw.SOFTPLUS, 1e-3), (ContactLaw.SOFTPL
 
 @cache
 def scene_of(name: str) -> Scene:
-    return load_scene(name if name == "three_cart" else str(SCENES / f"{name}.py"))
+    return load_scene(name if name in scene_names() else str(SCENES / f"{name}.py"))
 
 
 @cache

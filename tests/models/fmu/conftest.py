@@ -17,7 +17,7 @@ from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Model, FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmpy.fmi3 import FMU3Model, FMU3Slave
 
-from models.catalog import load_scene
+from models.catalog import load_scene, scene_names, scene_path
 from models.dynamics import derive
 from models.fmu import build_fmu, variable_names
 from models.scene import Scene
@@ -28,7 +28,7 @@ NAMES = ("three_cart", "bouncing_mass", "two_body_collision", "two_link_arm", "o
 
 @cache
 def _scene(name: str) -> Scene:
-    return load_scene("three_cart" if name == "three_cart" else str(_SCENES / f"{name}.py"))
+    return load_scene(name if name in scene_names() else str(_SCENES / f"{name}.py"))
 
 
 class Driver:
@@ -256,8 +256,8 @@ def scene_of() -> Callable[[str], Scene]:
 
 @pytest.fixture
 def constants() -> Callable[[str], types.SimpleNamespace]:
-    """Scene name -> the numbers that its file in tests/scenes states about itself, by their names there."""
-    return lambda name: types.SimpleNamespace(**runpy.run_path(str(_SCENES / f"{name}.py")))
+    """Scene name -> the numbers that its file states about itself, by their names there."""
+    return lambda name: types.SimpleNamespace(**runpy.run_path(str(scene_path(name))))
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ import math
 
 import sympy as sp
 
-from models.scene import Answer, Contact, Coordinate, Parameter, Scene, Shape, Task
+from models.scene import Answer, Contact, Coordinate, Limit, Parameter, Scene, Shape, Task
 
 q1, q2 = sp.symbols("q1 q2", real=True)
 v1, v2 = sp.symbols("v1 v2", real=True)
@@ -46,11 +46,39 @@ SCENE = Scene(
     potential_energy=sp.Integer(0),
     forces=(sp.Integer(0), sp.Integer(0)),
     contacts=(Contact(name="pair", penetration=2 * r - (q2 - q1), stiffness=k, nominal=0.05, description="left disc against right disc"),),
-    task=Task(start=START, goal=(0.0, 1.0, V1_AFTER, V2_AFTER), running_cost=sp.Integer(0), step=0.001, steps=600),
+    task=Task(start=START, goal=(None,) * 4, running_cost=sp.Integer(0), step=0.001, steps=600),
+    limits=(
+        Limit(
+            figure="answer_error",
+            value=1.0,
+            reason="the continuous motion is known exactly: a replay that is further off than the tolerance of a closed form is wrong",
+        ),
+        Limit(
+            figure="energy_residual",
+            value=1e-8,
+            reason="nothing drives and nothing dissipates: of the 3.5 J that the discs have, all is kept to what the replay resolves",
+        ),
+        Limit(figure="defect", value=1e-9, reason="the time step is evaluated, not solved for: only rounding is left"),
+        Limit(
+            figure="replay_error",
+            value=0.003,
+            reason="the first force comes up to one step of 1 ms late, in which the discs close by 3 mm; what is left of it is at most that",
+        ),
+    ),
     answers=(
-        Answer(quantity="contact time [s]", value=CONTACT_TIME, tolerance=1e-9, source="half a period of the reduced mass on the spring"),
-        Answer(quantity="largest compression [m]", value=COMPRESSION, tolerance=1e-9, source="energy of the relative motion"),
-        Answer(quantity="restitution", value=1.0, tolerance=1e-9, source="the spring is elastic"),
+        Answer(
+            quantity="contact time [s]",
+            value=CONTACT_TIME,
+            tolerance=1e-9,
+            source="half a period of the reduced mass on the spring",
+            measure="contact time",
+        ),
+        Answer(
+            quantity="largest compression [m]", value=COMPRESSION, tolerance=1e-9, source="energy of the relative motion", measure="depth"
+        ),
+        Answer(quantity="restitution", value=1.0, tolerance=1e-9, source="the spring is elastic", measure="restitution"),
+        Answer(quantity="velocity of the left disc afterwards [m/s]", value=V1_AFTER, tolerance=1e-9, source="momentum and energy kept"),
+        Answer(quantity="velocity of the right disc afterwards [m/s]", value=V2_AFTER, tolerance=1e-9, source="momentum and energy kept"),
     ),
     shapes=(
         Shape(name="left", kind="disc", x=q1, y=r, size=(r,)),

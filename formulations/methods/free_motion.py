@@ -1,0 +1,66 @@
+"""No plan at all: the scene's own motion from its start, by its time step and true contact, for scenes without inputs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
+
+from formulations.method import Kind, Method, OptionError, Session
+from formulations.solution import Outcome, Seconds, Solution
+from models.codegen.kernel import Kernel, load_kernel
+from models.goal import distance, goal_state
+from models.scene import Scene
+from models.trajectory import Trajectory, uniform_grid
+
+
+class _FreeMotionSession(Session):
+    def __init__(self, method: FreeMotion, kernel: Kernel) -> None:
+        self._method, self._kernel = method, kernel
+
+    def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
+        self._method.check_eps(eps)
+        scene, task = self._kernel.scene, self._kernel.scene.task
+        if warm_start is not None:
+            warm_start.check_fits(scene)
+        wall, cpu = time.perf_counter(), time.process_time()
+        u = np.zeros((task.steps, 0))
+        motion = self._kernel.rollout(np.array(task.start), u, task.step)
+        seconds = Seconds(evaluate=time.perf_counter() - wall, wall=time.perf_counter() - wall, cpu=time.process_time() - cpu)
+        if motion.diverged:
+            message = (
+                f"the time step of {task.step:g} s let the motion grow without bound by step {motion.finite_steps}; use a smaller one."
+            )
+            return Solution(method=self._method.name, outcome=Outcome.DIVERGED, message=message, seconds=seconds)
+        plan = Trajectory(t=uniform_grid(task.step, task.steps), q=motion.q, v=motion.v, u=u, lam=motion.lam)
+        return Solution(
+            method=self._method.name,
+            outcome=Outcome.SOLVED,
+            trajectory=plan,
+            cost=self._kernel.cost(motion.q, motion.v, u),
+            iterations=1,
+            seconds=seconds,
+            residuals={"terminal_error": distance(plan.end, goal_state(task))},
+        )
+
+
+class FreeMotion(Method):
+    name = "free_motion"
+    title = "Free motion of a scene without inputs"
+    kind = Kind.DIRECT
+    needs_eps = False
+
+    def accepts(self, scene: Scene) -> str | None:
+        return f"scene {scene.name} has inputs, so its motion is to be planned." if scene.nu else None
+
+    def open(self, scene: Scene, options: Mapping[str, object] = MappingProxyType({})) -> Session:
+        self.filled_options(options)
+        reason = self.accepts(scene)
+        if reason is not None:
+            raise OptionError(f"method {self.name}: {reason}")
+        return _FreeMotionSession(self, load_kernel(scene))
+
+
+METHOD = FreeMotion()

@@ -1,0 +1,57 @@
+"""Replays held against closed forms: they meet them to the stated digits, and a wrong form is found."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from models.catalog import load_scene
+from models.codegen.kernel import load_kernel
+from models.errors import SceneError
+from models.fmu import build_fmu
+from models.scene import Scene
+from models.trajectory import Trajectory, uniform_grid
+from validate.replay import replay
+from validate.score import Verdict, score
+from validate.score.closed_forms import MEASURES
+
+
+def judged(scene: Scene):
+    task = scene.task
+    motion = load_kernel(scene).rollout(np.array(task.start), np.zeros((task.steps, 0)), task.step)
+    plan = Trajectory(t=uniform_grid(task.step, task.steps), q=motion.q, v=motion.v, u=np.zeros((task.steps, 0)), lam=motion.lam)
+    return score(scene, plan, replay(scene, build_fmu(scene), plan))
+
+
+@pytest.mark.parametrize("name", ["bouncing_mass", "two_body_collision"])
+def test_the_replay_meets_every_closed_form(name: str):
+    scene = load_scene(name)
+    result = judged(scene)
+    assert result.verdict is Verdict.HOLDS, result.why
+    assert {answer.measure for answer in scene.answers} - {""} <= set(MEASURES)
+    figure = next(figure for figure in result.figures if figure.name == "answer_error")
+    assert figure.value is not None
+    assert figure.value < 0.1
+    # each answer alone is watched: moved by ten tolerances, it is found
+    for index, answer in enumerate(scene.answers):
+        if not answer.measure:
+            continue
+        moved = replace(answer, value=answer.value + 10.0 * answer.tolerance)
+        wrong = replace(scene, answers=(*scene.answers[:index], moved, *scene.answers[index + 1 :]))
+        result = judged(wrong)
+        assert result.verdict is Verdict.VIOLATES
+        assert "tolerances off a closed form" in result.why
+
+
+def test_a_contact_that_never_closes_is_not_measured():
+    scene = load_scene("bouncing_mass").with_task(steps=100)
+    result = judged(scene)
+    assert result.verdict is Verdict.NOT_RESOLVED
+    assert "no contact closes" in result.why
+
+
+def test_an_unknown_measure_is_named():
+    scene = load_scene("bouncing_mass")
+    unknown = replace(scene, answers=(replace(scene.answers[0], measure="colour"),))
+    with pytest.raises(SceneError, match="measured by 'colour', but the measures are closing time"):
+        judged(unknown)
