@@ -11,6 +11,7 @@ from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
 
+from reports.collected import collected
 from reports.record import SCHEMA_VERSION, CampaignRecord, RunRecord
 from reports.wording import clean
 
@@ -64,13 +65,13 @@ def load(folder: Path) -> Stored:
         runs[run.key] = run
     if campaign is None:
         order = sorted(runs, key=lambda key: (runs[key].scene.name, runs[key].pipeline, key))
-        return Stored(folder.name, None, tuple(runs[key] for key in order), tuple(unreadable), (), 0)
+        return Stored(folder.name, None, collected(runs[key] for key in order), tuple(unreadable), (), 0)
     keys = list(dict.fromkeys(campaign.keys))
     broken = {Path(item.path).parent.name for item in unreadable}
     return Stored(
         folder=folder.name,
         campaign=campaign,
-        runs=tuple(runs[key] for key in keys if key in runs),
+        runs=collected(runs[key] for key in keys if key in runs),
         unreadable=tuple(unreadable),
         missing=tuple(clean(key) for key in keys if key not in runs and clean(key) not in broken),
         foreign=len(set(runs) - set(keys)),

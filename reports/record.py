@@ -122,6 +122,52 @@ class SecondsRecord(_Model):
     replay: Finite = 0.0
 
 
+class CertificateRecord(_Model):
+    """A plan judged in the strict model of its scene by code that shares nothing with the solver; all residuals unscaled.
+
+    primal: largest violation [units of the scene], worst: of which constraint; complementarity: largest min(lam, lam - k phi) [N]; dual:
+    what the multipliers leave of the gradient (relative; None: none were found); letter: S, M, C, A, W or -; biactive: pairs with both sides
+    zero, of `pairs`; least: their smallest multiplier, where there is only one choice (unique); b_stationary: None where not known.
+    """
+
+    holds: bool
+    feasible: bool
+    primal: Finite | None
+    worst: str = ""
+    complementarity: Finite | None
+    dual: Finite | None
+    letter: str
+    meaning: str
+    pairs: int
+    biactive: int
+    least: Finite | None = None
+    unique: bool = False
+    b_stationary: bool | None = None
+    sentence: str
+
+
+class StartRecord(_Model):
+    """One of several starts. windows: (contact, first step, last step) of each time a contact is closed."""
+
+    number: int
+    start: str
+    outcome: str
+    cost: Finite | None = None
+    windows: tuple[tuple[str, int, int], ...] = ()
+    seconds: Finite = 0.0
+
+
+class FrontPointRecord(_Model):
+    """The cheapest plan found within a terminal tolerance; terminal_error: its own, by its time step with the true contact law."""
+
+    tolerance: Finite
+    outcome: str
+    cost: Finite | None = None
+    terminal_error: Finite | None = None
+    windows: tuple[tuple[str, int, int], ...] = ()
+    certificate: CertificateRecord | None = None
+
+
 class StageRecord(_Model):
     """One stage of a pipeline: one method at one eps."""
 
@@ -139,6 +185,9 @@ class StageRecord(_Model):
     residuals: dict[str, Finite] = {}
     options: dict[str, str | int | bool | Finite | list[Finite] | None] = {}
     history: dict[str, tuple[Finite, ...]] = {}
+    certificate: CertificateRecord | None = None
+    starts: tuple[StartRecord, ...] = ()
+    front: tuple[FrontPointRecord, ...] = ()
     seconds: SecondsRecord = SecondsRecord()
     figures: tuple[FigureRecord, ...] = ()
     verdict: Verdict = "no plan"
@@ -177,6 +226,8 @@ class RunRecord(_Model):
     scene: SceneRecord
     pipeline: str
     pipeline_title: str
+    part: int = 1  # of `parts` cells in which this pipeline is run
+    parts: int = 1
     stages: tuple[StageRecord, ...]
     outcome: str  # of the cell: that of its last stage, or crashed / time_limit / refused
     message: str = ""

@@ -19,11 +19,11 @@ from markupsafe import Markup
 
 from reports import wording
 from reports.load import ReportError, load
-from reports.pages import errata, front, matrix, provenance, runs, scene, summary, table1, tightening, violation
+from reports.pages import errata, front, matrix, provenance, runs, scene, summary, table1, tightening, tolerance, violation
 from reports.pages.section import Report, Section
 
 _HERE = Path(__file__).parent
-_PAGES = (summary, matrix, table1, violation, tightening, front, runs, scene, errata, provenance)
+_PAGES = (summary, matrix, table1, violation, tightening, front, tolerance, runs, scene, errata, provenance)
 
 
 def write_report(folder: Path) -> Path:
@@ -99,6 +99,7 @@ def _environment() -> Environment:
     ):
         environment.filters[name] = getattr(wording, name)
     environment.globals["dash"] = wording.DASH
+    environment.globals["windows"] = tolerance.windows_text
     return environment
 
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
+from formulations.pipeline import cells_of
 from models.catalog import load_scene, scene_names
 from models.errors import TouchstoneError
 from validate.cell import Cell
@@ -23,6 +24,7 @@ from validate.engine import LocalEngine
 from validate.results import write_results
 from validate.selection import matches
 from validate.store import Store, write_durably
+from validate.sweeps import write_sweeps
 from validate.tools import DEFAULT_TOOLS, Tools, load_tools, tools_source
 
 if TYPE_CHECKING:
@@ -108,10 +110,11 @@ def select(settings: Settings) -> tuple[list[Entry], tuple[str, ...]]:
                 if settings.quick and pipeline.name not in tools.quick_names():
                     left_out.append(f"{scene.name} x {pipeline.name}")
                 else:
-                    cell = Cell(
-                        key="", scene=where, scene_name=scene.name, pipeline=pipeline, tools=settings.tools, time_limit=settings.time_limit
-                    )
-                    entries.append(_entry(cell, scene, tools))
+                    for part in cells_of(pipeline):
+                        cell = Cell(
+                            key="", scene=where, scene_name=scene.name, pipeline=part, tools=settings.tools, time_limit=settings.time_limit
+                        )
+                        entries.append(_entry(cell, scene, tools))
     if not entries:
         raise _nothing(settings, seen, left_out)
     return entries, tuple(left_out)
@@ -160,11 +163,12 @@ def _usable(store: Store, cell: Cell) -> RunRecord | None:
 
 
 def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
-    """Run what is not stored and write campaign.json, results.csv, violation.csv and the report.
+    """Run what is not stored and write campaign.json, results.csv, violation.csv, starts.csv, front.csv and the report.
 
     Raises TouchstoneError for what the user can mend; KeyboardInterrupt passes through when children are stopped and what finished is written.
     """
     from models.codegen.compiler import find_compiler
+    from reports.collected import collected
     from reports.rule import failures
     from validate.provenance import gather
     from validate.violation import measure, write_violation
@@ -195,9 +199,11 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
     def write() -> tuple[RunRecord, ...]:
         done = tuple(records[entry.cell.key] for entry in entries if entry.cell.key in records)
         write_durably(settings.out / CAMPAIGN, campaign().model_dump_json(indent=1))
-        write_results(settings.out / RESULTS, done)
+        told = collected(done)
+        write_results(settings.out / RESULTS, told)
         write_violation(settings.out / VIOLATION, violation)
-        return done
+        write_sweeps(settings.out, told)
+        return told
 
     narrator.begins(len(entries), len(records))
     try:

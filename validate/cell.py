@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 import traceback
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,7 +45,8 @@ class Cell:
 
     @property
     def title(self) -> str:
-        return f"{self.scene_name} x {self.pipeline.name}"
+        part = self.pipeline.part
+        return f"{self.scene_name} x {self.pipeline.name}" + (f" ({part[0]} of {part[1]})" if part else "")
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -88,6 +89,8 @@ def run_cell(cell: Cell, provenance: ProvenanceRecord, folder: Path, began: floa
     plan = planned_stages(cell.pipeline, methods)
     deadline = began + cell.time_limit - min(_JUDGING_MOST, _JUDGING_SHARE * cell.time_limit)
     solved, rest = _solve(scene, cell.pipeline, plan, deadline, folder)
+    _progress(folder, "the certificate")
+    solved = [_certified(tools, scene, item) for item in solved]
     _progress(folder, "the replay")
     judged = _judge_all(tools, scene, solved, folder, len(plan))
     stages: list[StageRecord] = []
@@ -202,6 +205,17 @@ class _Opened:
                 session.close()
             except Exception:  # noqa: BLE001 - what was found is kept even if tidying up fails; the log has the traceback
                 traceback.print_exc()
+
+
+def _certified(tools: Tools, scene: Scene, item: _Solved) -> _Solved:
+    """The stage with the certificate of its plan, where its method claims to solve the exact problem."""
+    if not item.planned.method.exact:
+        return item
+    try:
+        return replace(item, solution=tools.certify(scene, item.solution))
+    except Exception:  # noqa: BLE001 - the plan is kept even if its judge stumbles; it then has no certificate, and the log has the traceback
+        traceback.print_exc()
+        return item
 
 
 def _judge_all(tools: Tools, scene: Scene, solved: list[_Solved], folder: Path, stages: int) -> list[Judged]:

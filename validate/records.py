@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from formulations.pipeline import stage_plan
 from formulations.solution import Outcome, Seconds, Solution
 from reports.record import FigureRecord, ReplayRecord, RunRecord, SceneRecord, SecondsRecord, StageRecord, Verdict
+from validate.evidence_records import certificate_record, front_records, start_records
 from validate.table_one import paper_row
 from validate.traces import plan_trace, replay_trace, thin
 
@@ -87,6 +88,9 @@ def stage_record(
         solver=solution.solver,
         options=_options(solution.options or planned.options),
         history=_history(solution.history),
+        certificate=certificate_record(solution.certificate),
+        starts=start_records(solution),
+        front=front_records(scene, solution),
         seconds=_seconds(solution.seconds, wall, cpu, before, judged.seconds),
         figures=tuple(_figure(figure) for figure in judged.score.figures) if judged.score is not None else (),
         verdict=verdict,
@@ -134,6 +138,8 @@ def run_record(
         scene=scene,
         pipeline=cell.pipeline.name,
         pipeline_title=cell.pipeline.title,
+        part=cell.pipeline.part[0] if cell.pipeline.part else 1,
+        parts=cell.pipeline.part[1] if cell.pipeline.part else 1,
         stages=tuple(stages),
         outcome=last.outcome if outcome is None else outcome,
         message=last.message if message is None else message,

@@ -19,6 +19,7 @@ from models.errors import MachineError, UnknownNameError
 
 if TYPE_CHECKING:
     from formulations.method import Method, Pipeline
+    from formulations.solution import Solution
     from models.scene import Scene
     from models.trajectory import Trajectory
 
@@ -41,6 +42,12 @@ def _build_fmu(scene: Scene) -> Path:
     from models.fmu import build_fmu
 
     return build_fmu(scene)
+
+
+def _certify(scene: Scene, solution: Solution) -> Solution:
+    from formulations.mpec import certify_solution
+
+    return certify_solution(scene, solution)
 
 
 def _replay(scene: Scene, fmu: Path, trajectory: Trajectory) -> Any:
@@ -79,6 +86,7 @@ class Tools:
     pipelines_for: Callable[[Scene], tuple[Pipeline, ...]] = _pipelines_for
     quick: tuple[str, ...] | None = None
     build_fmu: Callable[[Scene], Path] = _build_fmu
+    certify: Callable[[Scene, Solution], Solution] = _certify
     replay: Callable[[Scene, Path, Trajectory], Any] = _replay
     score: Callable[[Scene, Trajectory, Any], Any] = _score
     write_replay: Callable[[Path, Any, Scene], None] = _write_replay

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from reports.pages.player import Film, film
 from reports.pages.section import Report, Section
 from reports.pages.stage_plots import StagePlots, stage_plots
+from reports.pages.starts import Spread, spread
 from reports.record import RunRecord, StageRecord
 from reports.wording import tail
 
@@ -19,6 +20,7 @@ class StageView:
     stage: StageRecord
     row: int | None
     plots: StagePlots
+    spread: Spread | None
     last: bool
 
 
@@ -48,7 +50,8 @@ def _view(report: Report, run: RunRecord) -> RunView:
     numbers = {id(row.stage): row.number for row in report.rows}
     last = len(run.stages) - 1
     stages = [
-        StageView(stage, numbers.get(id(stage)), stage_plots(run.scene, stage), place == last) for place, stage in enumerate(run.stages)
+        StageView(stage, numbers.get(id(stage)), stage_plots(run.scene, stage), spread(stage), place == last)
+        for place, stage in enumerate(run.stages)
     ]
     return RunView(run, report.anchor(run), stages, film(run), tail(run.log_tail), again(report, run))
 

@@ -101,7 +101,8 @@ def command(
     """Run every scene by every pipeline, replay and score each plan, write the report.
 
     Progress goes to stderr; the table of results and the path of the report to stdout. DIR then holds report.html,
-    results.csv (one row a stage), violation.csv, campaign.json and, for each cell, runs/<key>.
+    results.csv (one row a stage), violation.csv, starts.csv (one row a start), front.csv (one row a terminal tolerance),
+    campaign.json and, for each cell, runs/<key>.
     """
     from validate.campaign import Settings, run_campaign
     from validate.cli.narrator import narrator

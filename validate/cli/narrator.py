@@ -88,7 +88,8 @@ class BarNarrator(PlainNarrator):
 
 def _summary(record: RunRecord) -> str:
     last = record.stages[-1]
-    parts = [f"{record.scene.name} x {record.pipeline}: {record.outcome}"]
+    which = f" ({record.part} of {record.parts})" if record.parts > 1 else ""
+    parts = [f"{record.scene.name} x {record.pipeline}{which}: {record.outcome}"]
     if record.verdict != "no plan":
         parts.append(record.verdict)
     if last.cost is not None:
