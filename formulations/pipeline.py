@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from models.scene import Scene
 
 PAPER = "Suh and Wang, Table I"
+FREE_MOTION = "free_motion"
 
 RELAXED_EPS = (1e-2, 1e-3, 1e-4)
 SOFTPLUS_EPS = (1e-3, 1e-5, 1e-7)
@@ -111,6 +112,12 @@ PIPELINES: tuple[Pipeline, ...] = (
         legs=(Leg(method="mpcc_front"),),
         source="ours: the honest comparison, a cost never without its terminal error",
     ),
+    Pipeline(
+        name=FREE_MOTION,
+        title="Free motion, for scenes without inputs: nothing is planned",
+        legs=(Leg(method="free_motion"),),
+        source="ours: the replay of the start, held against the scene's closed forms",
+    ),
 )
 
 # What `--quick` runs: the cheapest collocation chain that ends in a direct method, and the cheapest gradient chain.
@@ -122,8 +129,11 @@ def pipeline_names() -> tuple[str, ...]:
 
 
 def pipelines_for(scene: Scene) -> tuple[Pipeline, ...]:
-    """The pipelines tried on a scene, in the order of the table: all of them; a method that does not apply says so itself."""
-    return PIPELINES
+    """The pipelines tried on a scene, in the order of the table: all of them; a method that does not apply says so itself.
+
+    Only the free motion is not tried where there are inputs: it is no way to find a plan, but all that a scene without inputs has.
+    """
+    return tuple(pipeline for pipeline in PIPELINES if pipeline.name != FREE_MOTION) if scene.nu else PIPELINES
 
 
 def find_pipeline(name: str) -> Pipeline:
