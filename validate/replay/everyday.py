@@ -45,6 +45,7 @@ def simulate(package: Package, variables: Variables, start: np.ndarray, inputs: 
             settings = [*variables.parameters, *zip(variables.start, start.tolist(), strict=True)]
             if variables.internal_step is not None:
                 settings.append((variables.internal_step, float(np.diff(inputs.times).min()) / fineness))
+            fmu.choose(variables.choices)
             fmu.initialise(float(inputs.times[0]), settings, inputs_of, inputs.values[0])
             parts = 1 if variables.internal_step is not None else max(1, fineness // _FINENESS_OF_A_CALL)
             slopes = inputs.linear and _takes_slopes(package)

@@ -71,6 +71,7 @@ class ExchangeModel:
         """Initialise at `time` [s] with the plan's start, in the order of Variables.start; the states (nx,)."""
         fmu, variables = self._fmu, self._variables
         settings = [*variables.parameters, *zip(variables.start, state.tolist(), strict=True)]
+        fmu.choose(variables.choices)
         fmu.initialise(time, settings, self._inputs, u)
         _, self.next_event = fmu.settle()
         x, x_view = buffer(self._states)

@@ -103,6 +103,15 @@ class Instance:
             size = (references.count,) if self._extra else ()
             self._set(references.array, references.count, references.memory, *size)
 
+    def choose(self, choices: Sequence[tuple[int, int]]) -> None:
+        """Set whole numbers (enumerations), before `initialise`."""
+        if choices:
+            references = (ctypes.c_uint * len(choices))(*(reference for reference, _ in choices))
+            kind, name = (ctypes.c_int64, "SetInt64") if self._three else (ctypes.c_int, "SetInteger")
+            values = (kind * len(choices))(*(value for _, value in choices))
+            size = (len(choices),) if self._extra else ()
+            self._bind(name, _P, _S, _P, *((_S,) if self._extra else ()))(references, len(choices), values, *size)
+
     def initialise(self, time: float, settings: Sequence[tuple[int, float]], inputs: References, u: np.ndarray) -> None:
         """Start at `time` [s] with some variables set, (reference, value), and the first inputs."""
         start = References([reference for reference, _ in settings])

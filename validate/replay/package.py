@@ -141,5 +141,6 @@ def find_variables(package: Package, scene: Scene, names: Mapping[str, str] | No
         zero=frozenset(name for name, is_absent in absent.items() if is_absent),
         parameters=tuple(parameters),
         start=found["q"] + found["v"],
+        choices=(),
         internal_step=reference(INTERNAL_STEP),
     )

@@ -18,7 +18,7 @@ class Variables:
 
     energies, powers: those the FMU has, by name; zero: names of energies and powers that the scene does not have at all;
     parameters: (reference, value) set before the start; start: references of what is set to the plan's start, in the order of the start
-    vector; internal_step: of the Co-Simulation.
+    vector; internal_step: of the Co-Simulation; choices: (reference, value) of whole numbers set before the start.
     """
 
     q: tuple[int, ...]
@@ -32,6 +32,7 @@ class Variables:
     parameters: tuple[tuple[int, float], ...]
     start: tuple[int, ...]
     internal_step: int | None
+    choices: tuple[tuple[int, int], ...] = ()
 
     @property
     def outputs(self) -> tuple[int, ...]:
@@ -50,4 +51,5 @@ class Variables:
     def from_json(cls, data: Mapping[str, Any]) -> Variables:
         lists = {name: tuple(data[name]) for name in ("q", "v", "u", "lam", "gap", "start")}
         pairs = tuple((int(reference), float(value)) for reference, value in data["parameters"])
-        return cls(**{**data, **lists, "parameters": pairs, "zero": frozenset(data["zero"])})
+        choices = tuple((int(reference), int(value)) for reference, value in data["choices"])
+        return cls(**{**data, **lists, "parameters": pairs, "choices": choices, "zero": frozenset(data["zero"])})

@@ -1,0 +1,177 @@
+"""CPU seconds of the replay against its true error: Co-Simulation by step and integrator, Model Exchange by tolerance, per scene.
+
+    python benchmarks/bench_replay.py [-o FILE.json] [SCENE ...]
+
+Scenes: names, or files; without any, three_cart and the two closed-form scenes. `three_cart` is driven by the best exact plan this
+repository finds (pipeline mpcc, cold). True error: largest position difference at the plan's nodes, to a Model Exchange run at rtol 1e-14 - for
+the closed-form scenes also the relative errors of contact time, depth and restitution against their closed forms.
+The default replay (two tolerances, three steps) is timed as `python -m validate all` runs it, in this process, and in a child as `replay` does.
+CPU time: the smallest of some repetitions, imports and compilation before it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+
+from models.catalog import load_scene
+from models.fmu import build_fmu
+from models.scene import Scene
+from models.trajectory import Trajectory, uniform_grid
+from validate.isolation import Limits
+from validate.replay import Replay, replay
+from validate.replay.everyday import simulate
+from validate.replay.exchange import ExchangeModel
+from validate.replay.inputs import HeldInputs
+from validate.replay.package import Package, find_variables, read_package, unpacked
+from validate.replay.reference import Run, integrate
+from validate.replay.wiring import Variables
+
+_DEFAULT = ("three_cart", "bouncing_mass", "two_body_collision")
+_TRUTH = 1e-14
+_TOLERANCES = [10.0**-n for n in range(4, 14)]
+_STEPS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+_REPETITIONS = 3
+# The FMU's variable that chooses among them.
+INTEGRATOR = "integrator"
+
+
+def _plan(scene: Scene) -> Trajectory:
+    """The best exact plan of three_cart; of other scenes, no inputs from the task's start."""
+    if scene.name == "three_cart":
+        from formulations.catalog import load_method
+
+        method = load_method("mpcc")
+        session = method.open(scene, {})
+        solution = session.solve(eps=None, warm_start=None, time_limit=600.0)
+        session.close()
+        if solution.trajectory is None:
+            raise SystemExit(f"no plan: {solution.outcome}")
+        print(f"{scene.name}: plan of cost {solution.cost:.7g}", file=sys.stderr)
+        return solution.trajectory
+    nodes = scene.task.steps + 1
+    state = np.tile(np.array(scene.task.start), (nodes, 1))
+    inputs, forces = np.zeros((nodes - 1, scene.nu)), np.zeros((nodes - 1, scene.nl))
+    return Trajectory(t=uniform_grid(scene.task.step, nodes - 1), q=state[:, : scene.nq], v=state[:, scene.nq :], u=inputs, lam=forces)
+
+
+def _timed(function: Callable[[], Any]) -> tuple[Any, float]:
+    """The result and the smallest CPU seconds."""
+    seconds, result = [], None
+    for _ in range(_REPETITIONS):
+        began = process_time()
+        result = function()
+        seconds.append(process_time() - began)
+    return result, min(seconds)
+
+
+def _positions(run: Run, nq: int) -> np.ndarray:
+    return np.array(run.outputs)[run.knots, :nq]
+
+
+def _reference(package: Package, variables: Variables, plan: Trajectory, rtol: float) -> Run:
+    model = ExchangeModel(package, variables)
+    try:
+        return integrate(model, plan.start, HeldInputs(plan), rtol, 10_000)
+    finally:
+        model.close()
+
+
+def _sweep(scene: Scene, plan: Trajectory) -> list[dict[str, Any]]:
+    rows = []
+    with unpacked(read_package(build_fmu(scene))) as package:
+        variables = find_variables(package, scene)
+        truth = _positions(_reference(package, variables, plan, _TRUTH), scene.nq)
+
+        def row(kind: str, setting: float, run: Run, seconds: float) -> None:
+            q = _positions(run, scene.nq)
+            error = float(np.abs(q - truth).max()) if q.shape == truth.shape else None
+            rows.append({"kind": kind, "setting": setting, "cpu_s": seconds, "error_m": error, "outcome": run.outcome.name.lower()})
+
+        for rtol in _TOLERANCES:
+            run, seconds = _timed(lambda rtol=rtol: _reference(package, variables, plan, rtol))
+            row("Model Exchange, rtol", rtol, run, seconds)
+        choice = next(variable for variable in package.description.modelVariables if variable.name == INTEGRATOR)
+        for order in range(int(choice.min), int(choice.max) + 1):
+            chosen = replace(variables, choices=((int(choice.valueReference), order),))
+            for fineness in _STEPS:
+                run, seconds = _timed(
+                    lambda chosen=chosen, fineness=fineness: simulate(package, chosen, plan.start, HeldInputs(plan), fineness)
+                )
+                row(f"Co-Simulation, integrator {order}", fineness, run, seconds)
+    return rows
+
+
+def _closed_forms(scene: Scene, result: Replay) -> dict[str, float]:
+    """Relative errors against the scene's own answers; empty for a scene without."""
+    answers = {answer.quantity: answer.value for answer in scene.answers}
+    if "contact time [s]" not in answers:
+        return {}
+    closing, opening = result.events[:2]
+    at = [int(np.flatnonzero(result.t == event.time)[0]) for event in (closing, opening)]
+    found = {"contact time": abs((opening.time - closing.time) / answers["contact time [s]"] - 1)}
+    relative = result.v[:, 0] if scene.nq == 1 else result.v[:, 0] - result.v[:, 1]
+    found["restitution"] = abs(-relative[at[1]] / relative[at[0]] - 1)
+    depth = next(value for name, value in answers.items() if name.startswith("largest"))
+    found["depth"] = abs(_deepest(result) / depth - 1)
+    return {name: float(value) for name, value in found.items()}
+
+
+def _deepest(result: Replay) -> float:
+    """Largest penetration, between the recorded points: the quintic through positions, velocities and forces cannot be off by 1e-9 there."""
+    gap = result.gap[:, 0]
+    i = int(gap.argmin())
+    near = slice(i - 4, i + 5)
+    t = result.t[near] - result.t[i]
+    polynomial = np.polynomial.Polynomial.fit(t, -gap[near], 8)
+    turns = polynomial.deriv().roots()
+    inside = [turn.real for turn in turns if abs(turn.imag) < 1e-9 and t[0] < turn.real < t[-1]]
+    return max(float(polynomial(turn)) for turn in inside)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", nargs="*", default=_DEFAULT)
+    parser.add_argument("-o", "--output", type=Path, help="write all numbers as JSON")
+    arguments = parser.parse_args()
+    told = {}
+    for name in arguments.scenes:
+        scene = load_scene(name)
+        plan = _plan(scene)
+        fmu = build_fmu(scene)
+        result, here = _timed(lambda scene=scene, fmu=fmu, plan=plan: replay(scene, fmu, plan))
+        began = process_time()
+        replay(scene, fmu, plan, limits=Limits())
+        child = process_time() - began
+        estimate = result.error.estimate
+        told[scene.name] = {
+            "default_cpu_s": here,
+            "reference_cpu_s": result.seconds_reference,
+            "everyday_cpu_s": result.seconds_everyday,
+            "parent_cpu_s_of_a_child": child,
+            "self_error_m": None if estimate is None else estimate.position,
+            "closed_form_relative_errors": _closed_forms(scene, result),
+            "sweep": _sweep(scene, plan),
+        }
+        print(
+            f"{scene.name}: default replay {here:.3f} CPU s (reference {result.seconds_reference:.3f}, everyday {result.seconds_everyday:.3f}), "
+            f"self-error {told[scene.name]['self_error_m']:.2g} m, closed forms {told[scene.name]['closed_form_relative_errors']}"
+        )
+        print(f"  {'':38}{'setting':>10} {'CPU s':>9} {'error m':>10}")
+        for item in told[scene.name]["sweep"]:
+            error = "-" if item["error_m"] is None else f"{item['error_m']:.2e}"
+            print(f"  {item['kind']:38}{item['setting']:>10.3g} {item['cpu_s']:9.4f} {error:>10}")
+    if arguments.output is not None:
+        arguments.output.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
