@@ -17,6 +17,9 @@ _TREATED = frozenset({Block, Constraint, Objective, Var, Param, Expression, Set,
 # not been discretised would be a free variable).
 _MATTERS = (ActiveComponent, Var, Expression)
 
+# What Pyomo marks a row with that stands for a whole complementarity in a file for another solver: as a row it says only half.
+_HALF_COMPLEMENTARITY = ("_complementarity", "_complementarity_type")
+
 _WHAT_TO_DO = {
     "DerivativeVar": "apply a dae transformation such as 'dae.collocation' first",
     "Integral": "apply a dae transformation such as 'dae.collocation' first",
@@ -49,6 +52,12 @@ def refuse_unknown_components(model: Any, *, also: frozenset[type] = frozenset()
                 raise ModelRefusedError(f"'{component.name}' is an active {name}, which Ipopt cannot treat: {advice}")
     if not model.active:
         raise ModelRefusedError(f"the model '{model.name}' is deactivated")
+    for row in active_constraints(model):
+        if any(hasattr(row, mark) for mark in _HALF_COMPLEMENTARITY):
+            raise ModelRefusedError(
+                f"constraint '{row.name}' is what 'mpec.nl' or 'mpec.standard_form' left of a complementarity, which it does not hold by itself: "
+                "give the model before that transformation to SolverFactory('mpec_ipopt'), or apply 'mpec.simple_nonlinear' instead"
+            )
 
 
 def active_constraints(model: Any) -> list[Any]:

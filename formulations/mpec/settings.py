@@ -56,8 +56,8 @@ def read_settings(options: Mapping[str, Any]) -> Settings:
     ipopt = {name: value for name, value in options.items() if name not in _OWN and name != "solver"}
     for name in ipopt:
         if name not in known_options():
-            close = difflib.get_close_matches(name, _OWN, n=1)
-            if close:
+            close = difflib.get_close_matches(name, [*_OWN, *known_options()], n=1)
+            if close and close[0] in _OWN:
                 raise UnknownOptionError(f"there is no option '{name}': did you mean '{close[0]}'?")
     checked_options(ipopt)
     return Settings(**{name: _checked(name, value) for name, value in own.items()}, ipopt=MappingProxyType(ipopt))
