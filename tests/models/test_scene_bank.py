@@ -1,0 +1,221 @@
+"""Every scene of the bank, and its factories at several sizes: one set of equations in every language, no more than it needs, as symmetric as it is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pyomo.environ as pyo
+import pytest
+import torch
+from scipy.optimize import minimize
+
+from formulations import ContactLaw, build_model
+from formulations.shooting.reference import reference_rollout
+from formulations.transcription.expressions import SceneExpressions
+from models.catalog import load_scene
+from models.codegen.emit import emit_model
+from models.codegen.kernel import Kernel, load_kernel
+from models.dynamics import derive
+from models.errors import SceneError
+from models.fmu import build_fmu
+from models.scene import Scene
+from models.scenes.cart_chain import cart_chain
+from models.scenes.two_discs import RIGID_OPTIMUM, RIGID_OPTIMUM_WALL, rigid_cost, two_discs
+from models.trajectory import Trajectory, uniform_grid
+from validate.replay import replay
+
+NAMES = ("acrobot_limits", "bouncing_mass", "cart_pole_walls", "hopper", "three_cart", "two_body_collision", "two_discs")
+BANK: dict[str, Callable[[], Scene]] = {
+    **{name: (lambda name=name: load_scene(name)) for name in NAMES},
+    **{f"cart_chain({n})": (lambda n=n: cart_chain(n)) for n in (2, 3, 5, 20)},
+    "two_discs(wall)": lambda: two_discs(wall=True),
+}
+
+
+@cache
+def scene_of(name: str) -> Scene:
+    return BANK[name]()
+
+
+@cache
+def kernel_of(name: str) -> Kernel:
+    return load_kernel(scene_of(name))
+
+
+def points(scene: Scene) -> tuple[np.ndarray, ...]:
+    """Rows (q, v, u, lam): zeros, ones, 0101, 0123 and two random ones."""
+    sizes = np.cumsum([scene.nq, scene.nq, scene.nu, scene.nc])
+    count = np.arange(int(sizes[-1]), dtype=float)
+    random = np.random.default_rng(7).normal(size=(2, len(count)))
+    rows = np.array([np.zeros_like(count), np.ones_like(count), count % 2, count, *random])
+    return tuple(np.split(rows, sizes, axis=1)[:4])
+
+
+@pytest.mark.parametrize("name", BANK)
+def test_c_sympy_and_pyomo_agree_at_probe_points(name: str):
+    """SymPy by numpy is the reference; the C kernel and the functions that write the Pyomo model, given numbers, give the same."""
+    scene, kernel, d = scene_of(name), kernel_of(name), derive(scene_of(name))
+    mass, force = d.function(d.mass_matrix, d.q), d.function(d.generalised_force, d.q, d.v, d.u, d.lam)
+    phi, cost, end = d.function(d.penetration, d.q), d.function([d.running_cost], d.q, d.v, d.u), d.function([d.final_cost], d.q, d.v)
+    written, p = SceneExpressions(d), [parameter.value for parameter in scene.parameters]
+    for q, v, u, lam in zip(*points(scene), strict=True):
+        close = {"rel": 1e-11, "abs": 1e-11}
+        expected = np.linalg.solve(mass(q), force(q, v, u, lam).ravel())
+        assert np.isfinite(expected).all()
+        assert kernel.acceleration(q[None], v[None], u[None], lam[None])[0] == pytest.approx(expected, **close)
+        assert kernel.penetration(q[None])[0] == pytest.approx(phi(q).ravel(), **close)
+        pairs = np.array([q, q]), np.array([v, v])
+        assert kernel.cost(*pairs, u[None]) == pytest.approx(cost(q, v, u).item() + end(q, v).item(), **close)
+        numbers = [[float(pyo.value(entry)) for entry in entries] for entries in (
+            written.mass(q, p), written.force(q, v, u, lam, p), written.penetration(q, p), written.running_cost(q, v, u, p),
+            written.final_cost(q, v, p) or [0.0],
+        )]  # fmt: skip
+        references = (mass(q), force(q, v, u, lam), phi(q), cost(q, v, u), end(q, v))
+        for found, reference in zip(numbers, references, strict=True):
+            assert found == pytest.approx(reference.ravel(), **close)
+
+
+@pytest.mark.parametrize("name", BANK)
+def test_torch_takes_the_same_steps(name: str):
+    scene, kernel = scene_of(name), kernel_of(name)
+    u = np.random.default_rng(3).normal(size=(8, scene.nu))
+    start = np.array(scene.task.start)
+    found = reference_rollout(scene, torch.from_numpy(u), torch.from_numpy(start))
+    plan = kernel.rollout(start, u, scene.task.step)
+    for left, right in zip(found, (plan.q, plan.v, plan.lam), strict=True):
+        assert np.abs(left.numpy() - right).max(initial=0.0) < 1e-11
+
+
+def _reversed(nq: int) -> np.ndarray:
+    return -np.eye(nq)[::-1]
+
+
+# Name -> (of positions and velocities, of inputs, of contact forces): the scene seen in a mirror.
+MIRRORS = {
+    "three_cart": (_reversed(3), _reversed(2), np.eye(2)[::-1]),
+    "cart_chain(2)": (_reversed(2), _reversed(2), np.eye(1)),
+    "cart_chain(5)": (_reversed(5), _reversed(2), np.eye(4)[::-1]),
+    "cart_chain(20)": (_reversed(20), _reversed(2), np.eye(19)[::-1]),
+    "cart_pole_walls": (-np.eye(2), -np.eye(1), np.eye(2)[::-1]),
+    "acrobot_limits": (-np.eye(2), -np.eye(1), np.eye(2)[::-1]),
+    "two_discs": (np.diag([-1.0, 1.0, -1.0, 1.0]), np.diag([-1.0, 1.0]), np.eye(1)),
+}
+
+
+@pytest.mark.parametrize("name", MIRRORS)
+def test_a_mirrored_state_has_the_mirrored_motion(name: str):
+    kernel, (state, inputs, contacts) = kernel_of(name), MIRRORS[name]
+    q, v, u, lam = points(scene_of(name))
+    mirrored = kernel.acceleration(q @ state.T, v @ state.T, u @ inputs.T, lam @ contacts.T)
+    expected = kernel.acceleration(q, v, u, lam) @ state.T
+    assert mirrored == pytest.approx(expected, rel=1e-11, abs=1e-11)
+    assert kernel.penetration(q @ state.T) == pytest.approx(kernel.penetration(q) @ contacts.T, rel=1e-11, abs=1e-11)
+
+
+@pytest.mark.parametrize("name", ["two_discs", "two_discs(wall)", "two_body_collision", "three_cart", "cart_chain(20)"])
+def test_a_pair_of_bodies_pushes_itself_nowhere(name: str):
+    """Momentum: contact between bodies is an inner force. Contacts with a wall are not pairs."""
+    d = derive(scene_of(name))
+    q = points(scene_of(name))[0][-1]
+    J = d.function(d.gap_jacobian, d.q)(q)
+    pairs = [row for row, contact in zip(J, d.scene.contacts, strict=True) if not contact.name.startswith("wall")]
+    axes = 2 if name.startswith("two_discs") else 1
+    for row in pairs:
+        assert np.abs(row.reshape(-1, axes).sum(axis=0)).max() < 1e-14
+
+
+@pytest.mark.parametrize("name", BANK)
+def test_a_model_holds_what_the_scene_needs_and_nothing_else(name: str):
+    """Counted on paper, T steps: states 2 nq (T+1), inputs nu T, forces nc T; rows: start, what is given of the goal, 2 nq T steps, nc T contacts."""
+    scene, T = scene_of(name), 3
+    model = build_model(scene, ContactLaw.SOFTPLUS, eps=1e-2, steps=T)
+    given = sum(value is not None for value in scene.task.goal)
+    assert len(list(model.component_data_objects(pyo.Var))) == 2 * scene.nq * (T + 1) + (scene.nu + scene.nc) * T
+    assert len(list(model.component_data_objects(pyo.Constraint))) == 2 * scene.nq + given + (2 * scene.nq + scene.nc) * T
+    text, structure = emit_model(scene), derive(scene).structure
+    assert ("sin(" in text) == (name in {"cart_pole_walls", "acrobot_limits"})
+    assert ("sqrt(" in text) == (not structure.constant_mass or name.startswith("two_discs"))
+    assert structure.linear == (name not in {"cart_pole_walls", "acrobot_limits", "two_discs", "two_discs(wall)"})
+    assert ("FINAL_COST" in text) == (scene.task.final_cost != 0)
+
+
+def test_three_carts_of_the_chain_are_the_papers_bit_for_bit():
+    chain, paper = cart_chain(3, name="three_cart"), load_scene("three_cart")
+    assert emit_model(chain) == emit_model(paper)
+    u = np.random.default_rng(2).uniform(-10.0, 10.0, size=(500, 2))
+    one, other = (load_kernel(scene).rollout(np.array(scene.task.start), u, scene.task.step) for scene in (chain, paper))
+    assert one.lam.max() > 0.0
+    for field in ("q", "v", "lam"):
+        assert np.array_equal(getattr(one, field), getattr(other, field)), field
+    assert (chain.task, chain.contacts[0].stiffness) == (paper.task, paper.contacts[0].stiffness)
+
+
+@pytest.mark.parametrize("n", [1, 21, 2.5, True, "3"])
+def test_a_chain_of_no_such_length_is_refused(n: object):
+    with pytest.raises(SceneError, match="from 2 to 20"):
+        cart_chain(n)  # pyright: ignore[reportArgumentType] - the mistake under test
+
+
+def test_coincident_centres_have_a_defined_normal():
+    """No direction is better than another: no force, and finite derivatives (hard case 11)."""
+    kernel = kernel_of("two_discs")
+    start = np.array([0.3, -0.2, 0.3, -0.2, 0.0, 0.0, 0.0, 0.0])
+    plan = kernel.rollout(start, np.ones((5, 2)), 1e-3)
+    assert not plan.diverged
+    assert plan.lam[0, 0] == pytest.approx(5000.0 * 0.4, rel=1e-5)
+    gradient, _ = kernel.adjoint(plan, np.ones((5, 2)), plan.q, plan.v, cost_bar=1.0)
+    assert np.isfinite(gradient).all()
+
+
+@pytest.mark.parametrize(
+    ("start", "goal", "optimum", "printed"),
+    [((-1.0, -2.0, -1.0, -1.0), (0.0, 0.0), RIGID_OPTIMUM, 0.3115), ((0.25, -0.3, -0.5, 0.6), (0.0, 1.6), RIGID_OPTIMUM_WALL, 0.3737)],
+)
+def test_the_rigid_optimum_of_the_discs(start: tuple[float, ...], goal: tuple[float, float], optimum: float, printed: float):
+    """The closed form's minimum; the numbers from a grid are slightly high."""
+
+    def cost(x: np.ndarray) -> float:
+        return rigid_cost(x[0], x[1], x[2], start, goal) if 0.05 < x[1] < 1.0 and x[2] > 0.0 else math.inf
+
+    starts = [(angle, time, 2.0) for angle in np.linspace(-3.0, 3.0, 9) for time in (0.4, 0.6)]
+    options = {"xatol": 1e-9, "fatol": 1e-12, "maxiter": 4000}
+    best = min(minimize(cost, point, method="Nelder-Mead", options=options).fun for point in starts)
+    assert best == pytest.approx(optimum, abs=1e-7)
+    assert 0.0 < printed - best < 2e-4
+
+
+@pytest.mark.parametrize("name", ["cart_pole_walls", "acrobot_limits"])
+def test_growth_rates_are_those_of_the_derived_equations(name: str):
+    d, zero = derive(scene_of(name)), np.zeros(2)
+    slope = d.function(d.tau.jacobian(d.q), d.q, d.v, d.u)(zero, zero, np.zeros(1))
+    squares = np.linalg.eigvals(np.linalg.solve(d.function(d.mass_matrix, d.q)(zero), slope))
+    rates = sorted(np.sqrt(squares[squares > 1e-9]), reverse=True)
+    answers = [answer for answer in scene_of(name).answers if "growth rate" in answer.quantity]
+    assert rates == pytest.approx([answer.value for answer in answers], abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ["acrobot_limits", "cart_pole_walls", "hopper", "bouncing_mass", "two_body_collision"])
+def test_the_fine_integrator_keeps_the_energy_of_the_unforced_motion(name: str):
+    scene = scene_of(name)
+    steps = round(0.6 / scene.task.step)
+    u, h = np.zeros((steps, scene.nu)), scene.task.step
+    motion = load_kernel(scene).rollout(np.array(scene.task.start), u, h)
+    result = replay(scene, build_fmu(scene), Trajectory(t=uniform_grid(h, steps), q=motion.q, v=motion.v, u=u, lam=motion.lam))
+    assert result.ok, result.message
+    energy = result.kinetic_energy + result.potential_energy + result.contact_energy
+    assert result.kinetic_energy.max() > 0.1 * abs(energy[0]), "it moves"
+    assert result.lam.max() > 0.0, "it touches"
+    assert np.abs(energy - energy[0]).max() < 1e-9 * abs(energy[0])
+
+
+def test_the_hoppers_plans_get_their_impulse_from_the_floor():
+    """Momentum from rest to rest: any inputs that do it; here the identity itself, on the plan's own time step."""
+    scene = scene_of("hopper")
+    u = np.random.default_rng(0).uniform(-5.0, 5.0, size=(200, 1))
+    plan = kernel_of("hopper").rollout(np.array(scene.task.start), u, scene.task.step)
+    masses = np.array([1.0, 0.2])
+    gained = plan.v[-1] @ masses - plan.v[0] @ masses
+    assert plan.lam.sum() * scene.task.step == pytest.approx(scene.answers[0].value + gained, rel=1e-12)
