@@ -20,11 +20,11 @@ from pathlib import Path, PurePosixPath
 from xml.parsers import expat
 
 from models.errors import MachineError, TouchstoneError
+from validate.isolation.xml_reader import HasDoctype, XmlReader
 
 DESCRIPTION = "modelDescription.xml"
 # Texts that are parsed as XML, by us or by FMPy, and are therefore looked into.
 _XML_SUFFIXES = (".xml", ".ssd", ".ssv", ".ssm", ".ssb")
-_KINDS = {"ModelExchange": "Model Exchange", "CoSimulation": "Co-Simulation", "ScheduledExecution": "Scheduled Execution"}
 _ENDINGS = {"linux": ".so", "darwin": ".dylib", "windows": ".dll"}
 
 
@@ -228,10 +228,10 @@ class _Examination:
             )
             return
         is_description = item.filename == DESCRIPTION
-        reader = _Reader(is_description)
+        reader = XmlReader(is_description)
         try:
             reader.read(archive.read(item))
-        except _HasDoctype:
+        except HasDoctype:
             yield self._problem(
                 "xml", f"{item.filename} has a DOCTYPE, which FMI does not allow (its entities can read files and fill the memory)."
             )
@@ -261,36 +261,6 @@ class _Examination:
 
     def _platforms(self) -> tuple[str, ...]:
         return tuple(sorted({PurePosixPath(name).parts[1] for name in self._names if re.match(r"binaries/[^/]+/.", name)}))
-
-
-class _HasDoctype(Exception):  # noqa: N818 - it ends the reading
-    pass
-
-
-class _Reader:
-    """The root of an XML text, and refusal of a DOCTYPE."""
-
-    def __init__(self, keep: bool) -> None:
-        self.root: dict[str, str] = {}
-        self.root_name = ""
-        self.kinds: dict[str, str] = {}
-        self._keep = keep
-
-    def read(self, text: bytes) -> None:
-        parser = expat.ParserCreate()
-        parser.StartDoctypeDeclHandler = self._doctype
-        if self._keep:
-            parser.StartElementHandler = self._element
-        parser.Parse(text, True)
-
-    def _doctype(self, *_: object) -> None:
-        raise _HasDoctype
-
-    def _element(self, name: str, attributes: dict[str, str]) -> None:
-        if not self.root_name:
-            self.root_name, self.root = name, attributes
-        elif name in _KINDS:
-            self.kinds[name] = attributes.get("modelIdentifier", "")
 
 
 def platform_folder(version: str) -> str:
