@@ -86,8 +86,10 @@ def _beside(points: tuple[FrontPointRecord, ...], row: Row) -> Beside:
         above = percent(price / tight - 1)
     elif loose is not None and price < loose * (1 - _SAME):
         above = "below the front: a better front exists"
-    else:
+    elif tight is not None and abs(price - tight) <= _SAME * tight:
         above = "on it"
+    else:
+        above = "between its points" if loose is not None else "looser than all its points"
     return Beside(row, missed, price, least, above)
 
 
