@@ -118,6 +118,12 @@ PIPELINES: tuple[Pipeline, ...] = (
         legs=(Leg(method="free_motion"),),
         source="ours: the replay of the start, held against the scene's closed forms",
     ),
+    Pipeline(
+        name="global",
+        title="Exact contact by its windows, then a proof of how much cheaper a plan could be",
+        legs=(Leg(method="mpcc"), Leg(method="global")),
+        source="ours: one binary variable a contact and step, bounds from convex relaxations, SCIP; where a proof is possible",
+    ),
 )
 
 # What `--quick` runs: the cheapest collocation chain that ends in a direct method, and the cheapest gradient chain.

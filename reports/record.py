@@ -168,6 +168,17 @@ class FrontPointRecord(_Model):
     certificate: CertificateRecord | None = None
 
 
+class BoundRecord(_Model):
+    """No plan of the exact contact problem costs less than `value`; gap (cost - value)/cost; decisions: contact times step, open: left to a search."""
+
+    value: Finite
+    gap: Finite | None = None
+    proved: bool = False
+    decisions: int = 0
+    open_decisions: int = 0
+    nodes: int = 0
+
+
 class StageRecord(_Model):
     """One stage of a pipeline: one method at one eps."""
 
@@ -183,6 +194,7 @@ class StageRecord(_Model):
     iterations: int = 0
     solver: str = ""  # name and version of what ran underneath
     residuals: dict[str, Finite] = {}
+    bound: BoundRecord | None = None
     options: dict[str, str | int | bool | Finite | list[Finite] | None] = {}
     history: dict[str, tuple[Finite, ...]] = {}
     certificate: CertificateRecord | None = None

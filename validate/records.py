@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from formulations.pipeline import stage_plan
-from formulations.solution import Outcome, Seconds, Solution
-from reports.record import FigureRecord, ReplayRecord, RunRecord, SceneRecord, SecondsRecord, StageRecord, Verdict
+from formulations.solution import Bound, Outcome, Seconds, Solution
+from reports.record import BoundRecord, FigureRecord, ReplayRecord, RunRecord, SceneRecord, SecondsRecord, StageRecord, Verdict
 from validate.evidence_records import certificate_record, front_records, start_records
 from validate.table_one import paper_row
 from validate.traces import plan_trace, replay_trace, thin
@@ -85,6 +85,7 @@ def stage_record(
         cost=finite(solution.cost),
         iterations=int(solution.iterations),
         residuals=_finite_values(solution.residuals),
+        bound=_bound(solution.bound),
         solver=solution.solver,
         options=_options(solution.options or planned.options),
         history=_history(solution.history),
@@ -164,6 +165,10 @@ def _verdict(solution: Solution, judged: Judged) -> tuple[Verdict, str]:
         return "not resolved", judged.problem
     verdict = judged.score.verdict
     return getattr(verdict, "value", verdict), judged.score.why
+
+
+def _bound(bound: Bound | None) -> BoundRecord | None:
+    return None if bound is None else BoundRecord(**asdict(bound))
 
 
 def _replay(replay: Any) -> ReplayRecord:

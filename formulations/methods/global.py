@@ -1,0 +1,56 @@
+"""The global optimum, proved: one binary variable a contact and step, for linear scenes with few enough of them."""
+# ruff: noqa: N999 - a method's file is named like the method; nobody writes `import global`
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from time import perf_counter, process_time
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from formulations.method import Kind, Method, OptionError, OptionSpec, Session
+
+if TYPE_CHECKING:
+    from models.scene import Scene
+
+# Contact decisions beyond which nothing is begun: 38 of three carts (20 steps) are proved in seconds, 98 (50 steps) leave most of the gap open.
+_MOST = 60
+
+
+class Global(Method):
+    name = "global"
+    title = "Global optimum by branch and bound"
+    kind = Kind.DIRECT
+    needs_eps = False
+    options = (
+        OptionSpec(
+            name="seconds", default=200.0, description="time after which the best bound is reported", unit="s", lower=1e-3, upper=1e7
+        ),
+    )
+
+    def accepts(self, scene: Scene) -> str | None:
+        if not scene.inputs:
+            return f"scene {scene.name} has no inputs, so there is nothing to plan."
+        decisions = scene.nc * (scene.task.steps - 1)
+        if decisions > _MOST:
+            return (
+                f"scene {scene.name} has {decisions} contact decisions ({scene.nc} a step), and a proof is tried up to {_MOST}; "
+                "benchmarks/bench_proof.py says what is reached beyond."
+            )
+        from formulations.proof.extra import missing_solvers
+        from formulations.proof.prove import why_no_proof
+
+        return why_no_proof(scene) or missing_solvers()
+
+    def open(self, scene: Scene, options: Mapping[str, object] = MappingProxyType({})) -> Session:
+        opening = (perf_counter(), process_time())
+        filled = self.filled_options(options)
+        reason = self.accepts(scene)
+        if reason:
+            raise OptionError(f"method {self.name}: {reason}")
+        from formulations.proof.session import ProofSession
+
+        return ProofSession(self, scene, filled, opening)
+
+
+METHOD = Global()

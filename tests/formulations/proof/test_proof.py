@@ -1,0 +1,158 @@
+"""Proofs: against all modes tried one by one, bounds that no exact plan leaves, plans that do not count, refusals."""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pyomo.environ as pyo
+import pytest
+
+from formulations.catalog import load_method
+from formulations.method import OptionError
+from formulations.proof import PairBounds, ProofStatus, build_miqp, pair_bounds, prove, relaxed_bound
+from formulations.proof.bounds import physical_bounds
+from formulations.proof.energy import energy_bound
+from formulations.proof.prove import GAP, is_exact
+from formulations.solution import Outcome
+from formulations.transcription.contact_laws import ModelError
+from formulations.windows.linear_scene import linear_scene
+from formulations.windows.quadratic import ModesProblem
+from models.catalog import load_scene
+from models.codegen.kernel import load_kernel
+from models.errors import MachineError, SceneError
+from models.scene import Scene
+from models.trajectory import Trajectory, uniform_grid
+
+PENDULUM = load_scene("wall_pendulum")
+CARTS = load_scene("three_cart")
+LITTLE = CARTS.with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=6, step=0.15)
+SHORT = PENDULUM.with_task(start=(0.07, 0.8), steps=9)
+
+
+def cheapest_of_all_modes(scene: Scene) -> float:
+    """Every choice of modes by the banded quadratic program, which knows nothing of SCIP, Clarabel and big-M."""
+    problem, T, nc = ModesProblem(linear_scene(scene)), scene.task.steps, scene.nc
+    best = np.inf
+    for modes in product((False, True), repeat=(T - 1) * nc):
+        answer = problem.solve(np.vstack([np.zeros((1, nc), dtype=bool), np.reshape(modes, (T - 1, nc))]), below=best)
+        best = best if answer is None else min(best, answer.cost)
+    return best
+
+
+def rolled(scene: Scene, u: np.ndarray) -> Trajectory:
+    rollout = load_kernel(scene).rollout(np.array(scene.task.start), u, scene.task.step)
+    return Trajectory(t=uniform_grid(scene.task.step, scene.task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+
+
+@pytest.mark.parametrize("scene", [LITTLE, SHORT], ids=["three_cart", "wall_pendulum"])
+def test_the_proved_optimum_is_the_best_of_all_modes(scene: Scene):
+    proof = prove(scene, time_limit=300.0)
+    assert proof.status is ProofStatus.OPTIMAL
+    best = cheapest_of_all_modes(scene)
+    assert proof.cost == pytest.approx(best, rel=1e-9)
+    assert best * (1.0 - GAP) <= proof.bound <= best * (1.0 + 1e-9)
+    assert proof.plan is not None
+    assert is_exact(scene, proof.plan)
+    assert proof.pairs == (scene.task.steps - 1) * scene.nc
+
+
+def test_the_pendulum_against_its_wall_is_proved():
+    with load_method("mpcc").open(PENDULUM) as session:
+        local = session.solve(eps=None, warm_start=None, time_limit=60.0)
+    with load_method("global").open(PENDULUM) as session:
+        solution = session.solve(eps=None, warm_start=local.trajectory, time_limit=300.0)
+    assert solution.outcome is Outcome.SOLVED, solution.message
+    assert solution.bound is not None
+    assert solution.bound.proved
+    assert solution.cost == pytest.approx(local.cost, rel=1e-9)
+    assert solution.cost == pytest.approx(PENDULUM.answers[0].value, rel=1e-9)
+    assert solution.bound.value <= PENDULUM.answers[0].value * (1.0 + 1e-12)
+    assert solution.bound.decisions == 19
+
+
+def test_no_exact_plan_leaves_the_bounds():
+    """Random inputs: whatever costs no more than the ceiling keeps every bound, else the big-M would cut it off."""
+    linear, random = linear_scene(PENDULUM), np.random.default_rng(0)
+    plans = [rolled(PENDULUM, random.uniform(-1.5, 1.5, 1) + random.uniform(-0.7, 0.7, (20, 1))) for _ in range(300)]
+    costs = [load_kernel(PENDULUM).cost(plan.q, plan.v, plan.u) for plan in plans]
+    ceiling = float(np.median(costs))
+    bounds = pair_bounds(PENDULUM, linear, ceiling)
+    kept = [plan for plan, cost in zip(plans, costs, strict=True) if cost <= ceiling]
+    phi = np.stack([load_kernel(PENDULUM).penetration(plan.q[:-1]) for plan in kept])
+    assert len(kept) >= 100
+    assert (phi >= bounds.lower - 1e-12).all()
+    assert (phi <= bounds.upper + 1e-12).all()
+    dearer = np.stack([load_kernel(PENDULUM).penetration(plan.q[:-1]) for plan in plans])
+    assert (dearer > bounds.upper).any(), "the ceiling was meant to cut something off"
+
+
+def test_cheap_plans_have_little_energy():
+    random = np.random.default_rng(1)
+    for _ in range(40):
+        close = CARTS.with_task(start=(2.0, 2.0 + random.uniform(0.45, 0.6), 3.1, *random.uniform(-0.5, 0.5, 3)))
+        plan = rolled(close, random.uniform(-10, 10, (1, 2)) * np.sin(random.uniform(0, 0.1, (1, 2)) * np.arange(500)[:, None]))
+        found = energy_bound(close, float((plan.u**2).sum()))
+        assert found is not None
+        phi = load_kernel(close).penetration(plan.q)
+        assert (np.abs(plan.v) <= found.speed).all()
+        assert (phi <= found.penetration).all()
+        assert (np.abs(np.diff(phi, axis=0)) <= found.approach * 0.01).all()
+    assert energy_bound(PENDULUM, 1.0) is None, "gravity does work"
+    assert energy_bound(CARTS.with_task(step=0.25), 1.0) is None, "so long a step makes energy of its own"
+
+
+def test_the_relaxation_bounds_the_known_optimum():
+    linear, known = linear_scene(CARTS), CARTS.answers[0].value
+    bounds = physical_bounds(CARTS, linear, known)
+    bound = relaxed_bound(linear, bounds.lower, bounds.upper, known)
+    assert 100.0 < bound < known
+
+
+def test_a_plan_that_cheats_does_not_count():
+    honest = rolled(SHORT, np.zeros((9, 1)))
+    assert is_exact(SHORT, honest)
+    for name, change in (("lam", 1e-4), ("v", 1e-6), ("q", 1e-6), ("u", 1e-3)):
+        array = np.array(getattr(honest, name))
+        array[5, 0] += change
+        assert not is_exact(SHORT, replace(honest, **{name: array})), name
+    assert not is_exact(SHORT.with_task(goal=(0.0, None)), honest)
+    lie = replace(honest, q=np.zeros_like(honest.q), lam=np.zeros_like(honest.lam))
+    assert prove(SHORT, incumbent=lie, time_limit=300.0).cost == pytest.approx(cheapest_of_all_modes(SHORT), rel=1e-9)
+
+
+def test_no_plan_at_all_is_proved_too():
+    proof = prove(SHORT.with_task(goal=(-0.5, None)), time_limit=60.0)
+    assert proof.status is ProofStatus.INFEASIBLE
+    assert (proof.plan, proof.bound, proof.gap) == (None, np.inf, None)
+
+
+def test_the_model_is_plain_pyomo():
+    bounds = pair_bounds(SHORT, linear_scene(SHORT))
+    model = build_miqp(SHORT, bounds)
+    binaries = [data for data in model.variable_closed.values() if not data.fixed]
+    assert len(binaries) == int((~bounds.decided).sum())
+    assert not model.complementarity_contact.active
+    assert pyo.value(model.variable_lam[8, "wall"].ub) == pytest.approx(100.0 * max(bounds.upper[8, 0], 0.0))
+    endless = PairBounds(lower=np.full((9, 1), -np.inf), upper=np.full((9, 1), 1.0), ceiling=np.inf)
+    with pytest.raises(ModelError, match="no finite bound"):
+        build_miqp(SHORT, endless)
+
+
+def test_refusals(monkeypatch):
+    method = load_method("global")
+    assert "998 contact decisions" in str(method.accepts(CARTS))
+    arm = load_scene(str(Path(__file__).parents[2] / "scenes" / "two_link_arm.py")).with_task(steps=20)
+    assert "not linear" in str(method.accepts(arm))
+    with pytest.raises(SceneError, match="not linear"):
+        prove(arm)
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name == "pyscipopt" else find(name, *rest))
+    assert "pip install 'touchstone-contact[global]'" in str(method.accepts(PENDULUM))
+    with pytest.raises(OptionError, match="SCIP"):
+        method.open(PENDULUM)
+    with pytest.raises(MachineError, match="pyscipopt"):
+        prove(PENDULUM)
