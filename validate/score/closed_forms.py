@@ -34,7 +34,7 @@ def _gap_rate(case: Evidence, event: Event) -> float:
 
 
 def _rate(case: Evidence, row: int, contact: int) -> float:
-    dynamics, replay = derive(case.scene), case.replay
+    dynamics, replay = derive(case.equations), case.replay
     return float(dynamics.function(dynamics.gap_jacobian, dynamics.q)(replay.q[row])[contact] @ replay.v[row])
 
 

@@ -24,11 +24,16 @@ class Evidence:
     def __init__(self, scene: Subject, trajectory: Trajectory, replay: Replay | None) -> None:
         self.scene, self.trajectory, self._replay = scene, trajectory, replay
 
-    @cached_property
-    def kernel(self) -> Kernel:
+    @property
+    def equations(self) -> Scene:
+        """The scene, where there is one."""
         if not isinstance(self.scene, Scene):
             raise Unmeasured("it needs the equations, which only a scene has; an FMU keeps its own to itself.")
-        return load_kernel(self.scene)
+        return self.scene
+
+    @cached_property
+    def kernel(self) -> Kernel:
+        return load_kernel(self.equations)
 
     def need(self, *parts: str) -> None:
         """Raise Unmeasured if the plan does not say, or somebody's FMU does not offer, one of these: q, v, lam, gap."""
