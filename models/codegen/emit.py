@@ -16,6 +16,7 @@ import sympy as sp
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
 from models.codegen.c_function import Vector, c_function
+from models.codegen.friction import friction_functions
 from models.dynamics import Dynamics, derive
 from models.errors import SceneError
 from models.scene import Scene
@@ -72,7 +73,7 @@ def emit_model(scene: Scene, *, defaults: bool = True) -> str:
         parts = [
             _head(scene, defaults),
             *_contact_functions(vectors),
-            *_friction_functions(vectors),
+            *friction_functions(vectors),
             *_acceleration_functions(vectors),
             *_energy_functions(vectors),
         ]
@@ -158,27 +159,6 @@ def _final_cost_functions(x: SceneVectors, cost_bar: Vector) -> list[str]:
         "#define FINAL_COST",
         c_function("double", "scene_final_cost", (x.q, x.v, x.p), None, cost),
         c_function("void", "scene_final_cost_vjp", (x.q, x.v, x.p, cost_bar), bars, operator="+="),
-    ]
-
-
-def _friction_functions(x: SceneVectors) -> list[str]:
-    """Slip speeds and the limits mu N of the friction forces; nothing for a scene without friction."""
-    d = x.dynamics
-    if not d.structure.friction:
-        return []
-    names = [friction.name for friction in d.scene.frictions]
-    slip, limit = x.local(d.slip), x.local(d.friction_limit)
-    slip_bar, limit_bar = Vector.of("slip_bar", names), Vector.of("limit_bar", names)
-    slip_bars = [(f"{vector.name}_bar", slip.jacobian(vector.column).T * slip_bar.column) for vector in (x.q, x.v)]
-    limit_bars = [(f"{vector.name}_bar", limit.jacobian(vector.column).T * limit_bar.column) for vector in (x.q, x.lam)]
-    dq, dv = x.q.like("dq"), x.v.like("dv")
-    rate = slip.jacobian(x.q.column) * dq.column + slip.jacobian(x.v.column) * dv.column
-    return [
-        c_function("void", "scene_slip", (x.q, x.v, x.p), "slip", slip),
-        c_function("void", "scene_slip_jvp", (x.q, x.v, x.p, dq, dv), "d_slip", rate),
-        c_function("void", "scene_slip_vjp", (x.q, x.v, x.p, slip_bar), slip_bars, operator="+="),
-        c_function("void", "scene_friction_limit", (x.q, x.lam, x.p), "limit", limit),
-        c_function("void", "scene_friction_limit_vjp", (x.q, x.lam, x.p, limit_bar), limit_bars, operator="+="),
     ]
 
 

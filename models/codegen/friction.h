@@ -7,8 +7,8 @@
  *   law 0, Coulomb:      f minimises the dissipation f s over |f| <= mu N:  s = 0, or |f| = mu N against s
  *   law 1, regularised:  f = -mu N tanh(b s / (2 nominal)), a logistic function of the slip
  *
- * Both are the minimiser of a convex function of f (W is positive semidefinite), found by sweeps over the single forces and
- * sharpened by Newton steps on all of them. */
+ * Both are the minimiser of a convex function of f (W is positive semidefinite), found by sweeps over the single forces;
+ * what sticks is then solved exactly. */
 #ifndef FRICTION_H
 #define FRICTION_H
 
@@ -18,7 +18,6 @@
 #include "scene_model.h"
 
 #define FRICTION_SWEEPS 10000
-#define FRICTION_NEWTON 50
 
 typedef struct {
     double s0[NF];        /* slip at the end of the step without friction [m/s] */
@@ -28,7 +27,7 @@ typedef struct {
 } FrictionStep;
 
 /* Solve the symmetric positive definite system K x = b of size n in place (K destroyed); 0, or 1 if K is singular. */
-static int friction_solve(int n, double K[NF][NF], double *x)
+SCENE_FUNCTION int friction_solve(int n, double K[NF][NF], double *x)
 {
     for (int j = 0; j < n; j++) {
         for (int k = 0; k < j; k++) K[j][j] -= K[j][k] * K[j][k];
@@ -50,16 +49,12 @@ static int friction_solve(int n, double K[NF][NF], double *x)
     return 0;
 }
 
-/* lam: contact forces (NC), then NF entries that are set to zero here. 0, or 1 if the mass matrix is not positive definite. */
-static int friction_step(double h, const double *p, const double *q, const double *v, const double *u, double *lam, FrictionStep *step)
+/* A, hW = h S M^-1 S' and the limits, at the contact forces in front of lam. 0, or 1 if the mass matrix is not positive definite. */
+SCENE_FUNCTION int friction_columns(double h, const double *p, const double *q, const double *v, const double *u, const double *lam, FrictionStep *step)
 {
-    double a[NQ], end[NQ], zero_q[NQ], zero_u[NU > 0 ? NU : 1], unit[NC + NF];
+    double zero_q[NQ], zero_u[NU > 0 ? NU : 1], unit[NC + NF];
     memset(zero_q, 0, sizeof zero_q);
     memset(zero_u, 0, sizeof zero_u);
-    for (int j = 0; j < NF; j++) lam[NC + j] = 0.0;
-    if (scene_acceleration(q, v, u, lam, p, a)) return 1;
-    for (int i = 0; i < NQ; i++) end[i] = v[i] + h * a[i];
-    scene_slip(q, end, p, step->s0);
     scene_friction_limit(q, lam, p, step->limit);
     for (int j = 0; j < NF; j++) {
         double column[NF];
@@ -73,17 +68,28 @@ static int friction_step(double h, const double *p, const double *q, const doubl
     return 0;
 }
 
-static double slip_at_end(const FrictionStep *step, const double *f, int j)
+/* lam: contact forces (NC), then NF entries that are set to zero here. 0, or 1 if the mass matrix is not positive definite. */
+SCENE_FUNCTION int friction_step(double h, const double *p, const double *q, const double *v, const double *u, double *lam, FrictionStep *step)
+{
+    double a[NQ], end[NQ];
+    for (int j = 0; j < NF; j++) lam[NC + j] = 0.0;
+    if (scene_acceleration(q, v, u, lam, p, a)) return 1;
+    for (int i = 0; i < NQ; i++) end[i] = v[i] + h * a[i];
+    scene_slip(q, end, p, step->s0);
+    return friction_columns(h, p, q, v, u, lam, step);
+}
+
+SCENE_FUNCTION double slip_at_end(const FrictionStep *step, const double *f, int j)
 {
     double s = step->s0[j];
     for (int i = 0; i < NF; i++) s += step->hW[j][i] * f[i];
     return s;
 }
 
-static double friction_sharpness(double b, int j) { return 0.5 * b / scene_friction_nominals[j]; }
+SCENE_FUNCTION double friction_sharpness(double b, int j) { return 0.5 * b / scene_friction_nominals[j]; }
 
 /* The root in [-1, 1] of x + tanh(c (rest + w x)), c, w >= 0: the left side increases, Newton within a bracket. */
-static double regularised_root(double c, double rest, double w)
+SCENE_FUNCTION double regularised_root(double c, double rest, double w)
 {
     double low = -1.0, high = 1.0, x = -tanh(c * rest) / (1.0 + c * w);
     for (int n = 0; n < 200; n++) {
@@ -99,7 +105,7 @@ static double regularised_root(double c, double rest, double w)
 }
 
 /* One force, the others held. */
-static double friction_alone(int law, double b, const FrictionStep *step, const double *f, int j)
+SCENE_FUNCTION double friction_alone(int law, double b, const FrictionStep *step, const double *f, int j)
 {
     const double limit = step->limit[j], w = step->hW[j][j];
     const double rest = slip_at_end(step, f, j) - w * f[j];
@@ -110,7 +116,7 @@ static double friction_alone(int law, double b, const FrictionStep *step, const 
 }
 
 /* Coulomb: which forces stay inside their limits is known from f; these stick exactly, if that contradicts nothing. */
-static void stick_exactly(const FrictionStep *step, double *f)
+SCENE_FUNCTION void stick_exactly(const FrictionStep *step, double *f)
 {
     int sticks[NF], n = 0;
     double K[NF][NF], x[NF];
@@ -128,22 +134,28 @@ static void stick_exactly(const FrictionStep *step, double *f)
     for (int i = 0; i < n; i++) f[sticks[i]] = x[i];
 }
 
-/* The friction forces of a step, into lam[NC ..]; the contact forces in front are given. 0, or 1 as friction_step. */
-static int friction_forces(int law, double b, double h, const double *p, const double *q, const double *v, const double *u, double *lam)
+/* All forces of which `free` is not zero (NULL: all), from f; the others are held. */
+SCENE_FUNCTION void friction_balance(int law, double b, const FrictionStep *step, const int *free, double *f)
 {
-    FrictionStep step;
-    double *f = lam + NC;
-    if (friction_step(h, p, q, v, u, lam, &step)) return 1;
     for (int n = 0; n < FRICTION_SWEEPS; n++) {
         double change = 0.0;
         for (int j = 0; j < NF; j++) {
+            if (free && !free[j]) continue;
             const double before = f[j];
-            f[j] = friction_alone(law, b, &step, f, j);
-            if (step.limit[j] > 0.0) change = fmax(change, fabs(f[j] - before) / step.limit[j]);
+            f[j] = friction_alone(law, b, step, f, j);
+            if (step->limit[j] > 0.0) change = fmax(change, fabs(f[j] - before) / step->limit[j]);
         }
         if (NF == 1 || change <= 1e-15) break;
     }
-    if (law == 0 && NF > 1) stick_exactly(&step, f);
+    if (law == 0 && NF > 1) stick_exactly(step, f);
+}
+
+/* The friction forces of a step, into lam[NC ..]; the contact forces in front are given. 0, or 1 as friction_step. */
+SCENE_FUNCTION int friction_forces(int law, double b, double h, const double *p, const double *q, const double *v, const double *u, double *lam)
+{
+    FrictionStep step;
+    if (friction_step(h, p, q, v, u, lam, &step)) return 1;
+    friction_balance(law, b, &step, NULL, lam + NC);
     return 0;
 }
 
@@ -154,7 +166,7 @@ static int friction_forces(int law, double b, double h, const double *p, const d
  *
  * With f_bar = h A (v_bar + S' s_bar): where a force slips or is regularised s_bar = (df/ds) f_bar; where it sticks, f_bar = 0
  * determines s_bar. */
-static int friction_adjoint(int law, double b, double h, const double *p, const double *q, const double *v, const double *u,
+SCENE_FUNCTION int friction_adjoint(int law, double b, double h, const double *p, const double *q, const double *v, const double *u,
     const double *lam, const double *v_end, double *v_bar, double *q_bar, double *lam_bar)
 {
     FrictionStep step;

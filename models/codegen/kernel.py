@@ -22,11 +22,12 @@ import numpy as np
 from models.codegen.cache import cached
 from models.codegen.compiler import FLAGS, compile_shared, find_compiler
 from models.codegen.emit import emit_model
+from models.codegen.friction import friction_source
 from models.contact_law import ContactLaw, sharpness
 from models.errors import TouchstoneError
 from models.scene import Scene
 
-_SOURCES = ("rollout.c", "friction.h")
+_SOURCE = Path(__file__).with_name("rollout.c")
 
 # Result and arguments of the C functions: n a count or law, d a double, p the address of doubles. Addresses are passed as
 # plain integers: a ctypes pointer object for each of them would cost more than the rollout itself.
@@ -82,9 +83,9 @@ class BoundFunctions(NamedTuple):
 def load_kernel(scene: Scene) -> Kernel:
     """Compile (or find in the cache) the kernel of a scene. Raises MachineError without a compiler."""
     compiler = find_compiler()
-    names = _SOURCES if scene.nf else _SOURCES[:1]
-    sources = {name: Path(__file__).with_name(name).read_text(encoding="utf-8") for name in names}
-    sources["scene_model.h"] = emit_model(scene, defaults=False)
+    sources = {"scene_model.h": emit_model(scene, defaults=False), "rollout.c": _SOURCE.read_text(encoding="utf-8")}
+    if scene.nf:
+        sources["friction.h"] = friction_source()
     key = "\n".join([compiler.describe(), " ".join(FLAGS), *(f"{name}\n{text}" for name, text in sorted(sources.items()))])
     library = cached(key, ".so", lambda path: compile_shared(compiler, sources, path))
     return Kernel(scene, library)

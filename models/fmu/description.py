@@ -13,10 +13,11 @@ from datetime import UTC, datetime
 
 from models.dynamics import derive
 from models.errors import SceneError, TouchstoneError
+from models.fmu.kinds import INTEGRATORS, Kind, Variable
 from models.fmu.rendering import render
 from models.fmu.standards import Standard
 from models.fmu.structure import Dependency, dependencies
-from models.fmu.variables import INTEGRATORS, Kind, Variable, variable_table
+from models.fmu.variables import friction_nominals, variable_table
 from models.scene import Scene
 from models.units import base_exponents
 
@@ -82,7 +83,7 @@ def model_structure(scene: Scene, standard: Standard) -> dict[str, list[Unknown]
         "outputs": [running(variable) for variable in table if variable.causality == "output"],
         "derivatives": [running(variable) for variable in derivatives],
         "initial": [initial(variable) for variable in table if variable.initial == "calculated"],
-        "indicators": [running(variable) for variable in table if variable.kind is Kind.GAP],
+        "indicators": [running(variable) for variable in table if variable.kind in (Kind.GAP, Kind.RESERVE)],
     }
 
 
@@ -121,6 +122,7 @@ def describe(scene: Scene, sources: Mapping[str, str], standard: Standard) -> De
             table=table,
             state_nominals=[*nominals, *nominals],
             contact_nominals=[contact.nominal for contact in scene.contacts] or [1.0],
+            friction_nominals=friction_nominals(scene),
         )
         xml = render(
             f"modelDescription_{standard.prefix}.xml.j2",

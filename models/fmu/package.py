@@ -17,7 +17,7 @@ from pathlib import Path
 from models.codegen.cache import cached
 from models.codegen.compiler import Compiler, compile_shared
 from models.codegen.emit import emit_model
-from models.errors import SceneError
+from models.codegen.friction import friction_source
 from models.fmu.description import describe, model_identifier, source_epoch
 from models.fmu.experiment import experiment_texts
 from models.fmu.platforms import Platform, find_platforms, platform_compiler
@@ -42,10 +42,6 @@ def build_fmu(scene: Scene, version: str = "2.0", platforms: Sequence[str] = ())
     """
     standard = find_standard(version)
     identifier = model_identifier(scene)
-    if scene.frictions:
-        raise SceneError(
-            f"scene {scene.name}: its FMU would leave out the friction {scene.frictions[0].name!r}; export a scene without friction."
-        )
     compilers = {platform: platform_compiler(platform) for platform in find_platforms(platforms)}
     files = fmu_texts(scene, standard)
     made_by = [f"{platform.name} {' '.join(platform.flags)} {compiler.describe()}" for platform, compiler in compilers.items()]
@@ -63,6 +59,10 @@ def fmu_texts(scene: Scene, standard: Standard) -> dict[str, str]:
     """Every text file of the FMU, by its path inside."""
     sources = {path.name: path.read_text(encoding="utf-8") for path in sorted(_SHELL.iterdir()) if _belongs(path, standard)}
     sources |= {f"{standard.header_folder}{name}": text for name, text in standard_headers(standard).items()}
+    if scene.nf:
+        sources["friction.h"] = friction_source()
+    else:
+        del sources["friction_modes.h"]  # friction_values.h alone says that there is none
     sources |= {"scene_model.h": emit_model(scene, defaults=False), "scene_sensitivity.h": emit_sensitivity(scene)}
     description = describe(scene, sources, standard)
     sources |= {"model_config.h": description.config, "buildDescription.xml": description.build}

@@ -1,19 +1,23 @@
 """The true continuous motion of a scene under inputs that are constant piece by piece, without any C.
 
-It is integrated by scipy's DOP853 on the scene's equations as numpy functions, restarted at every change of an input or a
-contact: what the FMU's own numbers are compared with, by users and by our tests.
+It is integrated by scipy's DOP853 on the scene's equations as numpy functions, restarted at every change of an input, a
+contact or a friction: what the FMU's own numbers are compared with, by users and by our tests. What sticks and what slips is
+found by trying every combination for one that contradicts nothing - another road than the one the FMU takes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
+import sympy as sp
 from scipy.integrate import solve_ivp
 
 from models.dynamics import derive
 from models.errors import SceneError
+from models.fmu.variables import friction_nominals
 from models.scene import Scene
 
 # Relative tolerance; the absolute one is this times the nominal of each state.
@@ -32,15 +36,27 @@ class Piece:
     u: np.ndarray
 
 
+@dataclass(frozen=True)
+class Modes:
+    """closed (nc,) bool; slips (nf,): -1 or 1, the way it slips, or 0 where it sticks."""
+
+    closed: np.ndarray
+    slips: np.ndarray
+
+
 class Equations:
     """The scene's equations as numpy functions of flat vectors; x is positions, then velocities."""
 
     def __init__(self, scene: Scene) -> None:
         d = derive(scene)
         self.scene, self.n = scene, scene.nq
-        self._mass, self._force = d.function(d.mass_matrix, d.q), d.function(d.generalised_force, d.q, d.v, d.u, d.lam)
+        self._mass, self._force = d.function(d.mass_matrix, d.q), d.function(d.generalised_force, d.q, d.v, d.u, (*d.lam, *d.f))
         self._phi, self._jacobian = d.function(d.penetration, d.q), d.function(d.gap_jacobian, d.q)
         self.stiffness = d.function(d.stiffness)().ravel()
+        slip_rate = d.slip.jacobian(d.q) * sp.Matrix(d.v) if scene.nf else d.slip  # at no acceleration
+        self._slip, self._slip_rate = d.function(d.slip, d.q, d.v), d.function(slip_rate, d.q, d.v)
+        self._direction, self._limit = d.function(d.slip_jacobian, d.q), d.function(d.friction_limit, d.q, d.lam)
+        self._slip_band = _BOUNDARY * np.array([friction.nominal for friction in scene.frictions])
         self._band = _BOUNDARY * np.array([contact.nominal for contact in scene.contacts])
         self._energies = {
             "kinetic_energy": (d.function([d.kinetic_energy], d.q, d.v), "qv"),
@@ -52,17 +68,73 @@ class Equations:
     def penetration(self, x: np.ndarray) -> np.ndarray:
         return self._phi(x[: self.n]).ravel()
 
-    def modes(self, x: np.ndarray) -> np.ndarray:
-        """(nc,) whether each contact is closed; on its boundary: whether it is closing."""
-        phi = self.penetration(x)
-        rate = -self._jacobian(x[: self.n]) @ x[self.n :] if phi.size else phi
-        return (phi > self._band) | ((np.abs(phi) <= self._band) & (rate > 0))
+    def slip(self, x: np.ndarray) -> np.ndarray:
+        return self._slip(x[: self.n], x[self.n :]).ravel()
 
-    def rate(self, x: np.ndarray, u: np.ndarray, closed: np.ndarray) -> np.ndarray:
-        """dx/dt (2*nq,) with k phi in closed contacts and nothing in open ones."""
+    def modes(self, x: np.ndarray, u: np.ndarray) -> Modes:
+        """Each contact is closed or not, on its boundary: whether it is closing; each friction slips one way or sticks."""
+        closed = self.closed(x, u)
+        slip = self.slip(x)
+        limit = self.limit(x, closed)
+        decided = (np.abs(slip) > self._slip_band) | (limit <= 0)
+        choices = [[1 if value >= 0 else -1] if known else [0, 1, -1] for value, known in zip(slip, decided, strict=True)]
+        for slips in product(*choices):
+            modes = Modes(closed, np.array(slips, dtype=int))
+            acceleration, force = self.motion(x, u, modes)
+            change = self._slip_rate(x[: self.n], x[self.n :]).ravel() + self._direction(x[: self.n]) @ acceleration
+            holds = np.abs(force) <= limit * (1 + _BOUNDARY / 2)  # less than what ends sticking: whoever has just left does not stick
+            if np.all(decided | np.where(modes.slips == 0, holds, modes.slips * change >= 0)):
+                return modes
+        return Modes(closed, np.where(decided, np.where(slip >= 0, 1, -1), 0))
+
+    def closed(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """(nc,) by penetration; on its boundary by the direction of motion, or of the acceleration of a body at rest there."""
+        phi = self.penetration(x)
+        if not phi.size:
+            return phi > 0
+        jacobian, at_boundary = self._jacobian(x[: self.n]), np.abs(phi) <= self._band
+        rate = -jacobian @ x[self.n :]
+        if np.any(at_boundary & (rate == 0)):
+            free = Modes(phi > self._band, np.ones(len(self._slip_band), dtype=int))
+            rate = np.where(rate == 0, -jacobian @ self.motion(x, u, free)[0], rate)
+        return (phi > self._band) | (at_boundary & (rate > 0))
+
+    def limit(self, x: np.ndarray, closed: np.ndarray) -> np.ndarray:
+        """mu N (nf,) [N]."""
+        return self._limit(x[: self.n], self.contact_force(x, closed)).ravel()
+
+    def contact_force(self, x: np.ndarray, closed: np.ndarray) -> np.ndarray:
+        """k phi (nc,) [N] in closed contacts and nothing in open ones."""
+        return np.where(closed, self.stiffness * self.penetration(x), 0.0)
+
+    def motion(self, x: np.ndarray, u: np.ndarray, modes: Modes) -> tuple[np.ndarray, np.ndarray]:
+        """Accelerations (nq,) and friction forces (nf,): M a - S' f = forces, and S a = -dS/dt v where it sticks."""
         q, v = x[: self.n], x[self.n :]
-        force = self._force(q, v, u, np.where(closed, self.stiffness * self.penetration(x), 0.0)).ravel()
-        return np.concatenate([v, np.linalg.solve(self._mass(q), force)])
+        lam = self.contact_force(x, modes.closed)
+        friction = -modes.slips * self.limit(x, modes.closed)
+        force = self._force(q, v, u, np.concatenate([lam, friction])).ravel()
+        sticks = modes.slips == 0
+        S = self._direction(q)[sticks] if sticks.size else np.zeros((0, self.n))
+        system = np.block([[self._mass(q), -S.T], [S, np.zeros((len(S), len(S)))]])
+        solution = np.linalg.solve(system, np.concatenate([force, -self._slip_rate(q, v).ravel()[sticks]]))
+        friction = friction.astype(float)
+        friction[sticks] = solution[self.n :]
+        return solution[: self.n], friction
+
+    def rate(self, x: np.ndarray, u: np.ndarray, modes: Modes) -> np.ndarray:
+        """dx/dt (2*nq,) in the given modes."""
+        return np.concatenate([x[self.n :], self.motion(x, u, modes)[0]])
+
+    def reserve(self, x: np.ndarray, u: np.ndarray, modes: Modes, index: int) -> float:
+        """What is left until friction `index` leaves its mode: slip [m/s] or force [N]."""
+        if modes.slips[index]:
+            return float(modes.slips[index] * self.slip(x)[index])
+        return float(self.limit(x, modes.closed)[index] * (1 + _BOUNDARY) - abs(self.motion(x, u, modes)[1][index]))
+
+    def share(self, x: np.ndarray, u: np.ndarray, modes: Modes, index: int) -> float:
+        """The reserve over the nominal slip or friction force, as the FMU gives it."""
+        nominal = self.scene.frictions[index].nominal if modes.slips[index] else friction_nominals(self.scene)[index]
+        return self.reserve(x, u, modes, index) / nominal
 
     def outputs(self, x: np.ndarray, u: np.ndarray) -> dict[str, float]:
         """What the FMU gives besides positions and velocities, by the FMU's names."""
@@ -70,8 +142,14 @@ class Equations:
         lam = self.stiffness * np.maximum(phi, 0.0)
         parts = {"q": x[: self.n], "v": x[self.n :], "u": u}
         values = {contact.force_name: lam[index] for index, contact in enumerate(self.scene.contacts)}
+        modes = self.modes(x, u)
+        friction, slip = self.motion(x, u, modes)[1], self.slip(x)
+        values |= {item.force_name: friction[index] for index, item in enumerate(self.scene.frictions)}
+        values |= {item.slip_name: slip[index] for index, item in enumerate(self.scene.frictions)}
         values |= {contact.gap_name: -phi[index] for index, contact in enumerate(self.scene.contacts)}
         values |= {name: function(*(parts[letter] for letter in letters)).item() for name, (function, letters) in self._energies.items()}
+        values |= {f"reserve_{item.name}": self.share(x, u, modes, index) for index, item in enumerate(self.scene.frictions)}
+        values["dissipated_power"] -= float(friction @ slip)
         return values | {"contact_energy": float(np.sum(lam * phi) / 2)}
 
 
@@ -86,9 +164,9 @@ def true_motion(equations: Equations, pieces: Sequence[Piece], times: np.ndarray
         for _ in range(_MOST_SWITCHES):
             if t >= piece.end:
                 break
-            closed = equations.modes(x)
+            modes = equations.modes(x, piece.u)
             found = solve_ivp(
-                lambda _, y, u=piece.u, closed=closed: equations.rate(y, u, closed),
+                lambda _, y, u=piece.u, modes=modes: equations.rate(y, u, modes),
                 (t, piece.end),
                 x,
                 method="DOP853",
@@ -96,7 +174,7 @@ def true_motion(equations: Equations, pieces: Sequence[Piece], times: np.ndarray
                 atol=_TOLERANCE * nominal,
                 max_step=scene.task.step,
                 dense_output=True,
-                events=[_leaving(equations, index, bool(mode)) for index, mode in enumerate(closed)],
+                events=_leaving(equations, modes, piece.u),
             )
             if not found.success or not np.isfinite(found.y[:, -1]).all():
                 raise SceneError(f"scene {scene.name}: its motion cannot be followed beyond t = {found.t[-1]:.6g} s ({found.message}).")
@@ -107,12 +185,17 @@ def true_motion(equations: Equations, pieces: Sequence[Piece], times: np.ndarray
     return result
 
 
-def _leaving(equations: Equations, index: int, closed: bool) -> Callable[[float, np.ndarray], float]:
-    """An event function: contact `index` leaves its mode."""
+def _leaving(equations: Equations, modes: Modes, u: np.ndarray) -> list[Callable[[float, np.ndarray], float]]:
+    """Event functions that fall through zero where a contact or a friction leaves its mode."""
 
-    def penetration(_: float, y: np.ndarray) -> float:
-        return float(equations.penetration(y)[index])
+    def contact(index: int, sign: float) -> Callable[[float, np.ndarray], float]:
+        return lambda _, y: float(sign * equations.penetration(y)[index])
 
-    penetration.terminal = True  # type: ignore[attr-defined] - how scipy is told
-    penetration.direction = -1.0 if closed else 1.0  # type: ignore[attr-defined]
-    return penetration
+    def friction(index: int) -> Callable[[float, np.ndarray], float]:
+        return lambda _, y: equations.reserve(y, u, modes, index)
+
+    events = [contact(index, 1.0 if mode else -1.0) for index, mode in enumerate(modes.closed)]
+    events += [friction(index) for index in range(len(modes.slips))]
+    for event in events:
+        event.terminal, event.direction = True, -1.0  # type: ignore[attr-defined] - how scipy is told
+    return events

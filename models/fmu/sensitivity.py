@@ -7,6 +7,8 @@ add to the adjoints (q, v, u, p)_bar:
     scene_<quantity>_vjp            the same backwards, times the weight w
     scene_<quantity>_parameter_jvp  penetration, stiffness and acceleration along dp
     scene_<quantity>_parameter_vjp  the same backwards
+
+and, in scenes with friction, those of slips, of their rates and of the limits mu N.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import sympy as sp
 
 from models.codegen.c_function import Vector, c_function
 from models.codegen.emit import SceneVectors
+from models.codegen.friction import slip_rate
 from models.dynamics import derive
 from models.scene import Scene
 
@@ -55,7 +58,9 @@ SCENE_FUNCTION int scene_acceleration_parameter_vjp(const double *q, const doubl
 def emit_sensitivity(scene: Scene) -> str:
     """Text of `scene_sensitivity.h` (C99, static inline functions; needs `scene_model.h`)."""
     x = SceneVectors.of(derive(scene))
-    return "\n".join([_HEAD.format(name=scene.name), *_parameter_functions(x), *_energy_functions(x), "#endif", ""])
+    return "\n".join(
+        [_HEAD.format(name=scene.name), *_parameter_functions(x), *_friction_functions(x), *_energy_functions(x), "#endif", ""]
+    )
 
 
 def _jvp(function: sp.Matrix, vectors: Sequence[Vector]) -> sp.Matrix:
@@ -82,7 +87,7 @@ def _tangent(vector: Vector) -> Vector:
 def _parameter_functions(x: SceneVectors) -> list[str]:
     d, dp = x.dynamics, _tangent(x.p)
     phi, stiffness = x.local(d.penetration), x.local(d.stiffness)
-    a, a_bar, phi_bar, k_bar = x.q.like("a"), x.q.like("a_bar"), x.lam.like("phi_bar"), x.lam.like("k_bar")
+    a, a_bar, phi_bar, k_bar = x.q.like("a"), x.q.like("a_bar"), Vector.of("phi_bar", x.contacts), Vector.of("k_bar", x.contacts)
     functions = [
         c_function("void", "scene_penetration_parameter_jvp", (x.q, x.p, dp), "d_phi", _jvp(phi, [x.p])),
         c_function("void", "scene_penetration_parameter_vjp", (x.q, x.p, phi_bar), _vjp(phi, phi_bar, [x.p]), operator="+="),
@@ -105,6 +110,32 @@ def _parameter_functions(x: SceneVectors) -> list[str]:
             _SOLVES,
         ]
     return functions
+
+
+def _friction_functions(x: SceneVectors) -> list[str]:
+    """Slip, its rate and the limit mu N along everything; backwards what scene_model.h leaves out."""
+    d = x.dynamics
+    if not d.structure.friction:
+        return []
+    names = [friction.name for friction in d.scene.frictions]
+    a, slip_bar, rate_bar, limit_bar = x.q.like("a"), *(Vector.of(name, names) for name in ("slip_bar", "rate_bar", "limit_bar"))
+    slip, rate, limit = x.local(d.slip), slip_rate(x, a), x.local(d.friction_limit)
+    moving, turning, pressing = (x.q, x.v, x.p), (x.q, x.v, a, x.p), (x.q, x.lam, x.p)
+
+    def jvp(name: str, function: sp.Matrix, vectors: Sequence[Vector], result: str) -> str:
+        return c_function("void", name, (*vectors, *(_tangent(vector) for vector in vectors)), result, _jvp(function, vectors))
+
+    def vjp(name: str, function: sp.Matrix, vectors: Sequence[Vector], weights: Vector, back: Sequence[Vector]) -> str:
+        return c_function("void", name, (*vectors, weights), _vjp(function, weights, back), operator="+=")
+
+    return [
+        jvp("scene_slip_jvp", slip, moving, "d_slip"),
+        vjp("scene_slip_parameter_vjp", slip, moving, slip_bar, [x.p]),
+        jvp("scene_slip_rate_jvp", rate, turning, "d_rate"),
+        vjp("scene_slip_rate_vjp", rate, turning, rate_bar, turning),
+        jvp("scene_friction_limit_jvp", limit, pressing, "d_limit"),
+        vjp("scene_friction_limit_parameter_vjp", limit, pressing, limit_bar, [x.p]),
+    ]
 
 
 def _energy_functions(x: SceneVectors) -> list[str]:

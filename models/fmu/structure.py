@@ -11,7 +11,8 @@ from enum import Enum
 import sympy as sp
 
 from models.dynamics import Dynamics, derive
-from models.fmu.variables import Kind, Variable, variable_table
+from models.fmu.kinds import Kind, Variable
+from models.fmu.variables import variable_table
 from models.scene import Scene
 
 
@@ -47,7 +48,11 @@ def _knowns(d: Dynamics, variable: Variable) -> dict[sp.Symbol, Dependency] | No
         case Kind.VELOCITY_RATE:
             return _of_acceleration(d, index)
         case Kind.FORCE:
-            return _of_contact(d, index)
+            return _of_contact(d, index) if index < len(d.lam) else _of_everything(d)
+        case Kind.SLIP:
+            return _of_expressions(d, [d.slip[index]])
+        case Kind.RESERVE:
+            return _of_everything(d)
         case Kind.GAP:
             return _of_expressions(d, [d.penetration[index]])
         case Kind.KINETIC_ENERGY:
@@ -58,6 +63,8 @@ def _knowns(d: Dynamics, variable: Variable) -> dict[sp.Symbol, Dependency] | No
             return _merge(_of_contact(d, contact) for contact in range(len(d.lam)))
         case Kind.INPUT_POWER:
             return _of_expressions(d, [d.input_power])
+        case Kind.DISSIPATED_POWER if d.f:
+            return _of_everything(d)
         case Kind.DISSIPATED_POWER:
             return _of_expressions(d, [d.dissipated_power])
         case _:
@@ -90,6 +97,13 @@ def _of_contact(d: Dynamics, contact: int) -> dict[sp.Symbol, Dependency]:
     return _all_dependent((d.penetration[contact].free_symbols | d.stiffness[contact].free_symbols) & {*d.q, *d.p})
 
 
+def _of_everything(d: Dynamics) -> dict[sp.Symbol, Dependency]:
+    """A friction force holds against everything that moves: while it sticks, it depends on all that accelerates the bodies."""
+    entries = [*d.generalised_force, *d.mass_matrix, *d.slip, *d.friction_limit, *d.penetration, *d.stiffness]
+    symbols = set().union(*(sp.sympify(entry).free_symbols for entry in entries))
+    return _all_dependent(symbols & {*d.q, *d.v, *d.u, *d.p})
+
+
 def _merge(parts: Iterable[dict[sp.Symbol, Dependency]]) -> dict[sp.Symbol, Dependency]:
     """Several dependencies at once; a known of more than one of them is plainly `dependent`."""
     merged: dict[sp.Symbol, Dependency] = {}
@@ -102,6 +116,8 @@ def _merge(parts: Iterable[dict[sp.Symbol, Dependency]]) -> dict[sp.Symbol, Depe
 def _of_acceleration(d: Dynamics, index: int) -> dict[sp.Symbol, Dependency]:
     """Row `index` of M^-1 (tau + J' lam): exact where M is constant; otherwise all that stands in the rows M couples it to."""
     variables = {*d.q, *d.v, *d.u, *d.p}
+    if d.f:
+        return _of_everything(d)
     if d.acceleration is not None:
         row = sp.sympify(d.acceleration[index])
         own = _of_expressions(d, [row])

@@ -6,103 +6,27 @@ variable_table(scene)            every variable with unit, start, range; its pos
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from dataclasses import dataclass
-from enum import Enum
+
+import sympy as sp
 
 from models.dynamics import derive
 from models.errors import SceneError
+from models.fmu.kinds import INTEGRATORS, Kind, Variable
 from models.scene import Scene
 
 # The internal step may be shortened to this [s]; below it a communication step of 10 ms takes ten million steps.
 SMALLEST_INTERNAL_STEP = 1e-9
 # Internal steps within one step of the task: the everyday replay then follows the motion to about 1e-8 of its size.
 INTERNAL_STEPS = 100
-# The methods of Co-Simulation: name and meaning, numbered from 1 as in `shell/model.h`; the last is the default.
-INTEGRATORS = (
-    ("explicit_euler", "order 1, contacts are not located"),
-    ("semi_implicit_euler", "order 1, the time step of the plans: velocities first, contacts are not located"),
-    ("heun", "order 2, steps are divided where a contact opens or closes"),
-    ("runge_kutta", "order 4, steps are divided where a contact opens or closes"),
-)
-
-
-class Kind(Enum):
-    """What a variable is; the value is the constant of `shell/model.h`."""
-
-    TIME = "KIND_TIME"
-    POSITION = "KIND_POSITION"
-    VELOCITY = "KIND_VELOCITY"
-    POSITION_RATE = "KIND_POSITION_RATE"
-    VELOCITY_RATE = "KIND_VELOCITY_RATE"
-    INPUT = "KIND_INPUT"
-    PARAMETER = "KIND_PARAMETER"
-    FORCE = "KIND_FORCE"
-    GAP = "KIND_GAP"
-    KINETIC_ENERGY = "KIND_KINETIC_ENERGY"
-    POTENTIAL_ENERGY = "KIND_POTENTIAL_ENERGY"
-    CONTACT_ENERGY = "KIND_CONTACT_ENERGY"
-    INPUT_POWER = "KIND_INPUT_POWER"
-    DISSIPATED_POWER = "KIND_DISSIPATED_POWER"
-    INTERNAL_STEP = "KIND_INTERNAL_STEP"
-    INTEGRATOR = "KIND_INTEGRATOR"
-
-
-# Kind -> (causality, variability, initial) in the words of FMI.
-_ROLES: dict[Kind, tuple[str, str, str | None]] = {
-    Kind.TIME: ("independent", "continuous", None),
-    Kind.POSITION: ("output", "continuous", "exact"),
-    Kind.VELOCITY: ("output", "continuous", "exact"),
-    Kind.POSITION_RATE: ("local", "continuous", "calculated"),
-    Kind.VELOCITY_RATE: ("local", "continuous", "calculated"),
-    Kind.INPUT: ("input", "continuous", None),
-    Kind.PARAMETER: ("parameter", "fixed", "exact"),
-    Kind.INTERNAL_STEP: ("parameter", "tunable", "exact"),
-    Kind.INTEGRATOR: ("parameter", "tunable", "exact"),
-}
-_OUTPUT = ("output", "continuous", "calculated")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Variable:
-    """One variable; `index` is its place among those of its kind. start is None where the value is calculated.
-
-    unit is empty for an enumeration, which is the only kind that is not a real number.
-    """
-
-    name: str
-    kind: Kind
-    index: int = 0
-    unit: str
-    description: str
-    start: float | None = None
-    nominal: float | None = None
-    lower: float = -math.inf
-    upper: float = math.inf
-
-    @property
-    def causality(self) -> str:
-        return _ROLES.get(self.kind, _OUTPUT)[0]
-
-    @property
-    def variability(self) -> str:
-        return _ROLES.get(self.kind, _OUTPUT)[1]
-
-    @property
-    def initial(self) -> str | None:
-        return _ROLES.get(self.kind, _OUTPUT)[2]
-
-    @property
-    def is_enumeration(self) -> bool:
-        return self.kind is Kind.INTEGRATOR
 
 
 @dataclass(frozen=True, kw_only=True)
 class VariableNames:
     """Names of the variables of a scene's FMU, in the order of the scene; None for what the scene does not have.
 
-    q, v, u, lam, gap, der_q, der_v, parameters: one name an entry; energies [J] and powers [W]: one name each.
+    q, v, u, lam, gap, friction, slip, der_q, der_v, parameters: one name an entry; energies [J] and powers [W]: one name each.
     """
 
     q: tuple[str, ...]
@@ -112,6 +36,8 @@ class VariableNames:
     u: tuple[str, ...]
     lam: tuple[str, ...]
     gap: tuple[str, ...]
+    friction: tuple[str, ...]
+    slip: tuple[str, ...]
     parameters: tuple[str, ...]
     kinetic_energy: str
     potential_energy: str | None
@@ -138,8 +64,10 @@ def variable_names(scene: Scene) -> VariableNames:
         der_q=names(Kind.POSITION_RATE),
         der_v=names(Kind.VELOCITY_RATE),
         u=names(Kind.INPUT),
-        lam=names(Kind.FORCE),
+        lam=names(Kind.FORCE)[: scene.nc],
         gap=names(Kind.GAP),
+        friction=names(Kind.FORCE)[scene.nc :],
+        slip=names(Kind.SLIP),
         parameters=names(Kind.PARAMETER),
         kinetic_energy=names(Kind.KINETIC_ENERGY)[0],
         potential_energy=single(Kind.POTENTIAL_ENERGY),
@@ -161,6 +89,7 @@ def variable_table(scene: Scene) -> tuple[Variable, ...]:
         *_states(scene),
         *_inputs(scene),
         *_contacts(scene),
+        *_frictions(scene),
         *_energies(scene),
         *_parameters(scene),
     )
@@ -240,6 +169,49 @@ def _contacts(scene: Scene) -> list[Variable]:
     return [*forces, *gaps]
 
 
+def friction_nominals(scene: Scene) -> list[float]:
+    """Typical friction forces (nf,) [N]: mu times the nominal force of the contact, or the given normal force at the start; at least 1e-6 N."""
+    start = dict(zip((coordinate.symbol for coordinate in scene.coordinates), scene.task.start, strict=False))
+    pressing = {contact.name: contact.stiffness * contact.nominal for contact in scene.contacts}
+    forces = [
+        item.coefficient * (pressing[item.contact] if item.contact is not None else sp.sympify(item.normal_force))
+        for item in scene.frictions
+    ]
+    return [max(float(force.subs(start).subs(scene.parameter_values)), 1e-6) for force in forces]
+
+
+def _frictions(scene: Scene) -> list[Variable]:
+    nominals = friction_nominals(scene)
+    rows = [(item, item.description or item.name, nominals[index], index) for index, item in enumerate(scene.frictions)]
+    forces = [
+        Variable(
+            name=item.force_name,
+            kind=Kind.FORCE,
+            index=scene.nc + index,
+            unit="N",
+            nominal=nominal,
+            description=f"friction force, {what}",
+        )
+        for item, what, nominal, index in rows
+    ]
+    slips = [
+        Variable(name=item.slip_name, kind=Kind.SLIP, index=index, unit="m/s", nominal=item.nominal, description=f"slip speed, {what}")
+        for item, what, _, index in rows
+    ]
+    reserves = [
+        Variable(
+            name=f"reserve_{item.name}",
+            kind=Kind.RESERVE,
+            index=index,
+            unit="1",
+            nominal=1.0,
+            description=f"to the next change between slipping and sticking, {what}: slip over {item.nominal:g} m/s, or mu N - |f| over {nominal:g} N",
+        )
+        for item, what, nominal, index in rows
+    ]
+    return [*forces, *slips, *reserves]
+
+
 def _energies(scene: Scene) -> list[Variable]:
     """Energies and powers the scene has: no contact energy without contacts, no input power without inputs, and so on."""
     dynamics = derive(scene)
@@ -252,8 +224,10 @@ def _energies(scene: Scene) -> list[Variable]:
             "dissipated_power",
             Kind.DISSIPATED_POWER,
             "W",
-            "power taken out by forces that remain without inputs",
-            dynamics.dissipated_power != 0,
+            "power taken out by friction and by forces that remain without inputs"
+            if scene.nf
+            else "power taken out by forces that remain without inputs",
+            dynamics.dissipated_power != 0 or scene.nf > 0,
         ),
     )
     return [Variable(name=name, kind=kind, unit=unit, description=text) for name, kind, unit, text, present in rows if present]

@@ -3,6 +3,7 @@
 #define EQUATIONS_H
 
 #include "model.h"
+#include "friction_values.h"
 
 /* Half-width of the hysteresis around gap = 0, as a share of the contact's nominal penetration. Event location leaves a gap
  * of about 1e-13 m; within the band the direction of motion decides, and the force in it is below 1e-10 of a typical one. */
@@ -20,54 +21,72 @@ static inline int contact_mode(int contact, double phi, double phi_rate, int bef
     return before;
 }
 
-/* Bring contact modes up to date with a point of the motion; returns how many changed. */
-static inline int update_modes(const Model *m, const double *q, const double *v, int *active)
+/* lam = closed ? k phi : 0, the smooth continuation of one contact mode beyond its boundary; without modes the true law,
+ * lam = k max(phi, 0). */
+static inline void contact_forces(const double *phi, const double *k, const int *modes, double *lam)
+{
+    for (int i = 0; i < NC; i++) lam[i] = (modes ? modes[i] : phi[i] > 0.0) ? k[i] * phi[i] : 0.0;
+}
+
+/* Bring modes up to date with a point of the motion under the inputs u; returns how many changed. */
+static inline int update_modes(const Model *m, const double *q, const double *v, const double *u, int *modes)
 {
     double phi[ROOM(NC)], rate[ROOM(NC)];
     int changes = 0;
     scene_penetration(q, m->p, phi);
     scene_penetration_jvp(q, m->p, v, rate);
     for (int i = 0; i < NC; i++) {
-        const int mode = contact_mode(i, phi[i], rate[i], active[i]);
-        changes += mode != active[i];
-        active[i] = mode;
+        const int mode = contact_mode(i, phi[i], rate[i], modes[i]);
+        changes += mode != modes[i];
+        modes[i] = mode;
     }
+#if NF > 0
+    double k[ROOM(NC)], lam[NL];
+    scene_stiffness(m->p, k);
+    contact_forces(phi, k, modes, lam);
+    const int slips = decide_friction(m, q, v, u, modes + NC, lam);
+    changes += slips > 0 ? slips : 0; /* where it fails, so does the acceleration, and says so */
+#else
+    (void)u;
+#endif
     return changes;
 }
 
 /* As update_modes, of the Model itself. */
 static inline int model_update_modes(Model *m)
 {
-    const int changes = update_modes(m, m->q, m->v, m->active);
+    const int changes = update_modes(m, m->q, m->v, m->u, m->modes);
     if (changes) m->evaluated = 0;
     return changes;
 }
 
-/* Whether a contact is beyond its hysteresis in the wrong mode. */
-static inline int model_modes_wrong(const Model *m)
+/* The modes in which forces are taken, or (NULL) the true law of contact with given friction forces. */
+typedef struct {
+    const int *modes;
+    const double *friction; /* (NF), used without modes */
+} Law;
+
+/* All forces at (q, v, u) under a law; 1 as in model_acceleration. */
+static inline int model_forces(const Model *m, const double *q, const double *v, const double *u, const Law *law, const double *phi, const double *k,
+    double *lam)
 {
-    double phi[ROOM(NC)];
-    int wrong = 0;
-    scene_penetration(m->q, m->p, phi);
-    for (int i = 0; i < NC; i++) wrong |= contact_mode(i, phi[i], 0.0, m->active[i]) != m->active[i];
-    return wrong;
+    contact_forces(phi, k, law->modes, lam);
+#if NF > 0
+    if (law->modes) return friction_in_modes(m, q, v, u, law->modes + NC, lam);
+    memcpy(lam + NC, law->friction, NF * sizeof *lam);
+#else
+    (void)m, (void)q, (void)v, (void)u;
+#endif
+    return 0;
 }
 
-/* lam = active ? k phi : 0, the smooth continuation of one contact mode beyond its boundary; without modes the true law,
- * lam = k max(phi, 0). */
-static inline void contact_forces(const double *phi, const double *k, const int *active, double *lam)
+/* a = M^-1 (tau + J' lam + S' f) at (q, v, u) under a law; 1 if M is not positive definite. */
+static inline int model_acceleration(const Model *m, const double *q, const double *v, const double *u, const Law *law, double *a)
 {
-    for (int i = 0; i < NC; i++) lam[i] = (active ? active[i] : phi[i] > 0.0) ? k[i] * phi[i] : 0.0;
-}
-
-/* a = M^-1 (tau + J' lam) at (q, v, u) in the given modes; 1 if M is not positive definite. */
-static inline int model_acceleration(const Model *m, const double *q, const double *v, const double *u, const int *active, double *a)
-{
-    double phi[ROOM(NC)], k[ROOM(NC)], lam[ROOM(NC)];
+    double phi[ROOM(NC)], k[ROOM(NC)], lam[ROOM(NL)];
     scene_penetration(q, m->p, phi);
     scene_stiffness(m->p, k);
-    contact_forces(phi, k, active, lam);
-    return scene_acceleration(q, v, u, lam, m->p, a);
+    return model_forces(m, q, v, u, law, phi, k, lam) || scene_acceleration(q, v, u, lam, m->p, a);
 }
 
 /* Fill phi, k, lam and a; 1 if the mass matrix is not positive definite. */
@@ -77,10 +96,36 @@ static inline int model_evaluate(Model *m)
     if (!m->frozen) model_update_modes(m);
     scene_penetration(m->q, m->p, m->phi);
     scene_stiffness(m->p, m->k);
-    contact_forces(m->phi, m->k, m->active, m->lam);
+    const Law law = {m->modes, NULL};
+    if (model_forces(m, m->q, m->v, m->u, &law, m->phi, m->k, m->lam)) return 1;
     if (scene_acceleration(m->q, m->v, m->u, m->lam, m->p, m->a)) return 1;
     m->evaluated = 1;
     return 0;
+}
+
+/* The event indicators of an evaluated Model: the gaps, then the reserves of the frictions. */
+static inline void model_indicators(const Model *m, double *indicators)
+{
+    for (int i = 0; i < NC; i++) indicators[i] = -m->phi[i];
+#if NF > 0
+    friction_reserves(m, m->q, m->v, m->lam, m->modes + NC, indicators + NC);
+#else
+    (void)m, (void)indicators;
+#endif
+}
+
+/* Whether an evaluated Model is beyond the hysteresis of one of its modes. */
+static inline int model_modes_wrong(const Model *m)
+{
+    int wrong = 0;
+    for (int i = 0; i < NC; i++) wrong |= contact_mode(i, m->phi[i], 0.0, m->modes[i]) != m->modes[i];
+#if NF > 0
+    double reserve[NF], limit[NF];
+    friction_reserves(m, m->q, m->v, m->lam, m->modes + NC, reserve);
+    scene_friction_limit(m->q, m->lam, m->p, limit);
+    for (int j = 0; j < NF; j++) wrong |= reserve[j] < -reserve_band(j, m->modes[NC + j], limit[j]);
+#endif
+    return wrong;
 }
 
 static inline double contact_energy(const Model *m)
@@ -108,7 +153,9 @@ static inline double model_value(const Model *m, const Variable *variable)
     case KIND_POTENTIAL_ENERGY: return scene_potential_energy(m->q, m->p);
     case KIND_CONTACT_ENERGY: return contact_energy(m);
     case KIND_INPUT_POWER: return scene_input_power(m->q, m->v, m->u, m->p);
-    case KIND_DISSIPATED_POWER: return scene_dissipated_power(m->q, m->v, m->p);
+    case KIND_DISSIPATED_POWER: return scene_dissipated_power(m->q, m->v, m->p) + friction_power(m);
+    case KIND_SLIP: return slip_value(m, i);
+    case KIND_RESERVE: return reserve_value(m, i);
     case KIND_INTERNAL_STEP: return m->internal_step;
     case KIND_INTEGRATOR: return m->integrator;
     }
@@ -128,13 +175,6 @@ static inline void model_assign(Model *m, const Variable *variable, double value
     }
     m->evaluated = 0;
 }
-
-/* A direction in the space of everything the model depends on, and what follows from it. As an adjoint: the derivatives of
- * one number with respect to all of these. */
-typedef struct {
-    double q[NQ], v[NQ], u[ROOM(NU)], p[ROOM(NP)];
-    double phi[ROOM(NC)], k[ROOM(NC)], lam[ROOM(NC)], a[NQ];
-} Tangent;
 
 /* Where a tangent or an adjoint has the entry of a state, an input or a parameter; NULL for any other variable. */
 static inline double *known_entry(const Variable *variable, Tangent *tangent)
@@ -157,8 +197,9 @@ static inline int model_tangent(const Model *m, Tangent *d)
     scene_stiffness_parameter_jvp(m->p, d->p, d->k);
     for (int i = 0; i < NC; i++) {
         d->phi[i] += phi_p[i];
-        d->lam[i] = m->active[i] ? m->k[i] * d->phi[i] + d->k[i] * m->phi[i] : 0.0;
+        d->lam[i] = m->modes[i] ? m->k[i] * d->phi[i] + d->k[i] * m->phi[i] : 0.0;
     }
+    if (friction_tangent(m, d)) return 1;
     if (scene_acceleration_jvp(m->q, m->v, m->u, m->lam, m->p, d->q, d->v, d->u, d->lam, d->a)) return 1;
     if (scene_acceleration_parameter_jvp(m->q, m->v, m->u, m->lam, m->p, m->a, d->p, a_p)) return 1;
     for (int i = 0; i < NQ; i++) d->a[i] += a_p[i];
@@ -189,7 +230,9 @@ static inline double model_value_tangent(const Model *m, const Tangent *d, const
     case KIND_POTENTIAL_ENERGY: return scene_potential_energy_jvp(m->q, m->p, d->q, d->p);
     case KIND_CONTACT_ENERGY: return contact_energy_tangent(m, d);
     case KIND_INPUT_POWER: return scene_input_power_jvp(m->q, m->v, m->u, m->p, d->q, d->v, d->u, d->p);
-    case KIND_DISSIPATED_POWER: return scene_dissipated_power_jvp(m->q, m->v, m->p, d->q, d->v, d->p);
+    case KIND_DISSIPATED_POWER: return scene_dissipated_power_jvp(m->q, m->v, m->p, d->q, d->v, d->p) + friction_power_tangent(m, d);
+    case KIND_SLIP: return slip_tangent(m, d, i);
+    case KIND_RESERVE: return reserve_tangent(m, d, i);
     case KIND_TIME:
     case KIND_INTERNAL_STEP:
     case KIND_INTEGRATOR: break;
@@ -220,7 +263,12 @@ static inline void model_value_adjoint(const Model *m, double weight, const Vari
         }
         break;
     case KIND_INPUT_POWER: scene_input_power_vjp(m->q, m->v, m->u, m->p, w, bar->q, bar->v, bar->u, bar->p); break;
-    case KIND_DISSIPATED_POWER: scene_dissipated_power_vjp(m->q, m->v, m->p, w, bar->q, bar->v, bar->p); break;
+    case KIND_DISSIPATED_POWER:
+        scene_dissipated_power_vjp(m->q, m->v, m->p, w, bar->q, bar->v, bar->p);
+        friction_power_adjoint(m, weight, bar);
+        break;
+    case KIND_SLIP: slip_adjoint(m, weight, i, bar); break;
+    case KIND_RESERVE: reserve_adjoint(m, weight, i, bar); break;
     case KIND_TIME:
     case KIND_INTERNAL_STEP:
     case KIND_INTEGRATOR: break;
@@ -230,10 +278,12 @@ static inline void model_value_adjoint(const Model *m, double weight, const Vari
 /* Complete an adjoint: from a, lam, phi and k down to q, v, u and p; the transpose of model_tangent. 1 as in model_evaluate. */
 static inline int model_adjoint(const Model *m, Tangent *bar)
 {
+    if (sticking_adjoint(m, bar)) return 1;
     if (scene_acceleration_vjp(m->q, m->v, m->u, m->lam, m->p, bar->a, bar->q, bar->v, bar->u, bar->lam)) return 1;
     if (scene_acceleration_parameter_vjp(m->q, m->v, m->u, m->lam, m->p, m->a, bar->a, bar->p)) return 1;
+    slipping_adjoint(m, bar);
     for (int i = 0; i < NC; i++) {
-        if (!m->active[i]) continue;
+        if (!m->modes[i]) continue;
         bar->phi[i] += m->k[i] * bar->lam[i];
         bar->k[i] += m->phi[i] * bar->lam[i];
     }

@@ -1,5 +1,5 @@
 /* Model Exchange: the importer integrates; contact modes are frozen between events and change only in event mode, where the
- * event indicators (the gaps) have changed their signs. Version-free, see instance.h. */
+ * event indicators (the gaps, the reserves of frictions) have changed their signs. Version-free, see instance.h. */
 #ifndef EXCHANGE_H
 #define EXCHANGE_H
 
@@ -27,6 +27,7 @@ static inline Status integrator_step_completed(void *instance, const char *funct
     Instance *self = allowed_type(instance, function, PHASE_CONTINUOUS, MODEL_EXCHANGE);
     if (!self) return STATUS_ERROR;
     if (!places) return FAIL(self, "%s: the place for an answer is missing.", function);
+    if (evaluated(self) != STATUS_OK) return STATUS_ERROR;
     *enter_event_mode = model_modes_wrong(&self->model);
     return STATUS_OK;
 }
@@ -73,11 +74,9 @@ static inline Status get_rates(void *instance, const char *function, double *rat
 
 static inline Status get_indicators(void *instance, const char *function, double *indicators, size_t count)
 {
-    Instance *self = allowed_array(instance, function, PHASES_STATES, indicators, count, NC);
-    if (!self) return STATUS_ERROR;
-    double phi[ROOM(NC)];
-    scene_penetration(self->model.q, self->model.p, phi);
-    for (int i = 0; i < NC; i++) indicators[i] = -phi[i];
+    Instance *self = allowed_array(instance, function, PHASES_STATES, indicators, count, NL);
+    if (!self || evaluated(self) != STATUS_OK) return STATUS_ERROR;
+    model_indicators(&self->model, indicators);
     return STATUS_OK;
 }
 

@@ -60,7 +60,7 @@ static fmi3Status size_of(fmi3Instance instance, const char *function, size_t si
 
 fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance instance, size_t *nEventIndicators)
 {
-    return size_of(instance, "fmi3GetNumberOfEventIndicators", NC, nEventIndicators);
+    return size_of(instance, "fmi3GetNumberOfEventIndicators", NL, nEventIndicators);
 }
 
 fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance instance, size_t *nContinuousStates)

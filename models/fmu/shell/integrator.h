@@ -1,8 +1,9 @@
-/* Fixed-step integration of a Model. The Runge-Kutta methods keep their order through contact because the instant at which
- * a contact closes or opens is located and the step is divided there; the two Euler methods are the plain textbook ones under
- * the true contact law, semi-implicit Euler being the time step of the plans.
+/* Fixed-step integration of a Model. The Runge-Kutta methods keep their order through contact and friction because the instant
+ * at which a mode changes - a contact closes or opens, a friction sticks or slips - is located and the step is divided there;
+ * the two Euler methods are the plain textbook ones under the true contact law, semi-implicit Euler being the time step of the
+ * plans.
  *
- * Within a located step the contact modes are frozen and the force continues smoothly beyond its boundary, so each part of a
+ * Within a located step the modes are frozen and the forces continue smoothly beyond their boundaries, so each part of a
  * divided step is a smooth problem.
  */
 #ifndef INTEGRATOR_H
@@ -13,7 +14,7 @@
 typedef enum { STEP_OK, STEP_EVENT, STEP_MASS, STEP_NOT_FINITE } StepResult;
 
 /* Mode changes that are located within one internal step; a step with more is finished with the true law instead. */
-#define EVENTS_PER_STEP (8 * ROOM(NC) + 8)
+#define EVENTS_PER_STEP (8 * ROOM(NL) + 8)
 
 /* Iterations of one location; each halves the bracket at worst, and a double has 53 bits. */
 #define LOCATION_ITERATIONS 80
@@ -48,7 +49,7 @@ static inline const Tableau *tableau(int integrator)
     return integrator == EXPLICIT_EULER ? &euler : integrator == HEUN ? &heun : &classical;
 }
 
-static inline StepResult runge_kutta(const Model *m, const int *active, const Point *from, const Inputs *inputs, double offset, double s, Point *to)
+static inline StepResult runge_kutta(const Model *m, const Law *law, const Point *from, const Inputs *inputs, double offset, double s, Point *to)
 {
     const Tableau *method = tableau(m->integrator);
     double u[ROOM(NU)], q[NQ], v[NQ], rate_q[NQ], rate_v[NQ];
@@ -62,7 +63,7 @@ static inline StepResult runge_kutta(const Model *m, const int *active, const Po
             v[i] = from->v[i] + ahead * rate_v[i];
         }
         inputs_at(inputs, offset + ahead, u);
-        if (model_acceleration(m, q, v, u, active, rate_v)) return STEP_MASS;
+        if (model_acceleration(m, q, v, u, law, rate_v)) return STEP_MASS;
         for (int i = 0; i < NQ; i++) {
             rate_q[i] = v[i];
             sum.q[i] += part * rate_q[i];
@@ -74,12 +75,12 @@ static inline StepResult runge_kutta(const Model *m, const int *active, const Po
 }
 
 /* First the velocities, then the positions with the new velocities. */
-static inline StepResult semi_implicit_euler(const Model *m, const int *active, const Point *from, const Inputs *inputs, double offset, double s, Point *to)
+static inline StepResult semi_implicit_euler(const Model *m, const Law *law, const Point *from, const Inputs *inputs, double offset, double s, Point *to)
 {
     double u[ROOM(NU)], a[NQ];
     Point x = *from;
     inputs_at(inputs, offset, u);
-    if (model_acceleration(m, x.q, x.v, u, active, a)) return STEP_MASS;
+    if (model_acceleration(m, x.q, x.v, u, law, a)) return STEP_MASS;
     for (int i = 0; i < NQ; i++) {
         x.v[i] += s * a[i];
         x.q[i] += s * x.v[i];
@@ -88,27 +89,62 @@ static inline StepResult semi_implicit_euler(const Model *m, const int *active, 
     return finite_point(to);
 }
 
-/* A step of size s from `from`, which lies `offset` after the beginning of the internal step. active: modes, or NULL for the
- * true law. */
-static inline StepResult advance(const Model *m, const int *active, const Point *from, const Inputs *inputs, double offset, double s, Point *to)
+/* A step of size s from `from`, which lies `offset` after the beginning of the internal step. modes: or NULL for the true law;
+ * friction is then that of a time step that sticks or slips as a whole (friction.h). */
+static inline StepResult advance(const Model *m, const int *modes, const Point *from, const Inputs *inputs, double offset, double s, Point *to)
 {
-    return (m->integrator == SEMI_IMPLICIT_EULER ? semi_implicit_euler : runge_kutta)(m, active, from, inputs, offset, s, to);
+    Law law = {modes, NULL};
+#if NF > 0
+    double lam[NL];
+    if (!modes) {
+        double phi[ROOM(NC)], k[ROOM(NC)], u[ROOM(NU)];
+        scene_penetration(from->q, m->p, phi);
+        scene_stiffness(m->p, k);
+        contact_forces(phi, k, NULL, lam);
+        inputs_at(inputs, offset, u);
+        if (friction_forces(0, 0.0, s, m->p, from->q, from->v, u, lam)) return STEP_MASS;
+        law.friction = lam + NC;
+    }
+#endif
+    return (m->integrator == SEMI_IMPLICIT_EULER ? semi_implicit_euler : runge_kutta)(m, &law, from, inputs, offset, s, to);
 }
 
-/* How far each contact is on the wrong side of its mode (negative: on the right side), and how fast that grows. */
+/* How far each contact and friction is on the wrong side of its mode (negative: on the right side), how fast that grows (NAN where
+ * it is not known: a sticking force), and what counts as nothing. */
 typedef struct {
-    double excess[ROOM(NC)], rate[ROOM(NC)];
-} ContactView;
+    double excess[ROOM(NL)], rate[ROOM(NL)], band[ROOM(NL)];
+} View;
 
-static inline void look_at_contacts(const Model *m, const int *active, const Point *x, ContactView *view)
+/* At x, `offset` after the beginning of the internal step; 1 if the mass matrix is not positive definite. */
+static inline int look(const Model *m, const int *modes, const Point *x, const Inputs *inputs, double offset, View *view)
 {
     scene_penetration(x->q, m->p, view->excess);
     scene_penetration_jvp(x->q, m->p, x->v, view->rate);
+#if NF > 0
+    double u[ROOM(NU)], k[ROOM(NC)], lam[NL], a[NQ], reserve[NF], limit[NF], rate[NF];
+    const Law law = {modes, NULL};
+    inputs_at(inputs, offset, u);
+    scene_stiffness(m->p, k);
+    if (model_forces(m, x->q, x->v, u, &law, view->excess, k, lam) || scene_acceleration(x->q, x->v, u, lam, m->p, a)) return 1;
+    friction_reserves(m, x->q, x->v, lam, modes + NC, reserve);
+    scene_friction_limit(x->q, lam, m->p, limit);
+    scene_slip_rate(x->q, x->v, a, m->p, rate);
+    for (int j = 0; j < NF; j++) {
+        const int mode = modes[NC + j];
+        view->excess[NC + j] = -reserve[j];
+        view->rate[NC + j] = mode ? -mode * rate[j] / scene_friction_nominals[j] : NAN;
+        view->band[NC + j] = reserve_band(j, mode, limit[j]);
+    }
+#else
+    (void)inputs, (void)offset;
+#endif
     for (int i = 0; i < NC; i++) {
-        if (!active[i]) continue;
+        view->band[i] = HYSTERESIS * CONTACT_NOMINALS[i];
+        if (!modes[i]) continue;
         view->excess[i] = -view->excess[i];
         view->rate[i] = -view->rate[i];
     }
+    return 0;
 }
 
 /* Where the cubic through (0, e0), (s, e1) with slopes r0, r1 is extreme after leaving 0; a negative number if nowhere in (0, s). */
@@ -126,28 +162,36 @@ static inline double cubic_extremum(double e0, double r0, double e1, double r1, 
     return in1 ? s * x1 : in2 ? s * x2 : -1.0;
 }
 
-/* The excess of one contact after a step of size s; NAN if that step fails. */
-static inline double excess_after(const Model *m, const int *active, const Point *from, const Inputs *inputs, double offset, double s, int contact)
+/* A contact or friction that is watched through a step from `from`. */
+typedef struct {
+    const Model *m;
+    const int *modes;
+    const Point *from;
+    const Inputs *inputs;
+    double offset;
+    int which;
+} Watch;
+
+/* Its excess after a step of size s; NAN if that step fails. */
+static inline double excess_after(const Watch *watch, double s)
 {
     Point x;
-    ContactView view;
-    if (advance(m, active, from, inputs, offset, s, &x) != STEP_OK) return NAN;
-    look_at_contacts(m, active, &x, &view);
-    return view.excess[contact];
+    View view;
+    if (advance(watch->m, watch->modes, watch->from, watch->inputs, watch->offset, s, &x) != STEP_OK) return NAN;
+    if (look(watch->m, watch->modes, &x, watch->inputs, watch->offset + s, &view)) return NAN;
+    return view.excess[watch->which];
 }
 
 /* Root of the excess in [low, high], at whose ends it is <= 0 and > 0: regula falsi, Illinois variant, with bisection
- * whenever that does not halve the bracket. */
-static inline double locate(const Model *m, const int *active, const Point *from, const Inputs *inputs, double offset, double low, double high,
-    double at_low, double at_high, int contact)
+ * whenever that does not halve the bracket. beyond: the root is wanted on the far side. */
+static inline double locate(const Watch *watch, double low, double high, double at_low, double at_high, double enough, int beyond)
 {
-    const double enough = 1e-3 * HYSTERESIS * CONTACT_NOMINALS[contact];
     const double width = 4e-16 * high;
     for (int n = 0; n < LOCATION_ITERATIONS && high - low > width; n++) {
         double middle = low + (high - low) * at_low / (at_low - at_high);
         if (n % 3 == 2 || !(middle > low && middle < high)) middle = 0.5 * (low + high);
-        const double value = excess_after(m, active, from, inputs, offset, middle, contact);
-        if (!(fabs(value) > enough)) return middle;
+        const double value = excess_after(watch, middle);
+        if (!(fabs(value) > enough) && !(beyond && value <= 0.0)) return middle;
         if (value > 0.0) {
             high = middle;
             at_high = value;
@@ -161,96 +205,111 @@ static inline double locate(const Model *m, const int *active, const Point *from
     return high;
 }
 
-/* When within a step of size s a contact leaves its mode; a negative number if it does not. Also finds a contact that closes
- * and opens again (or the other way round) within the step. */
-static inline double crossing(const Model *m, const int *active, const Point *from, const Inputs *inputs, double offset, double s,
-    const ContactView *start, const ContactView *end, int contact)
+/* When within a step of size s a contact or friction leaves its mode; a negative number if it does not. Also finds one that leaves
+ * and returns within the step, where its rate is known. */
+static inline double crossing(const Watch *watch, double s, const View *start, const View *end)
 {
-    const double band = HYSTERESIS * CONTACT_NOMINALS[contact];
-    const double e0 = start->excess[contact], r0 = start->rate[contact], e1 = end->excess[contact], r1 = end->rate[contact];
+    const int i = watch->which;
+    const double band = fmin(start->band[i], end->band[i]), enough = 1e-3 * band;
+    const double e0 = start->excess[i], r0 = start->rate[i], e1 = end->excess[i], r1 = end->rate[i];
     double low = 0.0, high = s, at_low = e0, at_high = e1;
     if (e0 > band) return 0.0; /* as after a step that was finished with the true law */
     if (e1 <= band) {
         if (!(r0 > 0.0 && r1 < 0.0)) return -1.0;
         high = cubic_extremum(e0, r0, e1, r1, s);
         if (high <= 0.0) return -1.0;
-        at_high = excess_after(m, active, from, inputs, offset, high, contact);
+        at_high = excess_after(watch, high);
         if (!(at_high > band)) return -1.0;
     }
+    if (isnan(r0)) return locate(watch, low, high, fmin(at_low, -enough), at_high, enough, 1);
     if (e0 > -band) {
         /* It starts at its boundary: either it leaves at once, or it enters first and leaves later. */
         if (r0 >= 0.0) return 0.0;
         low = cubic_extremum(e0, r0, e1, r1, s);
         if (low <= 0.0) return 0.0;
-        at_low = excess_after(m, active, from, inputs, offset, low, contact);
+        at_low = excess_after(watch, low);
         if (!(at_low < 0.0)) return 0.0;
     }
-    return locate(m, active, from, inputs, offset, low, high, at_low, at_high, contact);
+    return locate(watch, low, high, at_low, at_high, enough, 0);
 }
 
-/* Whether event mode would change the mode of one contact at x. */
-static inline int contact_changes(const Model *m, const int *active, const Point *x, int contact)
+/* Whether event mode would change any mode at x. */
+static inline int modes_change(const Model *m, const int *modes, const Point *x, const double *u)
 {
-    double phi[ROOM(NC)], rate[ROOM(NC)];
-    scene_penetration(x->q, m->p, phi);
-    scene_penetration_jvp(x->q, m->p, x->v, rate);
-    return contact_mode(contact, phi[contact], rate[contact], active[contact]) != active[contact];
+    int changed[ROOM(NL)];
+    memcpy(changed, modes, sizeof changed);
+    return update_modes(m, x->q, x->v, u, changed) > 0;
 }
 
-/* One internal step of an Euler method: nothing is located, and a changed contact is an event at its end. */
-static inline StepResult plain_step(const Model *m, int *active, Point *x, const Inputs *inputs, double s, int stopping)
+/* One internal step of an Euler method: nothing is located, and a changed mode is an event at its end. */
+static inline StepResult plain_step(const Model *m, int *modes, Point *x, const Inputs *inputs, double s, int stopping)
 {
     const StepResult result = advance(m, NULL, x, inputs, 0.0, s, x);
     if (result != STEP_OK) return result;
-    int modes[ROOM(NC)];
-    memcpy(modes, active, sizeof modes);
-    if (!update_modes(m, x->q, x->v, modes)) return STEP_OK;
-    if (stopping) return STEP_EVENT;
-    memcpy(active, modes, sizeof modes);
+    double u[ROOM(NU)];
+    inputs_at(inputs, s, u);
+    if (stopping && modes_change(m, modes, x, u)) return STEP_EVENT;
+    update_modes(m, x->q, x->v, u, modes);
     return STEP_OK;
 }
 
-/* One internal step of size *s, divided where contacts change their modes. x and active are brought to its end. If `stopping`,
- * the first change ends it: *s becomes the seconds done, and the modes are left for event mode to change. */
-static inline StepResult internal_step(const Model *m, int *active, Point *x, const Inputs *inputs, double *s, int stopping)
+/* The other mode for a contact or friction that leaves its own at x. */
+static inline void leave_mode(const Model *m, int *modes, const Point *x, const double *u, int which)
 {
-    if (m->integrator == EXPLICIT_EULER || m->integrator == SEMI_IMPLICIT_EULER) return plain_step(m, active, x, inputs, *s, stopping);
+    if (which < NC) modes[which] = !modes[which];
+#if NF > 0
+    double phi[ROOM(NC)], k[ROOM(NC)], lam[NL];
+    scene_penetration(x->q, m->p, phi);
+    scene_stiffness(m->p, k);
+    contact_forces(phi, k, modes, lam);
+    decide_friction(m, x->q, x->v, u, modes + NC, lam);
+#else
+    (void)m, (void)x, (void)u;
+#endif
+}
+
+/* One internal step of size *s, divided where modes change. x and modes are brought to its end. If `stopping`, the first change
+ * ends it: *s becomes the seconds done, and the modes are left for event mode to change. */
+static inline StepResult internal_step(const Model *m, int *modes, Point *x, const Inputs *inputs, double *s, int stopping)
+{
+    if (m->integrator == EXPLICIT_EULER || m->integrator == SEMI_IMPLICIT_EULER) return plain_step(m, modes, x, inputs, *s, stopping);
     double done = 0.0;
     for (int events = 0;; events++) {
         const double rest = *s - done;
         const int locating = events < EVENTS_PER_STEP;
         Point end;
-        StepResult result = advance(m, locating ? active : NULL, x, inputs, done, rest, &end);
+        StepResult result = advance(m, locating ? modes : NULL, x, inputs, done, rest, &end);
         if (result != STEP_OK) return result;
-        int contact = -1;
-        double first = rest;
-        if (NC > 0 && locating) {
-            ContactView before, after;
-            look_at_contacts(m, active, x, &before);
-            look_at_contacts(m, active, &end, &after);
-            for (int i = 0; i < NC; i++) {
-                const double when = crossing(m, active, x, inputs, done, rest, &before, &after, i);
-                if (when >= 0.0 && (contact < 0 || when < first)) {
-                    contact = i;
+        int which = -1;
+        double first = rest, u[ROOM(NU)];
+        if (NL > 0 && locating) {
+            View before, after;
+            if (look(m, modes, x, inputs, done, &before) || look(m, modes, &end, inputs, done + rest, &after)) return STEP_MASS;
+            for (int i = 0; i < NL; i++) {
+                const Watch watch = {m, modes, x, inputs, done, i};
+                const double when = crossing(&watch, rest, &before, &after);
+                if (when >= 0.0 && (which < 0 || when < first)) {
+                    which = i;
                     first = when;
                 }
             }
         }
-        if (contact < 0) {
+        if (which < 0) {
             *x = end;
             return STEP_OK;
         }
         if (first > 0.0) {
-            result = advance(m, active, x, inputs, done, first, &end);
+            result = advance(m, modes, x, inputs, done, first, &end);
             if (result != STEP_OK) return result;
             *x = end;
         }
         done += first;
-        if (stopping && contact_changes(m, active, x, contact)) {
+        inputs_at(inputs, done, u);
+        if (stopping && modes_change(m, modes, x, u)) {
             *s = done;
             return STEP_EVENT;
         }
-        active[contact] = !active[contact];
+        leave_mode(m, modes, x, u, which);
         if (!(done < *s)) return STEP_OK;
     }
 }
@@ -304,7 +363,7 @@ static inline StepResult model_step(Model *m, double time, double *dt, long coun
         Inputs inputs;
         prepare_inputs(m, observer, begin, end, &inputs);
         s = end - begin;
-        result = internal_step(m, m->active, &x, &inputs, &s, stopping);
+        result = internal_step(m, m->modes, &x, &inputs, &s, stopping);
         if (result == STEP_MASS || result == STEP_NOT_FINITE) {
             memcpy(m, &before, sizeof before);
             return result;

@@ -14,6 +14,9 @@
 
 #define ROOM(n) ((n) > 0 ? (n) : 1)
 
+/* Rows of lam hold the contact forces, then the friction forces; rows of modes and event indicators likewise. */
+#define NL (NC + NF)
+
 typedef enum {
     KIND_TIME,
     KIND_POSITION,
@@ -24,6 +27,8 @@ typedef enum {
     KIND_PARAMETER,
     KIND_FORCE,
     KIND_GAP,
+    KIND_SLIP,
+    KIND_RESERVE,
     KIND_KINETIC_ENERGY,
     KIND_POTENTIAL_ENERGY,
     KIND_CONTACT_ENERGY,
@@ -44,7 +49,7 @@ typedef struct {
     double start, lower, upper;
 } Variable;
 
-#include "model_config.h" /* MODEL_GUID, MODEL_VARIABLES, VARIABLE_COUNT, STATE_NOMINALS, CONTACT_NOMINALS */
+#include "model_config.h" /* MODEL_GUID, MODEL_VARIABLES, VARIABLE_COUNT, STATE_NOMINALS, CONTACT_NOMINALS, FRICTION_NOMINALS */
 
 typedef struct {
     double time;
@@ -55,13 +60,20 @@ typedef struct {
     double internal_step;
     int integrator; /* an Integrator */
     double start_time, stop_time;
-    double phi[ROOM(NC)], k[ROOM(NC)], lam[ROOM(NC)], a[NQ]; /* belong to the values above while `evaluated` */
-    int active[ROOM(NC)]; /* contact modes */
+    double phi[ROOM(NC)], k[ROOM(NC)], lam[ROOM(NL)], a[NQ]; /* belong to the values above while `evaluated` */
+    int modes[ROOM(NL)];  /* contacts: closed or not; frictions: see friction_modes.h */
     int frozen;           /* modes change in event mode only; otherwise they follow the true law */
     int evaluated;
     int stop_defined;
     int phase; /* of the FMI state machine; here because it belongs to what is saved and restored */
 } Model;
+
+/* A direction in the space of everything the model depends on, and what follows from it. As an adjoint: the derivatives of
+ * one number with respect to all of these. */
+typedef struct {
+    double q[NQ], v[NQ], u[ROOM(NU)], p[ROOM(NP)];
+    double phi[ROOM(NC)], k[ROOM(NC)], lam[ROOM(NL)], a[NQ];
+} Tangent;
 
 /* A point of the motion, for the integrator. */
 typedef struct {

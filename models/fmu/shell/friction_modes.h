@@ -1,0 +1,107 @@
+/* Dry friction in continuous time: each friction slips one way (mode 1 or -1) or sticks (mode 0). Included by equations.h in
+ * scenes with friction only.
+ *
+ * Where it slips, f = -mode mu N. Where it sticks, all sticking forces together are those that keep the slip speeds from
+ * changing, ds/dt = 0: the slip is zero and stays zero, there is no creep. Modes change at events only: a slip that comes to zero,
+ * a sticking force that exceeds mu N. What then sticks and what slips, and which way, is decided for all undecided frictions at
+ * once by maximal dissipation of the slip accelerations (friction.h).
+ */
+#ifndef FRICTION_MODES_H
+#define FRICTION_MODES_H
+
+#include "friction.h"
+#include "model.h"
+
+/* A slip below this share of its nominal is zero: events are located to about 1e-14 m/s. */
+#define SLIP_BAND 1e-10
+/* By this share a sticking force may exceed mu N: when it starts to slip, it is pushed off by at least as much. What sticks is
+ * decided with half of it, so that an event located a little early still ends the sticking. */
+#define STICKING_SLACK 1e-10
+
+/* At the point (q, v, u) with the contact forces lam: s0 the slip accelerations without friction, hW = S M^-1 S', limit = mu N. */
+static inline int friction_rates(const Model *m, const double *q, const double *v, const double *u, double *lam, FrictionStep *rates)
+{
+    double a[NQ];
+    for (int j = 0; j < NF; j++) lam[NC + j] = 0.0;
+    if (scene_acceleration(q, v, u, lam, m->p, a)) return 1;
+    scene_slip_rate(q, v, a, m->p, rates->s0);
+    return friction_columns(1.0, m->p, q, v, u, lam, rates);
+}
+
+/* Solve (S M^-1 S') x = b on the sticking frictions; entries of x elsewhere become zero. x holds b. Frictions that hold the same
+ * motion twice share the force: a share of 1e-13 on the diagonal decides how. */
+static inline int solve_sticking(const FrictionStep *rates, const int *modes, double *x)
+{
+    double K[NF][NF], b[NF], largest = 0.0;
+    int at[NF], n = 0;
+    for (int j = 0; j < NF; j++)
+        if (!modes[j]) at[n++] = j;
+    for (int i = 0; i < n; i++) {
+        b[i] = x[at[i]];
+        for (int j = 0; j < n; j++) K[i][j] = rates->hW[at[i]][at[j]];
+        largest = fmax(largest, K[i][i]);
+    }
+    for (int i = 0; n > 1 && i < n; i++) K[i][i] += 1e-13 * largest;
+    if (n > 0 && friction_solve(n, K, b)) return 1;
+    for (int j = 0; j < NF; j++) x[j] = 0.0;
+    for (int i = 0; i < n; i++) x[at[i]] = b[i];
+    return 0;
+}
+
+/* The friction forces in the given modes, into lam[NC ..]; 1 if the mass matrix is not positive definite or a sticking friction
+ * has nothing to hold. */
+static inline int friction_in_modes(const Model *m, const double *q, const double *v, const double *u, const int *modes, double *lam)
+{
+    FrictionStep rates;
+    double sticking[NF], *f = lam + NC;
+    if (friction_rates(m, q, v, u, lam, &rates)) return 1;
+    for (int j = 0; j < NF; j++) f[j] = modes[j] ? -modes[j] * rates.limit[j] : 0.0;
+    for (int j = 0; j < NF; j++) sticking[j] = -slip_at_end(&rates, f, j);
+    if (solve_sticking(&rates, modes, sticking)) return 1;
+    for (int j = 0; j < NF; j++)
+        if (!modes[j]) f[j] = sticking[j];
+    return 0;
+}
+
+/* Which modes the frictions take at (q, v, u) with the contact forces lam; modes becomes them, and the forces go into lam[NC ..].
+ * Returns how many changed, or -1 as friction_in_modes fails. */
+static inline int decide_friction(const Model *m, const double *q, const double *v, const double *u, int *modes, double *lam)
+{
+    FrictionStep rates;
+    double s[NF], *f = lam + NC;
+    int undecided[NF], changes = 0;
+    if (friction_rates(m, q, v, u, lam, &rates)) return -1;
+    scene_slip(q, v, m->p, s);
+    for (int j = 0; j < NF; j++) {
+        undecided[j] = fabs(s[j]) <= SLIP_BAND * scene_friction_nominals[j] && rates.limit[j] > 0.0;
+        f[j] = undecided[j] ? 0.0 : s[j] > 0.0 ? -rates.limit[j] : rates.limit[j];
+        if (undecided[j]) rates.limit[j] *= 1.0 + 0.5 * STICKING_SLACK;
+    }
+    friction_balance(0, 0.0, &rates, undecided, f);
+    for (int j = 0; j < NF; j++) {
+        int mode = s[j] > 0.0 ? 1 : s[j] < 0.0 ? -1 : modes[j] ? modes[j] : 1; /* nothing presses: any way will do */
+        if (undecided[j]) mode = fabs(f[j]) < rates.limit[j] ? 0 : f[j] > 0.0 ? -1 : 1;
+        changes += mode != modes[j];
+        modes[j] = mode;
+    }
+    return friction_in_modes(m, q, v, u, modes, lam) ? -1 : changes;
+}
+
+/* How far each friction is from leaving its mode, as shares of nominal values: the slip in its own direction, or what is left of mu N. */
+static inline void friction_reserves(const Model *m, const double *q, const double *v, const double *lam, const int *modes, double *reserve)
+{
+    double s[NF], limit[NF];
+    scene_slip(q, v, m->p, s);
+    scene_friction_limit(q, lam, m->p, limit);
+    for (int j = 0; j < NF; j++)
+        reserve[j] = modes[j] ? modes[j] * s[j] / scene_friction_nominals[j]
+                              : (limit[j] * (1.0 + STICKING_SLACK) - fabs(lam[NC + j])) / FRICTION_NOMINALS[j];
+}
+
+/* What counts as zero in a reserve. */
+static inline double reserve_band(int j, int mode, double limit)
+{
+    return mode ? SLIP_BAND : STICKING_SLACK * limit / FRICTION_NOMINALS[j];
+}
+
+#endif

@@ -1,0 +1,185 @@
+"""Dry friction in the FMU: true stiction and located stick-slip, against closed forms and an independent integration."""
+
+import math
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+import sympy as sp
+from fmpy.validation import validate_fmu
+
+from models.contacts import Contact, Friction
+from models.fmu import build_fmu
+from models.fmu.reference import Equations, Piece, true_motion
+from models.scene import Coordinate, Input, Parameter, Scene, Task
+
+x1, x2, z, w1, w2, wz, push = sp.symbols("x1 x2 z w1 w2 wz push", real=True)
+m, mu, g, k = sp.symbols("m mu g k", positive=True)
+PARAMETERS = (
+    Parameter(symbol=m, value=2.0, unit="kg"),
+    Parameter(symbol=mu, value=0.3, unit="1"),
+    Parameter(symbol=g, value=10.0, unit="m/s^2"),
+    Parameter(symbol=k, value=200.0, unit="N/m"),
+)
+
+
+def block(**changes: object) -> Scene:
+    """A block of 2 kg on a table; friction holds it with up to 6 N."""
+    fields: dict = {
+        "name": "block_on_a_table",
+        "title": "A block on a table",
+        "source": "own",
+        "coordinates": (Coordinate(symbol=x1, velocity=w1, unit="m"),),
+        "inputs": (Input(symbol=push, unit="N"),),
+        "parameters": PARAMETERS[:3],
+        "kinetic_energy": m * w1**2 / 2,
+        "potential_energy": sp.Integer(0),
+        "forces": (push,),
+        "contacts": (),
+        "frictions": (Friction(name="table", slip=w1, coefficient=mu, normal_force=m * g),),
+        "task": Task(start=(0.0, 0.9), goal=(0.0, 0.0), running_cost=push**2, step=0.01, steps=100),
+    }
+    return Scene(**(fields | changes))
+
+
+def mass_on_a_belt() -> Scene:
+    """A mass on a spring, carried by a heavy belt of equal mass at 1 m/s: it sticks until the spring pulls too hard."""
+    return block(
+        name="mass_on_a_belt",
+        inputs=(),
+        parameters=PARAMETERS,
+        potential_energy=k * x1**2 / 2,
+        forces=(sp.Integer(0), sp.Integer(0)),
+        coordinates=(Coordinate(symbol=x1, velocity=w1, unit="m"), Coordinate(symbol=x2, velocity=w2, unit="m")),
+        kinetic_energy=m * w1**2 / 2 + m * w2**2 / 2,
+        frictions=(Friction(name="table", slip=w1 - w2, coefficient=mu, normal_force=m * g),),
+        task=Task(start=(0.0, 0.0, 1.0, 1.0), goal=(0.0,) * 4, running_cost=sp.Integer(0), step=0.01, steps=100),
+    )
+
+
+def two_coupled_frictions() -> Scene:
+    """Mass matrix, slip direction and pressing forces depend on the position; the frictions act on each other; one is pressed by a contact."""
+    return block(
+        name="two_coupled_frictions",
+        coordinates=tuple(Coordinate(symbol=q, velocity=v, unit="m") for q, v in ((x1, w1), (x2, w2), (z, wz))),
+        parameters=PARAMETERS,
+        kinetic_energy=m * (w1**2 + w2**2 + wz**2 * (1 + sp.sin(x1) ** 2 / 4)) / 2,
+        potential_energy=m * g * z,
+        forces=(push, sp.Integer(0), sp.Integer(0)),
+        contacts=(Contact(name="floor", penetration=-z, stiffness=k),),
+        frictions=(
+            Friction(name="cart", slip=w2 - w1, coefficient=mu, normal_force=m * g * (1 + x1**2 / 10)),
+            Friction(name="foot", slip=w1 * sp.cos(x2) + w2 + wz / 5, coefficient=mu / 2, contact="floor"),
+        ),
+        task=Task(start=(0.0, 0.1, -0.03, 0.0, 0.2, 0.0), goal=(0.0,) * 6, running_cost=push**2, step=0.01, steps=100),
+    )
+
+
+SCENES = [block(), mass_on_a_belt(), two_coupled_frictions()]
+SHARES = (9.0, -25.0, 0.0, 13.0)
+
+
+def pieces(scene: Scene) -> list[Piece]:
+    quarter = scene.task.horizon / 4
+    return [Piece(quarter * (index + 1), np.full(scene.nu, force)) for index, force in enumerate(SHARES)]
+
+
+def pushed(scene: Scene) -> np.ndarray | None:
+    if not scene.nu:
+        return None
+    rows, begin = [], 0.0
+    for piece in pieces(scene):
+        rows += [(begin, piece.u[0]), (piece.end, piece.u[0])]
+        begin = piece.end
+    return np.array(rows, dtype=[("time", float), ("push", float)])
+
+
+def simulate(
+    scene: Scene, outputs: list[str], *, version: str = "2.0", kind: str = "CoSimulation", **options: object
+) -> dict[str, np.ndarray]:
+    settings: dict = {"stop_time": scene.task.horizon, "output_interval": 0.01, "input": pushed(scene)} | options
+    result = fmpy.simulate_fmu(str(build_fmu(scene, version)), fmi_type=kind, output=outputs, **settings)
+    return {name: result[name] for name in ("time", *outputs)}
+
+
+def states(scene: Scene) -> list[str]:
+    return [item.name for item in scene.coordinates] + [item.velocity_name for item in scene.coordinates]
+
+
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+@pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
+def test_package_is_valid_and_repeats_what_it_promises(scene: Scene, version: str) -> None:
+    assert validate_fmu(str(build_fmu(scene, version))) == []
+
+
+@pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
+def test_order_four_through_stick_and_slip(scene: Scene) -> None:
+    times = np.arange(101) * 0.01
+    truth = true_motion(Equations(scene), pieces(scene), times)
+    errors = []
+    for step in (1e-2, 5e-3, 1e-3):
+        found = simulate(scene, states(scene), start_values={"internal_step": step})
+        errors.append(np.abs(np.column_stack([found[name] for name in states(scene)]) - truth).max())
+    assert errors[-1] < 2e-9
+    assert errors[0] < 1e-11 or math.log2(errors[0] / errors[1]) > 3.5
+
+
+def test_block_comes_to_rest_where_the_closed_form_says_and_stays() -> None:
+    scene = block(
+        inputs=(), forces=(sp.Integer(0),), task=Task(start=(0.0, 0.9), goal=(0.0, 0.0), running_cost=sp.S.Zero, step=0.1, steps=1000)
+    )
+    found = simulate(scene, ["x1", "w1", "friction_table"], output_interval=0.1, stop_time=100.0, start_values={"internal_step": 0.05})
+    assert found["x1"][-1] == pytest.approx(0.9**2 / (2 * 3.0), abs=1e-12)
+    assert np.ptp(found["x1"][4:]) < 1e-12  # 99.6 s of rest
+    assert np.abs(found["w1"][4:]).max() < 1e-13
+    assert np.abs(found["friction_table"][4:]).max() < 1e-9
+
+
+@pytest.mark.parametrize(("force", "slips"), [(5.999, False), (6.001, True), (-5.999, False), (-6.001, True)])
+def test_block_at_rest_sticks_up_to_mu_m_g(force: float, slips: bool) -> None:
+    scene = block(task=Task(start=(0.0, 0.0), goal=(0.0, 0.0), running_cost=push**2, step=0.01, steps=100))
+    held = np.array([(0.0, force), (1.0, force)], dtype=[("time", float), ("push", float)])
+    for kind in ("CoSimulation", "ModelExchange"):
+        found = simulate(scene, ["x1", "friction_table"], kind=kind, input=held)
+        expected = math.copysign(0.5 * (abs(force) - 6.0) / 2.0, force) if slips else 0.0
+        assert found["x1"][-1] == pytest.approx(expected, abs=1e-12 if kind == "CoSimulation" else 1e-6)
+        assert found["friction_table"][-1] == pytest.approx(-math.copysign(min(abs(force), 6.0), force), abs=1e-9)
+
+
+def test_mass_on_a_belt_slips_when_the_spring_asks_for_more_than_mu_m_g() -> None:
+    both, alone = math.sqrt(200.0 / 4.0), math.sqrt(200.0 / 2.0)  # carried together, friction is half of the spring's force
+    leaves = math.asin(both * (2 * 6.0 / 200.0) / 1.0) / both
+    found = simulate(mass_on_a_belt(), ["x1", "slip_table", "friction_table"], output_interval=1e-3, start_values={"internal_step": 1e-4})
+    time = found["time"]
+    sticks = time < leaves
+    assert np.abs(found["slip_table"][sticks]).max() < 1e-13
+    assert np.allclose(found["x1"][sticks], np.sin(both * time[sticks]) / both, rtol=0, atol=1e-12)
+    assert np.allclose(found["friction_table"][sticks], 100.0 * found["x1"][sticks], rtol=0, atol=1e-9)
+    x, v, mean = 0.06, math.cos(both * leaves), 6.0 / 200.0
+    after = (time > leaves) & (time < leaves + 0.02)
+    angle = alone * (time[after] - leaves)
+    assert np.allclose(found["x1"][after], mean + (x - mean) * np.cos(angle) + v / alone * np.sin(angle), rtol=0, atol=1e-11)
+    assert (found["slip_table"][after] < 0).all()
+
+
+def test_energy_balance_closes_through_stick_and_slip() -> None:
+    scene = two_coupled_frictions()
+    names = ["kinetic_energy", "potential_energy", "contact_energy", "input_power", "dissipated_power"]
+    found = simulate(scene, names, output_interval=2.5e-4)
+    energy = found["kinetic_energy"] + found["potential_energy"] + found["contact_energy"]
+    power = found["input_power"] - found["dissipated_power"]
+    work = np.concatenate([[0.0], np.cumsum((power[1:] + power[:-1]) / 2 * np.diff(found["time"]))])
+    jumps = 4 * 25.0 * np.abs(found["input_power"]).max() * 2.5e-4 / 25.0  # the trapezoid rule across four jumps of the input
+    assert np.abs(energy - energy[0] - work).max() < jumps
+    assert found["dissipated_power"].min() >= 0.0
+
+
+def test_sources_hold_friction_only_where_the_scene_has_it(tmp_path: Path) -> None:
+    import zipfile
+
+    frictionless = block(frictions=(), name="sliding_block")
+    with zipfile.ZipFile(build_fmu(frictionless)) as archive:
+        assert not {"sources/friction.h", "sources/friction_modes.h"} & set(archive.namelist())
+    with zipfile.ZipFile(build_fmu(block())) as archive:
+        assert {"sources/friction.h", "sources/friction_modes.h"} <= set(archive.namelist())
