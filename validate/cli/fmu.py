@@ -13,6 +13,7 @@ import click
 Examples:
   python -m validate fmu three_cart -o three_cart.fmu
   python -m validate fmu my_scene.py -o my_scene.fmu --fmi 3 --platform x86_64-linux --platform win64
+  python -m validate fmu three_cart --coupled -o three_cart.ssp
 """
 )
 @click.argument("scene", metavar="NAME|FILE.py")
@@ -27,13 +28,25 @@ Examples:
     metavar="NAME",
     help="Carry binaries for this platform, by its name in FMI 2.0 or 3.0 (linux64 or x86_64-linux); may be repeated. Default: this machine's.",
 )
-def command(scene: str, output: Path, version: str, platforms: tuple[str, ...]) -> int:
+@click.option(
+    "--coupled",
+    is_flag=True,
+    help="Write an .ssp instead: an FMU for each body and each contact, and how they are connected (FMI 2.0, this machine's platform).",
+)
+def command(scene: str, output: Path, version: str, platforms: tuple[str, ...], coupled: bool) -> int:
     """Export a scene as an FMU: Co-Simulation and Model Exchange in one file."""
     from models.catalog import load_scene
     from models.fmu import build_fmu
     from validate.store import disk_error
 
-    built = build_fmu(load_scene(scene), version=f"{version}.0", platforms=platforms)
+    if coupled and (version != "2" or platforms):
+        raise click.UsageError("--coupled writes FMI 2.0 for this machine; leave out --fmi and --platform.")
+    if coupled:
+        from models.fmu.coupled import build_ssp
+
+        built = build_ssp(load_scene(scene))
+    else:
+        built = build_fmu(load_scene(scene), version=f"{version}.0", platforms=platforms)
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(built, output)
