@@ -119,7 +119,7 @@ _DEFECTS = (
         "an event indicator never changes its sign",
         "event indicators announce events",
         "missing or wrong",
-        ((_EXCHANGE, "indicators[i] = -phi[i];", "indicators[i] = fabs(phi[i]) + 1e-3;"),),
+        ((_EQUATIONS, "indicators[i] = -m->phi[i];", "indicators[i] = fabs(m->phi[i]) + 1e-3;"),),
     ),
     (
         "event indicators are missing",
@@ -131,7 +131,7 @@ _DEFECTS = (
         "an event indicator is a sign",
         "event indicators announce events",
         "jumps over zero",
-        ((_EXCHANGE, "indicators[i] = -phi[i];", "indicators[i] = phi[i] > 0.0 ? -1.0 : 1.0;"),),
+        ((_EQUATIONS, "indicators[i] = -m->phi[i];", "indicators[i] = m->phi[i] > 0.0 ? -1.0 : 1.0;"),),
     ),
     (
         "a nominal is another one in the XML",
@@ -150,7 +150,7 @@ _DEFECTS = (
         "FMI 3: an indicator is not its variable",
         "event indicators announce events",
         "event indicator 0",
-        ((_EXCHANGE, "indicators[i] = -phi[i];", "indicators[i] = -2.0 * phi[i];"),),
+        ((_EQUATIONS, "indicators[i] = -m->phi[i];", "indicators[i] = -2.0 * m->phi[i];"),),
         "3.0",
     ),
 )
