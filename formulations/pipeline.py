@@ -126,8 +126,9 @@ PIPELINES: tuple[Pipeline, ...] = (
     ),
 )
 
-# What `--quick` runs: the cheapest collocation chain that ends in a direct method, and the cheapest gradient chain.
-QUICK: tuple[str, ...] = ("softplus_dc+strict", "softplus_gd+relu_gd")
+# What `--quick` runs: the cheapest collocation chain that ends in a direct method, the cheapest gradient chain, and all that a scene
+# without inputs has.
+QUICK: tuple[str, ...] = ("softplus_dc+strict", "softplus_gd+relu_gd", FREE_MOTION)
 
 
 def pipeline_names() -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -47,6 +48,8 @@ def cli(cli_environment: dict[str, str]) -> Callable[..., subprocess.CompletedPr
 def start_cli(cli_environment: dict[str, str]):
     """The same without waiting: a Popen in a session of its own, killed at the end of the test."""
     started: list[subprocess.Popen[str]] = []
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in the background of a shell, which what it starts would inherit
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def start(*arguments: str) -> subprocess.Popen[str]:
         command = [sys.executable, "-m", "validate", *arguments]

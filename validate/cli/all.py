@@ -37,7 +37,7 @@ content: scene, pipeline with all options, our sources, library versions.
 \b
 Examples:
   python -m validate all                               everything
-  python -m validate all --quick                       two pipelines
+  python -m validate all --quick                       three pipelines
   python -m validate all -k "strict and not relaxed"   some
   python -m validate all --scene my/own_scene.py       a scene of your own
 
@@ -49,7 +49,9 @@ configuration or nothing selected; 3 this machine cannot; 130 interrupted.
 
 @click.command(epilog=_EPILOG)
 @click.option(
-    "--quick", is_flag=True, help="Only the pipelines softplus_dc+strict and softplus_gd+relu_gd; the table says what was left out."
+    "--quick",
+    is_flag=True,
+    help="Only the pipelines softplus_dc+strict, softplus_gd+relu_gd and free_motion; below the table stands what was left out.",
 )
 @click.option("--fresh", is_flag=True, help="Run cells again that are stored.")
 @click.option(

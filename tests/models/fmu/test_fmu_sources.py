@@ -119,16 +119,17 @@ def native_compiler():
 
 
 @both
-@pytest.mark.parametrize("sanitizer", ["address,undefined", "undefined"])
-def test_models_in_one_program_under_sanitizers(scene_of, unpacked, tmp_path, version, sanitizer):
-    """No clash, no leak, no access out of bounds, no undefined behaviour."""
+def test_models_in_one_program_under_sanitizers(scene_of, unpacked, tmp_path, version):
+    """No clash, no leak, no access out of bounds, no undefined behaviour. Some compilers have the second sanitizer only."""
     compiler = native_compiler()
-    flags = ["-std=c99", "-g", "-O1", f"-fsanitize={sanitizer}", "-fno-sanitize-recover=all", "-Wall", "-Wextra", "-Werror"]
     probe = tmp_path / "probe.c"
     probe.write_text("int main(void) { return 0; }\n")
-    if subprocess.run([compiler, *flags, probe, "-o", tmp_path / "probe"], capture_output=True, check=False).returncode:
-        pytest.skip(f"this compiler has no -fsanitize={sanitizer}")
-    run([program(scene_of, unpacked, tmp_path, version, compiler, flags)])
+    for sanitizers in ("address,undefined", "undefined"):
+        flags = ["-std=c99", "-g", "-O1", f"-fsanitize={sanitizers}", "-fno-sanitize-recover=all", "-Wall", "-Wextra", "-Werror"]
+        if subprocess.run([compiler, *flags, probe, "-o", tmp_path / "probe"], capture_output=True, check=False).returncode == 0:
+            run([program(scene_of, unpacked, tmp_path, version, compiler, flags)])
+            return
+    pytest.skip("this compiler has no sanitizers")
 
 
 @both
