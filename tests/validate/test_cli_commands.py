@@ -65,7 +65,7 @@ def test_list_imports_no_solver():
         (("all", "--tools", "no_such_module:TOOLS"), "cannot be imported"),
         (("all", "--tools", "campaign_fakes:NOTHING"), "campaign_fakes has no NOTHING"),
         (("report", "nowhere/at_all"), "there is no campaign in this folder"),
-        (("replay", "plan.csv"), "missing option '--scene'"),
+        (("replay", "plan.csv"), "give either --scene or --fmu"),
         (("replay", "no_plan.csv", "--scene", "three_cart"), "it cannot be read"),
         (("fmu", "three_cart"), "missing option '-o'"),
         (("fmu", "three_kart", "-o", "x.fmu"), "did you mean three_cart?"),
@@ -145,13 +145,14 @@ def test_no_compiler(cli, tmp_path):
 
 
 def test_an_unexpected_error_is_one_sentence_and_its_traceback_is_kept(cli, tmp_path):
-    broken = cli("all", "--tools", "campaign_fakes:BROKEN", "--out", str(tmp_path / "out"), "-k", "only_good", TMPDIR=str(tmp_path))
+    command = ("all", "--tools", "campaign_fakes:BROKEN", "--scene", "three_cart", "--out", str(tmp_path / "out"), "-k", "only_good")
+    broken = cli(*command, TMPDIR=str(tmp_path))
     assert broken.returncode == 1
     (last,) = [line for line in broken.stderr.splitlines() if line.startswith("error:")]
     assert "RuntimeError: the report room is on fire" in last
     log = Path(last.split("the traceback is in ")[1].split(". Please")[0])
     assert "Traceback" in log.read_text()
-    shown = cli("all", "--tools", "campaign_fakes:BROKEN", "--out", str(tmp_path / "out"), "-k", "only_good", TOUCHSTONE_DEBUG="1")
+    shown = cli(*command, TOUCHSTONE_DEBUG="1")
     assert "Traceback" in shown.stderr
 
 

@@ -172,7 +172,8 @@ def test_the_replay_checks_itself(scores: dict[str, Score]):
 
 def test_every_figure_has_unit_and_meaning_and_every_limit_a_reason(scene: Scene, scores: dict[str, Score]):
     result = scores["exact"]
-    assert [figure.name for figure in result.figures] == list(figure_names())
+    absent = {"velocity_bound_violation", "answer_error"}  # no velocity is bounded, no answer of this scene is measured on a replay
+    assert [figure.name for figure in result.figures] == [name for name in figure_names() if name not in absent]
     for figure in result.figures:
         assert figure.unit
         assert figure.meaning
