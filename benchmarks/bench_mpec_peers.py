@@ -130,16 +130,19 @@ def main() -> None:
     parser.add_argument("--package-seeds", type=int, default=20, help=f"random starts for {', '.join(PACKAGES)} (default 20)")
     parser.add_argument("--limit", type=float, default=60.0, help="CPU seconds of one solve (default 60)")
     parser.add_argument("--no-macmpec", action="store_true", help="the carts alone")
-    parser.add_argument("--out", type=Path, help="write every run as JSON, after each run")
+    parser.add_argument("--out", type=Path, help="write every run as JSON, after each run; runs that are in it already are kept")
     asked = parser.parse_args()
 
-    rows, problems = [], []
+    kept = json.loads(asked.out.read_text(encoding="utf-8")) if asked.out and asked.out.exists() else {"three_cart": [], "macmpec": []}
+    rows, problems = kept["three_cart"], kept["macmpec"]
 
-    def run(kept: list[dict[str, Any]], peer: str, problem: str, seed: int) -> None:
-        kept.append(run_one(peer, problem, seed, asked.limit))
-        print(json.dumps({key: value for key, value in kept[-1].items() if key != "path"}), file=sys.stderr, flush=True)
+    def run(done: list[dict[str, Any]], peer: str, problem: str, seed: int) -> None:
+        if any((row["peer"], row["problem"], row["seed"]) == (peer, problem, seed) for row in done):
+            return
+        done.append(run_one(peer, problem, seed, asked.limit))
+        print(json.dumps({key: value for key, value in done[-1].items() if key != "path"}), file=sys.stderr, flush=True)
         if asked.out:
-            asked.out.write_text(json.dumps({"three_cart": rows, "macmpec": problems}, indent=1), encoding="utf-8")
+            asked.out.write_text(json.dumps(kept, indent=1), encoding="utf-8")
 
     for seed in (-1, *range(asked.seeds)):
         for peer in PEERS:
