@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import difflib
 import json
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -96,8 +97,9 @@ def select(settings: Settings) -> tuple[list[Entry], tuple[str, ...]]:
     tools = load_tools(settings.tools)
     entries: list[Entry] = []
     seen: list[str] = []
-    left_out: list[str] = []
-    for reference in dict.fromkeys(settings.scenes or scene_names()):
+    left_out: list[tuple[str, str]] = []
+    references = list(dict.fromkeys(settings.scenes or scene_names()))
+    for reference in references:
         scene = load_scene(reference)
         check_limits(scene)
         if any(entry.scene.name == scene.name and entry.scene is not scene for entry in entries):
@@ -108,16 +110,23 @@ def select(settings: Settings) -> tuple[list[Entry], tuple[str, ...]]:
             seen += [scene.name, pipeline.name, *methods]
             if not settings.expression or matches(settings.expression, (scene.name, pipeline.name, *methods)):
                 if settings.quick and pipeline.name not in tools.quick_names():
-                    left_out.append(f"{scene.name} x {pipeline.name}")
+                    left_out.append((scene.name, pipeline.name))
                 else:
                     for part in cells_of(pipeline):
                         cell = Cell(
                             key="", scene=where, scene_name=scene.name, pipeline=part, tools=settings.tools, time_limit=settings.time_limit
                         )
                         entries.append(_entry(cell, scene, tools))
+    told = _in_words(left_out, len(references))
     if not entries:
-        raise _nothing(settings, seen, left_out)
-    return entries, tuple(left_out)
+        raise _nothing(settings, seen, told)
+    return entries, told
+
+
+def _in_words(cells: Sequence[tuple[str, str]], scenes: int) -> tuple[str, ...]:
+    """(scene, pipeline) -> `scene x pipeline`; a pipeline of all of several scenes once, as `every scene x pipeline`."""
+    times = Counter(pipeline for _, pipeline in cells)
+    return tuple(dict.fromkeys(f"{'every scene' if times[pipeline] == scenes > 1 else scene} x {pipeline}" for scene, pipeline in cells))
 
 
 def _entry(cell: Cell, scene: Scene, tools: Tools) -> Entry:
@@ -131,7 +140,7 @@ def _entry(cell: Cell, scene: Scene, tools: Tools) -> Entry:
     return Entry(cell=replace(cell, key=key), scene=scene, plan=plan)
 
 
-def _nothing(settings: Settings, seen: list[str], left_out: list[str]) -> CampaignError:
+def _nothing(settings: Settings, seen: list[str], left_out: tuple[str, ...]) -> CampaignError:
     if left_out:
         return CampaignError(
             f"nothing to run: --quick leaves out all that -k {settings.expression!r} selects ({', '.join(left_out)}); drop --quick."

@@ -62,6 +62,18 @@ def test_a_campaign_runs_the_parts_as_cells_of_their_own(tmp_path) -> None:
     assert entries[1].cell.title == "three_cart x mpcc_multistart (2 of 4)"
 
 
+def test_a_quick_campaign_says_once_what_it_leaves_out_of_every_scene(tmp_path) -> None:
+    entries, left_out = select(
+        Settings(out=tmp_path, scenes=("three_cart", "bouncing_mass"), quick=True, expression="strict or free_motion")
+    )
+    chosen = [(entry.scene.name, entry.cell.pipeline.name) for entry in entries]
+    quick = "softplus_dc+strict"
+    assert chosen == [("three_cart", quick), ("bouncing_mass", quick), ("bouncing_mass", "free_motion")]
+    assert left_out == tuple(f"every scene x {name}" for name in ("strict", "relaxed+strict", "softplus_gd+strict"))
+    _, of_one = select(Settings(out=tmp_path, scenes=("three_cart",), quick=True, expression="softplus and strict"))
+    assert of_one == ("three_cart x softplus_gd+strict",)
+
+
 def test_a_certificate_becomes_a_record() -> None:
     record = certificate_record(certify_plan(SCENE, plan()))
     assert record is not None
