@@ -56,6 +56,7 @@ class Instance:
         self._component = ctypes.c_void_p(fmu.component) if not isinstance(fmu.component, ctypes.c_void_p) else fmu.component
         self._prefix = "fmi3" if is_three else "fmi2"
         self._dead = False
+        self._bound: dict[str, Callable[..., None]] = {}
         extra = (_S,) if is_three else ()
         real = "Float64" if is_three else "Real"
         self._get = self._bind(f"Get{real}", _P, _S, _P, *extra)
@@ -75,6 +76,8 @@ class Instance:
 
     def _bind(self, name: str, *types: Any) -> Callable[..., None]:
         full = self._prefix + name
+        if full in self._bound:
+            return self._bound[full]
         try:
             function = self._fmu.dll[full]
         except AttributeError as error:
@@ -88,6 +91,7 @@ class Instance:
                 self._dead = self._dead or status == _FATAL
                 raise CallError(full, status)
 
+        self._bound[full] = call
         return call
 
     def read(self, references: References) -> np.ndarray:
@@ -177,6 +181,16 @@ class Instance:
         return bool(wants)
 
     # Co-Simulation
+
+    def save(self, place: Any) -> None:
+        """Keep the whole state in `place`, a ctypes.c_void_p; used again, it takes no new memory. Free it by `forget`."""
+        self._bind("GetFMUState" if self._three else "GetFMUstate", _P)(ctypes.byref(place))
+
+    def restore(self, place: Any) -> None:
+        self._bind("SetFMUState" if self._three else "SetFMUstate", _P)(place)
+
+    def forget(self, place: Any) -> None:
+        self._bind("FreeFMUState" if self._three else "FreeFMUstate", _P)(ctypes.byref(place))
 
     def input_slopes(self, references: References, slopes: np.ndarray) -> None:
         """Per second (FMI 2.0 only)."""

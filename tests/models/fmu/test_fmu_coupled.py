@@ -72,8 +72,8 @@ def test_what_cannot_be_split_is_said():
     scene = load_scene("three_cart")
     with pytest.raises(SceneError, match="no contacts, so there is nothing to split"):
         split(replace(scene, contacts=()))
+    rubbing = Friction(name="left", slip=scene.coordinates[0].velocity, coefficient=sp.Rational(1, 2), contact="left")
     with pytest.raises(SceneError, match="friction"):
-        rubbing = Friction(name="left", slip=scene.coordinates[0].velocity, coefficient=sp.Rational(1, 2), contact="left")
         split(replace(scene, frictions=(rubbing,)))
     renamed = replace(scene.contacts[0], name="q1")
     with pytest.raises(SceneError, match="would both be called three_cart_q1"):
