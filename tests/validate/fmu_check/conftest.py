@@ -42,7 +42,7 @@ def _edited(content: dict[str, bytes], edits: Sequence[Edit]) -> dict[str, bytes
 
 
 def _compiled(content: dict[str, bytes], folder: Path) -> dict[str, bytes]:
-    """The same with its binary built from its sources."""
+    """The same with its binary built from its sources, as fast as can be: forty of them are built."""
     binary = next(name for name in content if name.startswith("binaries/"))
     sources = {
         name.removeprefix("sources/"): data.decode()
@@ -51,7 +51,7 @@ def _compiled(content: dict[str, bytes], folder: Path) -> dict[str, bytes]:
     }
     includes = sorted({Path(name).parent for name in sources} - {Path()})
     library = folder / "defective.so"
-    compile_shared(find_compiler(), sources, library, extra_flags=["-w"], include_dirs=includes)
+    compile_shared(find_compiler(), sources, library, extra_flags=["-w", "-O0"], include_dirs=includes)
     return content | {binary: library.read_bytes()}
 
 
