@@ -54,6 +54,7 @@ class SceneRecord(_Model):
     velocities: tuple[QuantityRecord, ...]
     inputs: tuple[QuantityRecord, ...]
     contacts: tuple[QuantityRecord, ...]
+    frictions: tuple[QuantityRecord, ...] = ()  # by the names of their forces; the value is the coefficient
     parameters: tuple[QuantityRecord, ...]
     start: tuple[Finite, ...]
     goal: tuple[Finite | None, ...]  # None: this component of the end is free
@@ -99,7 +100,7 @@ class TraceRecord(_Model):
     """Thinned arrays of one stage for plots: plan and replay on their own thinned times, at most 1500 of them.
 
     Columns: coordinates, velocities and inputs by their own names; per contact `lam_<contact>` [N] and `gap_<contact>` [m]
-    (gap = -penetration); in a replay also `position_error`, the largest over the coordinates against the plan. Each column is
+    (gap = -penetration); per friction its force [N] by its own name; in a replay also `position_error`, the largest over the coordinates against the plan. Each column is
     as long as `t` or shorter (quantities of steps: one less); what is missing is shown as missing.
     """
 

@@ -37,6 +37,15 @@ def scene_record(scene: Scene) -> SceneRecord:
         ),
         inputs=tuple(QuantityRecord(name=item.name, unit=item.unit, description=item.description) for item in scene.inputs),
         contacts=tuple(contacts),
+        frictions=tuple(
+            QuantityRecord(
+                name=item.force_name,
+                unit="1",
+                description=item.description or item.name,
+                value=float(item.coefficient.subs(scene.parameter_values)),
+            )
+            for item in scene.frictions
+        ),
         parameters=tuple(
             QuantityRecord(name=item.name, unit=item.unit, description=item.description, value=item.value) for item in scene.parameters
         ),
@@ -72,10 +81,14 @@ def equations(dynamics: Dynamics) -> tuple[EquationRecord, ...]:
         depth = sp.Symbol(f"phi_{contact.name}", real=True)
         found.append((f"penetration of contact {contact.name} (its gap is the negative)", _equation(depth, phi)))
         found.append((f"force of contact {contact.name}", _equation(lam, sp.Mul(k, sp.Max(depth, 0), evaluate=False))))
+    found += _friction_equations(dynamics)
+    belongs = ", friction to the slip at its end" if dynamics.f else ""
     after = [sp.Symbol(f"{velocity.name}__t+1", real=True) for velocity in dynamics.v]
     gain = dynamics.mass_matrix * sp.Matrix([new - old for new, old in zip(after, dynamics.v, strict=True)])
     for row, coordinate in enumerate(dynamics.scene.coordinates):
-        found.append((f"time step of {coordinate.velocity_name}, contact forces at its start", _equation(gain[row], step * force[row])))
+        found.append(
+            (f"time step of {coordinate.velocity_name}, contact forces at its start{belongs}", _equation(gain[row], step * force[row]))
+        )
     for coordinate, velocity in zip(dynamics.scene.coordinates, after, strict=True):
         new = sp.Symbol(f"{coordinate.name}__t+1", real=True)
         found.append((f"time step of {coordinate.name}", _equation(new, coordinate.symbol + step * velocity)))
@@ -84,6 +97,18 @@ def equations(dynamics: Dynamics) -> tuple[EquationRecord, ...]:
     if dynamics.final_cost != 0:
         found.append(("cost of the last state, added to that sum", _equation(sp.Symbol("J_T"), dynamics.final_cost)))
     return tuple(EquationRecord(caption=caption, mathml=presentation(equation)) for caption, equation in found)
+
+
+def _friction_equations(dynamics: Dynamics) -> list[tuple[str, sp.Basic]]:
+    found: list[tuple[str, sp.Basic]] = []
+    names = {lam: sp.Symbol(lam.name.replace("lam_", "lambda_", 1), real=True) for lam in dynamics.lam}
+    for friction, slip, limit, force in zip(dynamics.scene.frictions, dynamics.slip, dynamics.friction_limit, dynamics.f, strict=True):
+        speed = sp.Symbol(friction.slip_name, real=True)
+        found.append((f"slip speed of friction {friction.name}", _equation(speed, slip)))
+        found.append((f"largest force of friction {friction.name}", sp.Le(sp.Abs(force), limit.subs(names), evaluate=False)))
+        held = _equation(force, sp.Mul(-1, limit.subs(names), sp.sign(speed), evaluate=False))
+        found.append((f"force of friction {friction.name} where it slips; where it sticks, the slip is zero", held))
+    return found
 
 
 def _equation(left: sp.Basic, right: sp.Basic) -> sp.Basic:

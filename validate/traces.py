@@ -25,19 +25,22 @@ def thin(points: int, longest: int = LONGEST) -> np.ndarray:
 
 
 def plan_trace(scene: Scene, trajectory: Trajectory) -> TraceRecord:
-    """q, v, u, lam and gap of a plan; quantities of steps have one value less."""
+    """q, v, u, lam, friction and gap of a plan; quantities of steps have one value less."""
     keep = thin(len(trajectory.t))
     steps = keep[keep < trajectory.steps]
     q = trajectory.q[keep]
-    columns = _columns(scene, q=q, v=trajectory.v[keep], u=trajectory.u[steps], lam=trajectory.lam[steps], gap=_gap(scene, q))
+    lam, friction = np.split(trajectory.lam[steps], [scene.nc], axis=1)
+    columns = _columns(scene, q=q, v=trajectory.v[keep], u=trajectory.u[steps], lam=lam, friction=friction, gap=_gap(scene, q))
     return TraceRecord(t=_numbers(trajectory.t[keep]), columns=columns, poses=poses(scene, q))
 
 
 def replay_trace(scene: Scene, trajectory: Trajectory, replay: Replay) -> TraceRecord:
-    """q, v, lam, gap of a replay, and `position_error`: the largest difference of a coordinate to the plan."""
+    """q, v, lam, friction, gap of a replay, and `position_error`: the largest difference of a coordinate to the plan."""
     keep = thin(len(replay.t))
     q = np.asarray(replay.q)[keep]
-    columns = _columns(scene, q=q, v=np.asarray(replay.v)[keep], lam=np.asarray(replay.lam)[keep], gap=_gap(scene, q))
+    lam = np.asarray(replay.lam)[keep]
+    friction = np.asarray(replay.friction)[keep] if scene.nf else np.zeros((len(keep), 0))
+    columns = _columns(scene, q=q, v=np.asarray(replay.v)[keep], lam=lam, friction=friction, gap=_gap(scene, q))
     knots = np.asarray(replay.knots)
     if len(knots) == 0:
         return TraceRecord(t=_numbers(replay.t[keep]), columns=columns, poses=poses(scene, q))
@@ -80,6 +83,7 @@ def _columns(scene: Scene, **groups: np.ndarray) -> dict[str, tuple[float, ...]]
         "v": [item.velocity_name for item in scene.coordinates],
         "u": [item.name for item in scene.inputs],
         "lam": [item.force_name for item in scene.contacts],
+        "friction": [item.force_name for item in scene.frictions],
         "gap": [item.gap_name for item in scene.contacts],
     }
     return {name: _numbers(array[:, index]) for group, array in groups.items() for index, name in enumerate(names[group])}

@@ -77,7 +77,7 @@ def settle_slip(block: Any) -> None:
     for (t, name), row in block.constraint_slip.items():
         forward, backward = (block.variable_slip[t, name, way] for way in (FORWARD, BACKWARD))
         for data in (forward, backward):
-            data.set_value(0.0)
+            data.set_value(0.0, skip_validation=True)
         slip = -(pyo.value(row.body) - pyo.value(row.upper))  # forward - backward - s == 0
-        forward.set_value(max(slip, 0.0))
-        backward.set_value(max(-slip, 0.0))
+        forward.set_value(max(slip, 0.0), skip_validation=True)
+        backward.set_value(max(-slip, 0.0), skip_validation=True)

@@ -60,6 +60,10 @@ def stage_plots(scene: SceneRecord, stage: StageRecord) -> StagePlots:
             motion.append(_positions([item for item in scene.coordinates if item.unit == unit], unit, x, plan, replay))
         for contact in scene.contacts:
             motion.append(_contact(f"Contact force, {contact.name}", "force", "N", contact.name, x, plan, replay))
+        for friction in scene.frictions:
+            motion.append(
+                _contact(f"Friction force, {friction.description or friction.name}", "force", "N", friction.name, x, plan, replay)
+            )
         motion.append(_error(scene, x, plan, replay))
         for contact in scene.contacts:
             motion.append(_contact(f"Gap, {contact.name}", "gap", "m", contact.name, x, plan, replay))

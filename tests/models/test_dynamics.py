@@ -61,19 +61,22 @@ def test_gap_jacobian_is_the_derivative_of_the_gap(scene: Scene):
 
 
 def test_power_balance(scene: Scene):
-    """d/dt (T + V) = power of the inputs - dissipated power + power of the contact forces, at random states."""
+    """d/dt (T + V) = power of the inputs - dissipated power + power of contact and friction forces, at random states."""
     d = derive(scene)
     energy = sp.Matrix([d.kinetic_energy + d.potential_energy])
     slope_q, slope_v = d.function(energy.jacobian(d.q), d.q, d.v), d.function(energy.jacobian(d.v), d.q, d.v)
-    M, f = d.function(d.mass_matrix, d.q), d.function(d.generalised_force, d.q, d.v, d.u, d.lam)
+    M, f = d.function(d.mass_matrix, d.q), d.function(d.generalised_force, d.q, d.v, d.u, (*d.lam, *d.f))
+    slip = d.function(d.slip, d.q, d.v) if scene.nf else None
     J = d.function(d.gap_jacobian, d.q) if scene.nc else None
     power_in = d.function([d.input_power], d.q, d.v, d.u)
     power_out = d.function([d.dissipated_power], d.q, d.v)
     for seed in range(20):
         q, v, u, lam = probe(scene, seed)
-        a = np.linalg.solve(M(q), f(q, v, u, lam)).ravel()
+        friction = np.random.default_rng(seed).normal(size=scene.nf)
+        a = np.linalg.solve(M(q), f(q, v, u, np.concatenate([lam, friction]))).ravel()
         rate = (slope_q(q, v) @ v + slope_v(q, v) @ a).item()
         contact = float(lam @ (J(q) @ v)) if J is not None else 0.0
+        contact += float(friction @ slip(q, v).ravel()) if slip is not None else 0.0
         assert rate == pytest.approx(power_in(q, v, u).item() - power_out(q, v).item() + contact, abs=1e-9, rel=1e-9)
 
 

@@ -35,6 +35,7 @@ def _groups(scene: Subject) -> dict[str, list[tuple[str, str, str]]]:
         "v": [(item.velocity_name, item.velocity_unit, f"velocity of {item.name}") for item in scene.coordinates],
         "lam": [(item.force_name, "N", f"contact force, {item.description or item.name}") for item in scene.contacts],
         "gap": [(item.gap_name, "m", f"gap, negative in contact, {item.description or item.name}") for item in scene.contacts],
+        "friction": [(item.force_name, "N", f"friction force, {item.description or item.name}") for item in scene.frictions],
         "contact_impulse": [
             (f"impulse_{item.name}", "N s", f"impulse since the start, {item.description or item.name}") for item in scene.contacts
         ],

@@ -14,7 +14,7 @@ from validate.replay.wiring import ENERGIES, Variables
 
 
 class Outputs:
-    """q, v (n, nq), lam, gap (n, nc), kinetic, potential, contact energy (n,) of a run, at all its points or at some rows."""
+    """q, v (n, nq), lam, gap (n, nc), friction (n, nf), zero where the FMU does not give it,, kinetic, potential, contact energy (n,) of a run, at all its points or at some rows."""
 
     def __init__(self, scene: Subject, variables: Variables, run: Run, rows: list[int] | None = None) -> None:
         self._scene, self._variables = scene, variables
@@ -31,6 +31,8 @@ class Outputs:
         self.v = values[:, nq:first].copy() if variables.v or not nq else np.zeros((self._count, nq))
         self.lam = values[:, first:at].copy() if variables.lam or not nc else self._kernel.contact_force(self.q) if known else zeros
         self.gap = values[:, at : at + nc].copy() if variables.gap or not nc else -self._kernel.penetration(self.q) if known else zeros
+        at += len(variables.gap)
+        self.friction = values[:, at : at + scene.nf].copy() if variables.friction else np.zeros((self._count, scene.nf))
         first_energy = len(references) - len(variables.energies)
         given = {name: values[:, first_energy + index].copy() for index, name in enumerate(variables.energies)}
         self.kinetic, self.potential, self.contact = (self._energy(name, given) for name in ENERGIES)

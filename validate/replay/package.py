@@ -84,6 +84,7 @@ def find_variables(package: Package, scene: Scene, names: Mapping[str, str] | No
         "u": tuple(item.name for item in scene.inputs),
         "lam": tuple(item.force_name for item in scene.contacts),
         "gap": tuple(item.gap_name for item in scene.contacts),
+        "friction": tuple(item.force_name for item in scene.frictions),
     }
     known = (
         {name for group in groups.values() for name in group}
@@ -128,7 +129,7 @@ def find_variables(package: Package, scene: Scene, names: Mapping[str, str] | No
         "potential_energy": not structure.conservative_forces,
         "contact_energy": not structure.contacts,
         "input_power": not structure.inputs,
-        "dissipated_power": not structure.dissipation,
+        "dissipated_power": not (structure.dissipation or structure.friction),
     }
 
     def present(group: tuple[str, ...]) -> Mapping[str, int]:

@@ -27,7 +27,8 @@ class ReplayOutcome(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Event:
-    """A gap that closed or opened at `time` [s]. `contact`: its name, or `indicator_<n>` where the FMU has indicators of its own."""
+    """A gap that closed or opened at `time` [s]. `contact`: its name; or the force's name of a friction that began to stick or to slip; or
+    `indicator_<n>` where the FMU has indicators of its own."""
 
     time: float
     contact: str
@@ -72,7 +73,7 @@ class Replay:
     """The plan's inputs applied, from the plan's start, to the true continuous contact dynamics.
 
     t (n,) [s]: every node of the plan, points between them, and every event; knots (nodes,): rows of t that are plan nodes.
-    q, v (n, nq); lam, gap (n, nc) [N, m] with gap = -penetration; kinetic, potential, contact_energy (n,) [J];
+    q, v (n, nq); lam, gap (n, nc) [N, m] with gap = -penetration; friction (n, nf) [N]; kinetic, potential, contact_energy (n,) [J];
     input_work, dissipated_work (n,) [J] and contact_impulse (n, nc) [N s], accumulated from the start - None where the FMU has no
     such output. Every number is finite; a replay that did not get to the end holds what came before (`outcome`, `message`).
     """
@@ -86,6 +87,7 @@ class Replay:
     v: np.ndarray
     lam: np.ndarray
     gap: np.ndarray
+    friction: np.ndarray
     knots: np.ndarray
     kinetic_energy: np.ndarray
     potential_energy: np.ndarray

@@ -143,8 +143,8 @@ def _replay(
     event_budget: int,
 ) -> Replay:
     out = Outputs(subject, variables, run)
-    names = [contact.name for contact in subject.contacts]
-    # Indicators are the contacts' gaps, in their order, where the scene made the FMU; elsewhere they have no names.
+    names = [contact.name for contact in subject.contacts] + list(subject.force_names[subject.nc :])
+    # Indicators are the contacts' gaps and the frictions' reserves, in their order, where the scene made the FMU; elsewhere they have no names.
     named = isinstance(subject, Scene) and all(index < len(names) for _, index, _ in run.events)
     return Replay(
         scene=subject.name,
@@ -156,6 +156,7 @@ def _replay(
         v=out.v,
         lam=out.lam,
         gap=out.gap,
+        friction=out.friction,
         knots=np.array(run.knots, dtype=np.int64),
         kinetic_energy=out.kinetic,
         potential_energy=out.potential,

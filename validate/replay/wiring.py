@@ -14,7 +14,7 @@ INTERNAL_STEP = "internal_step"
 
 @dataclass(frozen=True, kw_only=True)
 class Variables:
-    """Value references. lam and gap are empty where the FMU lacks one of them; v may be empty for an FMU without a scene.
+    """Value references. lam, gap and friction are empty where the FMU lacks one of them; v may be empty for an FMU without a scene.
 
     energies, powers: those the FMU has, by name; zero: names of energies and powers that the scene does not have at all;
     parameters: (reference, value) set before the start; start: references of what is set to the plan's start, in the order of the start
@@ -33,11 +33,12 @@ class Variables:
     start: tuple[int, ...]
     internal_step: int | None
     choices: tuple[tuple[int, int], ...] = ()
+    friction: tuple[int, ...] = ()
 
     @property
     def outputs(self) -> tuple[int, ...]:
-        """Of all that is read at a point of the replay: q, v, lam, gap, energies."""
-        return self.q + self.v + self.lam + self.gap + tuple(self.energies.values())
+        """Of all that is read at a point of the replay: q, v, lam, gap, friction, energies."""
+        return self.q + self.v + self.lam + self.gap + self.friction + tuple(self.energies.values())
 
     @property
     def rates(self) -> tuple[int, ...]:
@@ -49,7 +50,7 @@ class Variables:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Variables:
-        lists = {name: tuple(data[name]) for name in ("q", "v", "u", "lam", "gap", "start")}
+        lists = {name: tuple(data[name]) for name in ("q", "v", "u", "lam", "gap", "friction", "start")}
         pairs = tuple((int(reference), float(value)) for reference, value in data["parameters"])
         choices = tuple((int(reference), int(value)) for reference, value in data["choices"])
         return cls(**{**data, **lists, "parameters": pairs, "choices": choices, "zero": frozenset(data["zero"])})

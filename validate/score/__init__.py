@@ -58,7 +58,7 @@ def score(scene: Subject, trajectory: Trajectory | None, replay: Replay | None) 
     return Score(
         figures=figures,
         verdict=verdict,
-        why=explain(figures, verdict, planned_impulse=float((trajectory.lam * case.h[:, None]).sum())),
+        why=explain(figures, verdict, planned_impulse=float((trajectory.lam[:, : scene.nc] * case.h[:, None]).sum())),
         contact=verdict_of(figure for figure in figures if figure.name in CONTACT),
         grid=verdict_of(figure for figure in figures if figure.name in GRID),
     )

@@ -66,6 +66,22 @@ def missed_impulse(plan_lam: np.ndarray, step_of: np.ndarray, lam: np.ndarray, d
     return float((excess / 2 * duration[:, None]).sum())
 
 
+def friction_violation(friction: np.ndarray, limit: np.ndarray) -> float:
+    """max(abs(f) - mu N, 0) over steps and frictions [N]; friction, limit (steps, nf)."""
+    return float(np.maximum(np.abs(friction) - limit, 0.0).max(initial=0.0))
+
+
+def friction_dissipation_error(friction: np.ndarray, limit: np.ndarray, slip: np.ndarray) -> float:
+    """max abs of mu N abs(s) + f s [W]: 0 where it sticks or slips against all of mu N; slip (steps, nf) at the end of each step."""
+    return float(np.abs(limit * np.abs(slip) + friction * slip).max(initial=0.0))
+
+
+def friction_impulse_error(plan: np.ndarray, step_of: np.ndarray, friction: np.ndarray, duration: np.ndarray) -> float:
+    """Integral over time of abs(f - f_plan) [N s], friction (n, nf) of the replay, by the trapezoid rule on its pieces."""
+    planned = plan[step_of]
+    return float(((np.abs(friction[:-1] - planned) + np.abs(friction[1:] - planned)) / 2 * duration[:, None]).sum())
+
+
 def max_penetration(gap: np.ndarray) -> float:
     """max(-gap, 0) over time and contacts [m]."""
     return float(np.maximum(-gap, 0.0).max(initial=0.0))

@@ -80,10 +80,30 @@ class Evidence:
     @property
     def lam(self) -> np.ndarray:
         """(steps, nc) contact forces of the plan [N], if it says any."""
+        return self.forces[:, : self.scene.nc]
+
+    @property
+    def forces(self) -> np.ndarray:
+        """(steps, nc + nf) contact forces, then friction forces of the plan [N], if it says any."""
         if "lam" in self.trajectory.missing:
-            columns = ", ".join(contact.force_name for contact in self.scene.contacts)
-            raise Unmeasured(f"the plan does not say its contact forces ({columns}).")
+            what = "contact and friction forces" if self.scene.nf else "contact forces"
+            raise Unmeasured(f"the plan does not say its {what} ({', '.join(self.scene.force_names)}).")
         return self.trajectory.lam
+
+    @property
+    def friction(self) -> np.ndarray:
+        """(steps, nf) friction forces of the plan [N]."""
+        return self.forces[:, self.scene.nc :]
+
+    @cached_property
+    def friction_limit(self) -> np.ndarray:
+        """(steps, nf) mu N [N], with the plan's own contact forces where they press; what pulls does not press."""
+        return np.maximum(self.kernel.friction_limit(self.trajectory.q[:-1], self.forces), 0.0)
+
+    @cached_property
+    def slip(self) -> np.ndarray:
+        """(steps, nf) slip speeds [m/s] at the end of each step, to which its friction force belongs."""
+        return self.kernel.slip(self.trajectory.q[:-1], self.v[1:])
 
     @property
     def v(self) -> np.ndarray:
@@ -98,7 +118,7 @@ class Evidence:
         """(steps, nq) of the plan's states, inputs and own contact forces."""
         plan = self.trajectory
         try:
-            return self.kernel.acceleration(plan.q[:-1], self.v[:-1], plan.u, self.lam)
+            return self.kernel.acceleration(plan.q[:-1], self.v[:-1], plan.u, self.forces)
         except KernelError as error:
             raise Unmeasured(str(error)) from error
 

@@ -49,6 +49,10 @@ def _has_contacts(scene: Subject) -> bool:
     return scene.nc > 0
 
 
+def _has_friction(scene: Subject) -> bool:
+    return scene.nf > 0
+
+
 def _has_velocity_bounds(scene: Subject) -> bool:
     return any(item.has_velocity_bounds for item in scene.coordinates)
 
@@ -152,6 +156,18 @@ def _missed_impulse(case: Evidence) -> tuple[float, float]:
     return value, float(case.k.sum() * case.duration.sum()) * case.error.gap
 
 
+def _friction_violation(case: Evidence) -> float:
+    return eq.friction_violation(case.friction, case.friction_limit)
+
+
+def _friction_dissipation_error(case: Evidence) -> float:
+    return eq.friction_dissipation_error(case.friction, case.friction_limit, case.slip)
+
+
+def _friction_impulse_error(case: Evidence) -> float:
+    return eq.friction_impulse_error(case.friction, case.step_of, case.replay.friction, case.duration)
+
+
 def _max_penetration(case: Evidence) -> tuple[float, float]:
     return eq.max_penetration(case.replay_gap), case.error.gap
 
@@ -239,6 +255,18 @@ TABLE = (
     Entry(
         name="missed_impulse", unit=_unit("N s"), measure=_missed_impulse, applies=_has_contacts,
         meaning="impulse by which the replay's contact forces exceed the planned ones",
+    ),
+    Entry(
+        name="friction_violation", unit=_unit("N"), measure=_friction_violation, applies=_has_friction,
+        meaning="by how much a planned friction force exceeds mu N, with N what the plan itself presses with",
+    ),
+    Entry(
+        name="friction_dissipation_error", unit=_unit("W"), measure=_friction_dissipation_error, applies=_has_friction,
+        meaning="largest mu N |s| + f s in the plan: slip that is not held back by all of mu N, as in creep",
+    ),
+    Entry(
+        name="friction_impulse_error", unit=_unit("N s"), measure=_friction_impulse_error, applies=_has_friction,
+        meaning="impulse of the difference between planned and replayed friction forces; the time step's share is in it",
     ),
     Entry(name="max_penetration", unit=_unit("m"), measure=_max_penetration, applies=_has_contacts, meaning="deepest penetration in the replay"),
     Entry(

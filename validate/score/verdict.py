@@ -18,11 +18,14 @@ from validate.score.result import Figure, Verdict
 MARGIN = 10.0
 
 # Contact physics, judged apart from what the time step costs: figures that need no replay.
-CONTACT = ("physics", "physics_scaled", "law_error", "discrete_terminal_error", "discrete_terminal_position_error")
+CONTACT = (
+    "physics", "physics_scaled", "law_error", "discrete_terminal_error", "discrete_terminal_position_error",
+    "friction_violation", "friction_dissipation_error",
+)  # fmt: skip
 # Figures of the replay in continuous time.
 GRID = (
     "replay_terminal_error", "replay_terminal_position_error", "replay_error", "grid_error", "ghost_impulse", "missed_impulse",
-    "max_penetration", "answer_error", "energy_residual", "energy_residual_relative",
+    "friction_impulse_error", "max_penetration", "answer_error", "energy_residual", "energy_residual_relative",
 )  # fmt: skip
 
 # What each figure says when it is quoted; the first in this order that is above its limit leads the sentence.
@@ -44,6 +47,9 @@ _PHRASES = {
     "velocity_bound_violation": "the velocities leave their bounds by {}",
     "ghost_impulse": "force from a distance of {}",
     "missed_impulse": "contact force that the plan does not have of {}",
+    "friction_violation": "a planned friction force exceeds mu N by {}",
+    "friction_dissipation_error": "the plan slips without all of mu N holding it back, by {}",
+    "friction_impulse_error": "the replay's friction differs from the plan's by {}",
     "max_penetration": "the bodies penetrate by {}",
     "answer_error": "the replay is {} tolerances off a closed form of the scene",
     "energy_residual": "the replay's energy does not balance by {}",

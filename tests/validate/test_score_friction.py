@@ -1,0 +1,102 @@
+"""The judge on friction: transport planned exactly, with more force than mu N, and with creep; replayed with true stiction."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models.catalog import load_scene
+from models.codegen.kernel import load_kernel
+from models.contact_law import ContactLaw
+from models.fmu import build_fmu
+from models.scene import Scene
+from models.trajectory import Trajectory, read_csv, uniform_grid, write_csv
+from validate.replay import replay
+from validate.replay.netcdf import read_replay, write_replay
+from validate.replay.result import Replay
+from validate.score import Score, score
+from validate.traces import plan_trace, replay_trace
+
+STEPS = 100
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return load_scene("transport").with_task(steps=STEPS, goal=(None,) * 4)
+
+
+def rolled(scene: Scene, law: ContactLaw = ContactLaw.RELU, eps: float | None = None) -> Trajectory:
+    """Pushes and pulls under which the cargo sticks, slips both ways and sticks again, through the plan's own time step."""
+    times = np.arange(STEPS) * 0.02
+    u = np.select([times < 0.4, times < 0.8, times < 1.2], [4.0, 12.0, -12.0], 1.0)[:, None]
+    result = load_kernel(scene).rollout(np.array(scene.task.start), u, 0.02, law, eps)
+    return Trajectory(t=uniform_grid(0.02, STEPS), q=result.q, v=result.v, u=u, lam=result.lam)
+
+
+@pytest.fixture(scope="module")
+def plan(scene: Scene) -> Trajectory:
+    return rolled(scene)
+
+
+@pytest.fixture(scope="module")
+def replayed(scene: Scene, plan: Trajectory) -> Replay:
+    return replay(scene, build_fmu(scene), plan)
+
+
+def value(result: Score, name: str) -> float:
+    found = next(figure for figure in result.figures if figure.name == name)
+    assert found.value is not None, found.reason
+    return found.value
+
+
+def test_the_plan_of_the_true_time_step_has_no_violation(scene: Scene, plan: Trajectory, replayed: Replay) -> None:
+    result = score(scene, plan, replayed)
+    assert value(result, "friction_violation") == 0.0
+    assert value(result, "friction_dissipation_error") < 1e-12
+    assert value(result, "defect") < 1e-12
+    assert value(result, "law_error") == 0.0
+    assert value(result, "friction_impulse_error") < 0.1  # four changes of mode, each a step of 0.02 s and 2 mu N apart at most
+    assert value(result, "energy_residual_relative") < 1e-9
+
+
+def test_the_replay_sticks_without_creep_and_its_modes_are_events(scene: Scene, replayed: Replay) -> None:
+    slip = replayed.v[:, 0] - replayed.v[:, 1]
+    sticks = np.abs(replayed.friction[:, 0]) < 0.99 * 0.2 * 9.81
+    assert sticks.sum() > 50
+    assert np.abs(slip[sticks]).max() < 1e-9
+    assert np.abs(replayed.friction).max() <= 0.2 * 9.81 * (1 + 1e-9)
+    assert {event.contact for event in replayed.events} == {"friction_belt"}
+    assert len(replayed.events) == 2  # slips come to zero; where it starts to slip the input jumps, which needs no event to be found
+    assert replayed.error.estimate is not None
+    assert replayed.error.estimate.position < 1e-7
+
+
+def test_force_beyond_mu_n_and_creep_are_found(scene: Scene, plan: Trajectory, replayed: Replay) -> None:
+    lam = np.array(plan.lam)
+    lam[3, 2] += 5.0
+    beyond = score(scene, dataclasses.replace(plan, lam=lam), replayed)
+    assert value(beyond, "friction_violation") == pytest.approx(abs(lam[3, 2]) - 0.2 * 9.81, rel=1e-12)
+    assert value(beyond, "defect") > 1e-2
+    creeping = score(scene, rolled(scene, ContactLaw.SOFTPLUS, 1e-3), None)
+    assert value(creeping, "friction_dissipation_error") > 10 * 2e-5  # the limit of the scene
+    assert value(creeping, "friction_violation") == 0.0
+
+
+def test_plan_and_replay_of_a_scene_with_friction_go_to_files_and_come_back(
+    scene: Scene, plan: Trajectory, replayed: Replay, tmp_path: Path
+) -> None:
+    write_csv(tmp_path / "plan.csv", plan, scene)
+    assert "friction_belt" in (tmp_path / "plan.csv").read_text().splitlines()[0]
+    assert np.array_equal(read_csv(tmp_path / "plan.csv", scene).lam, plan.lam)
+    write_replay(tmp_path / "replay.nc", replayed, scene)
+    again = read_replay(tmp_path / "replay.nc", scene)
+    assert np.array_equal(again.friction, replayed.friction)
+    assert again.events == replayed.events
+
+
+def test_traces_carry_the_friction_forces(scene: Scene, plan: Trajectory, replayed: Replay) -> None:
+    planned = plan_trace(scene, plan).columns["friction_belt"]
+    shown = replay_trace(scene, plan, replayed).columns["friction_belt"]
+    assert planned == pytest.approx(plan.lam[:, 2].tolist())
+    assert max(map(abs, shown)) == pytest.approx(0.2 * 9.81, rel=1e-9)
