@@ -132,6 +132,32 @@ def _named(name: str, builder, *arguments):
     return made
 
 
+def hs044_i() -> pyo.ConcreteModel:
+    """Which perturbation of Hock and Schittkowski's problem 44 brings its solution nearest to (0, 3, 0, 4). l[i] as published, not l[j]."""
+    wanted, slope = (0, 3, 0, 4), (1, -1, -1, 0)
+    rows = ((-1, -2, 0, 0), (-4, -1, 0, 0), (-3, -4, 0, 0), (0, 0, -2, -1), (0, 0, -1, -2), (0, 0, -1, -1))
+    right, curved = (8, 12, 12, 8, 8, 5), ((0, 0, -1, 1), (0, 0, 1, -1), (-1, 1, 0, 0), (1, -1, 0, 0))
+    low, high = (0.01, -10, 0.1, -1, -1, 0.001), (10, -0.01, 1, -0.1, 1, 10)
+    on_slope, on_right = (0.2, 1.2, 2, 0.1, 0.1, -0.1), (1.2, 0.2, 0.1, 2, 10, -0.2)
+    m = pyo.ConcreteModel()
+    m.x, m.m = pyo.Var(range(4), bounds=(0, None)), pyo.Var(range(4), bounds=(0, None))
+    m.l, m.z = pyo.Var(range(6), bounds=(0, None)), pyo.Var(range(6), bounds=lambda m, k: (low[k], high[k]))
+    m.cost = pyo.Objective(expr=sum((wanted[i] - m.x[i]) ** 2 for i in range(4)))
+    m.slope = pyo.Constraint(
+        range(4),
+        rule=lambda m, i: (
+            sum(curved[i][k] * m.x[k] for k in range(4)) + slope[i] + on_slope[i] * m.z[i] - sum(row[i] for row in rows) * m.l[i] - m.m[i]
+            == 0
+        ),
+    )
+    m.row = Complementarity(
+        range(6),
+        rule=lambda m, j: complements(m.l[j] >= 0, right[j] - on_right[j] * m.z[j] + sum(rows[j][i] * m.x[i] for i in range(4)) >= 0),
+    )
+    m.bound = Complementarity(range(4), rule=lambda m, i: complements(m.x[i] >= 0, m.m[i] >= 0))
+    return m
+
+
 _SOURCE = "MacMPEC index, S. Leyffer"
 _NASH = {"a": (0, 0), "b": (5, 5), "c": (10, 10), "d": (10, 0), "e": (0, 10)}
 _GNASH = {
@@ -149,4 +175,5 @@ PROBLEMS = (
     (qpec1, 80.0, _SOURCE),
     (qpec2, 45.0, _SOURCE),
     (design_cent_1, 1.86065, _SOURCE),
+    (hs044_i, 15.6178, _SOURCE),
 )

@@ -1,0 +1,57 @@
+"""A seeded share of benchmarks/fuzz_mpec.py: random MPECs of every kind against all their branches; and a judge that can say no."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from formulations.solution import Outcome
+
+
+def _judge() -> Any:
+    spec = importlib.util.spec_from_file_location("mpec_fuzz_enumeration", Path(__file__).parent / "fuzz" / "enumeration.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+ENUMERATION = _judge()
+KINDS = ENUMERATION.generator.KINDS
+_CONVEX = 52  # a seed of a convex problem with few branches
+
+
+@pytest.mark.parametrize("seed", range(26, 26 + len(KINDS)), ids=lambda seed: f"{KINDS[seed % len(KINDS)]}-{seed}")
+def test_nothing_wrong_is_claimed(seed):
+    verdict = ENUMERATION.judge(seed)
+    assert verdict.agreement not in ENUMERATION.WRONG, verdict
+
+
+def _claiming(change: Any, monkeypatch: pytest.MonkeyPatch) -> str:
+    """What the judge says of a convex problem whose result was changed."""
+    honest = ENUMERATION.solve_mpec
+    monkeypatch.setattr(ENUMERATION, "solve_mpec", lambda model: change(honest(model)))
+    return ENUMERATION.judge(_CONVEX).agreement
+
+
+def test_the_judge_sees_a_point_off_its_rows(monkeypatch):
+    assert ENUMERATION.judge(_CONVEX).agreement == "same"
+    assert _claiming(lambda result: replace(result, x=result.x + 1e-3), monkeypatch) == "wrong optimal"
+
+
+def test_the_judge_sees_a_point_that_is_not_the_lowest_of_its_branch(monkeypatch):
+    assert _claiming(lambda result: replace(result, objective=result.objective + 1e-3 * result.sense), monkeypatch) == "wrong optimal"
+
+
+@pytest.mark.parametrize(("outcome", "wrong"), [(Outcome.INFEASIBLE, "wrong infeasible"), (Outcome.DIVERGED, "wrong unbounded")])
+def test_the_judge_sees_a_wrong_ending(outcome, wrong, monkeypatch):
+    nothing = np.full(0, np.nan)
+    assert _claiming(lambda result: replace(result, outcome=outcome, x=nothing), monkeypatch) == wrong
