@@ -22,6 +22,20 @@ class Mpcc(Method):
     options = (
         OptionSpec(name="search", default=True, description="search for cheaper contact windows around those found", choices=(True, False)),
         OptionSpec(
+            name="search_windows",
+            default=2000,
+            description="most contact windows that are tried; a twentieth of them where each is a run of Ipopt",
+            lower=1,
+            upper=10**9,
+        ),
+        OptionSpec(
+            name="search_share",
+            default=0.5,
+            description="part of the time that is left which this search may take",
+            lower=0.0,
+            upper=1.0,
+        ),
+        OptionSpec(
             name="first_sharpness", default=7.0, description="sharpness b of the first softplus stage", unit="1/m", lower=1e-3, upper=700.0
         ),
         OptionSpec(

@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 
 from formulations.windows.quadratic import ModesAnswer, ModesProblem
-from formulations.windows.search import GAIN, search_windows
+from formulations.windows.search import search_windows
 from models.goal import distance
 
 _FIRST = 0.05  # the first miss is worth twenty times the cost of the inputs
@@ -41,7 +41,7 @@ def approach(problem: ModesProblem, closed: np.ndarray, stride: int, is_over: Ca
             last = problem.solves + _TRIES
             found = search_windows(
                 answer,
-                lambda modes, best: problem.solve(modes, near=best, below=best.cost - GAIN * abs(best.cost)),
+                lambda modes, near, below: problem.solve(modes, near=near, below=below),
                 stride=stride,
                 is_over=lambda last=last: is_over() or problem.solves > last,
             )

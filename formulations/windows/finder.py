@@ -19,7 +19,7 @@ from formulations.windows.landing import land, land_by_softplus, miss_of
 from formulations.windows.linear_scene import linear_scene, why_not_linear
 from formulations.windows.nonlinear import NlpAnswer, NonlinearModes
 from formulations.windows.quadratic import ModesAnswer, ModesProblem
-from formulations.windows.search import GAIN, search_windows
+from formulations.windows.search import follow_pulls, search_windows
 from formulations.windows.starts import random_plan
 from models.codegen.kernel import Kernel
 from models.goal import goal_state
@@ -30,6 +30,7 @@ _ARRIVED = 1e-6  # from the goal: what remains is taken out by the exact problem
 _STRIDES = 125  # the first stride is this part of the steps: 4 steps of 500
 _STAGES = 3  # of the homotopy whose modes are tried, the sharpest first
 _RANDOM = 6  # random inputs that are steered to the goal if the first guess leads nowhere
+_NONLINEAR = 20  # a nonlinear scene tries this part of the windows that a linear one may
 _NEAREST = 3  # of the rollouts that came nearest an approach is tried from so many
 
 Answer = ModesAnswer | NlpAnswer
@@ -61,18 +62,18 @@ class Finder:
         account.build += perf_counter() - begin
         self._ending = (Outcome.FAILED, "no source of contact modes gave a plan.")
         self._near: list[tuple[float, np.ndarray]] = []  # (miss, modes) of rollouts that do not quite reach the goal
-        answer, stride = None, max(1, self._scene.task.steps // _STRIDES)
+        answer, stride, is_refined = None, max(1, self._scene.task.steps // _STRIDES), False
         for guess, fineness in self._guesses(account, modes_of, start):
             answer = self._approached(account, problem, stride) if guess is None else self._exact(account, problem, guess)
             if answer is not None or account.is_over:
-                stride = fineness or stride
+                stride, is_refined = fineness or stride, fineness > 0
                 break
         if answer is None:
             outcome, message = self._ending
             if account.is_over:
                 outcome, message = Outcome.TIME_LIMIT, "no contact modes with a plan were found in the time given."
             return Search(answer=None, outcome=outcome, message=message)
-        return self._searched(account, problem, answer, stride)
+        return self._searched(account, problem, answer, stride, far=not is_refined)
 
     def _modes_problem(self, account: Account) -> ModesProblem | NonlinearModes:
         ball = self._number("goal_tolerance") if self._scene.task.has_goal else 0.0
@@ -216,24 +217,39 @@ class Finder:
             account.linear_algebra += perf_counter() - begin
         return answer
 
-    def _searched(self, account: Account, problem: Any, answer: Answer, stride: int) -> Search:
+    def _searched(self, account: Account, problem: Any, answer: Answer, stride: int, *, far: bool) -> Search:
+        """The cheapest plan around. far: whether to look further than a step (a coarser grid has seen to that already)."""
         how = "the rest is a convex quadratic program, solved exactly" if self._is_linear else "the rest was solved by Ipopt"
-        if not self._options["search"] or not self._scene.nc:
-            return Search(answer=answer, outcome=Outcome.SOLVED, message=f"Contact modes were read off a softplus plan; {how}.")
-        begin = perf_counter()
-        found = search_windows(
-            answer,
-            lambda closed, best: problem.solve(closed, near=best, below=best.cost - GAIN * abs(best.cost)),
-            stride=stride,
-            is_over=lambda: account.is_over,
-        )
+        if not self._scene.nc:
+            return Search(answer=answer, outcome=Outcome.SOLVED, message=f"There are no contacts; {how}.")
+        begin, most = perf_counter(), problem.solves + self._most_windows()
+        end = begin + self._number("search_share") * account.remaining
+
+        def improve(closed: np.ndarray, near: Answer, below: float) -> Answer | None:
+            return problem.solve(closed, near=near, below=below)
+
+        def is_over() -> bool:
+            return problem.solves >= most or perf_counter() >= end
+
+        if self._options["search"]:
+            found = search_windows(answer, improve, stride=stride, is_over=is_over, far=far)
+        else:
+            found = follow_pulls(answer, improve, is_over=is_over)
         if self._is_linear:
             account.linear_algebra += perf_counter() - begin
-        ending = "none is cheaper than this plan" if found.complete else "the time was over before all were"
-        message = f"With the contact windows fixed {how}; {found.tried} neighbouring windows were tried, {ending}."
+        message = f"With the contact windows fixed {how}; {found.tried} neighbouring windows were tried, none is cheaper than this plan."
+        if not self._options["search"]:
+            message = f"Contact modes were read off a softplus plan; {how}."
+        elif not found.complete:
+            why = "as many as it may try" if problem.solves >= most else "its part of the time was over before all were"
+            message = f"With the contact windows fixed {how}; {found.tried} neighbouring windows were tried, {why}: others may be cheaper."
         return Search(
-            answer=found.best, outcome=Outcome.SOLVED if found.complete else Outcome.TIME_LIMIT, message=message, tried=found.tried
+            answer=found.best, outcome=Outcome.TIME_LIMIT if account.is_over else Outcome.SOLVED, message=message, tried=found.tried
         )
+
+    def _most_windows(self) -> int:
+        """Modes that a search may ask for; a nonlinear scene's cost a run of Ipopt each."""
+        return int(self._number("search_windows")) // (1 if self._is_linear else _NONLINEAR)
 
     def _schedule(self) -> tuple[float, ...]:
         """Sharpness by sharpness, from the first to the last by a constant factor."""

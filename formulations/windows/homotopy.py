@@ -61,6 +61,7 @@ class SoftplusHomotopy:
             load_plan(model, start)
         plan, before = None, None
         outcome, message = Outcome.FAILED, ""
+        options = {**options, "max_iter": account.iterations + options["max_iter"]}  # those of other runs do not count
         for sharpness, share in self._stages:
             if len(self._stages) > 1:
                 tighten(model, _eps(sharpness))

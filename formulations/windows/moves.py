@@ -59,9 +59,7 @@ class Move(ABC):
     def apply(self, windows: Windows, steps: int) -> Windows | None:
         """All windows after the move, or None: empty, overlapping or adjoining windows, or none of that index."""
         row = self.changed(windows[self.contact])
-        if row is None or any(not 0 <= first < stop <= steps for first, stop in row):
-            return None
-        if any(before[1] >= after[0] for before, after in pairwise(row)):
+        if row is None or not _fits(row, steps):
             return None
         return (*windows[: self.contact], row, *windows[self.contact + 1 :])
 
@@ -167,6 +165,22 @@ class Drop(Move):
         return Add(contact=self.contact, first=first, stop=stop)
 
 
+def onwards(before: Windows, after: Windows, times: int, steps: int) -> Windows | None:
+    """`after` with every end moved on by so many times its way from `before`; None unless both have the same windows and room is left."""
+    if [len(row) for row in before] != [len(row) for row in after]:
+        return None
+    moved = tuple(
+        tuple((b[0] + times * (b[0] - a[0]), b[1] + times * (b[1] - a[1])) for a, b in zip(old, new, strict=True))
+        for old, new in zip(before, after, strict=True)
+    )
+    return moved if all(_fits(row, steps) for row in moved) else None
+
+
+def _fits(row: tuple[Window, ...], steps: int) -> bool:
+    """Whether windows lie in the horizon, none empty, none overlapping or adjoining."""
+    return all(0 <= first < stop <= steps for first, stop in row) and all(before[1] < after[0] for before, after in pairwise(row))
+
+
 def shifts(windows: Windows, stride: int) -> Iterator[Move]:
     """Every end and every window, moved by one stride either way."""
     for contact, row in enumerate(windows):
@@ -175,6 +189,14 @@ def shifts(windows: Windows, stride: int) -> Iterator[Move]:
                 yield MoveEnd(contact=contact, index=index, end=0, by=by)
                 yield MoveEnd(contact=contact, index=index, end=1, by=by)
                 yield Translate(contact=contact, index=index, by=by)
+
+
+def fewer(windows: Windows) -> Iterator[Move]:
+    """Each window dropped, the last of a contact first (those that remain keep their index), and each merged with the next."""
+    for contact, row in enumerate(windows):
+        for index in reversed(range(len(row))):
+            yield Drop(contact=contact, index=index)
+            yield Merge(contact=contact, index=index)
 
 
 def rearrangements(windows: Windows, phi: np.ndarray) -> Iterator[Move]:

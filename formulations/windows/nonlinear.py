@@ -24,6 +24,7 @@ from models.scene import Scene
 from models.trajectory import Trajectory
 
 _BIACTIVE = 1e-6  # [N] force and separation below which a pair touches without pressing; Ipopt keeps them to 1e-8
+_PATIENCE = 100  # most iterations for a neighbour of a plan: it needs 5 to 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,7 +91,8 @@ class NonlinearModes:
         if scene.nc:
             hold_modes(model, closed)
         self.solves += 1
-        result = self._bench.run(self._account, self._options)
+        most = self._options["max_iter"] if near is None else min(self._options["max_iter"], _PATIENCE)
+        result = self._bench.run(self._account, {**self._options, "max_iter": self._account.iterations + most})
         if not result.solved:
             return None
         plan = read_plan(model)

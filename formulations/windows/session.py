@@ -83,6 +83,8 @@ class MpccSession(Session):
         if missed and outcome is Outcome.SOLVED:
             worst = ", ".join(f"{name} is {residuals[name]:.3g} (limit {limit:g})" for name, limit in missed.items())
             outcome, message = Outcome.STALLED, f"{message} Checked on the plan itself, {worst}."
+        if outcome is Outcome.SOLVED and stationarity.letter != "S":
+            outcome, message = self._judged(plan, message)
         residuals |= {
             "dual_infeasibility": answer.dual_infeasibility,
             "biactive_pairs": float(stationarity.biactive),
@@ -100,6 +102,23 @@ class MpccSession(Session):
             residuals=residuals,
             history=_columns(account),
         )
+
+    def _judged(self, plan: Trajectory, message: str) -> tuple[Outcome, str]:
+        """Touching pairs pull, and no other mode of theirs was found to be cheaper: whether the plan can be left downhill after all.
+
+        Where conditions depend on each other the multipliers are not the only ones, and others may have the right signs.
+        """
+        from formulations.mpec.certificate.plan import certify_plan
+
+        found = certify_plan(self._scene, plan, goal_tolerance=self._number("goal_tolerance"))
+        if found.b_stationary:
+            return Outcome.SOLVED, f"{message} These multipliers are not the only ones: no direction leads downhill (B-stationary)."
+        known = (
+            "it is not B-stationary, so that cheaper plans lie next to it"
+            if found.b_stationary is False
+            else "whether it is B-stationary is not known"
+        )
+        return Outcome.STALLED, f"{message} The plan holds, but {known}: {found.sentence}."
 
     def landed(self, u: np.ndarray) -> Trajectory:
         """The plan of these inputs, corrected to end on the goal: their rollout through the true contact law."""

@@ -9,11 +9,13 @@ import pytest
 
 from formulations.catalog import load_method
 from formulations.method import OptionError
+from formulations.mpec.certificate.plan import certify_plan
 from formulations.solution import Outcome, Solution
 from formulations.windows.moves import windows_of
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.scene import Scene
+from models.trajectory import Trajectory, uniform_grid
 
 SCENE = load_scene("three_cart")
 ARM = load_scene(str(Path(__file__).parents[1] / "scenes" / "two_link_arm.py"))
@@ -75,6 +77,50 @@ def test_a_plan_of_its_own_is_left_as_it_is(best: Solution) -> None:
     check(again, SCENE)
     assert again.iterations == 0
     assert again.cost == pytest.approx(best.cost, rel=1e-9)
+
+
+def random_start(seed: int) -> Trajectory:
+    """Piecewise constant inputs, up to 3 N, and what they lead to."""
+    task = SCENE.task
+    u = np.random.default_rng(seed).uniform(-3.0, 3.0, (10, 2))[np.arange(task.steps) * 10 // task.steps]
+    rollout = load_kernel(SCENE).rollout(np.array(task.start), u, task.step)
+    return Trajectory(t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+
+
+def test_two_pushes_become_one() -> None:
+    """The modes of these random inputs lead to two pushes on the left (495.554), from which no single move helps."""
+    solution = solved(warm_start=random_start(0))
+    check(solution, SCENE)
+    assert solution.iterations == 0, "no homotopy: it all came from the modes given"
+    assert solution.cost is not None
+    assert solution.cost <= 490.5496
+
+
+def test_without_search_touching_pairs_are_switched_all_the_same() -> None:
+    """The modes of the coarser grid touch at three steps, with multipliers of -5.9 at least."""
+    scene = SCENE.with_task(steps=620, step=5.0 / 620)
+    solution = solved(scene, search=False)
+    check(solution, scene)
+    assert solution.residuals["least_biactive_multiplier"] >= 0.0
+    assert solution.trajectory is not None
+    assert certify_plan(scene, solution.trajectory).b_stationary
+
+
+def test_a_plan_that_can_be_left_downhill_is_not_solved() -> None:
+    """With no time for the pairs that pull, the plan comes with the name of its class, and not as solved."""
+    scene = SCENE.with_task(steps=620, step=5.0 / 620)
+    solution = solved(scene, search=False, search_share=0.0)
+    assert solution.outcome is Outcome.STALLED
+    assert solution.trajectory is not None
+    assert solution.residuals["least_biactive_multiplier"] < -1.0
+    assert "not B-stationary" in solution.message
+
+
+def test_a_search_ends_after_the_windows_it_may_try() -> None:
+    solution = solved(search_windows=20)
+    check(solution, SCENE)
+    assert solution.residuals["windows_tried"] <= 21
+    assert "others may be cheaper" in solution.message
 
 
 @pytest.mark.parametrize("k", [30.0, 300.0, 3000.0])

@@ -17,12 +17,14 @@ from formulations.windows.moves import (
     Split,
     Translate,
     closed_of,
+    fewer,
+    onwards,
     rearrangements,
     repetitions,
     shifts,
     windows_of,
 )
-from formulations.windows.search import search_windows
+from formulations.windows.search import follow_pulls, search_windows
 
 STEPS = 40
 modes = st.lists(st.tuples(st.booleans(), st.booleans()), min_size=STEPS, max_size=STEPS).map(lambda rows: np.array(rows))
@@ -38,7 +40,7 @@ def test_windows_and_modes_are_two_words_for_one_thing(closed: np.ndarray) -> No
 @settings(deadline=None, max_examples=50)
 def test_every_move_can_be_undone(closed: np.ndarray, stride: int, seed: int) -> None:
     windows, phi = windows_of(closed), np.random.default_rng(seed).normal(size=(STEPS, 2))
-    for move in (*shifts(windows, stride), *rearrangements(windows, phi)):
+    for move in (*shifts(windows, stride), *rearrangements(windows, phi), *fewer(windows)):
         moved = move.apply(windows, STEPS)
         if moved is not None:
             assert moved != windows
@@ -93,10 +95,10 @@ class Landscape:
     def plan(self, closed: np.ndarray) -> Plan:
         return Plan(closed, float((closed != self.target).sum()), np.where(self.target, 1.0, -1.0) - 0.01 * closed, np.zeros(closed.shape))
 
-    def improve(self, closed: np.ndarray, best: Plan) -> Plan | None:
+    def improve(self, closed: np.ndarray, _near: Plan, below: float) -> Plan | None:
         self.asked += 1
         plan = self.plan(closed)
-        return plan if plan.cost < best.cost else None
+        return plan if plan.cost < below else None
 
 
 @pytest.mark.parametrize(
@@ -169,3 +171,52 @@ def test_a_search_out_of_time_says_so() -> None:
     found = search_windows(land.plan(closed_of((((3, 8),), ()), STEPS)), land.improve, stride=4, is_over=lambda: land.asked >= 2)
     assert not found.complete
     assert found.tried >= 2
+
+
+def test_ends_move_on_as_they_went() -> None:
+    before, after = (((5, 10), (20, 30)), ((3, 6),)), (((6, 12), (19, 30)), ((3, 6),))
+    assert onwards(before, after, 1, STEPS) == (((7, 14), (18, 30)), ((3, 6),))
+    assert onwards(before, after, 3, STEPS) is None, "the windows would overlap"
+    assert onwards(before, (((6, 12),), ((3, 6),)), 1, STEPS) is None, "a window less"
+
+
+def test_pulls_are_followed_in_growing_strides() -> None:
+    """A pull only speaks of the next step; 100 steps away takes far fewer than 100 plans."""
+    target = closed_of((((111, 120),),), 150)
+
+    class Slope(Landscape):
+        def plan(self, closed: np.ndarray) -> Plan:
+            ((first, stop),) = windows_of(closed)[0]
+            pull = np.zeros(closed.shape)
+            pull[first if first < 111 else first - 1, 0] = -1.0 * (first != 111)
+            pull[stop if stop < 120 else stop - 1, 0] = -1.0 * (stop != 120)
+            return Plan(closed, abs(first - 111.0) + abs(stop - 120.0), np.zeros(closed.shape), pull)
+
+    land = Slope(target)
+    found = follow_pulls(land.plan(closed_of((((11, 20),),), 150)), land.improve, is_over=lambda: False)
+    assert found.complete
+    assert found.best.cost == 0.0
+    assert land.asked <= 40
+
+
+def test_the_search_takes_a_detour_to_fewer_windows() -> None:
+    """Two windows are where no move helps; one alone is dearer there, but cheaper elsewhere."""
+    target = closed_of((((60, 66),), ()), 150)
+
+    class Family(Landscape):
+        def plan(self, closed: np.ndarray) -> Plan:
+            row = windows_of(closed)[0]
+            two = ((30, 36), (90, 96))
+            cost = 1e3
+            if len(row) == 1:
+                cost = 1.0 + abs(row[0][0] - 60) + abs(row[0][1] - 66)
+            elif len(row) == 2:
+                cost = 5.0 + sum(abs(a - b) for mine, its in zip(row, two, strict=True) for a, b in zip(mine, its, strict=True))
+            return Plan(closed, cost + 50.0 * len(windows_of(closed)[1]), np.zeros(closed.shape), np.zeros(closed.shape))
+
+    land = Family(target)
+    found = search_windows(land.plan(closed_of((((32, 38), (90, 97)), ()), 150)), land.improve, stride=2, is_over=lambda: False)
+    assert found.complete
+    assert windows_of(found.best.closed) == (((60, 66),), ())
+    near = search_windows(land.plan(closed_of((((32, 38), (90, 97)), ()), 150)), land.improve, stride=2, is_over=lambda: False, far=False)
+    assert near.best.cost == 5.0
