@@ -108,14 +108,26 @@ class DescentSession(Session):
             residuals["velocity_bound_excess"] = float(
                 np.maximum(np.maximum(slowest - plan.v[:-1], plan.v[:-1] - fastest), 0.0).max(initial=0.0)
             )
+        outcome, message = self._arrival(descent.outcome, descent.message, residuals)
         missed = f" The goal is missed by {residuals['terminal_error']:.3g} in the plan's own contact model." if task.has_goal else ""
         return replace(
             empty,
-            message=f"{descent.message}{missed}",
+            outcome=outcome,
+            message=f"{message}{missed}",
             trajectory=Trajectory(t=uniform_grid(task.step, task.steps), q=plan.q, v=plan.v, u=u, lam=plan.lam),
             cost=self._kernel.cost(plan.q, plan.v, u),
             residuals=residuals,
         )
+
+
+    def _arrival(self, outcome: Outcome, message: str, residuals: Mapping[str, float]) -> tuple[Outcome, str]:
+        """Whoever converged away from the goal has not solved the task: the loss weighs the goal against the inputs."""
+        for name in ("terminal_position_error", "terminal_error"):
+            limit = self._scene.limit(f"discrete_{name}")
+            if outcome is Outcome.SOLVED and limit is not None and residuals[name] > limit.value:
+                advice = f"the scene asks for {limit.value:g}; a larger terminal_weight brings it nearer"
+                return Outcome.STALLED, f"{message} It converged away from the goal: {name} is {residuals[name]:.3g}, {advice}."
+        return outcome, message
 
 
 def _number(value: object) -> float:
