@@ -6,7 +6,7 @@ Scenes: names, or files; without any, three_cart and the two closed-form scenes.
 repository finds (pipeline mpcc, cold). True error: largest position difference at the plan's nodes, to a Model Exchange run at rtol 1e-14 - for
 the closed-form scenes also the relative errors of contact time, depth and restitution against their closed forms.
 The default replay (two tolerances, three steps) is timed as `python -m validate all` runs it, in this process, and in a child as `replay` does.
-CPU time: the smallest of some repetitions, imports and compilation before it.
+CPU time: the smallest of some repetitions, imports and compilation before it. A report takes the file from DIR/bench/: see docs/replay.md.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import numpy as np
 
 from models.catalog import load_scene
 from models.fmu import build_fmu
+from models.fmu.variables import INTEGRATORS
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
 from validate.isolation import Limits
@@ -106,7 +107,7 @@ def _sweep(scene: Scene, plan: Trajectory) -> list[dict[str, Any]]:
                 run, seconds = _timed(
                     lambda chosen=chosen, fineness=fineness: simulate(package, chosen, plan.start, HeldInputs(plan), fineness)
                 )
-                row(f"Co-Simulation, integrator {order}", fineness, run, seconds)
+                row(f"Co-Simulation, {INTEGRATORS[order - 1][0]}", fineness, run, seconds)
     return rows
 
 
@@ -142,7 +143,7 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*", default=_DEFAULT)
     parser.add_argument("-o", "--output", type=Path, help="write all numbers as JSON")
     arguments = parser.parse_args()
-    told = {}
+    told = []
     for name in arguments.scenes:
         scene = load_scene(name)
         plan = _plan(scene)
@@ -152,7 +153,8 @@ def main() -> None:
         replay(scene, fmu, plan, limits=Limits())
         child = process_time() - began
         estimate = result.error.estimate
-        told[scene.name] = {
+        figures: dict[str, Any] = {
+            "name": scene.name,
             "default_cpu_s": here,
             "reference_cpu_s": result.seconds_reference,
             "everyday_cpu_s": result.seconds_everyday,
@@ -161,16 +163,18 @@ def main() -> None:
             "closed_form_relative_errors": _closed_forms(scene, result),
             "sweep": _sweep(scene, plan),
         }
+        told.append(figures)
         print(
             f"{scene.name}: default replay {here:.3f} CPU s (reference {result.seconds_reference:.3f}, everyday {result.seconds_everyday:.3f}), "
-            f"self-error {told[scene.name]['self_error_m']:.2g} m, closed forms {told[scene.name]['closed_form_relative_errors']}"
+            f"self-error {figures['self_error_m']:.2g} m, closed forms {figures['closed_form_relative_errors']}"
         )
         print(f"  {'':38}{'setting':>10} {'CPU s':>9} {'error m':>10}")
-        for item in told[scene.name]["sweep"]:
+        for item in figures["sweep"]:
             error = "-" if item["error_m"] is None else f"{item['error_m']:.2e}"
             print(f"  {item['kind']:38}{item['setting']:>10.3g} {item['cpu_s']:9.4f} {error:>10}")
     if arguments.output is not None:
-        arguments.output.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+        arguments.output.parent.mkdir(parents=True, exist_ok=True)
+        arguments.output.write_text(json.dumps({"kind": "replay_speed", "scenes": told}, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

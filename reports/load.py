@@ -11,6 +11,7 @@ from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
 
+from reports.bench_record import BenchRecord, CosimRecord, ReplaySpeedRecord
 from reports.collected import collected
 from reports.record import SCHEMA_VERSION, CampaignRecord, RunRecord
 from reports.wording import clean
@@ -36,7 +37,8 @@ class Unreadable:
 class Stored:
     """All that the report is made of.
 
-    missing: keys that the campaign lists and of which nothing is stored; foreign: stored records that the campaign does not list.
+    missing: keys that the campaign lists and of which nothing is stored; foreign: stored records that the campaign does not list;
+    benches: what benchmarks left in the folder `bench`.
     """
 
     folder: str
@@ -45,6 +47,7 @@ class Stored:
     unreadable: tuple[Unreadable, ...]
     missing: tuple[str, ...]
     foreign: int
+    benches: tuple[CosimRecord | ReplaySpeedRecord, ...] = ()
 
 
 def load(folder: Path) -> Stored:
@@ -63,9 +66,10 @@ def load(folder: Path) -> Stored:
             unreadable.append(Unreadable(clean(str(path.relative_to(folder))), clean(sentence)))
             continue
         runs[run.key] = run
+    benches = tuple(bench.root for path in _bench_files(folder) if (bench := _read(path, folder, BenchRecord, unreadable)) is not None)
     if campaign is None:
         order = sorted(runs, key=lambda key: (runs[key].scene.name, runs[key].pipeline, key))
-        return Stored(folder.name, None, collected(runs[key] for key in order), tuple(unreadable), (), 0)
+        return Stored(folder.name, None, collected(runs[key] for key in order), tuple(unreadable), (), 0, benches)
     keys = list(dict.fromkeys(campaign.keys))
     broken = {Path(item.path).parent.name for item in unreadable}
     return Stored(
@@ -75,6 +79,7 @@ def load(folder: Path) -> Stored:
         unreadable=tuple(unreadable),
         missing=tuple(clean(key) for key in keys if key not in runs and clean(key) not in broken),
         foreign=len(set(runs) - set(keys)),
+        benches=benches,
     )
 
 
@@ -85,6 +90,11 @@ def _record_files(folder: Path) -> list[Path]:
     # Folders whose name begins with a dot or ends in .tmp are runs that are being written.
     folders = sorted(path for path in runs.iterdir() if path.is_dir() and not path.name.startswith(".") and path.suffix != ".tmp")
     return [path / "record.json" for path in folders]
+
+
+def _bench_files(folder: Path) -> list[Path]:
+    bench = folder / "bench"
+    return sorted(path for path in bench.glob("*.json") if not path.name.startswith(".")) if bench.is_dir() else []
 
 
 def _read(path: Path, folder: Path, model: type[_Record], unreadable: list[Unreadable]) -> _Record | None:

@@ -19,11 +19,25 @@ from markupsafe import Markup
 
 from reports import wording
 from reports.load import ReportError, load
-from reports.pages import errata, front, matrix, provenance, runs, scene, summary, table1, tightening, tolerance, violation
+from reports.pages import (
+    cosimulation,
+    errata,
+    front,
+    matrix,
+    provenance,
+    replay_speed,
+    runs,
+    scene,
+    summary,
+    table1,
+    tightening,
+    tolerance,
+    violation,
+)
 from reports.pages.section import Report, Section
 
 _HERE = Path(__file__).parent
-_PAGES = (summary, matrix, table1, violation, tightening, front, tolerance, runs, scene, errata, provenance)
+_PAGES = (summary, matrix, table1, violation, tightening, front, tolerance, runs, scene, replay_speed, cosimulation, errata, provenance)
 
 
 def write_report(folder: Path) -> Path:

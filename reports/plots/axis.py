@@ -42,9 +42,9 @@ class Axis:
         low, high = (min(usable), max(usable)) if usable else (0.0, 1.0)
         if zero and low == high == 0:
             high = 1.0
-        if high - low < 1e-12 * max(abs(low), abs(high)) or high == low:
+        if high - low <= max(1e-12 * max(abs(low), abs(high)), 1 / _LARGEST):
             # A constant: show it in the middle of a range of its own size.
-            half = abs(high) / 2 or 0.5
+            half = abs(high) / 2 if abs(high) > 1 / _LARGEST else 0.5
             low, high = low - half, high + half
         room = margin * (high - low)
         largest = max(abs(low), abs(high))

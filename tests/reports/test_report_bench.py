@@ -1,0 +1,121 @@
+"""Pages made of what benchmarks left: co-simulation and the speed of the replay. Sentences are computed, names are escaped."""
+
+import html
+import re
+
+import pytest
+
+from reports.curves import at, reached
+from reports.load import load
+from reports.render import render
+
+
+@pytest.fixture
+def page(factory, benches, tmp_path):
+    """The report's text over these bench records."""
+
+    def made(*records):
+        folder = tmp_path / "all"
+        factory.store(folder, [factory.runs()[0]])
+        benches.leave(folder, *records)
+        return html.unescape(render(folder))
+
+    return made
+
+
+def sentences(text):
+    return re.findall(r"<p><strong>(.*?)</strong></p>", text)
+
+
+def test_without_benchmarks_there_are_no_such_pages(full_folder, factory, tmp_path):
+    text = render(factory.store(tmp_path / "all", [factory.runs()[0]]))
+    assert 'id="cosimulation"' not in text
+    assert 'id="replay-speed"' not in text
+
+
+def test_what_splitting_costs_is_concluded_from_the_rows(page, benches):
+    """omega h = 0.1 is h = 1e-3 s: 100 h, 30 h, 1e3 h^2, 100 h^2 there; 1 % at h = 1e-4, 3.3e-4, 3.2e-3, 1e-2 s."""
+    text = page(benches.cosim())
+    first, second = sentences(text)
+    assert (
+        "At ωh = 0.1, here h = 0.001 s, the energy is off by 10 % (Jacobi), 3 % (contact first (Gauss-Seidel)), "
+        "0.1 % (contact first, force extrapolated) and 0.01 % (iterated with rollback)." in first
+    )
+    assert (
+        "For an error below 1 % it takes ωh of at most 0.01 (Jacobi), 0.033 (contact first (Gauss-Seidel)), "
+        "0.32 (contact first, force extrapolated) and 1, the largest tried (iterated with rollback)." in first
+    )
+    assert "The whole scene in one FMU is right to 1.0×10⁻¹⁰ at every one of these steps" in first
+    assert "0.0010 s by" in second
+    assert "0.10 s by Jacobi" in second
+    assert "Momentum is right to 1.0×10⁻¹⁴ kg m/s in every one of these runs, also where the energy is off by 100 %" in text
+    assert "libcosim, ECCO (libcosimpy is not installed)" in text
+    assert text.count('class="touch"') >= 1
+
+
+def test_a_master_that_never_gets_there_is_said(page, benches):
+    record = benches.cosim()
+    rows = record["cases"][0]["masters"][0]["rows"]
+    for row in rows:
+        row["energy_error"] = -0.5
+    first, second = sentences(page(record))
+    assert "No step of this sweep is small enough for Jacobi." in first
+    assert "No step of this sweep gets Jacobi there." in second
+
+
+def test_speed_against_error_is_concluded_from_the_rows(page, benches):
+    (only,) = sentences(page(benches.speed()))
+    assert only.startswith(
+        "Cheapest for an error of at most 10⁻³ m by Co-Simulation, heun at h/1 (0.00010 CPU s), an error of at most 10⁻⁶ m by Model Exchange "
+        "at rtol 10⁻⁷ (0.10 CPU s) and an error of at most 10⁻⁹ m by Model Exchange at rtol 10⁻¹⁰ (0.10 CPU s)."
+    )
+    assert "exact to 2.0×10⁻¹⁰ m" in only
+    assert "restitution to 3.0×10⁻¹²" in only
+
+
+def test_rows_without_an_error_are_named(page, benches):
+    assert "Co-Simulation, heun h/1000 (not a number)." in page(benches.speed())
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("{", "it is not complete JSON"),
+        ('{"kind": "other"}', "does not follow record schema"),
+        ('{"kind": "cosim", "cases": [{"name": 3}]}', "does not follow record schema"),
+        ('{"kind": "replay_speed", "scenes": [], "more": 1}', "does not follow record schema"),
+    ],
+)
+def test_a_file_that_is_no_benchmark_is_one_sentence(factory, tmp_path, text, words):
+    folder = factory.store(tmp_path / "all", [factory.runs()[0]])
+    (folder / "bench").mkdir()
+    (folder / "bench" / "odd.json").write_text(text)
+    stored = load(folder)
+    assert stored.benches == ()
+    assert [item.path for item in stored.unreadable] == ["bench/odd.json"]
+    assert words in stored.unreadable[0].sentence
+
+
+def test_names_from_files_are_escaped(factory, benches, tmp_path):
+    folder = factory.store(tmp_path / "all", [factory.runs()[0]])
+    odd = benches.cosim(title=factory.HOSTILE)
+    odd["cases"][0]["masters"][0]["name"] = factory.HOSTILE
+    odd["cases"][0]["masters"][-1]["failed"] = factory.HOSTILE
+    benches.leave(folder, odd, benches.speed(factory.HOSTILE))
+    text = render(folder)
+    assert "<img" not in text
+    assert "\u202e" not in text
+    assert "<b>" not in text
+    benches.leave(folder, benches.cosim(), benches.speed())
+    assert text.count("</script>") == render(folder).count("</script>")
+
+
+def test_reading_curves():
+    line = [(10.0**-n, 10.0 ** (-2 * n)) for n in range(1, 5)]
+    assert reached(line, 1e-3) == pytest.approx(10**-1.5)
+    assert reached(line, 1.0) == 0.1
+    assert reached(line, 1e-9) is None
+    assert reached([(1e-3, 1e-2), (1e-2, 1e-5), (1e-1, 1e-1)], 1e-3) is None, "a lucky zero crossing above is not convergence"
+    assert at(line, 3e-3) == pytest.approx(9e-6)
+    assert at(line, 1.0) is None
+    assert at([(1.0, 0.0), (2.0, 1.0)], 1.5) is None
