@@ -183,6 +183,11 @@ class Branching:
         }
         start = Start(x=np.clip(point, low, np.maximum(low, high)))
         result = self._account.run(problem, options, start)
+        if not result.solved and result.status in _CLAIMS_SUCCESS and not self._account.is_over:
+            # Rows that say the same twice (a pair stated twice, held on the same side): multipliers of 1e17 that cancel, and a point off the
+            # solution. With the rows' block always regularised they stay finite.
+            again = self._account.run(problem, {"perturb_always_cd": "yes", **options}, start)
+            result = again if again.solved else result
         self.last = result
         self.unbounded = self.unbounded or result.outcome is Outcome.DIVERGED
         # Where a branch has a single point, say, its multipliers may not exist: the point counts, and the certificate judges it.

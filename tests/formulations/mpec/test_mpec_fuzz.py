@@ -35,6 +35,13 @@ def test_nothing_wrong_is_claimed(seed):
     assert verdict.agreement not in ENUMERATION.WRONG, verdict
 
 
+def test_a_pair_stated_twice():
+    """Both copies held on the same side are dependent rows: Ipopt's multipliers of 1e17 once ended 2e-4 above the optimum, undecided."""
+    problem = ENUMERATION.generator.random_mpec(7)
+    assert problem.conditions[-1] is problem.conditions[0]
+    assert ENUMERATION.judge(7).agreement == "same"
+
+
 def _claiming(change: Any, monkeypatch: pytest.MonkeyPatch) -> str:
     """What the judge says of a convex problem whose result was changed."""
     honest = ENUMERATION.solve_mpec
