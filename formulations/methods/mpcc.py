@@ -25,7 +25,7 @@ class Mpcc(Method):
             name="search_windows",
             default=2000,
             description="most contact windows that are tried; a twentieth of them where each is a run of Ipopt",
-            lower=1,
+            lower=0,
             upper=10**9,
         ),
         OptionSpec(

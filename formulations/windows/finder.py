@@ -19,7 +19,7 @@ from formulations.windows.landing import land, land_by_softplus, miss_of
 from formulations.windows.linear_scene import linear_scene, why_not_linear
 from formulations.windows.nonlinear import NlpAnswer, NonlinearModes
 from formulations.windows.quadratic import ModesAnswer, ModesProblem
-from formulations.windows.search import follow_pulls, search_windows
+from formulations.windows.search import Found, follow_pulls, search_windows
 from formulations.windows.starts import random_plan
 from models.codegen.kernel import Kernel
 from models.goal import goal_state
@@ -228,20 +228,21 @@ class Finder:
         def improve(closed: np.ndarray, near: Answer, below: float) -> Answer | None:
             return problem.solve(closed, near=near, below=below)
 
-        def is_over() -> bool:
-            return problem.solves >= most or perf_counter() >= end
-
+        found = Found(best=answer, tried=0, complete=False)
         if self._options["search"]:
-            found = search_windows(answer, improve, stride=stride, is_over=is_over, far=far)
-        else:
-            found = follow_pulls(answer, improve, is_over=is_over)
+            found = search_windows(answer, improve, stride=stride, is_over=lambda: problem.solves >= most or perf_counter() >= end, far=far)
+        is_cut = problem.solves >= most
+        if not found.complete:  # the plan is to be stationary all the same
+            last = problem.solves + self._most_windows()
+            pulled = follow_pulls(found.best, improve, is_over=lambda: problem.solves >= last or account.is_over)
+            found = Found(best=pulled.best, tried=found.tried + pulled.tried, complete=False)
         if self._is_linear:
             account.linear_algebra += perf_counter() - begin
         message = f"With the contact windows fixed {how}; {found.tried} neighbouring windows were tried, none is cheaper than this plan."
         if not self._options["search"]:
             message = f"Contact modes were read off a softplus plan; {how}."
         elif not found.complete:
-            why = "as many as it may try" if problem.solves >= most else "its part of the time was over before all were"
+            why = "as many as it may try" if is_cut else "its part of the time was over before all were"
             message = f"With the contact windows fixed {how}; {found.tried} neighbouring windows were tried, {why}: others may be cheaper."
         return Search(
             answer=found.best, outcome=Outcome.TIME_LIMIT if account.is_over else Outcome.SOLVED, message=message, tried=found.tried

@@ -107,13 +107,21 @@ def test_without_search_touching_pairs_are_switched_all_the_same() -> None:
 
 
 def test_a_plan_that_can_be_left_downhill_is_not_solved() -> None:
-    """With no time for the pairs that pull, the plan comes with the name of its class, and not as solved."""
+    """With no windows to try, the plan comes with the name of its class, and not as solved."""
     scene = SCENE.with_task(steps=620, step=5.0 / 620)
-    solution = solved(scene, search=False, search_share=0.0)
+    solution = solved(scene, search=False, search_windows=0)
     assert solution.outcome is Outcome.STALLED
     assert solution.trajectory is not None
     assert solution.residuals["least_biactive_multiplier"] < -1.0
     assert "not B-stationary" in solution.message
+
+
+def test_a_search_without_time_still_switches_the_pairs_that_pull() -> None:
+    scene = SCENE.with_task(steps=620, step=5.0 / 620)
+    solution = solved(scene, search_share=0.0)
+    check(solution, scene)
+    assert solution.residuals["least_biactive_multiplier"] >= 0.0
+    assert "others may be cheaper" in solution.message
 
 
 def test_a_search_ends_after_the_windows_it_may_try() -> None:
