@@ -16,6 +16,7 @@ import json
 import math
 import os
 import resource
+import signal
 import statistics
 import subprocess
 import sys
@@ -51,7 +52,10 @@ def run_one(peer: str, problem: str, seed: int, limit: float) -> dict[str, Any]:
         child.wait()
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-        told: dict[str, Any] = {"reason": f"no point within {limit:g} CPU s"}
+        stopped = (
+            f"no point within {limit:g} CPU s" if child.returncode == -signal.SIGXCPU else f"no point, ended with code {child.returncode}"
+        )
+        told: dict[str, Any] = {"reason": stopped}
         if result.exists():
             told = json.loads(result.read_text(encoding="utf-8"))
         return {"peer": peer, "problem": problem, "seed": seed, **told, "cpu_s": cpu - told.get("judging_s", 0.0)}
