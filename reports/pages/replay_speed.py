@@ -67,17 +67,21 @@ def _view(scene: SpeedScene) -> View:
 
 
 def _sentence(scene: SpeedScene, known: list[tuple[SpeedRow, float]]) -> str:
-    parts, never = [], []
+    cheapest: dict[int, list[str]] = {}  # place of a row -> the goals that it reaches for the least time
+    never = []
     for goal in _GOALS:
-        good = [row for row, missed in known if missed <= goal]
-        if not good:
-            never.append(f"{small(goal)} m")
-            continue
-        best = min(good, key=lambda row: row.cpu_s)
-        parts.append(f"an error of at most {small(goal)} m by {_name(best.kind)} at {_setting(best)} ({error(best.cpu_s)} CPU s)")
+        good = [(row.cpu_s, place) for place, (row, missed) in enumerate(known) if missed <= goal]
+        if good:
+            cheapest.setdefault(min(good)[1], []).append(small(goal))
+        else:
+            never.append(small(goal))
+    parts = []
+    for place, goals in cheapest.items():
+        row = known[place][0]
+        parts.append(f"an error of at most {listing(goals)} m by {_name(row.kind)} at {_setting(row)} ({error(row.cpu_s)} CPU s)")
     words = f"Cheapest for {listing(parts)}." if parts else ""
     if never:
-        words += f" Nothing in this sweep reaches {listing(never)}."
+        words += f" Nothing in this sweep reaches {listing(never)} m."
     own = (
         "does not say how exact it is"
         if scene.self_error_m is None

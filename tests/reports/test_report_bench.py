@@ -24,7 +24,7 @@ def page(factory, benches, tmp_path):
 
 
 def sentences(text):
-    return re.findall(r"<p><strong>(.*?)</strong></p>", text)
+    return re.findall(r'<p class="conclusion">(.*?)</p>', text)
 
 
 def test_without_benchmarks_there_are_no_such_pages(full_folder, factory, tmp_path):
@@ -71,6 +71,15 @@ def test_speed_against_error_is_concluded_from_the_rows(page, benches):
     )
     assert "exact to 2.0×10⁻¹⁰ m" in only
     assert "restitution to 3.0×10⁻¹²" in only
+
+
+def test_one_way_that_is_best_for_several_errors_is_named_once(page, benches):
+    record = benches.speed()
+    for row in record["scenes"][0]["sweep"]:
+        row["error_m"] = 1e-7
+    (only,) = sentences(page(record))
+    assert only.startswith("Cheapest for an error of at most 10⁻³ and 10⁻⁶ m by Co-Simulation, heun at h/1 (0.00010 CPU s).")
+    assert "Nothing in this sweep reaches 10⁻⁹ m." in only
 
 
 def test_rows_without_an_error_are_named(page, benches):
