@@ -119,7 +119,6 @@ class DescentSession(Session):
             residuals=residuals,
         )
 
-
     def _arrival(self, outcome: Outcome, message: str, residuals: Mapping[str, float]) -> tuple[Outcome, str]:
         """Whoever converged away from the goal has not solved the task: the loss weighs the goal against the inputs."""
         for name in ("terminal_position_error", "terminal_error"):
