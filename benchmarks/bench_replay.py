@@ -24,7 +24,7 @@ import numpy as np
 
 from models.catalog import load_scene
 from models.fmu import build_fmu
-from models.fmu.variables import INTEGRATORS
+from models.fmu.kinds import INTEGRATORS
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
 from validate.isolation import Limits

@@ -9,16 +9,15 @@ Equal scenes give equal bytes: fixed time stamps, sorted names, no path of this 
 from __future__ import annotations
 
 import tempfile
-import zipfile
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 
 from models.codegen.cache import cached
 from models.codegen.compiler import Compiler, compile_shared
 from models.codegen.emit import emit_model
 from models.codegen.friction import friction_source
-from models.fmu.description import describe, model_identifier, source_epoch
+from models.fmu.archive import pack
+from models.fmu.description import describe, model_identifier
 from models.fmu.experiment import experiment_texts
 from models.fmu.platforms import Platform, find_platforms, platform_compiler
 from models.fmu.rendering import render
@@ -50,7 +49,7 @@ def build_fmu(scene: Scene, version: str = "2.0", platforms: Sequence[str] = ())
 
     def build(path: Path) -> None:
         content = {name: text.encode() for name, text in (files | experiment_texts(scene)).items()}
-        _pack(path, content | _icons(standard) | _binaries(files, standard, identifier, compilers))
+        pack(path, content | _icons(standard) | _binaries(files, standard, identifier, compilers), first="modelDescription.xml")
 
     return cached(key, f".{identifier}.fmu", build)
 
@@ -96,15 +95,3 @@ def _binaries(files: Mapping[str, str], standard: Standard, identifier: str, com
             compile_shared(compiler, sources, library, include_dirs=[Path(standard.header_folder)], flags=platform.flags)
             binaries[f"binaries/{platform.folder(standard)}/{identifier}{platform.suffix}"] = library.read_bytes()
     return binaries
-
-
-def _pack(path: Path, content: Mapping[str, bytes]) -> None:
-    stamp = datetime.fromtimestamp(source_epoch(), UTC).timetuple()[:6]
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
-        # modelDescription.xml first: a reader of the stream finds it at once.
-        for name in sorted(content, key=lambda name: (name != "modelDescription.xml", name)):
-            entry = zipfile.ZipInfo(name, date_time=stamp)
-            entry.compress_type = zipfile.ZIP_DEFLATED
-            entry.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
-            entry.create_system = 3  # Unix, whatever machine packs it
-            archive.writestr(entry, content[name])

@@ -19,10 +19,10 @@ from models.errors import SceneError
 from models.fmu.archive import pack
 from models.fmu.coupled.parts import ContactPart, force_unit
 from models.fmu.description import source_epoch
+from models.fmu.kinds import Kind, Variable
 from models.fmu.platforms import find_platforms, platform_compiler
 from models.fmu.rendering import render
 from models.fmu.standards import find_standard, standard_headers
-from models.fmu.variables import Kind, Variable
 from models.units import base_exponents
 
 _HERE = Path(__file__).parent
