@@ -1,4 +1,8 @@
-"""All parts of a scene in one .ssp (System Structure and Parameterization 1.0): the FMUs and SystemStructure.ssd, which connects them."""
+"""All parts of a scene in one .ssp (System Structure and Parameterization 1.0): the FMUs, and how they are connected.
+
+SystemStructure.ssd also leads the scene's inputs and outputs to the border of the system. PartsOnly.ssd leaves that out, for masters that know
+connections between components only (libcosim refuses any other).
+"""
 
 from __future__ import annotations
 
@@ -19,7 +23,7 @@ from models.fmu.variables import variable_table
 from models.scene import Scene
 from models.units import base_exponents
 
-STRUCTURE = "SystemStructure.ssd"
+STRUCTURE, PARTS_ONLY = "SystemStructure.ssd", "PartsOnly.ssd"
 
 
 @dataclass(frozen=True)
@@ -39,13 +43,13 @@ def build_ssp(scene: Scene) -> Path:
     """The scene as coupled FMUs in one file, found in the cache or built there. Raises SceneError as `split` and MachineError as build_fmu."""
     parts = split(scene)
     content = {f"resources/{part.name}.fmu": build_part(part).read_bytes() for part in (*parts.bodies, *parts.contacts)}
-    content[STRUCTURE] = system_structure(parts).encode()
+    content |= {STRUCTURE: system_structure(parts).encode(), PARTS_ONLY: system_structure(parts, border=False).encode()}
     key = "\n".join(f"{name}\0{data.hex()}" for name, data in sorted(content.items()))
     return cached(key, f".{scene.name}.ssp", lambda path: pack(path, content, first=STRUCTURE))
 
 
-def system_structure(parts: Parts) -> str:
-    """The text of SystemStructure.ssd. The system takes the scene's inputs and gives its positions, velocities, contact forces and gaps."""
+def system_structure(parts: Parts, border: bool = True) -> str:
+    """The text of an .ssd. border: the system takes the scene's inputs and gives its positions, velocities, contact forces and gaps."""
     components = [_Component(part.name, _connectors(variable_table(part))) for part in parts.bodies]
     components += [_Component(part.name, _connectors(contact_table(part))) for part in parts.contacts]
     system = _connectors(variable_table(parts.scene))
@@ -60,9 +64,9 @@ def system_structure(parts: Parts) -> str:
         "SystemStructure.xml.j2",
         scene=parts.scene,
         date=datetime.fromtimestamp(source_epoch(), UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
-        connectors=given,
+        connectors=given if border else [],
         components=components,
-        connections=[*inputs, *inside, *outputs],
+        connections=[*inputs, *inside, *outputs] if border else inside,
         units={unit: base_exponents(unit) for unit in sorted({v.unit for item in components for v in item.connectors})},
     )
 

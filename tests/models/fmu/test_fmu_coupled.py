@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import sympy as sp
+from lxml import etree
 
 from models.catalog import load_scene, scene_names
 from models.contacts import Friction
@@ -14,6 +15,7 @@ from models.dynamics import derive
 from models.errors import SceneError
 from models.fmu.coupled import build_part, build_ssp, split
 from models.fmu.coupled.contact import contact_table
+from validate.cli.group import run
 from validate.fmu_check import check_fmu
 
 SSD = "{http://ssp-standard.org/SSP1/SystemStructureDescription}"
@@ -90,6 +92,10 @@ def test_the_system_structure_is_valid_and_complete(name, tmp_path):
     path = build_ssp(scene)
     ssd.read_ssd(str(path), validate=True)
     with zipfile.ZipFile(path) as archive:
+        reduced = etree.fromstring(archive.read("PartsOnly.ssd"))
+        ssd.validate_tree(reduced, "SystemStructureDescription.xsd")
+        assert all(item.get("startElement") and item.get("endElement") for item in reduced.iter(f"{SSD}Connection"))
+        assert len(list(reduced.iter(f"{SSD}Connection"))) == len(split(scene).connections)
         assert archive.namelist()[0] == "SystemStructure.ssd"
         root = ElementTree.fromstring(archive.read("SystemStructure.ssd"))
         resources = {entry for entry in archive.namelist() if entry.startswith("resources/")}
@@ -180,3 +186,11 @@ def unpacked_part(tmp_path):
     for fmu in made:
         fmu.terminate()
         fmu.freeInstance()
+
+
+def test_the_command_writes_an_ssp_and_refuses_what_it_would_ignore(tmp_path, capsys):
+    target = tmp_path / "pair.ssp"
+    assert run(["fmu", "two_body_collision", "--coupled", "-o", str(target)]) == 0
+    assert target.read_bytes() == build_ssp(load_scene("two_body_collision")).read_bytes()
+    assert run(["fmu", "two_body_collision", "--coupled", "--fmi", "3", "-o", str(target)]) == 2
+    assert "--coupled writes FMI 2.0 for this machine; leave out --fmi and --platform" in capsys.readouterr().err

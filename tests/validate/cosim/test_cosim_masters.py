@@ -1,10 +1,16 @@
 """Masters on the head-on impact, whose motion is known: two masses exchange their velocities, and no energy is lost."""
 
+import json
 import math
+import subprocess
+import sys
+import zipfile
 
 import numpy as np
 import pytest
 
+from models.catalog import load_scene
+from models.fmu.coupled import build_ssp
 from validate.cosim import study as studies
 from validate.cosim.libcosim import FIXED, libcosim_refusal, run_libcosim
 from validate.cosim.masters import MASTERS, jacobi
@@ -125,6 +131,36 @@ def test_libcosim_steps_as_our_jacobi(run):
     told = run_libcosim(HEAD_ON.scene, START, np.empty(0), h, np.array([0.05, HORIZON]), h / 10, FIXED)
     assert not isinstance(told, str), told
     np.testing.assert_allclose(told[1], run("jacobi", h)[[50, 100]], rtol=1e-12, atol=1e-12)
+
+
+SSP = """
+import json, sys
+from libcosimpy.CosimExecution import CosimExecution
+from libcosimpy.CosimObserver import CosimObserver
+execution, observer = CosimExecution.from_ssp_file(sys.argv[1], 1_000_000), CosimObserver.create_last_value()
+execution.add_observer(observer)
+execution.simulate_until(600_000_000)
+bodies = [execution.slave_index_from_instance_name(name) for name in sys.argv[2:]]
+print("RESULT", json.dumps([list(observer.last_real_values(body, [1, 2])) for body in bodies]))
+"""
+
+
+def test_libcosim_runs_our_ssp(tmp_path):
+    """What a user does with the file: unpack it, open PartsOnly.ssd, step."""
+    if (refusal := libcosim_refusal()) is not None:
+        pytest.skip(refusal)
+    scene = load_scene("two_body_collision")
+    with zipfile.ZipFile(build_ssp(scene)) as archive:
+        archive.extractall(tmp_path)
+    names = ["two_body_collision_q1", "two_body_collision_q2"]
+    command = [sys.executable, "-c", SSP, str(tmp_path / "PartsOnly.ssd"), *names]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    line = next(line for line in done.stdout.splitlines() if line.startswith("RESULT"))
+    with coupled(scene, scene.task.step / 100) as system:
+        system.begin(np.array(scene.task.start), np.empty(0))
+        last = jacobi(system, 1e-3, 600)[-1]
+    np.testing.assert_allclose(np.array(json.loads(line[6:])).T.ravel(), last, rtol=1e-8)
 
 
 def test_a_study_without_libcosim_says_so(monkeypatch):
