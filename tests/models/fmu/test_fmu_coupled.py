@@ -1,7 +1,10 @@
 """A scene split into bodies and contacts: the parts add up to the scene, and their FMUs are as good as any."""
 
+import shutil
+import subprocess
 import zipfile
 from dataclasses import replace
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -194,3 +197,23 @@ def test_the_command_writes_an_ssp_and_refuses_what_it_would_ignore(tmp_path, ca
     assert target.read_bytes() == build_ssp(load_scene("two_body_collision")).read_bytes()
     assert run(["fmu", "two_body_collision", "--coupled", "--fmi", "3", "-o", str(target)]) == 2
     assert "--coupled writes FMI 2.0 for this machine; leave out --fmi and --platform" in capsys.readouterr().err
+
+
+def test_the_contact_is_clean_under_sanitizers(tmp_path):
+    """No leak, no access out of bounds, no undefined behaviour, whatever is called; some compilers have the second sanitizer only."""
+    compiler = shutil.which("gcc") or shutil.which("clang")
+    if compiler is None:
+        pytest.skip("sanitizers need gcc or clang")
+    with zipfile.ZipFile(build_part(split(load_scene("two_discs")).contacts[0])) as archive:
+        archive.extractall(tmp_path)
+    driver, program = Path(__file__).with_name("contact_driver.c"), tmp_path / "program"
+    flags = ["-std=c99", "-g", "-O1", "-fno-sanitize-recover=all", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Werror"]
+    for sanitizers in ("address,undefined", "undefined"):
+        command = [compiler, *flags, f"-fsanitize={sanitizers}", f"-I{tmp_path / 'sources'}", driver, "-o", program, "-lm"]
+        built = subprocess.run(command, capture_output=True, text=True, check=False)
+        if built.returncode == 0:
+            done = subprocess.run([program], capture_output=True, text=True, check=False)
+            assert done.returncode == 0, done.stdout + done.stderr
+            return
+    assert "san" in built.stderr, built.stderr
+    pytest.skip("this compiler has no sanitizers")
