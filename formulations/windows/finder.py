@@ -239,6 +239,9 @@ class Finder:
         if self._is_linear:
             account.linear_algebra += perf_counter() - begin
         message = f"With the contact windows fixed {how}; {found.tried} neighbouring windows were tried, none is cheaper than this plan."
+        if isinstance(problem, NonlinearModes):
+            known = f"{problem.unsolved} of {problem.solves} solves found no plan in a few iterations, which proves nothing"
+            message = f"With the contact windows fixed {how}; of {found.tried} neighbouring windows none was found to be cheaper ({known})."
         if not self._options["search"]:
             message = f"Contact modes were read off a softplus plan; {how}."
         elif not found.complete:

@@ -75,7 +75,7 @@ class NonlinearModes:
         open_goal(model, ball)
         self._bench, self._residuals = Workbench(model), PlanResiduals(scene)
         self.guess: Trajectory | None = None
-        self.solves = 0
+        self.solves, self.unsolved = 0, 0
 
     def solve(self, closed: np.ndarray, *, near: NlpAnswer | None = None, below: float = np.inf) -> NlpAnswer | None:
         """The optimum near the plan of `near`, or None where none was found that costs less than `below`."""
@@ -94,6 +94,7 @@ class NonlinearModes:
         most = self._options["max_iter"] if near is None else min(self._options["max_iter"], _PATIENCE)
         result = self._bench.run(self._account, {**self._options, "max_iter": self._account.iterations + most})
         if not result.solved:
+            self.unsolved += 1
             return None
         plan = read_plan(model)
         cost = self._residuals.cost(plan)
