@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
+from formulations.mpec.candidate import Candidate
 from formulations.mpec.certificate.certificate import Certificate
 from formulations.mpec.homotopy import Account
 from formulations.mpec.settings import Settings
 from formulations.solution import Outcome
-
-if TYPE_CHECKING:
-    from formulations.mpec.solve import Candidate
 
 
 def verdict(candidate: Candidate, residual: float, certificate: Certificate | None, settings: Settings) -> tuple[Outcome, str]:

@@ -17,8 +17,8 @@ from formulations.mpec.workspace import Columns
 from formulations.solution import Outcome
 
 if TYPE_CHECKING:
+    from formulations.mpec.candidate import Candidate
     from formulations.mpec.homotopy import Account
-    from formulations.mpec.solve import Candidate
 
 
 def result_of(

@@ -9,16 +9,17 @@ from __future__ import annotations
 import importlib
 import logging
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from formulations.mpec.branching import Branch, Branching
+from formulations.mpec.candidate import Candidate
 from formulations.mpec.certificate.certificate import certify
 from formulations.mpec.certificate.evaluation import values_set
 from formulations.mpec.homotopy import Account, Path, Point, Step
-from formulations.mpec.lifted import Lifted, lift
+from formulations.mpec.lifted import lift
 from formulations.mpec.outcome import outcome_without_point, verdict
 from formulations.mpec.report import multipliers_of, result_of, without_multipliers
 from formulations.mpec.result import MpecResult, is_feasible
@@ -34,21 +35,6 @@ logger = logging.getLogger(__name__)
 _EARLY_EPS, _NEAR = 1e-3, 1e-2
 # Multipliers with a larger residual (relative) are not handed out.
 WRONG_MULTIPLIERS = 1e-4
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Candidate:
-    """What one strategy found: a branch, or only a point of its relaxation, or neither; and whether it met a branch without a lower bound."""
-
-    strategy: Strategy
-    lifted: Lifted
-    work: Workspace
-    branch: Branch | None
-    point: Point | None
-    outcome: Outcome
-    message: str
-    steps: tuple[Step, ...]
-    unbounded: bool = False
 
 
 def load_strategy(name: str) -> Strategy:

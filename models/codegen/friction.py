@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import sympy as sp
 
 from models.codegen.c_function import Vector, c_function
-
-if TYPE_CHECKING:
-    from models.codegen.emit import SceneVectors
+from models.codegen.vectors import SceneVectors
 
 
 def friction_source() -> str:

@@ -18,8 +18,8 @@ from collections.abc import Sequence
 import sympy as sp
 
 from models.codegen.c_function import Vector, c_function
-from models.codegen.emit import SceneVectors
 from models.codegen.friction import slip_rate
+from models.codegen.vectors import SceneVectors
 from models.dynamics import derive
 from models.scene import Scene
 
