@@ -52,7 +52,7 @@ class Settings:
     expression: str = ""
     jobs: int = 1
     fresh: bool = False
-    time_limit: float = 600.0
+    time_limit: float = 120.0
     tools: str = DEFAULT_TOOLS
     command: str = ""
 

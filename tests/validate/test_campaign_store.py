@@ -55,7 +55,7 @@ def _stored(store: Store, entry, record: RunRecord, time_limit: float = 600.0) -
 def test_what_is_used_again(tmp_path, entry, outcome, time_limit, used_again):
     store = Store(tmp_path)
     _stored(store, entry, _record(entry, outcome), time_limit)
-    settings = Settings(out=tmp_path)
+    settings = Settings(out=tmp_path, time_limit=600.0)
     (found,) = with_stored([entry], store, settings)
     assert (found.stored is not None) is used_again
     (fresh,) = with_stored([entry], store, Settings(out=tmp_path, fresh=True))

@@ -81,7 +81,7 @@ configuration or nothing selected; 3 this machine cannot; 130 interrupted.
     "--out", type=click.Path(path_type=Path), default=_DEFAULT_OUT, show_default=True, metavar="DIR", help="The folder of the campaign."
 )
 @click.option(
-    "--time-limit", type=float, default=600.0, show_default=True, metavar="SECONDS", help="For each cell, all its stages and replays."
+    "--time-limit", type=float, default=120.0, show_default=True, metavar="SECONDS", help="For each cell, all its stages and replays."
 )
 @click.option("--json", "as_json", is_flag=True, help="The results as JSON on stdout instead of a table.")
 @click.option(
