@@ -21,7 +21,7 @@ from validate.store import Store, StoreError, disk_error, write_durably
 @pytest.fixture(scope="module")
 def entry():
     """The cell three_cart x relu_gd of the real catalogs."""
-    entries, _ = select(Settings(out=None, scenes=("three_cart",), expression="relu_gd and not softplus and not relaxed"))
+    entries, _ = select(Settings(out=None, time_limit=600.0, scenes=("three_cart",), expression="relu_gd and not softplus and not relaxed"))
     (found,) = entries
     return found
 
