@@ -21,6 +21,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from time import perf_counter, process_time
 from types import MappingProxyType, TracebackType
 from typing import TYPE_CHECKING
 
@@ -72,8 +73,18 @@ class Method(ABC):
         """None, or the reason why this method does not apply to the scene."""
 
     @abstractmethod
+    def session(self, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> Session:
+        """A session on a scene that the method accepts; options are filled in; opening: wall and CPU clock when opening began, before
+        anything was imported for it."""
+
     def open(self, scene: Scene, options: Mapping[str, object] = MappingProxyType({})) -> Session:
-        """Open on a scene. Raises OptionError for unknown or impossible options."""
+        """Open on a scene. Raises OptionError for unknown or impossible options, and for a scene that the method does not accept."""
+        opening = (perf_counter(), process_time())
+        filled = self.filled_options(options)
+        reason = self.accepts(scene)
+        if reason is not None:
+            raise OptionError(f"method {self.name}: {reason}")
+        return self.session(scene, filled, opening)
 
     def check_eps(self, eps: float | None) -> None:
         """Raise OptionError if eps is missing, superfluous or out of range (0 < eps < 1 unless the method says otherwise)."""

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from types import MappingProxyType
 
 import numpy as np
 
-from formulations.method import Kind, Method, OptionError, Session
+from formulations.method import Kind, Method, Session
 from formulations.solution import Outcome, Seconds, Solution
 from models.codegen.kernel import Kernel, load_kernel
 from models.goal import distance, goal_state
@@ -55,11 +54,7 @@ class FreeMotion(Method):
     def accepts(self, scene: Scene) -> str | None:
         return f"scene {scene.name} has inputs, so its motion is to be planned." if scene.nu else None
 
-    def open(self, scene: Scene, options: Mapping[str, object] = MappingProxyType({})) -> Session:
-        self.filled_options(options)
-        reason = self.accepts(scene)
-        if reason is not None:
-            raise OptionError(f"method {self.name}: {reason}")
+    def session(self, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> Session:
         return _FreeMotionSession(self, load_kernel(scene))
 
 

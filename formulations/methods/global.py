@@ -4,11 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from time import perf_counter, process_time
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from formulations.method import Kind, Method, OptionError, OptionSpec, Session
+from formulations.method import Kind, Method, OptionSpec, Session
 
 if TYPE_CHECKING:
     from models.scene import Scene
@@ -42,15 +40,10 @@ class Global(Method):
 
         return why_no_proof(scene) or missing_solvers()
 
-    def open(self, scene: Scene, options: Mapping[str, object] = MappingProxyType({})) -> Session:
-        opening = (perf_counter(), process_time())
-        filled = self.filled_options(options)
-        reason = self.accepts(scene)
-        if reason:
-            raise OptionError(f"method {self.name}: {reason}")
+    def session(self, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> Session:
         from formulations.proof.session import ProofSession
 
-        return ProofSession(self, scene, filled, opening)
+        return ProofSession(self, scene, options, opening)
 
 
 METHOD = Global()

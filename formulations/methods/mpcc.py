@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from time import perf_counter, process_time
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from formulations.method import Kind, Method, OptionError, OptionSpec, Session
+from formulations.method import Kind, Method, OptionSpec, Session
 
 if TYPE_CHECKING:
     from models.scene import Scene
@@ -107,15 +105,10 @@ class Mpcc(Method):
 
         return why_not(scene)
 
-    def open(self, scene: Scene, options: Mapping[str, object] = MappingProxyType({})) -> Session:
-        opening = (perf_counter(), process_time())
-        filled = self.filled_options(options)
-        reason = self.accepts(scene)
-        if reason:
-            raise OptionError(f"method {self.name}: {reason}")
+    def session(self, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> Session:
         from formulations.windows.session import MpccSession
 
-        return MpccSession(self, scene, filled, opening)
+        return MpccSession(self, scene, options, opening)
 
 
 METHOD = Mpcc()

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from time import perf_counter, process_time
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from formulations.method import Kind, Method, OptionError, OptionSpec, Session
+from formulations.method import Kind, Method, OptionSpec, Session
 
 if TYPE_CHECKING:
     from models.scene import Scene
@@ -36,15 +34,10 @@ class MpccFront(Method):
             return f"scene {scene.name} leaves its end free, so there is no terminal error to trade for cost."
         return why_not(scene)
 
-    def open(self, scene: Scene, options: Mapping[str, object] = MappingProxyType({})) -> Session:
-        opening = (perf_counter(), process_time())
-        filled = self.filled_options(options)
-        reason = self.accepts(scene)
-        if reason:
-            raise OptionError(f"method {self.name}: {reason}")
+    def session(self, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> Session:
         from formulations.windows.front_session import FrontSession
 
-        return FrontSession(self, scene, filled, opening)
+        return FrontSession(self, scene, options, opening)
 
 
 METHOD = MpccFront()

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from time import perf_counter, process_time
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from formulations.method import Method, OptionError, OptionSpec, Session
@@ -54,16 +52,14 @@ class DescentMethod(Method):
             return f"scene {scene.name} has no inputs, so there is nothing to descend on."
         return None
 
-    def open(self, scene: Scene, options: Mapping[str, object] = MappingProxyType({})) -> Session:
-        filled = self.filled_options(options)
+    def filled_options(self, options: Mapping[str, object]) -> dict[str, object]:
+        filled = super().filled_options(options)
         iterations = filled["iterations"]
         if iterations is not None and not isinstance(iterations, int):
             raise OptionError(f"method {self.name}: option iterations is {iterations!r}, but must be a whole number or left out.")
-        reason = self.accepts(scene)
-        if reason:
-            raise OptionError(f"method {self.name}: {reason}")
+        return filled
 
-        opening = (perf_counter(), process_time())
+    def session(self, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> Session:
         from formulations.shooting.session import DescentSession
 
-        return DescentSession(self, scene, filled, opening)
+        return DescentSession(self, scene, options, opening)

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from time import perf_counter, process_time
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from formulations.method import Method, OptionError, OptionSpec, Session
+from formulations.method import Method, OptionSpec
 
 if TYPE_CHECKING:
     from formulations.transcription.session import TranscriptionSession
@@ -43,14 +41,6 @@ class TranscriptionMethod(Method):
         if not scene.inputs:
             return f"scene {scene.name} has no inputs, so there is nothing to plan."
         return None
-
-    def open(self, scene: Scene, options: Mapping[str, object] = MappingProxyType({})) -> Session:
-        opening = (perf_counter(), process_time())
-        filled = self.filled_options(options)
-        reason = self.accepts(scene)
-        if reason:
-            raise OptionError(f"method {self.name}: {reason}")
-        return self.session(scene, filled, opening)
 
     @abstractmethod
     def session(self, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> TranscriptionSession:

@@ -13,7 +13,6 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 
@@ -59,8 +58,8 @@ class FakeMethod(Method):
     def accepts(self, scene: Scene) -> str | None:
         return self._refuses
 
-    def open(self, scene: Scene, options: Mapping[str, object] = MappingProxyType({})) -> Session:
-        return _Session(scene, self._act, self.filled_options(options), self.name)
+    def session(self, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> Session:
+        return _Session(scene, self._act, dict(options), self.name)
 
 
 def _segfault() -> None:

@@ -25,7 +25,7 @@ def model(goal=(1.0, 2.0), bounds=(None, None)) -> pyo.ConcreteModel:
 # (the condition, goal, the nearest point that satisfies it)
 FORMS = {
     "both >=": (lambda m: complements(m.x >= 0, m.y >= 0), (1, 2), (0, 2)),
-    "0 <= on the left": (lambda m: complements(0 <= m.x, 0 <= m.y), (1, 2), (0, 2)),  # noqa: SIM300
+    "0 <= on the left": (lambda m: complements(0 <= m.x, 0 <= m.y), (1, 2), (0, 2)),  # noqa: SIM300 - this order is what is tested
     "both <=": (lambda m: complements(m.x <= 0, m.y <= 0), (-1, -2), (0, -2)),
     "mixed": (lambda m: complements(m.x >= 0, m.y <= 0), (1, -2), (0, -2)),
     "mixed, the upper side held": (lambda m: complements(m.x >= 0, m.y <= 0), (3, -1), (3, 0)),
