@@ -17,6 +17,7 @@
 
 #include "scene_model.h"
 
+/* One force is exact in one sweep; coupled ones converge linearly, in tens of sweeps. The score judges what is left (friction law). */
 #define FRICTION_SWEEPS 10000
 
 typedef struct {

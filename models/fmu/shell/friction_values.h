@@ -37,7 +37,7 @@ static inline double friction_power(const Model *m)
 static inline int friction_tangent(const Model *m, Tangent *d)
 {
     const int *modes = m->modes + NC;
-    double limit[NF], da[NQ], da_p[NQ], rate[NF], lam[NL];
+    double limit[NF], da[NQ], da_p[NQ], rate[NF];
     FrictionStep rates;
     scene_friction_limit_jvp(m->q, m->lam, m->p, d->q, d->lam, d->p, limit);
     for (int j = 0; j < NF; j++) d->lam[NC + j] = -modes[j] * limit[j];
@@ -46,8 +46,7 @@ static inline int friction_tangent(const Model *m, Tangent *d)
     for (int i = 0; i < NQ; i++) da[i] += da_p[i];
     scene_slip_rate_jvp(m->q, m->v, m->a, m->p, d->q, d->v, da, d->p, rate);
     for (int j = 0; j < NF; j++) rate[j] = -rate[j];
-    memcpy(lam, m->lam, sizeof lam);
-    if (friction_columns(1.0, m->p, m->q, m->v, m->u, lam, &rates) || solve_sticking(&rates, modes, rate)) return 1;
+    if (friction_columns(1.0, m->p, m->q, m->v, m->u, m->lam, &rates) || solve_sticking(&rates, modes, rate)) return 1;
     for (int j = 0; j < NF; j++)
         if (!modes[j]) d->lam[NC + j] = rate[j];
     return 0;
@@ -115,10 +114,9 @@ static inline void friction_power_adjoint(const Model *m, double weight, Tangent
 /* Before an adjoint is followed through the accelerations: the multipliers of ds/dt = 0 of what sticks. 1 as in model_evaluate. */
 static inline int sticking_adjoint(const Model *m, Tangent *bar)
 {
-    double rate_bar[NF], lam[NL];
+    double rate_bar[NF];
     FrictionStep rates;
-    memcpy(lam, m->lam, sizeof lam);
-    if (friction_columns(1.0, m->p, m->q, m->v, m->u, lam, &rates)) return 1;
+    if (friction_columns(1.0, m->p, m->q, m->v, m->u, m->lam, &rates)) return 1;
     for (int j = 0; j < NF; j++) {
         rate_bar[j] = -bar->lam[NC + j];
         for (int i = 0; i < NQ; i++) rate_bar[j] -= rates.A[j][i] * bar->a[i];
