@@ -143,7 +143,7 @@ def _build(scene: Scene) -> Dynamics:
     momentum = sp.Matrix([sp.diff(kinetic, velocity) for velocity in v])
     coriolis = momentum.jacobian(q) * sp.Matrix(v) - sp.Matrix([sp.diff(kinetic, position) for position in q])
     gravity = sp.Matrix([sp.diff(potential, position) for position in q])
-    tau = forces - gravity - coriolis
+    tau = (forces - gravity - coriolis).applyfunc(sp.factor_terms)  # derivatives leave factors of two and common factors behind
 
     phi = sp.Matrix(scene.nc, 1, [contact.penetration for contact in scene.contacts])
     stiffness = sp.Matrix(scene.nc, 1, [sp.sympify(contact.stiffness) for contact in scene.contacts])
