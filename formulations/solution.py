@@ -64,7 +64,7 @@ class Solution:
     bound: a cost below which no plan exists, if the method proves one;
     certificate: the plan judged in the scene's strict model (`formulations.mpec.certify_solution`), None before that; starts: if there were several,
     every one of them; front: if the least cost within several tolerances was asked, each of them; options: every option used; solver: the name and version of what ran underneath; history: per iteration,
-    columns of equal length by name.
+    columns of equal length by name; size: of the model the solver was given, and paper_size the same counted by hand, where there is a model.
     """
 
     method: str
@@ -82,6 +82,16 @@ class Solution:
     bound: Bound | None = None
     starts: tuple[Attempt, ...] = ()
     front: tuple[FrontPoint, ...] = ()
+    size: ModelSize | None = None
+    paper_size: ModelSize | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelSize:
+    """Unknowns and equations (bounds are not equations) of a model as a solver is given it."""
+
+    unknowns: int
+    equations: int
 
 
 @dataclass(frozen=True, kw_only=True)

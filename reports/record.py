@@ -64,6 +64,7 @@ class SceneRecord(_Model):
     absent: tuple[str, ...] = ()
     answers: tuple[QuantityRecord, ...] = ()
     shapes: tuple[ShapeRecord, ...] = ()
+    operations: dict[str, int] = {}  # of the equations one time step evaluates, by kind
 
 
 class FigureRecord(_Model):
@@ -180,6 +181,15 @@ class BoundRecord(_Model):
     nodes: int = 0
 
 
+class SizeRecord(_Model):
+    """Unknowns and equations of the model a solver was given, and the same counted on paper."""
+
+    unknowns: int
+    equations: int
+    paper_unknowns: int
+    paper_equations: int
+
+
 class StageRecord(_Model):
     """One stage of a pipeline: one method at one eps."""
 
@@ -196,6 +206,7 @@ class StageRecord(_Model):
     solver: str = ""  # name and version of what ran underneath
     residuals: dict[str, Finite] = {}
     bound: BoundRecord | None = None
+    size: SizeRecord | None = None
     options: dict[str, str | int | bool | Finite | list[Finite] | None] = {}
     history: dict[str, tuple[Finite, ...]] = {}
     certificate: CertificateRecord | None = None

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from formulations.pipeline import stage_plan
 from formulations.solution import Bound, Outcome, Seconds, Solution
-from reports.record import BoundRecord, FigureRecord, ReplayRecord, RunRecord, SceneRecord, SecondsRecord, StageRecord, Verdict
+from reports.record import BoundRecord, FigureRecord, ReplayRecord, RunRecord, SceneRecord, SecondsRecord, SizeRecord, StageRecord, Verdict
 from validate.evidence_records import certificate_record, front_records, start_records
 from validate.table_one import paper_row
 from validate.traces import plan_trace, replay_trace, thin
@@ -87,6 +87,7 @@ def stage_record(
         residuals=_finite_values(solution.residuals),
         bound=_bound(solution.bound),
         solver=solution.solver,
+        size=_size(solution),
         options=_options(solution.options or planned.options),
         history=_history(solution.history),
         certificate=certificate_record(solution.certificate),
@@ -181,6 +182,13 @@ def _replay(replay: Any) -> ReplayRecord:
         events=len(replay.events),
         seconds_reference=replay.seconds_reference,
         seconds_everyday=replay.seconds_everyday,
+def _size(solution: Solution) -> SizeRecord | None:
+    size, paper = solution.size, solution.paper_size
+    if size is None or paper is None:
+        return None
+    return SizeRecord(unknowns=size.unknowns, equations=size.equations, paper_unknowns=paper.unknowns, paper_equations=paper.equations)
+
+
         fmu=replay.fmu,
         message=replay.message or replay.outcome.value,
     )

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import html
 import re
+from dataclasses import asdict
 
 import sympy as sp
 from sympy.printing.mathml import mathml
 
+from models.codegen.operations import step_operations
 from models.dynamics import Dynamics, derive
 from models.scene import Scene
 from reports.record import EquationRecord, QuantityRecord, SceneRecord, ShapeRecord
@@ -64,6 +66,7 @@ def scene_record(scene: Scene) -> SceneRecord:
             )
             for shape in scene.shapes
         ),
+        operations=asdict(step_operations(scene)),
     )
 
 

@@ -19,6 +19,7 @@ from formulations.transcription.method import TranscriptionMethod
 from formulations.transcription.plans import load_first_guess, load_plan, read_plan
 from formulations.transcription.reach import Nearest, Patience, nearest
 from formulations.transcription.residuals import PlanResiduals
+from formulations.transcription.size import size_on_paper
 from formulations.transcription.workbench import Account, Workbench, primal_dual
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw as ForceLaw
@@ -207,6 +208,8 @@ class TranscriptionSession(Session):
             options=dict(self._options),
             solver=account.solver,
             history={name: tuple(values) for name, values in account.history.items()},
+            size=bench.size,
+            paper_size=size_on_paper(self._scene, self.contact),
         )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from formulations.ipopt import IpoptProblem, IpoptResult, Iteration, Start, compile_model, load, solve
-from formulations.solution import Seconds
+from formulations.solution import ModelSize, Seconds
 
 Callback = Callable[[Iteration], "bool | None"]
 _COLUMNS = ("objective", "inf_pr", "inf_du", "mu")
@@ -71,6 +71,11 @@ class Workbench:
             self._problem.refresh()
         account.translate += perf_counter() - begin
         return self._problem
+
+    @property
+    def size(self) -> ModelSize | None:
+        """Of what was translated; None before the first solve."""
+        return None if self._problem is None else ModelSize(unknowns=self._problem.n, equations=self._problem.m)
 
     def run(
         self,
