@@ -16,7 +16,9 @@ from models.codegen.emit import emit_model
 from models.scene import Scene
 
 _FUNCTION = re.compile(r"^SCENE_FUNCTION \w+ (\w+)\([^)]*\)\n\{\n(.*?)^\}$", re.MULTILINE | re.DOTALL)
-_TOKEN = re.compile(r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[A-Za-z_]\w*)(?P<call>\s*\()?|(?P<sign>[-+*/()\[\],]))")
+_TOKEN = re.compile(
+    r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[A-Za-z_]\w*)(?P<call>\s*\()?|(?P<sign>[-+*/()\[\],]))"
+)
 # What a time step evaluates once, before the contact law and the two updates.
 _OF_A_STEP = ("scene_penetration", "scene_slip", "scene_friction_limit", "scene_mass", "scene_force", "scene_acceleration")
 

@@ -67,7 +67,9 @@ def test_every_form_of_arithmetic_is_counted(expression: str, expected: Operatio
 
 
 def test_adding_to_a_result_is_an_addition():
-    assert count_operations("SCENE_FUNCTION void f(double *y)\n{\n    y[0] += a*b;\n    (void)q;\n}\n") == {"f": Operations(add=1, multiply=1)}
+    assert count_operations("SCENE_FUNCTION void f(double *y)\n{\n    y[0] += a*b;\n    (void)q;\n}\n") == {
+        "f": Operations(add=1, multiply=1)
+    }
 
 
 def test_solving_costs_what_its_loops_do():
