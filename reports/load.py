@@ -13,6 +13,7 @@ from pydantic import BaseModel, ValidationError
 
 from reports.bench_record import BenchRecord, CosimRecord, ReplaySpeedRecord
 from reports.collected import collected
+from reports.examination_record import ExaminationRecord, StoredRecord, divided
 from reports.record import SCHEMA_VERSION, CampaignRecord, RunRecord
 from reports.wording import clean
 
@@ -38,7 +39,7 @@ class Stored:
     """All that the report is made of.
 
     missing: keys that the campaign lists and of which nothing is stored; foreign: stored records that the campaign does not list;
-    benches: what benchmarks left in the folder `bench`.
+    examinations: cells that are no scene x pipeline; benches: what benchmarks left in the folder `bench`.
     """
 
     folder: str
@@ -47,6 +48,7 @@ class Stored:
     unreadable: tuple[Unreadable, ...]
     missing: tuple[str, ...]
     foreign: int
+    examinations: tuple[ExaminationRecord, ...] = ()
     benches: tuple[CosimRecord | ReplaySpeedRecord, ...] = ()
 
 
@@ -56,29 +58,34 @@ def load(folder: Path) -> Stored:
         raise ReportError(f"{folder}: there is no such folder; give the folder of a campaign (it holds campaign.json and runs/).")
     unreadable: list[Unreadable] = []
     campaign = _read(folder / "campaign.json", folder, CampaignRecord, unreadable)
-    runs: dict[str, RunRecord] = {}
+    found: dict[str, RunRecord | ExaminationRecord] = {}
     for path in _record_files(folder):
-        run = _read(path, folder, RunRecord, unreadable)
-        if run is None:
+        stored = _read(path, folder, StoredRecord, unreadable)
+        if stored is None:
             continue
+        run = stored.root
         if run.key != path.parent.name:
             sentence = f"it says that it is the record of {run.key[:40]!r}, but lies in the folder of another; run the cell again."
             unreadable.append(Unreadable(clean(str(path.relative_to(folder))), clean(sentence)))
             continue
-        runs[run.key] = run
+        found[run.key] = run
     benches = tuple(bench.root for path in _bench_files(folder) if (bench := _read(path, folder, BenchRecord, unreadable)) is not None)
     if campaign is None:
-        order = sorted(runs, key=lambda key: (runs[key].scene.name, runs[key].pipeline, key))
-        return Stored(folder.name, None, collected(runs[key] for key in order), tuple(unreadable), (), 0, benches)
+        runs, examinations = divided(found.values())
+        runs = sorted(runs, key=lambda run: (run.scene.name, run.pipeline, run.key))
+        examinations = tuple(sorted(examinations, key=lambda item: (item.kind, item.name)))
+        return Stored(folder.name, None, collected(runs), tuple(unreadable), (), 0, examinations, benches)
     keys = list(dict.fromkeys(campaign.keys))
+    runs, examinations = divided(found[key] for key in keys if key in found)
     broken = {Path(item.path).parent.name for item in unreadable}
     return Stored(
         folder=folder.name,
         campaign=campaign,
-        runs=collected(runs[key] for key in keys if key in runs),
+        runs=collected(runs),
         unreadable=tuple(unreadable),
-        missing=tuple(clean(key) for key in keys if key not in runs and clean(key) not in broken),
-        foreign=len(set(runs) - set(keys)),
+        missing=tuple(clean(key) for key in keys if key not in found and clean(key) not in broken),
+        foreign=len(set(found) - set(keys)),
+        examinations=examinations,
         benches=benches,
     )
 

@@ -1,6 +1,6 @@
 """What makes a campaign fail: in words, and as a function of its records. `validate all` and the report say and do the same.
 
-failures(records)           # one sentence each; none: exit code 0
+failures(runs, examinations)           # one sentence each; none: exit code 0
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # the words are shown by --help, which must not cost pydantic
+    from reports.examination_record import ExaminationRecord
     from reports.record import RunRecord
 
 # What fails a campaign, each ending a sentence that begins "A campaign fails if".
@@ -17,6 +18,7 @@ RULE = (
     "a direct method says that it solved the scene, and its plan violates a limit or is not resolved by the replay",
     "a plan of a direct method stands beside a row of the paper, and does not hold",
     "direct methods ran on a scene, and no cell of that scene holds",
+    "an examination (a check of one of our own FMUs, a hard case) finds what must not be, or ends without an answer",
 )
 # What does not.
 RESULTS = (
@@ -27,12 +29,18 @@ RESULTS = (
 )
 
 
-def failures(runs: Sequence[RunRecord]) -> tuple[str, ...]:
+def failures(runs: Sequence[RunRecord], examinations: Sequence[ExaminationRecord] = ()) -> tuple[str, ...]:
     """Why the campaign of these records fails, by `RULE`; a sentence for each cell or scene."""
     found = [sentence for run in runs if (sentence := _cell_failure(run))]
     for scene in dict.fromkeys(run.scene.name for run in runs):
         found += _scene_failure(scene, [run for run in runs if run.scene.name == scene])
+    found += [_examined(record) for record in examinations if not record.passed]
     return tuple(found)
+
+
+def _examined(record: ExaminationRecord) -> str:
+    ended = "failed" if record.outcome == "answered" else record.outcome.replace("_", " ")
+    return f"{record.title}: {ended} - {record.found or record.message or 'the record gives no reason.'}"
 
 
 def _cell_failure(run: RunRecord) -> str:

@@ -33,6 +33,7 @@ def main(folder: Path) -> int:
     from models.errors import MachineError
     from reports.record import ProvenanceRecord
     from validate.cell import Cell, run_cell
+    from validate.examination import Examination, run_examination
     from validate.provenance import SEED
     from validate.store import MACHINE, RECORD, REQUEST, disk_error, disk_refuses, write_durably
 
@@ -40,7 +41,11 @@ def main(folder: Path) -> int:
     np.random.seed(SEED)
     request = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
     try:
-        record = run_cell(Cell.from_json(request["cell"]), ProvenanceRecord.model_validate(request["provenance"]), folder, began)
+        wanted, provenance = request["cell"], ProvenanceRecord.model_validate(request["provenance"])
+        if "examination" in wanted:
+            record = run_examination(Examination.from_json(wanted), provenance, folder, began)
+        else:
+            record = run_cell(Cell.from_json(wanted), provenance, folder, began)
         write_durably(folder / RECORD, record.model_dump_json(indent=1))
     except MachineError as error:
         (folder / MACHINE).write_text(str(error), encoding="utf-8")

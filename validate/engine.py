@@ -13,18 +13,17 @@ from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from typing import TYPE_CHECKING, Protocol
 
-from validate.cell import Cell
-
 if TYPE_CHECKING:
+    from reports.examination_record import ExaminationRecord
     from reports.record import RunRecord
-    from validate.worker import Worker
+    from validate.worker import Job, Worker
 
 # How often children are looked at [s]: far below the 0.3 s a cell takes to start, and 20 cheap system calls a second.
 _LOOK = 0.05
 
 
 class Engine(Protocol):
-    def run(self, cells: Sequence[Cell]) -> Generator[tuple[Cell, RunRecord], None, None]:
+    def run(self, cells: Sequence[Job]) -> Generator[tuple[Job, RunRecord | ExaminationRecord], None, None]:
         """Run all cells; yield each with its record when it has finished. Closing the iterator stops what runs."""
         ...
 
@@ -36,12 +35,10 @@ class LocalEngine:
     each look.
     """
 
-    def __init__(
-        self, start: Callable[[Cell], Worker], jobs: int, watch: Callable[[Sequence[Worker]], None] = lambda workers: None
-    ) -> None:
+    def __init__(self, start: Callable[[Job], Worker], jobs: int, watch: Callable[[Sequence[Worker]], None] = lambda workers: None) -> None:
         self._start, self._jobs, self._watch = start, jobs, watch
 
-    def run(self, cells: Sequence[Cell]) -> Generator[tuple[Cell, RunRecord], None, None]:
+    def run(self, cells: Sequence[Job]) -> Generator[tuple[Job, RunRecord | ExaminationRecord], None, None]:
         waiting = deque(cells)
         running: list[Worker] = []
         try:

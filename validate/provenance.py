@@ -1,6 +1,6 @@
 """Where a result comes from: our commit and sources, the versions of what we stand on, the machine, the command.
 
-`content_key` hashes what decides a cell's numbers - scene, pipeline, options, seed, our sources, library versions, compiler - and no
+`content_key` (of a cell) and `examination_key` hash what decides a cell's numbers - scene, pipeline, options, seed, our sources, library versions, compiler - and no
 times, paths or hosts: equal content, equal key, wherever it runs.
 """
 
@@ -26,6 +26,7 @@ from validate.isolation.environment import ROOT, THREADS
 if TYPE_CHECKING:
     from models.scene import Scene
     from reports.record import ProvenanceRecord
+    from validate.examination import Examination
 
 SEED = 0
 LIBRARIES = ("numpy", "scipy", "sympy", "pyomo", "cyipopt-wheels", "ipyopt", "torch", "fmpy", "scikit-sundae")
@@ -34,9 +35,18 @@ _NO_INFLUENCE = (
     "validate/cli",
     "validate/__main__.py",
     "validate/campaign.py",
+    "validate/chosen.py",
     "validate/engine.py",
     "validate/results.py",
     "validate/selection.py",
+)
+# Parts that decide what examinations find, and nothing of a cell of a scene by a pipeline.
+_OF_EXAMINATIONS = (
+    "validate/examination.py",
+    "validate/fmu_examination.py",
+    "validate/fmu_check/",
+    "validate/cosim/",
+    "validate/hardcases/",
 )
 # Scenes and methods count one by one: a cell depends on its own.
 _ONE_BY_ONE = ("models/scenes", "formulations/methods")
@@ -65,12 +75,17 @@ def _source_digests() -> dict[str, str]:
             name = path.relative_to(ROOT).as_posix()
             if path.suffix in _SOURCE_SUFFIXES and "__pycache__" not in path.parts and not name.startswith(_NO_INFLUENCE):
                 digests[name] = hashlib.sha256(path.read_bytes()).hexdigest()
-    digests["reports/record.py"] = hashlib.sha256((ROOT / "reports" / "record.py").read_bytes()).hexdigest()
+    for name in ("reports/record.py", "reports/examination_record.py"):
+        digests[name] = hashlib.sha256((ROOT / name).read_bytes()).hexdigest()
     return digests
 
 
 def source_digests(methods: Iterable[str]) -> dict[str, str]:
     """Digest of each of our files that a cell of these methods depends on."""
+    return {name: digest for name, digest in _digests_with(methods).items() if not name.startswith((*_OF_EXAMINATIONS, "reports/exam"))}
+
+
+def _digests_with(methods: Iterable[str]) -> dict[str, str]:
     own = {f"formulations/methods/{method}.py" for method in methods}
     return {name: digest for name, digest in _source_digests().items() if name in own or not name.startswith(_ONE_BY_ONE)}
 
@@ -89,19 +104,34 @@ def library_versions() -> dict[str, str]:
 
 def content_key(scene: Scene, stages: Any, methods: Iterable[str], extra: str = "") -> str:
     """The key of a cell: sha256 over its content. stages: method, eps and filled options in order (JSON data)."""
-    content = {
-        "scene": scene_text(scene),
-        "stages": stages,
+    return _hash({"scene": scene_text(scene), "stages": stages, "sources": source_digests(methods), "extra": extra})
+
+
+def examination_key(examination: Examination) -> str:
+    """The key of an examination: sha256 over what it asks, of what, and the sources that answer."""
+    digests = _digests_with(examination.methods)
+    wanted = ("validate/examination.py", "reports/examination_record.py", *examination.sources)
+    asked = (examination.kind, examination.name, examination.expected, examination.function)
+    return _hash(
+        {
+            "asked": [*asked, dict(examination.arguments)],
+            "content": examination.content,
+            "sources": {name: digest for name, digest in digests.items() if not examination.sources or name.startswith(wanted)},
+        }
+    )
+
+
+def _hash(content: Mapping[str, Any]) -> str:
+    """sha256 over some content and what decides every number on this machine."""
+    around = {
         "seed": SEED,
         "threads": THREADS,
-        "sources": source_digests(methods),
         "libraries": library_versions(),
         "ipopt": os.environ.get("TOUCHSTONE_IPOPT", ""),
         "compiler": compiler_text(),
         "machine": platform.machine(),
-        "extra": extra,
     }
-    return hashlib.sha256(json.dumps(content, sort_keys=True, default=repr).encode()).hexdigest()
+    return hashlib.sha256(json.dumps({**around, **content}, sort_keys=True, default=repr).encode()).hexdigest()
 
 
 @lru_cache(maxsize=1)

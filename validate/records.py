@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from models.trajectory import Trajectory
     from reports.record import ProvenanceRecord
     from validate.cell import Cell
+    from validate.worker import Lost
 
 # Lines of the log that go into the record, so that a report can show why a cell ended as it did.
 _LOG_LINES = 40
@@ -86,8 +87,8 @@ def stage_record(
         iterations=int(solution.iterations),
         residuals=_finite_values(solution.residuals),
         bound=_bound(solution.bound),
-        solver=solution.solver,
         size=_size(solution),
+        solver=solution.solver,
         options=_options(solution.options or planned.options),
         history=_history(solution.history),
         certificate=certificate_record(solution.certificate),
@@ -154,6 +155,15 @@ def run_record(
     )
 
 
+def lost_run(cell: Cell, scene: SceneRecord, plan: Sequence[Planned], provenance: ProvenanceRecord, lost: Lost) -> RunRecord:
+    """The record of a cell whose child left none."""
+    outcome = Outcome[lost.outcome.upper()]
+    stages = [unfinished_stage(scene.name, cell.pipeline.name, planned, outcome, lost.message) for planned in plan]
+    return run_record(
+        cell, scene, stages, provenance, wall=lost.wall, cpu=lost.cpu, log=lost.log, outcome=lost.outcome, message=lost.message
+    )
+
+
 def finite(value: Any) -> float | None:
     """The number if it is one, else None."""
     return float(value) if value is not None and math.isfinite(value) else None
@@ -172,6 +182,13 @@ def _bound(bound: Bound | None) -> BoundRecord | None:
     return None if bound is None else BoundRecord(**asdict(bound))
 
 
+def _size(solution: Solution) -> SizeRecord | None:
+    size, paper = solution.size, solution.paper_size
+    if size is None or paper is None:
+        return None
+    return SizeRecord(unknowns=size.unknowns, equations=size.equations, paper_unknowns=paper.unknowns, paper_equations=paper.equations)
+
+
 def _replay(replay: Any) -> ReplayRecord:
     error = replay.error
     return ReplayRecord(
@@ -182,13 +199,6 @@ def _replay(replay: Any) -> ReplayRecord:
         events=len(replay.events),
         seconds_reference=replay.seconds_reference,
         seconds_everyday=replay.seconds_everyday,
-def _size(solution: Solution) -> SizeRecord | None:
-    size, paper = solution.size, solution.paper_size
-    if size is None or paper is None:
-        return None
-    return SizeRecord(unknowns=size.unknowns, equations=size.equations, paper_unknowns=paper.unknowns, paper_equations=paper.equations)
-
-
         fmu=replay.fmu,
         message=replay.message or replay.outcome.value,
     )

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 from models.errors import MachineError, TouchstoneError
 
 if TYPE_CHECKING:
+    from reports.examination_record import ExaminationRecord
     from reports.record import RunRecord
 
 RECORD, LOG, REQUEST, PROGRESS, MACHINE = "record.json", "log.txt", "cell.json", "progress.txt", "machine.txt"
@@ -79,14 +80,14 @@ class Store:
             if not _owner_lives(left.name):
                 shutil.rmtree(left, ignore_errors=True)
 
-    def read(self, key: str) -> RunRecord | None:
+    def read(self, key: str) -> RunRecord | ExaminationRecord | None:
         """The stored record of a cell, or None if there is none that can be read."""
         from pydantic import ValidationError
 
-        from reports.record import RunRecord
+        from reports.examination_record import StoredRecord
 
         try:
-            record = RunRecord.model_validate_json((self.runs / key / RECORD).read_bytes())
+            record = StoredRecord.model_validate_json((self.runs / key / RECORD).read_bytes()).root
         except (OSError, ValidationError):
             return None
         return record if record.key == key else None

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,8 +22,11 @@ if TYPE_CHECKING:
     from formulations.solution import Solution
     from models.scene import Scene
     from models.trajectory import Trajectory
+    from validate.examination import Examination, SceneReference
 
 DEFAULT_TOOLS = "validate.tools:DEFAULT"
+# What a campaign examines beside scenes by pipelines: functions of its scenes that give validate.examination.Examination.
+EXAMINATIONS: tuple[str, ...] = ()
 
 
 def _load_method(name: str) -> Method:
@@ -36,6 +39,14 @@ def _pipelines_for(scene: Scene) -> tuple[Pipeline, ...]:
     from formulations.pipeline import pipelines_for
 
     return pipelines_for(scene)
+
+
+def _examinations(scenes: Sequence[SceneReference]) -> list[Examination]:
+    found = []
+    for reference in EXAMINATIONS:
+        module, _, name = reference.partition(":")
+        found += getattr(importlib.import_module(module), name)(scenes)
+    return found
 
 
 def _build_fmu(scene: Scene) -> Path:
@@ -85,6 +96,7 @@ class Tools:
     load_method: Callable[[str], Method] = _load_method
     pipelines_for: Callable[[Scene], tuple[Pipeline, ...]] = _pipelines_for
     quick: tuple[str, ...] | None = None
+    examinations: Callable[[Sequence[SceneReference]], Sequence[Examination]] = _examinations
     build_fmu: Callable[[Scene], Path] = _build_fmu
     certify: Callable[[Scene, Solution], Solution] = _certify
     replay: Callable[[Scene, Path, Trajectory], Any] = _replay

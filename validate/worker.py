@@ -1,7 +1,7 @@
 """One child process a cell: started, watched, ended, and its end put into words.
 
-    worker = Worker(cell, scene, provenance, store, watchdog)
-    while (record := worker.poll()) is None: ...         # a RunRecord whatever happened, already stored
+    worker = Worker(cell, lost, provenance, store, watchdog)
+    while (record := worker.poll()) is None: ...         # a record whatever happened, already stored
 
 The child runs in a session of its own, with its output in log.txt and nothing but its result file believed: a process
 that exits with 0 and leaves no record has crashed; one that left a whole record has answered, whatever its exit code.
@@ -15,29 +15,61 @@ import os
 import shutil
 import time
 import uuid
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
 
 from models.errors import MachineError
 from validate import reaper
-from validate.cell import Cell
 from validate.isolation.process import ChildProcess, Ended, Watchdog, exit_in_words
 from validate.store import LOG, MACHINE, PROGRESS, RECORD, REQUEST, Store, disk_error, write_durably
 
 if TYPE_CHECKING:
-    from reports.record import ProvenanceRecord, RunRecord, SceneRecord
-    from validate.records import Planned
+    from reports.examination_record import ExaminationRecord
+    from reports.record import ProvenanceRecord, RunRecord
 
 _TAIL_BYTES = 20_000
 _TEMPORARY = "tmp"
 
 
+class Job(Protocol):
+    """What a child is asked to do: a Cell, or an Examination."""
+
+    @property
+    def key(self) -> str: ...
+    @property
+    def title(self) -> str: ...
+    @property
+    def time_limit(self) -> float: ...
+    def to_json(self) -> dict[str, Any]: ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lost:
+    """How a child ended that left no record. outcome: `crashed` or `time_limit`; message: one sentence; wall, cpu [s]; log: its end."""
+
+    outcome: str
+    message: str
+    wall: float
+    cpu: float
+    log: str
+
+
 class Worker:
-    """One running cell; see the module docstring. Starting it raises MachineError if the folder cannot be written."""
+    """One running cell; see the module docstring. lost: makes the record of a child that left none.
+
+    Starting it raises MachineError if the folder cannot be written.
+    """
 
     def __init__(
-        self, cell: Cell, scene: SceneRecord, plan: tuple[Planned, ...], provenance: ProvenanceRecord, store: Store, watchdog: Watchdog
+        self,
+        cell: Job,
+        lost: Callable[[Lost], RunRecord | ExaminationRecord],
+        provenance: ProvenanceRecord,
+        store: Store,
+        watchdog: Watchdog,
     ) -> None:
-        self.cell, self._scene, self._plan, self._provenance, self._store, self._watchdog = cell, scene, plan, provenance, store, watchdog
+        self.cell, self._lost, self._provenance, self._store, self._watchdog = cell, lost, provenance, store, watchdog
         self._token = uuid.uuid4().hex
         self._ended = Ended(code=0, cpu=0.0, memory=0, strays=0)
         self._folder = store.open_partial(cell.key, self._token).resolve()
@@ -69,7 +101,7 @@ class Worker:
         except OSError:
             return "its start"
 
-    def poll(self) -> RunRecord | None:
+    def poll(self) -> RunRecord | ExaminationRecord | None:
         """None while it runs; then its record, which is stored. Raises MachineError if the cell found that this machine cannot."""
         over_time = time.monotonic() - self._began > self.cell.time_limit
         ended = self._process.has_ended()
@@ -92,8 +124,8 @@ class Worker:
         shutil.rmtree(self._folder, ignore_errors=True)
         self._watchdog.tell("stop", self._token)
 
-    def _file(self, record: RunRecord) -> None:
-        answered = any(stage.plan_trace is not None for stage in record.stages)
+    def _file(self, record: RunRecord | ExaminationRecord) -> None:
+        answered = any(stage.plan_trace is not None for stage in getattr(record, "stages", ()))
         for path in self._folder.iterdir():
             if path.is_dir():
                 shutil.rmtree(path, ignore_errors=True)
@@ -101,15 +133,15 @@ class Worker:
                 path.unlink(missing_ok=True)
         self._store.commit(self._folder, record.key)
 
-    def _record(self, ended_by: str | None) -> RunRecord:
+    def _record(self, ended_by: str | None) -> RunRecord | ExaminationRecord:
         """The child's record if it is whole, else one that says how the child ended."""
         from pydantic import ValidationError
 
-        from reports.record import RunRecord
+        from reports.examination_record import StoredRecord
 
         problem = ""
         try:
-            record = RunRecord.model_validate_json((self._folder / RECORD).read_bytes())
+            record = StoredRecord.model_validate_json((self._folder / RECORD).read_bytes()).root
             if record.key == self.cell.key:
                 return record
             problem = "its result file belongs to another cell"
@@ -121,35 +153,22 @@ class Worker:
             raise MachineError((self._folder / MACHINE).read_text(encoding="utf-8"))
         return self._failure(ended_by, problem)
 
-    def _failure(self, ended_by: str | None, problem: str) -> RunRecord:
-        from formulations.solution import Outcome
-        from validate.records import run_record, unfinished_stage
-
+    def _failure(self, ended_by: str | None, problem: str) -> RunRecord | ExaminationRecord:
         place = self.progress()
         log = self._log()
         if ended_by == "time_limit":
-            outcome = Outcome.TIME_LIMIT
+            outcome = "time_limit"
             message = f"ended at its time limit of {self.cell.time_limit:g} s, during {place}."
         else:
-            outcome = Outcome.CRASHED
+            outcome = "crashed"
             words = [
                 f"the process ended with {exit_in_words(self._ended.code)} during {place}",
                 problem,
                 _last_words(log, self._ended.code),
             ]
             message = "; ".join(filter(None, words)) + "."
-        stages = [unfinished_stage(self._scene.name, self.cell.pipeline.name, planned, outcome, message) for planned in self._plan]
-        record = run_record(
-            self.cell,
-            self._scene,
-            stages,
-            self._provenance,
-            wall=time.monotonic() - self._began,
-            cpu=self._ended.cpu,
-            log=log,
-            outcome=outcome.name.lower(),
-            message=message,
-        )
+        wall = time.monotonic() - self._began
+        record = self._lost(Lost(outcome=outcome, message=message, wall=wall, cpu=self._ended.cpu, log=log))
         write_durably(self._folder / RECORD, record.model_dump_json(indent=1))
         return record
 

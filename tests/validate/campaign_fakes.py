@@ -239,6 +239,7 @@ def _fake_tools(score=_score) -> Tools:
         load_method=METHODS.__getitem__,
         pipelines_for=lambda scene: PIPELINES,
         quick=("soft+good",),
+        examinations=lambda scenes: (),
         build_fmu=lambda scene: Path(os.devnull),
         replay=_replay,
         score=score,

@@ -13,6 +13,7 @@ import click
 from validate.cli.table import one_line
 
 if TYPE_CHECKING:
+    from reports.examination_record import ExaminationRecord
     from reports.record import RunRecord
     from validate.worker import Worker
 
@@ -37,7 +38,7 @@ class PlainNarrator:
     def runs(self, workers: Sequence[Worker]) -> None:
         """Called many times a second with the running workers."""
 
-    def finished(self, record: RunRecord) -> None:
+    def finished(self, record: RunRecord | ExaminationRecord) -> None:
         self.done += 1
         self._line(f"[{self.stored + self.done}/{self.total}] {_summary(record)}")
 
@@ -75,7 +76,7 @@ class BarNarrator(PlainNarrator):
             text = "; ".join(f"{worker.cell.title}: {worker.progress()}" for worker in workers)
             self._progress.update(self._task, description=one_line(text))
 
-    def finished(self, record: RunRecord) -> None:
+    def finished(self, record: RunRecord | ExaminationRecord) -> None:
         super().finished(record)
         self._progress.advance(self._task)
 
@@ -86,7 +87,11 @@ class BarNarrator(PlainNarrator):
         self._console.print(text, markup=False, highlight=False)
 
 
-def _summary(record: RunRecord) -> str:
+def _summary(record: RunRecord | ExaminationRecord) -> str:
+    from reports.examination_record import ExaminationRecord
+
+    if isinstance(record, ExaminationRecord):
+        return _examined(record)
     last = record.stages[-1]
     which = f" ({record.part} of {record.parts})" if record.parts > 1 else ""
     parts = [f"{record.scene.name} x {record.pipeline}{which}: {record.outcome}"]
@@ -98,3 +103,8 @@ def _summary(record: RunRecord) -> str:
     if record.verdict == "no plan":
         parts.append(record.message)
     return one_line(", ".join(parts))
+
+
+def _examined(record: ExaminationRecord) -> str:
+    ended = ("passed" if record.passed else "failed") if record.outcome == "answered" else record.outcome
+    return one_line(f"{record.title}: {ended}, {record.wall_seconds:.1f} s, {record.found or record.message}")

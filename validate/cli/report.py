@@ -13,16 +13,18 @@ import click
 @click.option("--json", "as_json", is_flag=True, help="The results as JSON on stdout.")
 def command(folder: Path, as_json: bool) -> int:
     """Rebuild results.csv, violation.csv and report.html of the campaign in DIR (runs/all) from its records; no solver is needed."""
+    from reports.examination_record import divided
     from validate.campaign import RESULTS, VIOLATION, stored_campaign
     from validate.results import rows, write_results
     from validate.tools import DEFAULT
     from validate.violation import write_violation
 
-    campaign, records = stored_campaign(folder)
+    campaign, stored = stored_campaign(folder)
+    records, _ = divided(stored)
     write_results(folder / RESULTS, records)
     write_violation(folder / VIOLATION, campaign.violation)
     report = DEFAULT.write_report(folder)
-    missing = len(campaign.keys) - len(records)
+    missing = len(campaign.keys) - len(stored)
     if missing:
         click.echo(
             f"{missing} of {len(campaign.keys)} cells have no readable record; the command of the campaign runs them: {campaign.command}",

@@ -1,0 +1,66 @@
+"""ExaminationRecord: what is stored of a cell that is no scene x pipeline - a question with an expected answer, and what was found.
+
+record = StoredRecord.model_validate_json(path.read_bytes()).root      # a RunRecord or an ExaminationRecord
+runs, examinations = divided(records)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Discriminator, RootModel, Tag
+
+from reports.record import SCHEMA_VERSION, FigureRecord, Finite, ProvenanceRecord, RunRecord
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ExaminationRecord(_Model):
+    """One examination. kind and name together are unique in a campaign; a kind has a page of its own.
+
+    outcome: `answered`, or how it ended without an answer (`failed`: it says itself why it could not; `crashed`, `time_limit`); passed: what was
+    found is what was expected, never true without an answer; found, message: one sentence each, what was found and why there is no answer.
+    """
+
+    schema_version: int = SCHEMA_VERSION
+    key: str
+    kind: str
+    name: str
+    expected: str  # what a sound system does, one sentence
+    scene: str | None = None  # the scene it is about, if it is about one
+    outcome: str
+    passed: bool
+    found: str = ""
+    message: str = ""
+    figures: tuple[FigureRecord, ...] = ()
+    wall_seconds: Finite
+    cpu_seconds: Finite
+    provenance: ProvenanceRecord
+    log_tail: str = ""
+
+    @property
+    def title(self) -> str:
+        return f"{self.kind}: {self.name}"
+
+
+def _which(data: Any) -> str:
+    """`run` has a pipeline; anything else is read as an examination, which says what it lacks."""
+    return "run" if isinstance(data, RunRecord) or (isinstance(data, dict) and "pipeline" in data) else "examination"
+
+
+class StoredRecord(RootModel):
+    """Any record.json of a campaign."""
+
+    root: Annotated[Annotated[RunRecord, Tag("run")] | Annotated[ExaminationRecord, Tag("examination")], Discriminator(_which)]
+
+
+def divided(records: Iterable[RunRecord | ExaminationRecord]) -> tuple[tuple[RunRecord, ...], tuple[ExaminationRecord, ...]]:
+    """Runs and examinations, each in their order."""
+    records = tuple(records)
+    return (
+        tuple(record for record in records if isinstance(record, RunRecord)),
+        tuple(record for record in records if isinstance(record, ExaminationRecord)),
+    )

@@ -1,0 +1,141 @@
+"""Cells that are no scene x pipeline: selected, run in children, stored, resumed and judged as other cells are."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from models.catalog import load_scene
+from reports.examination_record import ExaminationRecord
+from validate.campaign import CampaignError, Settings, select
+from validate.examination import Examination, SceneReference
+from validate.provenance import examination_key, scene_text
+from validate.tools import DEFAULT
+
+FAKES = ("--tools", "examination_fakes:TOOLS", "--scene", "three_cart")
+
+
+def _records(out: Path) -> dict[str, ExaminationRecord]:
+    texts = [path.read_bytes() for path in out.glob("runs/*/record.json")]
+    records = [ExaminationRecord.model_validate_json(text) for text in texts if b'"pipeline"' not in text]
+    return {record.name.partition(" ")[0]: record for record in records}
+
+
+def _noted(path: Path) -> list[str]:
+    return sorted(path.read_text().split()) if path.exists() else []
+
+
+@pytest.fixture(scope="module")
+def asked(cli, tmp_path_factory):
+    """One campaign with every kind of answer, and a good cell beside them: (out, notes, what the command said)."""
+    out = tmp_path_factory.mktemp("asked")
+    notes = out / "noted.txt"
+    chosen = "only_good or (asked and not hang)"
+    return out, notes, cli("all", *FAKES, "--out", str(out), "-j", "2", "-k", chosen, NOTED=str(notes))
+
+
+@pytest.mark.parametrize(
+    ("says", "outcome", "passed", "words"),
+    [
+        ("yes", "answered", True, "it says yes."),
+        ("no", "answered", False, "it says no."),
+        ("maybe", "answered", False, "it says maybe."),
+        ("refuse", "failed", False, "the examination says why it cannot."),
+        ("raise", "crashed", False, "ValueError: its own mistake"),
+        ("segfault", "crashed", False, r"signal 11 \(SIGSEGV\) during the question segfault"),
+    ],
+)
+def test_each_answer_is_the_right_record(asked, says: str, outcome: str, passed: bool, words: str):
+    record = _records(asked[0])[says]
+    assert (record.outcome, record.passed) == (outcome, passed)
+    assert re.search(words, record.found + record.message)
+    assert record.scene == "three_cart"
+    assert record.wall_seconds > 0
+    if outcome == "answered":
+        assert 0 < record.figures[0].value < 120
+
+
+def test_what_fails_is_told_and_the_rest_is_not_disturbed(asked):
+    out, _, done = asked
+    assert done.returncode == 1
+    failing = [line for line in done.stdout.splitlines() if line.startswith("fails: ")]
+    assert len(failing) == 5
+    assert "fails: question: no of three_cart: failed - it says no." in failing
+    assert "fails: question: refuse of three_cart: failed - the examination says why it cannot." in failing
+    assert re.search(r"\[\d/7\] question: yes of three_cart: passed, .* s, it says yes\.", done.stderr)
+    assert "only_good" in (out / "results.csv").read_text()
+    assert "question" not in (out / "results.csv").read_text()
+    assert not list(out.glob("runs/.partial-*"))
+
+
+def test_what_answered_is_stored_and_what_crashed_is_asked_again(asked, cli):
+    out, notes, _ = asked
+    before = _noted(notes)
+    assert before == ["maybe", "no", "raise", "refuse", "segfault", "yes"]
+    done = cli("all", *FAKES, "--out", str(out), "-k", "only_good or (asked and not hang)", NOTED=str(notes))
+    assert done.returncode == 1
+    assert "5 stored, 2 to run" in done.stderr
+    assert sorted(_noted(notes)) == sorted([*before, "raise", "segfault"])
+
+
+def test_a_hang_ends_at_the_campaigns_time_limit(cli, tmp_path):
+    notes = tmp_path / "noted.txt"
+    done = cli("all", *FAKES, "--out", str(tmp_path), "-k", "hang and asked", "--time-limit", "12", NOTED=str(notes))
+    assert done.returncode == 1
+    record = _records(tmp_path)["hang"]
+    assert record.outcome == "time_limit"
+    assert "time limit of 12 s, during the question hang" in record.message
+    again = cli("all", *FAKES, "--out", str(tmp_path), "-k", "hang and asked", "--time-limit", "11", NOTED=str(notes))
+    assert "1 stored, 0 to run" in again.stderr
+    assert json.loads((tmp_path / "campaign.json").read_text())["violation"] == []
+
+
+def test_selection_by_words_and_scenes_and_quick():
+    settings = Settings(out=Path(), tools="examination_fakes:TOOLS", scenes=("three_cart",), expression="asked")
+    entries, left_out = select(settings)
+    assert [entry.cell.title for entry in entries][:2] == ["question: yes of three_cart", "question: no of three_cart"]
+    assert len(entries) == 7, "the one about no scene is not meant where scenes are named"
+    assert left_out == ()
+    quick, left_out = select(replace(settings, quick=True))
+    assert len(quick) == 6
+    assert left_out == ("question: maybe of three_cart",)
+    everywhere, left_out = select(replace(settings, quick=True, scenes=()))
+    assert [entry.cell.title for entry in everywhere][-1] == "question: yes of nothing"
+    assert re.fullmatch(r"question: \d+ examinations", left_out[0])
+    with pytest.raises(CampaignError, match="-k 'asked' selects no cell"):
+        select(replace(settings, tools="campaign_fakes:TOOLS"))
+
+
+def _examination(**changes) -> Examination:
+    whole = {"kind": "k", "name": "n", "expected": "e", "function": "f:g", "arguments": {"a": 1}, "sources": ("validate/fmu_check/",)}
+    return Examination(**{**whole, **changes})
+
+
+def test_equal_content_has_equal_keys_and_other_content_another():
+    key = examination_key(_examination())
+    assert key == examination_key(_examination(time_limit=3.0, words=("w",), quick=False, scene="s"))
+    others = [
+        _examination(name="m"),
+        _examination(arguments={"a": 2}),
+        _examination(content=scene_text(load_scene("three_cart"))),
+        _examination(sources=("validate/replay/",)),
+        _examination(sources=()),
+        _examination(function="f:h"),
+    ]
+    keys = {key, *(examination_key(other) for other in others)}
+    assert len(keys) == len(others) + 1
+
+
+def test_a_request_survives_its_file():
+    examination = _examination(key="k", time_limit=4.0, methods=("relu_gd",), words=("w",), scene="s")
+    assert Examination.from_json(json.loads(json.dumps(examination.to_json()))) == examination
+
+
+def test_examinations_of_our_own_are_told_apart_by_their_names():
+    scenes = [SceneReference(name, load_scene(name)) for name in ("three_cart", "bouncing_mass")]
+    titles = [item.title for item in DEFAULT.examinations(scenes)]
+    assert len(set(titles)) == len(titles)

@@ -1,0 +1,208 @@
+"""Which cells a campaign has, in order: scenes by pipelines, then examinations; and which of them are stored.
+
+entries, left_out = select(Settings(out=Path("runs/all"), quick=True))
+entries = with_stored(entries, store, settings)
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from formulations.pipeline import cells_of
+from models.catalog import load_scene, scene_names
+from models.errors import TouchstoneError
+from validate.cell import Cell
+from validate.examination import Examination, SceneReference, lost_examination
+from validate.selection import matches
+from validate.store import Store
+from validate.tools import DEFAULT_TOOLS, Tools, load_tools, tools_source
+
+if TYPE_CHECKING:
+    from models.scene import Scene
+    from reports.examination_record import ExaminationRecord
+    from reports.record import ProvenanceRecord, RunRecord
+    from validate.records import Planned
+    from validate.worker import Lost
+
+
+class CampaignError(TouchstoneError):
+    """Nothing selected, or a folder that holds no campaign."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """What the user asked for. scenes: names or paths; empty for all of the catalog."""
+
+    out: Path
+    scenes: tuple[str, ...] = ()
+    quick: bool = False
+    expression: str = ""
+    jobs: int = 1
+    fresh: bool = False
+    time_limit: float = 120.0
+    tools: str = DEFAULT_TOOLS
+    command: str = ""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A cell of a scene by a pipeline with what the parent knows of it: its scene, its stages, and its stored record if that can be used."""
+
+    cell: Cell
+    scene: Scene
+    plan: tuple[Planned, ...]
+    stored: RunRecord | ExaminationRecord | None = None
+
+    def lost(self, provenance: ProvenanceRecord) -> Callable[[Lost], RunRecord]:
+        """Makes the record of a child that left none."""
+        from validate.records import lost_run
+        from validate.scene_record import scene_record
+
+        return lambda lost: lost_run(self.cell, scene_record(self.scene), self.plan, provenance, lost)
+
+
+@dataclass(frozen=True)
+class Examined:
+    """An examination, and its stored record if that can be used."""
+
+    cell: Examination
+    stored: RunRecord | ExaminationRecord | None = None
+
+    def lost(self, provenance: ProvenanceRecord) -> Callable[[Lost], ExaminationRecord]:
+        """Makes the record of a child that left none."""
+        return partial(lost_examination, self.cell, provenance)
+
+
+def select(settings: Settings) -> tuple[list[Entry | Examined], tuple[str, ...]]:
+    """The cells asked for, in order, and what a quick campaign leaves out, in words. Raises TouchstoneError."""
+    tools = load_tools(settings.tools)
+    scenes = _scenes(settings)
+    entries: list[Entry | Examined] = []
+    seen: list[str] = []
+    left_out: list[tuple[str, str]] = []
+    for reference in scenes:
+        scene = reference.scene
+        for pipeline in tools.pipelines_for(scene):
+            methods = dict.fromkeys(leg.method for leg in pipeline.legs)
+            seen += [scene.name, pipeline.name, *methods]
+            if not settings.expression or matches(settings.expression, (scene.name, pipeline.name, *methods)):
+                if settings.quick and pipeline.name not in tools.quick_names():
+                    left_out.append((scene.name, pipeline.name))
+                else:
+                    for part in cells_of(pipeline):
+                        cell = Cell(
+                            key="",
+                            scene=reference.where,
+                            scene_name=scene.name,
+                            pipeline=part,
+                            tools=settings.tools,
+                            time_limit=settings.time_limit,
+                        )
+                        entries.append(_entry(cell, scene, tools))
+    told = _in_words(left_out, len(scenes))
+    examined, unexamined = _examined(settings, tools, scenes, seen)
+    told += unexamined
+    if not entries and not examined:
+        raise _nothing(settings, seen, told)
+    return [*entries, *examined], told
+
+
+def _scenes(settings: Settings) -> list[SceneReference]:
+    from validate.score import check_limits
+
+    scenes: list[SceneReference] = []
+    for reference in dict.fromkeys(settings.scenes or scene_names()):
+        scene = load_scene(reference)
+        check_limits(scene)
+        if any(other.scene.name == scene.name and other.scene is not scene for other in scenes):
+            raise CampaignError(f"--scene {reference}: another scene of this campaign is named {scene.name!r} too; rename one of them.")
+        where = str(Path(reference).resolve()) if reference.endswith(".py") else reference
+        scenes.append(SceneReference(where, scene))
+    return scenes
+
+
+def _examined(
+    settings: Settings, tools: Tools, scenes: Sequence[SceneReference], seen: list[str]
+) -> tuple[list[Examined], tuple[str, ...]]:
+    """The examinations asked for, and what of them a quick campaign leaves out; `seen` is told their names.
+
+    Where scenes are named, only examinations of these scenes are meant.
+    """
+    from validate.provenance import examination_key
+
+    examined: list[Examined] = []
+    left_out: list[Examination] = []
+    for item in tools.examinations(scenes):
+        if item.scene is None and settings.scenes:
+            continue
+        seen += [name for name in item.names if name not in seen]
+        if settings.expression and not matches(settings.expression, item.names):
+            continue
+        if settings.quick and not item.quick:
+            left_out.append(item)
+            continue
+        examined.append(Examined(replace(item, key=examination_key(item), time_limit=settings.time_limit)))
+    return examined, _counted(left_out)
+
+
+def _counted(examinations: Sequence[Examination]) -> tuple[str, ...]:
+    """Examinations by kind: the only one by its name, several by their number."""
+    kinds: dict[str, list[str]] = {}
+    for item in examinations:
+        kinds.setdefault(item.kind, []).append(item.name)
+    return tuple(f"{kind}: {names[0] if len(names) == 1 else f'{len(names)} examinations'}" for kind, names in kinds.items())
+
+
+def _in_words(cells: Sequence[tuple[str, str]], scenes: int) -> tuple[str, ...]:
+    """(scene, pipeline) -> `scene x pipeline`; a pipeline of all of several scenes once, as `every scene x pipeline`."""
+    times = Counter(pipeline for _, pipeline in cells)
+    return tuple(dict.fromkeys(f"{'every scene' if times[pipeline] == scenes > 1 else scene} x {pipeline}" for scene, pipeline in cells))
+
+
+def _entry(cell: Cell, scene: Scene, tools: Tools) -> Entry:
+    from validate.provenance import content_key
+    from validate.records import planned_stages
+
+    methods = {leg.method: tools.load_method(leg.method) for leg in cell.pipeline.legs}
+    plan = planned_stages(cell.pipeline, methods)
+    stages = [(planned.name, planned.eps, {name: repr(value) for name, value in planned.options.items()}) for planned in plan]
+    key = content_key(scene, [cell.pipeline.name, cell.pipeline.title, stages], methods, tools_source(cell.tools))
+    return Entry(cell=replace(cell, key=key), scene=scene, plan=plan)
+
+
+def _nothing(settings: Settings, seen: list[str], left_out: tuple[str, ...]) -> CampaignError:
+    if left_out:
+        return CampaignError(
+            f"nothing to run: --quick leaves out all that -k {settings.expression!r} selects ({', '.join(left_out)}); drop --quick."
+        )
+    names = list(dict.fromkeys(seen))
+    close = difflib.get_close_matches(settings.expression, names, n=1)
+    hint = f"did you mean {close[0]}?" if close else f"the names are {', '.join(names)}."
+    return CampaignError(f"nothing to run: -k {settings.expression!r} selects no cell; {hint}")
+
+
+def with_stored(entries: Sequence[Entry | Examined], store: Store, settings: Settings) -> list[Entry | Examined]:
+    """The same cells, each with its stored record where that can be used again."""
+    if settings.fresh:
+        return list(entries)
+    return [replace(entry, stored=_usable(store, entry.cell)) for entry in entries]
+
+
+def _usable(store: Store, cell: Cell | Examination) -> RunRecord | ExaminationRecord | None:
+    record = store.read(cell.key)
+    if record is None:
+        return None
+    outcomes = {record.outcome, *(stage.outcome for stage in getattr(record, "stages", ()))}
+    if "crashed" in outcomes:
+        return None
+    if "time_limit" in outcomes:
+        before = json.loads(store.request_text(cell.key)).get("cell", {}).get("time_limit", 0.0)
+        return record if before >= cell.time_limit else None
+    return record
