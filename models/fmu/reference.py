@@ -76,8 +76,9 @@ class Equations:
         closed = self.closed(x, u)
         slip = self.slip(x)
         limit = self.limit(x, closed)
-        decided = (np.abs(slip) > self._slip_band) | (limit <= 0)
-        choices = [[1 if value >= 0 else -1] if known else [0, 1, -1] for value, known in zip(slip, decided, strict=True)]
+        decided = np.abs(slip) > self._slip_band
+        ways = [[0, 1, -1] if pressed else [1, -1] for pressed in limit > 0]  # what nothing presses does not stick
+        choices = [[1 if value >= 0 else -1] if known else way for value, known, way in zip(slip, decided, ways, strict=True)]
         for slips in product(*choices):
             modes = Modes(closed, np.array(slips, dtype=int))
             acceleration, force = self.motion(x, u, modes)

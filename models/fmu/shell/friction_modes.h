@@ -79,8 +79,13 @@ static inline int decide_friction(const Model *m, const double *q, const double 
     }
     friction_balance(0, 0.0, &rates, undecided, f);
     for (int j = 0; j < NF; j++) {
-        int mode = s[j] > 0.0 ? 1 : s[j] < 0.0 ? -1 : modes[j] ? modes[j] : 1; /* nothing presses: any way will do */
+        int mode = s[j] > 0.0 ? 1 : -1;
         if (undecided[j]) mode = fabs(f[j]) < rates.limit[j] ? 0 : f[j] > 0.0 ? -1 : 1;
+        else if (fabs(s[j]) <= SLIP_BAND * scene_friction_nominals[j]) {
+            /* Nothing presses: it slips the way it is about to, so that a slip that only passes zero is one event. */
+            const double rate = slip_at_end(&rates, f, j);
+            mode = rate > 0.0 ? 1 : rate < 0.0 ? -1 : modes[j] ? modes[j] : 1;
+        }
         changes += mode != modes[j];
         modes[j] = mode;
     }

@@ -183,3 +183,41 @@ def test_sources_hold_friction_only_where_the_scene_has_it(tmp_path: Path) -> No
         assert not {"sources/friction.h", "sources/friction_modes.h"} & set(archive.namelist())
     with zipfile.ZipFile(build_fmu(block())) as archive:
         assert {"sources/friction.h", "sources/friction_modes.h"} <= set(archive.namelist())
+
+
+def flying_block(speed: float) -> Scene:
+    """A block thrown along a soft floor from 0.5 m above it: it lands after 0.316 s."""
+    return block(
+        name="flying_block",
+        coordinates=(Coordinate(symbol=x1, velocity=w1, unit="m"), Coordinate(symbol=z, velocity=wz, unit="m")),
+        parameters=PARAMETERS,
+        kinetic_energy=m * (w1**2 + wz**2) / 2,
+        potential_energy=m * g * z,
+        forces=(push, sp.Integer(0)),
+        contacts=(Contact(name="floor", penetration=-z, stiffness=k),),
+        frictions=(Friction(name="floor", slip=w1, coefficient=mu, contact="floor"),),
+        task=Task(start=(0.0, 0.5, speed, 0.0), goal=(0.0,) * 4, running_cost=push**2, step=0.01, steps=30),
+    )
+
+
+@pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
+def test_a_slip_that_passes_zero_in_flight_is_no_sticking(kind: str) -> None:
+    """Pulled back by 2 m/s^2 it turns around after 0.25 s, with nothing that presses it."""
+    scene = flying_block(0.5)
+    held = np.array([(0.0, -4.0), (0.3, -4.0)], dtype=[("time", float), ("push", float)])
+    found = simulate(scene, ["x1", "w1", "friction_floor"], kind=kind, input=held, output_interval=0.3)
+    assert found["x1"][-1] == pytest.approx(0.5 * 0.3 - 0.3**2, abs=1e-12 if kind == "CoSimulation" else 1e-6)
+    assert found["friction_floor"][-1] == 0.0
+    truth = true_motion(Equations(scene), [Piece(0.3, np.array([-4.0]))], np.array([0.3]))
+    assert truth[0, :1] == pytest.approx([0.5 * 0.3 - 0.3**2], abs=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
+def test_a_block_dropped_straight_down_stays_on_its_line(kind: str) -> None:
+    """Neither in flight nor when it lands is there any slip, so friction has nothing to push against."""
+    scene = flying_block(0.0).with_task(steps=100)
+    still = np.array([(0.0, 0.0), (1.0, 0.0)], dtype=[("time", float), ("push", float)])
+    found = simulate(scene, ["x1", "z", "friction_floor"], kind=kind, input=still)
+    assert found["z"].min() < -0.2
+    assert np.abs(found["x1"]).max() < 1e-8
+    assert np.abs(found["friction_floor"]).max() < 1e-6
