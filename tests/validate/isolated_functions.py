@@ -126,3 +126,9 @@ def starts_and_hangs(request, arrays):
 
 def sums(request, arrays):
     return float(np.sum(arrays["x"]))
+
+
+def calls(request, arrays):
+    library, name = request
+    getattr(ctypes.CDLL(library), name)()
+    return "came back"

@@ -14,8 +14,8 @@ from typing import Any
 
 from models.errors import MachineError, TouchstoneError
 from validate.isolation.ending import Ending, ModelFault
-from validate.isolation.guards import die_with_parent, limit_resources
-from validate.isolation.run import ANSWER, GIVEN, REQUEST, TAKEN
+from validate.isolation.guards import adopt_orphans, die_with_parent, limit_resources, mark_refused_memory
+from validate.isolation.run import ANSWER, GIVEN, REFUSED, REQUEST, TAKEN
 
 
 def _call(folder: Path, request: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
@@ -40,6 +40,7 @@ def main(folder: Path, first: int) -> None:
     """Call the function and write the answer. first: the number of the process that may."""
     request = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
     limit_resources(file_bytes=request["file"], memory_bytes=request["memory"], cpu_seconds=2 * request["seconds"])
+    _kept = mark_refused_memory(folder / REFUSED)
     try:
         value, arrays = _call(folder, request)
         _end_copies(first)
@@ -76,6 +77,7 @@ def _end_copies(first: int) -> None:
 if __name__ == "__main__":
     own = os.getpid()
     die_with_parent()
+    adopt_orphans()
     try:
         main(Path(sys.argv[1]), own)
         code = 0

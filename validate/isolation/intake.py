@@ -248,8 +248,10 @@ class _Examination:
         if not _is_two(version) and not _is_three(version):
             yield self._problem("version", f"it says FMI version {version!r}; 2.0 and 3.0 can be run.")
             return
+        only_scheduled = self._kinds.pop("ScheduledExecution", None) is not None
         if not self._kinds:
-            yield self._problem("kind", "it offers neither Model Exchange nor Co-Simulation.")
+            also = ", only Scheduled Execution, which needs a scheduler of its own" if only_scheduled else ""
+            yield self._problem("kind", f"it offers neither Model Exchange nor Co-Simulation{also}.")
             return
         if not any(self._library(name) in self._names for name in self._kinds.values()):
             name = next(iter(self._kinds.values()))

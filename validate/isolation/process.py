@@ -108,6 +108,7 @@ class ChildProcess:
             start_new_session=True,
         )
         self.pid = self._process.pid
+        self._family: dict[int, str] = {}  # number -> when it was started, which tells it from a later process of that number
 
     def has_ended(self) -> bool:
         """Whether the child ended. It is looked at without being waited for: until then its group's number cannot be given to another."""
@@ -141,15 +142,44 @@ class ChildProcess:
                     return 1024 * int(line.split()[1])
         return 0
 
+    def look(self) -> None:
+        """Remember what the child has started by now: a daemon may leave its group and empty its environment, but not the family."""
+        for number in _descendants(self.pid):
+            self._family.setdefault(number, _started(number))
+
     def end(self) -> Ended:
         """End the child and all it started, wherever they went."""
-        strays = len([process for process in reaper.processes_with(self.token) if process != self.pid])
+        self.look()
+        strays = {process for process in reaper.processes_with(self.token) if process != self.pid}
         reaper.end_all(self.token, self.pid)
+        for number, started in self._family.items():
+            if started and _started(number) == started:
+                strays.add(number)
+                with contextlib.suppress(ProcessLookupError, PermissionError):
+                    os.kill(number, signal.SIGKILL)
         if self._process.returncode is not None or not hasattr(os, "wait4"):
-            return Ended(code=self._process.wait(), cpu=0.0, memory=0, strays=strays)
+            return Ended(code=self._process.wait(), cpu=0.0, memory=0, strays=len(strays))
         _, status, usage = os.wait4(self.pid, 0)
         self._process.returncode = os.waitstatus_to_exitcode(status)
-        return Ended(code=self._process.returncode, cpu=usage.ru_utime + usage.ru_stime, memory=_bytes(usage), strays=strays)
+        return Ended(code=self._process.returncode, cpu=usage.ru_utime + usage.ru_stime, memory=_bytes(usage), strays=len(strays))
+
+
+def _descendants(parent: int) -> list[int]:
+    """Linux: the children of a process that lives, and theirs."""
+    found = []
+    with contextlib.suppress(OSError, ValueError):
+        for task in Path(f"/proc/{parent}/task").iterdir():
+            for number in map(int, (task / "children").read_text(encoding="ascii").split()):
+                found += [number, *_descendants(number)]
+    return found
+
+
+def _started(process: int) -> str:
+    """When a living process was started, in the system's ticks; empty if it is gone or a zombie."""
+    with contextlib.suppress(OSError):
+        fields = Path(f"/proc/{process}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
+        return "" if fields[0] in "ZX" else fields[19]
+    return ""
 
 
 def _bytes(usage: Any) -> int:

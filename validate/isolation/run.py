@@ -23,11 +23,13 @@ if TYPE_CHECKING:
     import numpy as np
 
 REQUEST, ANSWER, OUTPUT, TEMPORARY = "request.json", "answer.json", "output.txt", "tmp"
-GIVEN, TAKEN = "given.npz", "answer.npz"
+GIVEN, TAKEN, REFUSED = "given.npz", "answer.npz", "memory-refused"
 # The reaper removes folders of this name, and no others.
 FOLDER_PREFIX = ".partial-isolated-"
 # How often the memory of the child is looked at [s], and from which share of its limit on a crash is put down to it.
 _LOOK, _NEAR = 0.02, 0.8
+# What C++ says last where nobody catches a refused allocation, and how far from the end of the output it is looked for [bytes].
+_BAD_ALLOC, _LAST_WORDS = "std::bad_alloc", 4000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,6 +115,7 @@ def _run(folder: Path, token: str, limits: Limits, what: str) -> Isolated:
     try:
         while not child.wait(min(_LOOK, began + limits.seconds - time.monotonic())):
             peak = max(peak, child.address_space())
+            child.look()
             if time.monotonic() - began > limits.seconds:
                 over_time = True
                 break
@@ -120,7 +123,8 @@ def _run(folder: Path, token: str, limits: Limits, what: str) -> Isolated:
         ended = child.end()
     peak = max(peak, ended.memory)
     answer = _answer(folder)
-    ending, sentence = _classify(answer, ended, over_time, peak, limits, what)
+    refused = (folder / REFUSED).exists() or (ended.code == -signal.SIGABRT and _BAD_ALLOC in _tail(folder / OUTPUT, _LAST_WORDS))
+    ending, sentence = _classify(answer, ended, over_time, peak, limits, what, refused)
     return Isolated(
         ending=ending,
         sentence=sentence,
@@ -144,13 +148,15 @@ def _answer(folder: Path) -> dict[str, Any]:
     return answer if isinstance(answer, dict) and answer.get("ending") in Ending.__members__ else {}
 
 
-def _classify(answer: dict[str, Any], ended: Ended, over_time: bool, peak: int, limits: Limits, what: str) -> tuple[Ending, str]:
+def _classify(
+    answer: dict[str, Any], ended: Ended, over_time: bool, peak: int, limits: Limits, what: str, refused: bool
+) -> tuple[Ending, str]:
     ending = Ending[answer["ending"]] if answer else None
     if ending is Ending.OK:
         return ending, ""
     if ending in (Ending.ERROR, Ending.MACHINE):
         return ending, str(answer["sentence"])
-    if ending is Ending.MEMORY_LIMIT or (not over_time and peak >= _NEAR * limits.memory):
+    if ending is Ending.MEMORY_LIMIT or (not over_time and (refused or peak >= _NEAR * limits.memory)):
         return Ending.MEMORY_LIMIT, f"{what}: {Ending.MEMORY_LIMIT.value} of {limits.memory / 1024**3:.3g} GiB."
     if ending is not None:
         return ending, f"{what}: {ending.value}: {str(answer['sentence']).rstrip('.')}."

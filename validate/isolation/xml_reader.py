@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from xml.parsers import expat
 
-_KINDS = {"ModelExchange": "Model Exchange", "CoSimulation": "Co-Simulation", "ScheduledExecution": "Scheduled Execution"}
+_KINDS = ("ModelExchange", "CoSimulation", "ScheduledExecution")
 
 
 class HasDoctype(Exception):  # noqa: N818 - it ends the reading
