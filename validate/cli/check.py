@@ -84,7 +84,7 @@ def _summary(report: CheckReport) -> str:
     words = [row.status.value for row in report.rows]
     counts = ", ".join(f"{words.count(word)} {word}" for word in _COLOURS)
     about = f" (FMI {report.version}, {' and '.join(report.types)})" if report.types else ""
-    missing = "; its code cannot be run: there is no binary for this machine" if report.unrunnable else ""
+    missing = "; its code cannot be run on this machine" if report.unrunnable else ""
     return one_line(f"{report.path}{about}: {counts}{missing}")
 
 

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from validate.fmu_check.instance import Instance, Misbehaviour, new_instance
+from validate.fmu_check.faults import Misbehaviour
+from validate.fmu_check.instance import Instance, new_instance
 from validate.fmu_check.motion import Crowded, Exchange
 from validate.fmu_check.result import Finding, Scope, check, failed, not_offered, passed
 from validate.fmu_check.subject import HOLD, Subject, Variable

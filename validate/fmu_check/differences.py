@@ -15,6 +15,8 @@ import numpy as np
 _LARGEST, _COUNT = 1e-2, 9
 # Rounding of one evaluation, in units of the last place of its value.
 _ULPS = 16.0
+# Derivatives that an FMU computes by differences itself are this far off, and are none the worse for their users; wrong ones are farther.
+_SHARE = 1e-3
 _EPS = float(np.finfo(float).eps)
 
 
@@ -57,7 +59,7 @@ def column(evaluate: Callable[[np.ndarray], np.ndarray], x: np.ndarray, place: i
 
 def agrees(claimed: np.ndarray, found: Column) -> np.ndarray:
     """(unknowns,) whether a claimed column is within the error of the one found; True where nothing can be said."""
-    allowed = 10.0 * found.error + 1e-6 * np.maximum(np.abs(claimed), np.abs(found.value))
+    allowed = 10.0 * found.error + _SHARE * np.maximum(np.abs(claimed), np.abs(found.value))
     return (np.abs(claimed - found.value) <= allowed) | found.kink | ~np.isfinite(found.error)
 
 

@@ -6,6 +6,7 @@ The answer is a file written last and whole; what the FMU prints, and how the pr
 from __future__ import annotations
 
 import contextlib
+import gc
 import json
 import os
 import select
@@ -56,6 +57,7 @@ def _answer(function: Callable[[], Any], path: Path, own_group: bool) -> None:
     try:
         if own_group:
             os.setpgid(0, 0)
+        gc.freeze()  # what was there before the fork is no garbage of the check, and need not be looked through
         try:
             answer = {"value": function()}
         except MemoryError:

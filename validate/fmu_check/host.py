@@ -6,14 +6,15 @@ run_checks({"path": ..., "folder": ..., "names": [...] or None, "seconds": 60}, 
 from __future__ import annotations
 
 import importlib
+import math
 import time
 from pathlib import Path
 from typing import Any
 
 from validate.fmu_check.archive import library_path
 from validate.fmu_check.catalog import BEHAVIOUR, FIRST, READING, STATIC
+from validate.fmu_check.faults import Ended, Lacking, Misbehaviour
 from validate.fmu_check.forked import in_fork
-from validate.fmu_check.instance import Misbehaviour
 from validate.fmu_check.result import Check, Scope, Status
 from validate.fmu_check.subject import Subject
 
@@ -36,13 +37,13 @@ def run_checks(request: dict[str, Any], _arrays: dict[str, Any]) -> dict[str, An
         reason = f"the description cannot be read ({type(error).__name__}: {next(iter(str(error).splitlines()), '')})."
         for item in (*READING, *BEHAVIOUR):
             table.skip(item, "", reason)
-        return {"version": "", "types": [], "rows": table.rows}
+        return {"version": "", "types": [], "rows": table.rows, "lacking": False}
     subject = Subject(path, folder, description)
     for item in (*READING, *BEHAVIOUR):
         for kind in _TYPES[item.scope]:
             if not kind or kind in subject.types:
                 table.of_description(item, kind, subject)
-    return {"version": description.fmiVersion, "types": list(subject.types), "rows": table.rows}
+    return {"version": description.fmiVersion, "types": list(subject.types), "rows": table.rows, "lacking": table.lacking}
 
 
 class _Table:
@@ -52,6 +53,7 @@ class _Table:
         self.rows: list[dict[str, Any]] = []
         self._names, self._seconds = request["names"], request["seconds"]
         self._broken: set[str] = set()
+        self.lacking = False  # whether a type cannot be run on this machine
 
     def of_description(self, item: Check, kind: str, subject: Subject) -> None:
         """One check of a described FMU, if it can be run."""
@@ -68,8 +70,9 @@ class _Table:
         else:
             pace = self.add(item, kind, (subject, kind) if kind else (subject,))
             if item is FIRST:
-                if self.rows[-1]["status"] == Status.FAILED.name:
+                if self.rows[-1]["status"] != Status.PASSED.name:
                     self._broken.add(kind)
+                self.lacking = self.lacking or self.rows[-1]["status"] == Status.NOT_OFFERED.name
                 subject.pace[kind] = pace or 0.0
 
     def add(self, item: Check, kind: str, arguments: tuple[Any, ...]) -> float | None:
@@ -78,6 +81,15 @@ class _Table:
             return None
         began = time.monotonic()
         answer = in_fork(lambda: _call(item, arguments), self._seconds, own_group=True)
+        while not answer.problem and answer.value["ended"] is not None:
+            if not _shorten(arguments[0], kind, answer.value["ended"]):
+                sentence = f"it asks for the end of the simulation at t = {answer.value['ended']:.6g} s, which leaves nothing to check."
+                self._row(item, kind, Status.FAILED if item is FIRST else Status.NOT_OFFERED, sentence, began)
+                return None
+            answer = in_fork(lambda: _call(item, arguments), self._seconds, own_group=True)
+        if answer.problem and item in STATIC:  # none of the FMU's code ran: a large description takes FMPy's validation minutes
+            self._row(item, kind, Status.NOT_OFFERED, f"it was not found out within {self._seconds:g} s: {answer.problem}.", began)
+            return None
         if answer.problem:
             self._row(item, kind, Status.FAILED, f"{answer.problem}.", began)
             return None
@@ -96,19 +108,33 @@ class _Table:
         self.rows.append({**row, "seconds": time.monotonic() - began})
 
 
+def _shorten(subject: Subject, kind: str, end: float) -> bool:
+    """Let runs end before `end` [s]; whether that is earlier than it was, and leaves a step to make."""
+    earlier = False
+    for name in (kind,) if kind else subject.types:
+        if end < subject.ends.get(name, math.inf):
+            subject.ends[name] = end
+            earlier = True
+    return earlier and all(subject.before_end(name, 1) for name in subject.ends)
+
+
 def _call(item: Check, arguments: tuple[Any, ...]) -> dict[str, Any]:
     """In the fork: the finding as JSON. What an FMU refuses is a finding, too."""
     from fmpy.fmi1 import FMICallException
 
     try:
         finding = item(*arguments)
+    except Lacking as lack:
+        return {"status": Status.NOT_OFFERED.name, "sentence": f"{lack}.", "pace": None, "ended": None}
+    except Ended as end:
+        return {"status": "", "sentence": "", "pace": None, "ended": end.time}
     except (Misbehaviour, FMICallException) as fault:
         text = str(fault) if isinstance(fault, Misbehaviour) else f"a call that must be possible is refused ({str(fault).rstrip('.')})"
-        return {"status": Status.FAILED.name, "sentence": f"{text}.", "pace": None}
+        return {"status": Status.FAILED.name, "sentence": f"{text}.", "pace": None, "ended": None}
     except Exception as error:  # noqa: BLE001 - our own mistake must not pass for the FMU's
         import traceback
 
         traceback.print_exc()
         text = f"this check itself broke off ({type(error).__name__}: {error}); please report it with the FMU."
-        return {"status": Status.FAILED.name, "sentence": text, "pace": None}
-    return {"status": finding.status.name, "sentence": finding.sentence, "pace": finding.pace}
+        return {"status": Status.FAILED.name, "sentence": text, "pace": None, "ended": None}
+    return {"status": finding.status.name, "sentence": finding.sentence, "pace": finding.pace, "ended": None}

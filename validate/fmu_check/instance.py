@@ -9,6 +9,7 @@ import contextlib
 import ctypes
 import math
 import os
+import re
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from validate.fmu_check.faults import Ended, Lacking, Misbehaviour
 from validate.fmu_check.subject import Subject, Variable
 
 # Rounds of one event iteration before it is called endless.
@@ -23,17 +25,12 @@ _EVENT_ROUNDS = 100
 _DOUBLES = ctypes.POINTER(ctypes.c_double)
 
 
-class Misbehaviour(Exception):  # noqa: N818 - a finding about the FMU, not an error of ours
-    """The FMU did something that leaves the check nothing to do but to fail, with this sentence."""
-
-
 @dataclass(frozen=True)
 class EventInfo:
-    """What an event update said: whether states changed, when the next time event is (inf: none), whether to end."""
+    """What an event update said: whether states changed, when the next time event is (inf: none)."""
 
     states_changed: bool
     next_time: float
-    terminate: bool
 
 
 class Instance:
@@ -45,6 +42,8 @@ class Instance:
         self.subject, self.kind = subject, kind
         self.said: deque[str] = deque(maxlen=4)
         self.stop: float | None = None
+        self.tolerance: float | None = None  # for the FMU's own integrator; None: what it likes
+        self.time = subject.start_time  # in Model Exchange where it was brought to
         identifier = subject.interface(kind).modelIdentifier
         try:
             with contextlib.chdir(os.getcwd()):  # FMPy goes to the library's folder, and stays there if that fails
@@ -54,6 +53,9 @@ class Instance:
         except AttributeError as error:
             raise Misbehaviour(f"a function of FMI is missing in the binary ({error})") from error
         except Exception as error:  # FMPy raises a bare Exception where a binary is missing or does not load
+            absent = re.search(r"(\S+): cannot open shared object file", str(error))
+            if absent and not list(subject.folder.rglob(absent[1])):
+                raise Lacking(f"its binary needs {absent[1]}, which neither the FMU carries nor this machine has; install it") from error
             raise Misbehaviour(f"the binary cannot be loaded ({error})") from error
         self.make()
 
@@ -86,11 +88,11 @@ class Instance:
         raise NotImplementedError
 
     def do_step(self, time: float, step: float) -> float | None:
-        """One communication step; the time it says it reached, None if it does not say."""
+        """One communication step; the time it says it reached, None if it does not say. Raises Ended if it wants to end."""
         raise NotImplementedError
 
     def last_successful_time(self) -> float | None:
-        """What Co-Simulation tells of the last step beside do_step; None if it does not tell."""
+        """What Co-Simulation tells after a step that was discarded; None if it does not tell."""
         return None
 
     def directional(self, unknowns: Sequence[Variable], knowns: Sequence[Variable], seed: Sequence[float]) -> np.ndarray:
@@ -98,6 +100,12 @@ class Instance:
 
     def adjoint(self, unknowns: Sequence[Variable], knowns: Sequence[Variable], seed: Sequence[float]) -> np.ndarray:
         raise NotImplementedError
+
+    def no_instance(self, what: str) -> Exception:
+        """What to raise where `what` gave no instance."""
+        if self.subject.can(self.kind, "needsExecutionTool"):
+            return Lacking(f"{what}; it needs the tool that made it (needsExecutionTool is true), and what that needs{self.quote()}")
+        return Misbehaviour(f"{what}{self.quote()}")
 
     # Life
 
@@ -133,7 +141,7 @@ class Instance:
     ) -> Instance:
         """Through initialisation, and to Continuous-Time Mode or the first step. before, during: values set before and in it."""
         self.stop = stop
-        start = self.subject.start_time
+        start = self.time = self.subject.start_time
         self.setup(start, stop)
         self.set_all(before or {})
         self.enter_initialisation(start, stop)
@@ -206,15 +214,17 @@ class Instance:
     # Model Exchange
 
     def settle(self) -> EventInfo:
-        """Event updates until the FMU is content, then Continuous-Time Mode. Raises Misbehaviour if that does not end."""
+        """Event updates until the FMU is content, then Continuous-Time Mode. Raises Misbehaviour if that does not end, Ended if the FMU does."""
         changed = False
         for _ in range(_EVENT_ROUNDS):
             again, terminate, _, states_changed, defined, when = self._update()
             changed = changed or bool(states_changed)
-            if not again or terminate:
+            if terminate:
+                raise Ended(self.time)
+            if not again:
                 self.fmu.enterContinuousTimeMode()
                 self.next_event = float(when) if defined else math.inf
-                return EventInfo(changed, self.next_event, bool(terminate))
+                return EventInfo(changed, self.next_event)
         raise Misbehaviour(f"the event iteration did not end after {_EVENT_ROUNDS} rounds")
 
     def event(self) -> EventInfo:
@@ -247,14 +257,21 @@ class Instance:
         return self._array(self.fmu.getEventIndicators, self.indicator_count)
 
     def move(self, time: float, states: np.ndarray) -> None:
-        self.fmu.setTime(time)
+        self.set_time(time)
         if self.state_count:
             array = np.ascontiguousarray(states, dtype=float)
             self.fmu.setContinuousStates(array.ctypes.data_as(_DOUBLES), self.state_count)
 
+    def set_time(self, time: float) -> None:
+        self.time = time
+        self.fmu.setTime(time)
+
     def completed(self) -> bool:
-        """Tell of an accepted integrator step; whether the FMU wants an event."""
-        return bool(self.fmu.completedIntegratorStep()[0])
+        """Tell of an accepted integrator step; whether the FMU wants an event. Raises Ended if it wants to end."""
+        event, ends = self.fmu.completedIntegratorStep()
+        if ends:
+            raise Ended(self.time)
+        return bool(event)
 
     @property
     def wants_steps(self) -> bool:

@@ -13,10 +13,13 @@ from fmpy.fmi2 import (
     defaultCallbacks,
     fmi2CallbackFunctions,
     fmi2CallbackLoggerTYPE,
+    fmi2Discard,
     fmi2LastSuccessfulTime,
+    fmi2Terminated,
 )
 
-from validate.fmu_check.instance import Instance, Misbehaviour
+from validate.fmu_check.faults import Ended
+from validate.fmu_check.instance import Instance
 from validate.fmu_check.subject import Variable
 
 _GROUPS = {"Real": "Real", "Integer": "Integer", "Enumeration": "Integer", "Boolean": "Boolean"}
@@ -47,10 +50,10 @@ class Instance2(Instance):
         except FMICallException:
             raise
         except Exception as error:  # FMPy's bare Exception for a null pointer
-            raise Misbehaviour(f"fmi2Instantiate returned no instance{self.quote()}") from error
+            raise self.no_instance("fmi2Instantiate returned no instance") from error
 
     def setup(self, start: float, stop: float | None) -> None:
-        self.fmu.setupExperiment(startTime=start, stopTime=stop)
+        self.fmu.setupExperiment(tolerance=self.tolerance, startTime=start, stopTime=stop)
 
     def enter_initialisation(self, start: float, stop: float | None) -> None:
         self.fmu.enterInitializationMode()
@@ -69,11 +72,23 @@ class Instance2(Instance):
         return self._array(self.fmu.getDerivatives, self.state_count)
 
     def do_step(self, time: float, step: float) -> float | None:
-        self.fmu.doStep(time, step)
+        try:
+            self.fmu.doStep(time, step)
+        except FMICallException as error:
+            if error.status == fmi2Discard and self._wants_to_end():
+                raise Ended(time + step) from error
+            raise
         return None
 
+    def _wants_to_end(self) -> bool:
+        """fmi2Terminated, which may be asked after a step was discarded."""
+        try:
+            return bool(self.fmu.getBooleanStatus(fmi2Terminated))
+        except FMICallException:
+            return False
+
     def last_successful_time(self) -> float | None:
-        """fmi2LastSuccessfulTime; None if the FMU does not tell it."""
+        """fmi2LastSuccessfulTime, which may be asked after a step was discarded; None if the FMU does not tell it."""
         try:
             return float(self.fmu.getRealStatus(fmi2LastSuccessfulTime))
         except FMICallException:

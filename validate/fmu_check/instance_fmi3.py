@@ -9,7 +9,8 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi3 import FMU3Model, FMU3Slave
 
-from validate.fmu_check.instance import Instance, Misbehaviour
+from validate.fmu_check.faults import Ended
+from validate.fmu_check.instance import Instance
 from validate.fmu_check.subject import Variable
 
 
@@ -33,13 +34,13 @@ class Instance3(Instance):
         except FMICallException:
             raise
         except Exception as error:  # FMPy's bare Exception for a null pointer
-            raise Misbehaviour(f"the FMU returned no instance{self.quote()}") from error
+            raise self.no_instance("the FMU returned no instance") from error
 
     def setup(self, start: float, stop: float | None) -> None:
         """FMI 3.0 is given the times on entering initialisation."""
 
     def enter_initialisation(self, start: float, stop: float | None) -> None:
-        self.fmu.enterInitializationMode(startTime=start, stopTime=stop)
+        self.fmu.enterInitializationMode(tolerance=self.tolerance, startTime=start, stopTime=stop)
 
     def _update(self) -> tuple[bool, bool, bool, bool, bool, float]:
         return self.fmu.updateDiscreteStates()
@@ -63,7 +64,7 @@ class Instance3(Instance):
     def do_step(self, time: float, step: float) -> float | None:
         _, terminate, _, reached = self.fmu.doStep(time, step)
         if terminate:
-            raise Misbehaviour(f"fmi3DoStep asked to end the simulation at t = {time:.6g} s{self.quote()}")
+            raise Ended(time + step)
         return float(reached)
 
     def directional(self, unknowns: Sequence[Variable], knowns: Sequence[Variable], seed: Sequence[float]) -> np.ndarray:

@@ -12,7 +12,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from validate.fmu_check.instance import Instance, Misbehaviour
+from validate.fmu_check.faults import Misbehaviour
+from validate.fmu_check.instance import Instance
 from validate.fmu_check.subject import HOLD
 
 # Relative tolerance of runs that are compared with each other only.
@@ -103,7 +104,7 @@ class Exchange:
         """Begin at `time` with these inputs, by an event if they change or the integrator has not begun."""
         instance = self.instance
         if self.solver is not None or inputs.size:
-            instance.fmu.setTime(time)
+            instance.set_time(time)
             instance.fmu.enterEventMode()
             instance.set(instance.subject.continuous_inputs, inputs)
             instance.settle()

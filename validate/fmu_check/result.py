@@ -81,7 +81,7 @@ class Row:
 
 @dataclass(frozen=True, kw_only=True)
 class CheckReport:
-    """All that was found about one FMU. version: of FMI; types: those it offers; unrunnable: none has a binary for this machine."""
+    """All that was found about one FMU. version: of FMI; types: those it offers; unrunnable: there is no binary for this machine, or it needs what the machine does not have."""
 
     path: str
     version: str

@@ -58,4 +58,10 @@ def _unpacked(path: Path, names: Sequence[str] | None, seconds: float, unrunnabl
             else f"{done.sentence.rstrip('.')}; the checks themselves did not come to an end."
         )
     rows = tuple(Row(**{**row, "status": Status[row["status"]]}) for row in done.value["rows"])
-    return CheckReport(path=str(path), version=done.value["version"], types=tuple(done.value["types"]), rows=rows, unrunnable=unrunnable)
+    return CheckReport(
+        path=str(path),
+        version=done.value["version"],
+        types=tuple(done.value["types"]),
+        rows=rows,
+        unrunnable=unrunnable or done.value["lacking"],
+    )

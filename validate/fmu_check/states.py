@@ -8,14 +8,18 @@ from typing import Any
 import numpy as np
 
 from validate.fmu_check.comparison import compare, restart_limit
-from validate.fmu_check.forked import in_fork
-from validate.fmu_check.instance import Instance, Misbehaviour, new_instance
+from validate.fmu_check.faults import Ended, Misbehaviour
+from validate.fmu_check.forked import Answer, in_fork
+from validate.fmu_check.instance import Instance, new_instance
 from validate.fmu_check.motion import run
 from validate.fmu_check.result import Finding, Scope, check, failed, not_offered, passed
 from validate.fmu_check.subject import Subject
 
 # Where in a run states are saved.
 _SHARES = (0.0, 0.3, 0.7)
+# The error of an integrator that starts afresh: with this tolerance it is at most this share of what it is with the FMU's own, and at different times
+# it varies by such a factor.
+_TIGHT, _SHRUNK, _SAFETY = 1e-8, 0.1, 4.0
 # Seconds for one half of the serialisation check.
 _HALF_SECONDS = 25.0
 # Memory taken before the FMU is loaded a second time, so that nothing lies where it lay: an address in the bytes shows.
@@ -36,7 +40,7 @@ def restores(subject: Subject, kind: str) -> Finding:
         return not_offered(f"canGetAndSetFMU{STATE[subject.major]} is false.")
     steps = subject.steps(kind)
     length = max(2, steps // 4)
-    worst = 0.0
+    worst, limit = 0.0, restart_limit(subject)
     places = sorted({int(share * (steps - length)) for share in _SHARES})
     for place in places:
         with new_instance(subject, kind) as instance:
@@ -56,13 +60,34 @@ def restores(subject: Subject, kind: str) -> Finding:
                     )
                 instance.next_event = next_event
                 apart = compare(subject, reference, run(instance, place, place + length))
-                if apart.share > restart_limit(subject):
+                if apart.share > limit and limit == restart_limit(subject):
+                    limit = max(limit, _restart_error(subject, kind, place, length))
+                if apart.share > limit:
                     where = apart.where(subject, place)
                     return failed(f"continued {turn}from the state saved at t = {subject.time(place):.6g} s, {where}.")
                 worst = max(worst, apart.share)
             instance.forget(saved)
     told = "equal bits" if worst == 0.0 else f"equal to {worst:.1g} of their size (its integrator starts afresh)"
     return passed(f"saved at {len(places)} times, set twice each, continued for {length} steps: {told}.")
+
+
+def _restart_error(subject: Subject, kind: str, first: int, length: int) -> float:
+    """How far a run that goes on from a set state may be from the first one, as a share of a variable's size, because the FMU's integrator starts afresh.
+
+    That error shrinks with the FMU's tolerance; what was forgotten does not. 0 where a tighter tolerance does not help.
+    """
+    shares = []
+    for tolerance in (None, _TIGHT) if kind == "CS" else ():
+        with new_instance(subject, kind, f"tolerance {tolerance}") as instance:
+            instance.tolerance = tolerance
+            begin_varied(instance)
+            if first:
+                run(instance, 0, first)
+            saved = instance.save()
+            reference = run(instance, first, first + length)
+            instance.restore(saved)
+            shares.append(compare(subject, reference, run(instance, first, first + length)).share)
+    return _SAFETY * shares[0] if shares and shares[1] <= _SHRUNK * shares[0] else 0.0
 
 
 def begin_varied(instance: Instance) -> None:
@@ -108,15 +133,17 @@ def serialises(subject: Subject, kind: str) -> Finding:
         return rows
 
     wrote = in_fork(lambda: _caught(first), _HALF_SECONDS)
+    _end_as(wrote)
     if wrote.problem or "problem" in wrote.value:
-        return failed(f"while a state was serialised: {wrote.problem or wrote.value['problem']}.")
+        return failed(f"while a state was serialised: {(wrote.problem or wrote.value['problem']).rstrip('.')}.")
     found = wrote.value["value"]
     read = in_fork(lambda: _caught(lambda: second(bytes.fromhex(found["data"]), found["next"])), _HALF_SECONDS)
+    _end_as(read)
     if read.problem or "problem" in read.value:
-        return failed(f"in a new process: {read.problem or read.value['problem']}.")
+        return failed(f"in a new process: {(read.problem or read.value['problem']).rstrip('.')}.")
     reference, rows = np.array(found["rows"]), np.array(read.value["value"])
     apart = compare(subject, reference, rows)
-    if apart.share > restart_limit(subject):
+    if apart.share > restart_limit(subject) and apart.share > _restart_error(subject, kind, place, length):
         return failed(f"continued in a new process from the serialised state, {apart.where(subject, place)}.")
     if not found["same"]:
         return failed("one state serialised twice gives different bytes.")
@@ -124,11 +151,19 @@ def serialises(subject: Subject, kind: str) -> Finding:
     return passed(f"{len(found['data']) // 2} bytes saved at t = {subject.time(place):.6g} s, continued for {length} steps: {told}.")
 
 
+def _end_as(answer: Answer) -> None:
+    """Raise Ended if the FMU ended the run in the fork."""
+    if not answer.problem and "ended" in answer.value:
+        raise Ended(answer.value["ended"])
+
+
 def _caught(function: Any) -> dict[str, Any]:
-    """What it gives, or what the FMU refused, as JSON."""
+    """What it gives, or what the FMU refused, or when it ended, as JSON."""
     from fmpy.fmi1 import FMICallException
 
     try:
         return {"value": function()}
+    except Ended as end:
+        return {"ended": end.time}
     except (Misbehaviour, FMICallException) as error:
         return {"problem": str(error)}

@@ -67,12 +67,14 @@ class Variable:
 
 @dataclass(eq=False)
 class Subject:
-    """An unpacked FMU. `description` is FMPy's; `pace` the seconds of one step of each type, once known."""
+    """An unpacked FMU. `description` is FMPy's; `pace` the seconds of one step of each type, once known; `ends` the time [s] that a
+    run of each type cannot reach, as the FMU ended it before."""
 
     path: Path
     folder: Path
     description: Any
     pace: dict[str, float] = field(default_factory=dict)
+    ends: dict[str, float] = field(default_factory=dict)
 
     @property
     def major(self) -> int:
@@ -174,7 +176,12 @@ class Subject:
 
     def _affordable(self, kind: str, steps: int) -> int:
         pace = self.pace.get(kind, 0.0)
-        return steps if pace <= 0.0 else int(np.clip(RUN_SECONDS / pace, min(FEWEST_STEPS, steps), steps))
+        return self.before_end(kind, steps if pace <= 0.0 else int(np.clip(RUN_SECONDS / pace, min(FEWEST_STEPS, steps), steps)))
+
+    def before_end(self, kind: str, steps: int) -> int:
+        """So many steps, or as many as the FMU makes before it ends the simulation itself."""
+        left = math.ceil((self.ends.get(kind, math.inf) - self.start_time) / self.step - 1e-9) - 1 if kind in self.ends else steps
+        return max(0, min(steps, left))
 
     def time(self, step: int) -> float:
         return self.start_time + step * self.step

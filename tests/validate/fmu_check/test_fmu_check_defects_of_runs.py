@@ -61,9 +61,17 @@ _DEFECTS = (
     ),
     (
         "the last successful time is a step ahead",
-        "time after a step",
-        "fmi2LastSuccessfulTime says 0.02",
-        (("sources/fmi2_co_simulation.c", "*value = self->model.time;", "*value = self->model.time + 0.01;"),),
+        "stop time is respected",
+        "the last successful time is told as 0.05 s; it is 0.04 s",
+        (
+            ("sources/fmi2_co_simulation.c", "*value = self->model.time;", "*value = self->model.time + 0.01;"),
+            (
+                "sources/fmi2_co_simulation.c",
+                "    int event;\n    return said(do_step(",
+                "    int event;\n    const Model *m = &((Instance *)c)->model;\n"
+                "    if (m->stop_defined && m->time > m->stop_time - 1e-9) return fmi2Discard;\n    return said(do_step(",
+            ),
+        ),
     ),
     (
         "the time variable stands still",
