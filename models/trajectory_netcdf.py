@@ -2,6 +2,8 @@
 
 write_netcdf(path, trajectory, scene)
 trajectory = read_netcdf(path, scene)        # bit for bit what was written
+
+A plan may have tracking gains with it, K (steps, nu, 2*nq) of u = u_plan + K (x_plan - x), as columns `gain_<input>_<position or velocity>`.
 """
 
 from __future__ import annotations
@@ -32,8 +34,17 @@ def _columns(scene: Scene) -> dict[str, list[tuple[str, str, str]]]:
     }
 
 
-def write_netcdf(path: Path, trajectory: Trajectory, scene: Scene) -> None:
-    """Write a plan. Raises TrajectoryError if it does not fit the scene, MachineError if the file cannot be written."""
+def _gain_columns(scene: Scene) -> list[tuple[str, str]]:
+    """(name, unit) of the columns of gains, input by input."""
+    states = [(item.name, item.unit) for item in scene.coordinates] + [
+        (item.velocity_name, item.velocity_unit) for item in scene.coordinates
+    ]
+    return [(f"gain_{item.name}_{name}", f"({item.unit})/({unit})") for item in scene.inputs for name, unit in states]
+
+
+def write_netcdf(path: Path, trajectory: Trajectory, scene: Scene, gains: np.ndarray | None = None) -> None:
+    """Write a plan, and its tracking gains (steps, nu, 2*nq). Raises TrajectoryError if they do not fit the scene, MachineError if the file cannot
+    be written."""
     trajectory.check_fits(scene)
     columns = [Column(name="t", dimension="node", values=trajectory.t, unit="s", description="time")]
     for field, group in _columns(scene).items():
@@ -43,7 +54,27 @@ def write_netcdf(path: Path, trajectory: Trajectory, scene: Scene) -> None:
             Column(name=name, dimension=dimension, values=array[:, index], unit=unit, description=text)
             for index, (name, unit, text) in enumerate(group)
         ]
+    if gains is not None:
+        expected = (trajectory.steps, scene.nu, 2 * scene.nq)
+        if gains.shape != expected:
+            raise TrajectoryError(f"file {path}: the tracking gains have shape {gains.shape}, but {expected} is needed.")
+        flat = gains.reshape(trajectory.steps, -1)
+        columns += [
+            Column(name=name, dimension="step", values=flat[:, index], unit=unit, description="tracking gain")
+            for index, (name, unit) in enumerate(_gain_columns(scene))
+        ]
     write_columns(path, columns, {"content": _CONTENT, "scene": scene.name, "hold": trajectory.hold.value})
+
+
+def read_gains(path: Path, scene: Scene) -> np.ndarray | None:
+    """Tracking gains (steps, nu, 2*nq) of a plan's file; None if it has none. Raises TrajectoryError naming the file and the column."""
+    columns, _ = read_columns(path)
+    names = _gain_columns(scene)
+    if not any(name in columns for name, _ in names):
+        return None
+    steps = max(len(numbers(path, columns, "t", "s")) - 1, 0)
+    stacked = [numbers(path, columns, name, unit, steps) for name, unit in names]
+    return np.column_stack(stacked).reshape(steps, scene.nu, 2 * scene.nq)
 
 
 def read_netcdf(path: Path, scene: Scene) -> Trajectory:

@@ -9,7 +9,7 @@ import pytest
 from validate.replay.error_estimate import estimate
 from validate.replay.result import Difference
 from validate.score import Figure, Verdict, figure_names
-from validate.score.verdict import CONTACT, GRID, compare, explain, verdict_of
+from validate.score.verdict import CONTACT, GRID, TWINS, compare, explain, verdict_of
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,8 @@ def test_truth_table(figures: tuple[Figure, ...], verdict: Verdict):
 
 
 def test_every_group_names_figures_that_exist():
-    assert set(CONTACT) | set(GRID) <= set(figure_names())
+    assert set(CONTACT) | set(GRID) <= {*figure_names(), *TWINS.values()}
+    assert set(TWINS) <= set(figure_names())
     assert not set(CONTACT) & set(GRID)
 
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     epilog="""\b
 Examples:
   python -m validate replay plan.csv --scene three_cart
+  python -m validate replay plan.csv --scene cart_pole_walls --track
   python -m validate replay plan.csv --fmu robot.fmu --map robot.toml --json
 """
 )
@@ -42,6 +43,11 @@ Examples:
 @click.option(
     "--memory-limit", type=click.FloatRange(min=0.5), default=4.0, show_default=True, help="GiB of address space of the FMU's process."
 )
+@click.option(
+    "--track",
+    is_flag=True,
+    help="Replay with tracking feedback too, and show both; without it that is done where an error grows too much for the open loop to judge.",
+)
 @click.option("--json", "as_json", is_flag=True, help="The score as JSON on stdout.")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Write score.json and replay.nc there.")
 def command(
@@ -52,6 +58,7 @@ def command(
     hold: str | None,
     time_limit: float,
     memory_limit: float,
+    track: bool,
     as_json: bool,
     out: Path | None,
 ) -> int:
@@ -70,15 +77,15 @@ def command(
     limits = Limits(seconds=time_limit, memory=int(memory_limit * 1024**3))
     lacks: dict[str, str] = {}
     if fmu is not None:
-        subject, trajectory, replay, lacks = _of_fmu(fmu, plan, map_path, hold, limits)
+        subject, trajectory, replay, lacks = _of_fmu(fmu, plan, map_path, hold, limits, track)
     else:
-        subject, trajectory, replay = _of_scene(str(scene), plan, hold, limits)
+        subject, trajectory, replay = _of_scene(str(scene), plan, hold, limits, track)
     from validate.score import score
 
     result = score(subject, trajectory, replay)
     told = _told(subject, replay, result, lacks)
     if out is not None:
-        _write(out, told, replay, subject)
+        _write(out, told, replay, subject, trajectory)
     if as_json:
         click.echo(json.dumps(told, indent=1))
     else:
@@ -86,7 +93,7 @@ def command(
     return 0 if result.verdict.value == "holds" else 1
 
 
-def _of_scene(scene: str, plan: Path, hold: str | None, limits: Any) -> tuple[Subject, Trajectory, Replay]:
+def _of_scene(scene: str, plan: Path, hold: str | None, limits: Any, track: bool) -> tuple[Subject, Trajectory, Replay]:
     from models.catalog import load_scene
     from models.fmu import build_fmu
     from models.trajectory import Hold, read_csv
@@ -94,11 +101,11 @@ def _of_scene(scene: str, plan: Path, hold: str | None, limits: Any) -> tuple[Su
 
     loaded = load_scene(scene)
     trajectory = read_csv(plan, loaded, Hold.LINEAR if hold == "linear" else Hold.ZERO_ORDER)
-    return loaded, trajectory, replay(loaded, build_fmu(loaded), trajectory, limits=limits)
+    return loaded, trajectory, replay(loaded, build_fmu(loaded), trajectory, limits=limits, track=track or None)
 
 
 def _of_fmu(
-    fmu: Path, plan: Path, map_path: Path | None, hold: str | None, limits: Any
+    fmu: Path, plan: Path, map_path: Path | None, hold: str | None, limits: Any, track: bool
 ) -> tuple[Subject, Trajectory, Replay, dict[str, str]]:
     from models.plan_table import PlanTable
     from validate.replay.equal_names import hint
@@ -115,7 +122,7 @@ def _of_fmu(
     package = read_package(fmu)
     where = f"map {map_path}" if map_path is not None else f"FMU {fmu}"
     foreign, trajectory = wire(package, PlanTable(plan), given, hold, where)
-    return foreign.model, trajectory, replay_foreign(foreign, package, trajectory, limits=limits), dict(foreign.model.lacks)
+    return foreign.model, trajectory, replay_foreign(foreign, package, trajectory, limits=limits, track=track), dict(foreign.model.lacks)
 
 
 def _told(subject: Subject, replay: Replay, result: Score, lacks: dict[str, str]) -> dict[str, Any]:
@@ -124,21 +131,31 @@ def _told(subject: Subject, replay: Replay, result: Score, lacks: dict[str, str]
         "subject": subject.name,
         "verdict": result.verdict.value,
         "why": result.why,
+        "judged": result.judged,
         "figures": [asdict(figure) for figure in result.figures],
-        "replay": {
-            "outcome": replay.outcome.name.lower(),
-            "message": replay.message,
-            "method": replay.method,
-            "events": len(replay.events),
-            "error": asdict(replay.error),
-            "fmu_sha256": replay.fmu,
-            "seconds": {"reference": replay.seconds_reference, "everyday": replay.seconds_everyday},
-        },
+        "growth": None if replay.growth is None else {**asdict(replay.growth), "rate": replay.growth.rate},
+        "replay": _facts(replay),
+        "tracked": None if replay.tracked is None else _facts(replay.tracked),
         "not_shown": lacks,
     }
 
 
-def _write(out: Path, told: dict[str, Any], replay: Replay, subject: Subject) -> None:
+def _facts(replay: Replay) -> dict[str, Any]:
+    return {
+        "outcome": replay.outcome.name.lower(),
+        "message": replay.message,
+        "method": replay.method,
+        "events": len(replay.events),
+        "error": asdict(replay.error),
+        "fmu_sha256": replay.fmu,
+        "seconds": {"reference": replay.seconds_reference, "everyday": replay.seconds_everyday},
+        **({"effort": asdict(replay.effort)} if replay.effort is not None else {}),
+    }
+
+
+def _write(out: Path, told: dict[str, Any], replay: Replay, subject: Subject, plan: Trajectory) -> None:
+    from models.scene import Scene
+    from models.trajectory_netcdf import write_netcdf
     from validate.replay.netcdf import write_replay
     from validate.store import disk_error, write_durably
 
@@ -149,30 +166,43 @@ def _write(out: Path, told: dict[str, Any], replay: Replay, subject: Subject) ->
     write_durably(out / "score.json", json.dumps(told, indent=1))
     if len(replay.t):
         write_replay(out / "replay.nc", replay, subject)
+    if replay.tracked is not None and len(replay.tracked.t):
+        write_replay(out / "tracked.nc", replay.tracked, subject)
+        if isinstance(subject, Scene) and replay.tracked.feedback is not None:
+            write_netcdf(out / "plan.nc", plan, subject, replay.tracked.feedback.gains)
 
 
 def _print(result: Score, replay: Replay, lacks: dict[str, str]) -> None:
-    rows = [
-        [
-            figure.name,
-            short(figure.value, ".4e"),
-            figure.unit,
-            short(figure.limit, ".3g"),
-            _judgement(figure),
-            one_line(figure.meaning if figure.value is not None else f"not measured: {figure.reason}"),
-        ]
-        for figure in result.figures
-    ]
-    click.echo(table(["figure", "value", "unit", "limit", "", "meaning"], rows, ("value", "limit")), color=use_colour())
+    from validate.score.verdict import TWINS
+
+    names, beside = ["value"], {}
+    if replay.tracked is not None:
+        names, beside = ["open loop", "tracked"], {name: result.figure(twin) for name, twin in TWINS.items()}
+    rows = []
+    for figure in result.figures:
+        if figure.name in TWINS.values():
+            continue  # beside its twin
+        twin = beside.get(figure.name)
+        judged = twin if twin is not None and twin.is_judged else figure
+        values = [short(figure.value, ".4e")] + ([short(twin.value, ".4e") if twin else ""] if beside else [])
+        meaning = one_line(judged.meaning if judged.value is not None else f"not measured: {judged.reason}")
+        rows.append([figure.name, *values, figure.unit, short(judged.limit, ".3g"), _judgement(judged), meaning])
+    click.echo(table(["figure", *names, "unit", "limit", "", "meaning"], rows, (*names, "limit")), color=use_colour())
     click.echo()
+    click.echo(one_line(_own_error("The replay", replay)))
+    if replay.tracked is not None:
+        click.echo(one_line(_own_error("The tracked replay", replay.tracked)))
+    for text in lacks.values():
+        click.echo(one_line(f"Not shown: {text}."))
+    click.echo(one_line(f"{result.verdict.value}: {result.why}"), color=use_colour())
+
+
+def _own_error(what: str, replay: Replay) -> str:
     estimate = replay.error.estimate
     ratio = replay.error.step_ratio
     shrinks = "" if ratio is None else f"; half the step shrinks the everyday replay's error {ratio:.3g} times"
     own = "has no estimate" if estimate is None else f"is {estimate.position:.2g} in any position, {estimate.state:.2g} in the state"
-    click.echo(one_line(f"The replay's own error {own} ({replay.method}; {len(replay.events)} events{shrinks}). {replay.message}".rstrip()))
-    for text in lacks.values():
-        click.echo(one_line(f"Not shown: {text}."))
-    click.echo(one_line(f"{result.verdict.value}: {result.why}"), color=use_colour())
+    return f"{what}'s own error {own} ({replay.method}; {len(replay.events)} events{shrinks}). {replay.message}".rstrip()
 
 
 def _judgement(figure: Any) -> str:

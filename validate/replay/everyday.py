@@ -46,7 +46,7 @@ def simulate(package: Package, variables: Variables, start: np.ndarray, inputs: 
             if variables.internal_step is not None:
                 settings.append((variables.internal_step, float(np.diff(inputs.times).min()) / fineness))
             fmu.choose(variables.choices)
-            fmu.initialise(float(inputs.times[0]), settings, inputs_of, inputs.values[0])
+            fmu.initialise(float(inputs.times[0]), settings, inputs_of, inputs.begin(0, None))
             parts = 1 if variables.internal_step is not None else max(1, fineness // _FINENESS_OF_A_CALL)
             slopes = inputs.linear and _takes_slopes(package)
             states = len(variables.q) + len(variables.v)
@@ -82,8 +82,11 @@ def _step_through(
 
     if not record(float(times[0])):
         return
-    for step, value in enumerate(inputs.values):
+    for step in range(len(inputs.values)):
         begin, length = float(times[step]), float(times[step + 1] - times[step])
+        value = inputs.begin(step, run.outputs[-1][:states])
+        if inputs.feedback is not None:
+            run.applied.append(value.copy())
         for part in range(parts):
             if inputs_of.count:
                 at = part if slopes or not inputs.linear else part + 0.5

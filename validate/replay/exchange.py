@@ -114,6 +114,11 @@ class ExchangeModel:
         fmu.states(self._x, self._states)
         return np.concatenate([self._x_view, y[self._states :]])
 
+    def jacobian(self, time: float, x: np.ndarray, unknowns: Sequence[int], knowns: Sequence[int]) -> np.ndarray:
+        """(unknowns, knowns) directional derivatives at (time, x), by value references."""
+        self._move(time, x)
+        return self._fmu.jacobian(unknowns, knowns)
+
     def step_completed(self, time: float, y: np.ndarray) -> bool:
         """Tell the FMU that the integrator accepted a step; whether it wants an event now."""
         self._move(time, y)

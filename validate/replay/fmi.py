@@ -157,6 +157,19 @@ class Instance:
     def nominals(self, into: Any, count: int) -> None:
         self._bind("GetNominalsOfContinuousStates", _P, _S)(into, count)
 
+    def jacobian(self, unknowns: Sequence[int], knowns: Sequence[int]) -> np.ndarray:
+        """(unknowns, knowns), a column a call: the derivative in the direction of each known."""
+        rows, found = References(unknowns), np.empty((len(unknowns), len(knowns)))
+        extra = (_P, _S, _P, _S) if self._three else (_P, _P)
+        call = self._bind("GetDirectionalDerivative", _P, _S, _P, _S, *extra)
+        for column, known in enumerate(knowns):
+            given = References([known])
+            given.values[:] = 1.0
+            memory = (given.memory, 1, rows.memory, rows.count) if self._three else (given.memory, rows.memory)
+            call(rows.array, rows.count, given.array, 1, *memory)
+            found[:, column] = rows.values
+        return found
+
     def enter_event_mode(self) -> None:
         self._bind("EnterEventMode")()
 

@@ -19,12 +19,16 @@ from validate.isolation import Ending, Limits, run_isolated
 from validate.replay.everyday import everyday_refusal, require_some_method
 from validate.replay.everyday import simulate as simulate_everyday
 from validate.replay.exchange import ExchangeModel
+from validate.replay.feedback import Feedback
 from validate.replay.inputs import HeldInputs
 from validate.replay.package import FmuError, Package, read_package, unpacked
 from validate.replay.reference import Run, integrate
 from validate.replay.result import ReplayOutcome
 from validate.replay.wiring import Variables
 
+# Arrays of a run, and what the names of a feedback's arrays begin with on their way to a child.
+_RECORDED = ("t", "outputs", "accumulated", "knots", "applied")
+_FEEDBACK = "feedback_"
 # What an ending of the child means for the replay. The others are mistakes: of the user (a sentence), of the machine, or ours.
 _ENDED = {
     Ending.TIME_LIMIT: ReplayOutcome.TIME_LIMIT,
@@ -58,18 +62,20 @@ class Simulated:
 
 
 def simulate(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """request: path, variables, hold, tolerances, fineness, event_budget; arrays: t (nodes,), u (steps, nu), start (n,). Raises FmuError."""
+    """request: path, variables, hold, tolerances, fineness, event_budget; arrays: t (nodes,), u (steps, nu), start (n,), and with feedback
+    its fields. Raises FmuError."""
     variables = Variables.from_json(request["variables"])
     empty = np.zeros((len(arrays["t"]), 0))
     plan = Trajectory(t=arrays["t"], q=empty, v=empty, u=arrays["u"], lam=empty[1:], hold=Hold(request["hold"]))
-    inputs, start = HeldInputs(plan), arrays["start"]
+    fields = {name.removeprefix(_FEEDBACK): array for name, array in arrays.items() if name.startswith(_FEEDBACK)}
+    inputs, start = HeldInputs(plan, Feedback(**fields) if fields else None), arrays["start"]
     value: dict[str, Any] = {"refusal": None, "runs": []}
     found: dict[str, np.ndarray] = {}
 
     def keep(kind: str, run: Run) -> None:
         number = len(value["runs"])
         value["runs"].append({"kind": kind, "outcome": run.outcome.name, "message": run.message, "events": run.events})
-        for name in ("t", "outputs", "accumulated", "knots"):
+        for name in _RECORDED:
             found[f"{number}_{name}"] = np.array(getattr(run, name))
 
     with unpacked(read_package(Path(request["path"]))) as package:
@@ -94,9 +100,17 @@ def _reference(package: Package, variables: Variables, start: np.ndarray, inputs
 
 
 def run_job(
-    package: Package, variables: Variables, plan: Trajectory, start: np.ndarray, settings: Settings, limits: Limits | None
+    package: Package,
+    variables: Variables,
+    plan: Trajectory,
+    start: np.ndarray,
+    settings: Settings,
+    limits: Limits | None,
+    feedback: Feedback | None = None,
 ) -> Simulated:
     """Simulate here (limits None: this process is a child already, or the FMU is ours), or in a child with limits.
+
+    feedback: in the FMU's units, as the plan's inputs are.
 
     How the FMU ends the child is the outcome of an empty run. Raises FmuError for what is the user's, MachineError for what is the machine's.
     """
@@ -109,6 +123,8 @@ def run_job(
         "event_budget": settings.event_budget,
     }
     given = {"t": plan.t, "u": plan.u, "start": start}
+    if feedback is not None:
+        given |= {_FEEDBACK + name: array for name, array in vars(feedback).items()}
     if limits is None:
         value, arrays = simulate(request, given)
         return _simulated(value, arrays, "")
@@ -137,7 +153,7 @@ def run_job(
 def _simulated(value: Mapping[str, Any], arrays: Mapping[str, np.ndarray], note: str) -> Simulated:
     runs: dict[str, list[Run]] = {"reference": [], "everyday": []}
     for number, item in enumerate(value["runs"]):
-        stored = {name: list(arrays[f"{number}_{name}"]) for name in ("t", "outputs", "accumulated", "knots")}
+        stored = {name: list(arrays[f"{number}_{name}"]) for name in _RECORDED}
         events = [(float(time), int(index), bool(closes)) for time, index, closes in item["events"]]
         run = Run(**stored, events=events, outcome=ReplayOutcome[item["outcome"]], message=item["message"])
         runs[item["kind"]].append(run)

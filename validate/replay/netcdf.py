@@ -2,6 +2,8 @@
 
 write_replay(path, replay, scene)
 replay = read_replay(path, scene)            # bit for bit what was written
+
+A tracked replay is a file of its own, with the inputs it applied; the law that made them, its gains, is stored with the plan (models.trajectory_netcdf).
 """
 
 from __future__ import annotations
@@ -16,6 +18,8 @@ import numpy as np
 from models.errors import TrajectoryError
 from models.netcdf import Column, numbers, read_columns, write_columns
 from models.scene import Scene
+from validate.replay.feedback import Effort
+from validate.replay.growth import Growth
 from validate.replay.result import Difference, Event, Replay, ReplayError, ReplayOutcome
 from validate.replay.subject import Subject
 
@@ -58,6 +62,17 @@ def write_replay(path: Path, replay: Replay, scene: Subject) -> None:
         if getattr(replay, field) is not None:
             columns.append(Column(name=field, dimension="time", values=getattr(replay, field), unit="J", description=text))
     columns.append(Column(name="knots", dimension="node", values=replay.knots, unit="1", description="rows that are nodes of the plan"))
+    if replay.applied is not None and len(replay.applied):
+        columns += [
+            Column(
+                name=f"applied_{item.name}",
+                dimension="step",
+                values=replay.applied[:, index],
+                unit=item.unit,
+                description=f"{item.name} as applied",
+            )
+            for index, item in enumerate(scene.inputs)
+        ]
     facts = {
         "outcome": replay.outcome.name,
         "message": replay.message,
@@ -68,6 +83,8 @@ def write_replay(path: Path, replay: Replay, scene: Subject) -> None:
         "seconds_reference": replay.seconds_reference,
         "seconds_everyday": replay.seconds_everyday,
         "has_impulse": replay.contact_impulse is not None,
+        "growth": None if replay.growth is None else asdict(replay.growth),
+        "effort": None if replay.effort is None else asdict(replay.effort),
     }
     attributes = {"content": _CONTENT, "scene": scene.name, "fmu_sha256": replay.fmu, "facts": json.dumps(facts, allow_nan=False)}
     write_columns(path, columns, attributes)
@@ -114,11 +131,26 @@ def read_replay(path: Path, scene: Scene) -> Replay:
             seconds_reference=float(facts["seconds_reference"]),
             seconds_everyday=float(facts["seconds_everyday"]),
             fmu=str(attributes.get("fmu_sha256", "")),
+            growth=None if facts.get("growth") is None else Growth(**facts["growth"]),
+            effort=None if facts.get("effort") is None else _effort(facts["effort"]),
+            applied=None if facts.get("effort") is None else _applied(path, columns, scene),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise TrajectoryError(
             f"file {path}: its facts are not those of a replay ({type(error).__name__}: {error}); replay the plan again."
         ) from error
+
+
+def _effort(stored: dict[str, Any]) -> Effort:
+    lists = {name: tuple(float(value) for value in stored.pop(name)) for name in ("rms", "peak")}
+    return Effort(**lists, **{name: float(value) for name, value in stored.items()})
+
+
+def _applied(path: Path, columns: dict[str, Column], scene: Scene) -> np.ndarray:
+    names = [f"applied_{item.name}" for item in scene.inputs]
+    if not any(name in columns for name in names):
+        return np.zeros((0, scene.nu))  # it ended before the first step
+    return np.column_stack([numbers(path, columns, name, item.unit) for name, item in zip(names, scene.inputs, strict=True)])
 
 
 def _error(stored: dict[str, Any]) -> ReplayError:

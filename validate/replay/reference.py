@@ -31,13 +31,14 @@ _TSTOP_RETURN, _ROOT_RETURN = 1, 2
 @dataclass(kw_only=True)
 class Run:
     """What one integration recorded: times, outputs of the model and accumulated quantities per point; rows that are nodes;
-    events as (time, indicator, closes)."""
+    events as (time, indicator, closes); with feedback the inputs applied from the start of each step on."""
 
     t: list[float] = field(default_factory=list)
     outputs: list[np.ndarray] = field(default_factory=list)
     accumulated: list[np.ndarray] = field(default_factory=list)
     knots: list[int] = field(default_factory=list)
     events: list[tuple[float, int, bool]] = field(default_factory=list)
+    applied: list[np.ndarray] = field(default_factory=list)
     outcome: ReplayOutcome = ReplayOutcome.OK
     message: str = ""
 
@@ -74,7 +75,7 @@ class _Integration:
 
     def over_all_steps(self, start: np.ndarray) -> None:
         times, values = self.inputs.times, self.inputs.values
-        x = self.model.start(times[0], start, values[0])
+        x = self.model.start(times[0], start, self.inputs.begin(0, None))
         self.bound = DIVERGENCE * np.maximum(self.model.nominal, np.abs(x))
         y = np.concatenate([x, np.zeros(self.model.accumulated)])
         self.record(times[0], y, knot=True)
@@ -83,9 +84,14 @@ class _Integration:
         for step in range(len(values)):
             self.step = step
             begin, end = times[step], times[step + 1]
+            feedback = self.inputs.feedback
+            if step:
+                self.inputs.begin(step, None if feedback is None else self.run.outputs[-1][: feedback.reference.shape[1]])
+            if feedback is not None:
+                self.run.applied.append(values[step].copy())
             if step and self.inputs.breaks[step]:
                 # Inputs that jump are an event of the FMU; a new slope is not, but the integrator must start afresh as well.
-                y = y if self.inputs.linear else self.model.event(begin, y, values[step])
+                y = y if self.inputs.linear and feedback is None else self.model.event(begin, y, values[step])
                 self.solver.init_step(begin, y)
                 stop = times[self.inputs.stop_after(step)]
             for point in range(1, INNER_POINTS + 1):

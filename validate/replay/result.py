@@ -7,6 +7,9 @@ from enum import Enum
 
 import numpy as np
 
+from validate.replay.feedback import Effort, Feedback
+from validate.replay.growth import Growth
+
 
 class ReplayOutcome(Enum):
     """How a replay ended; the value is a sentence."""
@@ -76,6 +79,9 @@ class Replay:
     q, v (n, nq); lam, gap (n, nc) [N, m] with gap = -penetration; friction (n, nf) [N]; kinetic, potential, contact_energy (n,) [J];
     input_work, dissipated_work (n,) [J] and contact_impulse (n, nc) [N s], accumulated from the start - None where the FMU has no
     such output. Every number is finite; a replay that did not get to the end holds what came before (`outcome`, `message`).
+
+    growth: of an error in the open loop (None: not measured). tracked: the replay with feedback around the plan, where there is one; it has feedback
+    (the law, in the plan's units), applied (steps, nu), the inputs at the start of each step that it made, and effort, which an open one has not.
     """
 
     scene: str
@@ -101,6 +107,11 @@ class Replay:
     seconds_reference: float
     seconds_everyday: float
     fmu: str  # SHA-256 of the FMU file
+    growth: Growth | None = None
+    feedback: Feedback | None = None
+    applied: np.ndarray | None = None
+    effort: Effort | None = None
+    tracked: Replay | None = None
 
     def __post_init__(self) -> None:
         for value in vars(self).values():
@@ -112,6 +123,11 @@ class Replay:
     @property
     def ok(self) -> bool:
         return self.outcome is ReplayOutcome.OK
+
+    @property
+    def judged(self) -> Replay:
+        """The tracked replay where there is one and an error grows too much for the open loop to say anything of the plan; else this one."""
+        return self.tracked if self.tracked is not None and self.growth is not None and self.growth.is_large else self
 
     @property
     def end(self) -> np.ndarray:

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from models.codegen.kernel import load_kernel
 from models.scene import Scene
 from models.trajectory import Trajectory
 from validate.isolation import Limits
 from validate.replay.error_estimate import difference, estimate, step_ratio
+from validate.replay.feedback import Feedback, measure_effort
+from validate.replay.growth import measure_growth
 from validate.replay.job import Settings, Simulated, run_job
+from validate.replay.linearise import design_foreign
 from validate.replay.outputs import Outputs
 from validate.replay.package import Package, find_variables, read_package
 from validate.replay.reference import Run
 from validate.replay.result import Event, Replay, ReplayError, ReplayOutcome
 from validate.replay.subject import ForeignModel, Subject
+from validate.replay.tracking import TrackingError, design_feedback
 from validate.replay.wiring import Variables
 
 # Relative tolerances of the reference. On three_cart the looser is 1.4e-9 m from the truth, the tighter 1e-11 m, at 1.1 times the time.
@@ -55,18 +60,43 @@ def replay(
     fineness: tuple[int, ...] = FINENESS,
     event_budget: int = EVENT_BUDGET,
     limits: Limits | None = None,
+    track: bool | None = None,
 ) -> Replay:
     """Apply the plan's inputs from its start to the FMU of the scene, or to anybody's (`names`: scene name -> FMU name).
 
     limits: run the FMU in a child process of its own; None runs it here, which is for our own FMU in a process that is a child already.
-    Raises IntakeError, FmuError or TrajectoryError if FMU, map and plan do not fit the scene; how the simulation went is `Replay.outcome`.
+    track: whether to replay once more with feedback around the plan; None: where an error grows too much in the open loop.
+    Raises IntakeError, FmuError or TrajectoryError if FMU, map and plan do not fit the scene, TrackingError if track is asked for and cannot be;
+    how the simulation went is `Replay.outcome`.
     """
     trajectory.check_fits(scene)
     package = read_package(fmu)
     variables = find_variables(package, scene, names)
     settings = Settings(tolerances=tolerances, fineness=fineness, event_budget=event_budget)
+    kernel = load_kernel(scene)
+    growth = measure_growth(kernel, scene, trajectory)
     simulated = run_job(package, variables, trajectory, trajectory.start, settings, limits)
-    return _assemble(scene, package, variables, simulated, event_budget)
+    opened = replace(_assemble(scene, package, variables, simulated, event_budget), growth=growth)
+    if not (track or (track is None and growth is not None and growth.is_large)):
+        return opened
+    try:
+        feedback = design_feedback(kernel, scene, trajectory)
+    except TrackingError as error:
+        if track:
+            raise
+        return replace(opened, message=f"{opened.message} No tracked replay: {error}".lstrip())
+    simulated = run_job(package, variables, trajectory, trajectory.start, settings, limits, feedback)
+    tracked = _assemble(scene, package, variables, simulated, event_budget)
+    return replace(opened, tracked=_with_feedback(tracked, feedback, trajectory, _applied(simulated, trajectory)))
+
+
+def _applied(simulated: Simulated, plan: Trajectory) -> np.ndarray:
+    """(steps made, nu) inputs of the run that is judged, as the FMU got them."""
+    return np.array((simulated.reference or simulated.everyday)[-1].applied).reshape(-1, plan.u.shape[1])
+
+
+def _with_feedback(tracked: Replay, feedback: Feedback, plan: Trajectory, applied: np.ndarray) -> Replay:
+    return replace(tracked, feedback=feedback, applied=applied, effort=measure_effort(plan.u, applied, plan.t, feedback))
 
 
 def replay_foreign(
@@ -78,8 +108,12 @@ def replay_foreign(
     tolerances: tuple[float, float] = (LOOSE, TIGHT),
     fineness: tuple[int, ...] = FINENESS,
     event_budget: int = EVENT_BUDGET,
+    track: bool = False,
 ) -> Replay:
-    """The same for an FMU without a scene, always in a child process."""
+    """The same for an FMU without a scene, always in a child process; track: with feedback too, by the FMU's own directional derivatives.
+
+    Raises TrackingError if it is asked for and cannot be.
+    """
     trajectory.check_fits(foreign.model)  # type: ignore[arg-type] - it answers what a scene answers
     settings = Settings(tolerances=tolerances, fineness=fineness, event_budget=event_budget)
     driven = Trajectory(
@@ -91,6 +125,24 @@ def replay_foreign(
         hold=trajectory.hold,
     )
     simulated = run_job(package, foreign.variables, driven, foreign.start, settings, limits)
+    opened = _assemble(foreign.model, package, foreign.variables, _in_plan_units(foreign, simulated), event_budget)
+    if not track:
+        return opened
+    feedback, growth = design_foreign(foreign.model, package, foreign.variables, trajectory, _units(foreign), foreign.start, limits)
+    inside = feedback.in_units(*_units(foreign))
+    simulated = run_job(package, foreign.variables, driven, foreign.start, settings, limits, inside)
+    applied = (_applied(simulated, driven) - foreign.input_offset) / foreign.input_scale
+    tracked = _assemble(foreign.model, package, foreign.variables, _in_plan_units(foreign, simulated), event_budget)
+    return replace(opened, growth=growth, tracked=_with_feedback(tracked, feedback, trajectory, applied))
+
+
+def _units(foreign: Foreign) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Scale and offset of the state, and of the inputs."""
+    nx = len(foreign.variables.q) + len(foreign.variables.v)
+    return (foreign.scale[:nx], foreign.offset[:nx]), (foreign.input_scale, foreign.input_offset)
+
+
+def _in_plan_units(foreign: Foreign, simulated: Simulated) -> Simulated:
     first = len(foreign.variables.q) + len(foreign.variables.v)
     impulse_scale = foreign.scale[first : first + len(foreign.variables.lam)]
     for run in (*simulated.reference, *simulated.everyday):
@@ -98,7 +150,7 @@ def replay_foreign(
         run.accumulated = [
             np.concatenate([impulse_scale * row[: len(impulse_scale)], row[len(impulse_scale) :]]) for row in run.accumulated
         ]
-    return _assemble(foreign.model, package, foreign.variables, simulated, event_budget)
+    return simulated
 
 
 def _assemble(subject: Subject, package: Package, variables: Variables, simulated: Simulated, event_budget: int) -> Replay:

@@ -17,15 +17,16 @@ from validate.replay.subject import Subject
 from validate.score.closed_forms import MEASURES
 from validate.score.evidence import Evidence, Unmeasured
 from validate.score.result import Figure, Score, Verdict
-from validate.score.table import TABLE, Entry
-from validate.score.verdict import CONTACT, GRID, compare, explain, verdict_of
+from validate.score.table import TABLE
+from validate.score.tracked import Asked, asked, judged_words
+from validate.score.verdict import CONTACT, EFFORT, GRID, compare, explain, verdict_of
 
 __all__ = ["Figure", "Score", "Verdict", "check_limits", "figure_names", "score"]
 
 
 def figure_names() -> tuple[str, ...]:
-    """Every figure a scene may set a limit on, in the order of the table."""
-    return tuple(entry.name for entry in TABLE)
+    """Every figure a scene may set a limit on, in the order of the table; limits on a replay are for the one that is judged."""
+    return (*(entry.name for entry in TABLE), EFFORT)
 
 
 def check_limits(scene: Subject) -> None:
@@ -53,14 +54,16 @@ def score(scene: Subject, trajectory: Trajectory | None, replay: Replay | None) 
     if replay is not None:
         _check_belongs(scene, trajectory, replay)
     case = Evidence(scene, trajectory, replay)
-    figures = tuple(_figure(entry, case) for entry in TABLE if entry.applies(scene))
+    figures = tuple(_figure(item, case) for item in asked(scene, replay))
     verdict = verdict_of(figures)
     return Score(
         figures=figures,
         verdict=verdict,
-        why=explain(figures, verdict, planned_impulse=float((trajectory.lam[:, : scene.nc] * case.h[:, None]).sum())),
+        why=judged_words(replay)
+        + explain(figures, verdict, planned_impulse=float((trajectory.lam[:, : scene.nc] * case.h[:, None]).sum())),
         contact=verdict_of(figure for figure in figures if figure.name in CONTACT),
         grid=verdict_of(figure for figure in figures if figure.name in GRID),
+        judged="tracked" if replay is not None and replay.judged is not replay else "open",
     )
 
 
@@ -73,8 +76,8 @@ def _check_belongs(scene: Subject, trajectory: Trajectory, replay: Replay) -> No
         )
 
 
-def _figure(entry: Entry, case: Evidence) -> Figure:
-    limit = case.scene.limit(entry.name)
+def _figure(item: Asked, case: Evidence) -> Figure:
+    entry, limit = item.entry, item.limit
     bound = None if limit is None else limit.value
     unit = entry.unit(case.scene)
     try:

@@ -148,6 +148,18 @@ class Evidence:
         return np.concatenate([q[-1], v[-1]])
 
     @property
+    def opened(self) -> Replay:
+        """The replay in the open loop, however it ended."""
+        if self._replay is None:
+            raise Unmeasured("the plan was not replayed.")
+        return self._replay
+
+    @cached_property
+    def tracked(self) -> Evidence:
+        """The same plan beside its tracked replay."""
+        return Evidence(self.scene, self.trajectory, self.opened.tracked)
+
+    @property
     def replay(self) -> Replay:
         """The replay, if it got to the end."""
         if self._replay is None:

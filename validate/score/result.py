@@ -46,6 +46,7 @@ class Score:
 
     contact: verdict on the figures of contact physics alone (the plan's forces, and what its inputs do under the true law on the
     plan's own grid); grid: verdict on the replay in continuous time, where the time step's own error shows too. `why` says which figure decided.
+    judged: the replay that limits are for, "open" (the plan's inputs alone) or "tracked" (with feedback around the plan).
     """
 
     figures: tuple[Figure, ...]
@@ -53,6 +54,7 @@ class Score:
     why: str
     contact: Verdict
     grid: Verdict
+    judged: str = "open"
 
     def figure(self, name: str) -> Figure | None:
         return next((figure for figure in self.figures if figure.name == name), None)

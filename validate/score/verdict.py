@@ -22,11 +22,21 @@ CONTACT = (
     "physics", "physics_scaled", "law_error", "discrete_terminal_error", "discrete_terminal_position_error",
     "friction_violation", "friction_dissipation_error",
 )  # fmt: skip
-# Figures of the replay in continuous time.
-GRID = (
-    "replay_terminal_error", "replay_terminal_position_error", "replay_error", "grid_error", "ghost_impulse", "missed_impulse",
-    "friction_impulse_error", "max_penetration", "answer_error", "energy_residual", "energy_residual_relative",
-)  # fmt: skip
+# Figures of the replay in continuous time, and what they are called where the replay is the tracked one.
+TWINS = {
+    "replay_terminal_error": "tracked_terminal_error",
+    "replay_terminal_position_error": "tracked_terminal_position_error",
+    "replay_error": "tracked_replay_error",
+    "grid_error": "tracked_grid_error",
+    "ghost_impulse": "tracked_ghost_impulse",
+    "missed_impulse": "tracked_missed_impulse",
+    "friction_impulse_error": "tracked_friction_impulse_error",
+    "max_penetration": "tracked_max_penetration",
+    "energy_residual": "tracked_energy_residual",
+    "energy_residual_relative": "tracked_energy_residual_relative",
+}
+EFFORT = "feedback_effort"
+GRID = (*TWINS, "answer_error", *TWINS.values(), EFFORT)
 
 # What each figure says when it is quoted; the first in this order that is above its limit leads the sentence.
 _PHRASES = {
@@ -55,7 +65,9 @@ _PHRASES = {
     "energy_residual": "the replay's energy does not balance by {}",
     "energy_residual_relative": "the replay's energy does not balance by {} of what is turned over",
 }
-_ARRIVAL = frozenset(name for name in _PHRASES if "terminal" in name) | {"replay_error", "law_error"}
+_PHRASES |= {twin: f"with feedback {_PHRASES[name]}" for name, twin in TWINS.items()}
+_PHRASES[EFFORT] = "the feedback takes {} of half the inputs' range (root mean square)"
+_ARRIVAL = frozenset(name for name in _PHRASES if "terminal" in name) | {"replay_error", "tracked_replay_error", "law_error"}
 # A ghost impulse is named as the cause from this share of the planned contact impulse on.
 _GHOST_SHARE = 0.01
 
@@ -105,7 +117,7 @@ def explain(figures: Sequence[Figure], verdict: Verdict, planned_impulse: float)
     closest = max(judged, key=lambda figure: (figure.value or 0.0) / figure.limit if figure.limit else 0.0)
     text = f"every limit is kept; closest to its own: {_quote(closest)}"
     grid = by_name.get("grid_error")
-    if grid is not None and grid.value is not None and closest.name in GRID:
+    if grid is not None and grid.value is not None and (closest.name in TWINS or closest.name == "answer_error"):
         text += f", of which the time step alone may cause {_number(grid.value, grid.unit)}"
     return text + "."
 
@@ -114,11 +126,12 @@ def _cause(figure: Figure, by_name: dict[str, Figure], planned_impulse: float) -
     if figure.name not in _ARRIVAL:
         return ""
     contact_fails = any(by_name[name].ok is False for name in CONTACT if name in by_name)
-    ghost = by_name.get("ghost_impulse")
+    tracked = figure.name in TWINS.values()
+    ghost = by_name.get("tracked_ghost_impulse" if tracked else "ghost_impulse")
     if contact_fails and ghost is not None and ghost.value is not None and ghost.value > _GHOST_SHARE * planned_impulse:
         return f": force from a distance of {_number(ghost.value, ghost.unit)}"
     grid = by_name.get("grid_error")
-    if not contact_fails and figure.name in GRID and grid is not None and grid.value is not None:
+    if not contact_fails and figure.name in TWINS and grid is not None and grid.value is not None:
         return f": contact physics holds, but the time step is {_number(grid.value, grid.unit)} off the continuous motion"
     return ""
 

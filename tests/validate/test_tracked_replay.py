@@ -1,0 +1,213 @@
+"""The tracked replay against closed forms: a linear unstable pendulum whose closed loop is a product of matrices, reference and everyday alike."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from models.catalog import load_scene
+from models.codegen.kernel import load_kernel
+from models.errors import TrajectoryError
+from models.fmu import build_fmu
+from models.scene import Scene
+from models.trajectory import Hold, Trajectory, uniform_grid
+from models.trajectory_netcdf import read_gains, read_netcdf, write_netcdf
+from validate.replay import Replay, replay
+from validate.replay.growth import Growth
+from validate.replay.netcdf import read_replay, write_replay
+from validate.replay.tracking import design_feedback
+from validate.score import Score, Verdict, score
+
+STEPS, H = 50, 0.05
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    """theta'' = 10 theta + u, |u| <= 4, over 2.5 s; the wall is out of reach."""
+    base = load_scene("wall_pendulum")
+    return base.with_parameters(w=1e4).with_task(step=H, steps=STEPS, start=(0.1, 0.0), goal=(0.0, 0.0))
+
+
+@pytest.fixture(scope="module")
+def exact() -> tuple[np.ndarray, np.ndarray]:
+    """A, B of one step with a held input, by the exponential of the matrix."""
+    whole = expm(H * np.array([[0.0, 1.0, 0.0], [10.0, 0.0, 1.0], [0.0, 0.0, 0.0]]))
+    return whole[:2, :2], whole[:2, 2]
+
+
+def made(states: np.ndarray, u: np.ndarray, hold: Hold = Hold.ZERO_ORDER) -> Trajectory:
+    return Trajectory(t=uniform_grid(H, STEPS), q=states[:, :1], v=states[:, 1:], u=u, lam=np.zeros((STEPS, 1)), hold=hold)
+
+
+@pytest.fixture(scope="module")
+def still() -> Trajectory:
+    """Upright and at rest from the second node on, but the pendulum starts 0.1 rad away from there: all the rest is the feedback's."""
+    states = np.zeros((STEPS + 1, 2))
+    states[0] = 0.1, 0.0
+    return made(states, np.zeros((STEPS, 1)))
+
+
+@pytest.fixture(scope="module")
+def caught(scene: Scene, still: Trajectory) -> Replay:
+    return replay(scene, build_fmu(scene), still)
+
+
+def test_the_closed_loop_is_the_product_of_its_matrices(scene: Scene, still: Trajectory, caught: Replay, exact):
+    """x_1 = A x_0, then x_{t+1} = sat(A - B K_t) x_t: the gains of the file, the exact step, nothing else in between."""
+    A, B = exact
+    tracked = caught.tracked
+    assert tracked is not None
+    assert tracked.feedback is not None
+    assert tracked.applied is not None
+    x, states, inputs = np.array([0.1, 0.0]), [np.array([0.1, 0.0])], []
+    for step in range(STEPS):
+        u = np.clip(-tracked.feedback.gains[step, 0] @ x, -4.0, 4.0) if step else 0.0
+        x = A @ x + B * u
+        states.append(x)
+        inputs.append(u)
+    replayed = np.hstack([tracked.q, tracked.v])[tracked.knots]
+    assert np.abs(replayed - states).max() < 1e-10
+    assert np.abs(tracked.applied[:, 0] - inputs).max() < 1e-9
+    assert np.linalg.norm(replayed[-1]) < 0.1 * np.linalg.norm(replayed[0])  # and it is caught
+    # The everyday replay closes the same loop: its own step is all that sets it apart.
+    assert tracked.error.everyday is not None
+    assert tracked.error.everyday.position < 1e-5
+    assert caught.q[-1, 0] == pytest.approx(0.1 * np.cosh(np.sqrt(10.0) * STEPS * H), rel=1e-9)  # alone it falls
+
+
+def test_the_motion_is_linearised_exactly_but_for_the_kernels_small_steps(scene: Scene, still: Trajectory, exact):
+    from validate.replay.growth import flow_derivative
+
+    A, B = exact
+    found = flow_derivative(load_kernel(scene), np.zeros(2), np.zeros((10, 1)), H / 10)
+    assert np.abs(found[0] - A).max() < 0.02
+    assert np.abs(found[1][:, 0] - B).max() < 0.01
+    assert design_feedback(load_kernel(scene), scene, still).gains.shape == (STEPS, 1, 2)
+
+
+def test_saturation_is_kept(scene: Scene, still: Trajectory):
+    weak = replace(scene, inputs=(replace(scene.inputs[0], lower=-1.1, upper=1.05),))
+    tracked = replay(weak, build_fmu(scene), still).tracked
+    assert tracked is not None
+    assert tracked.applied is not None
+    assert tracked.effort is not None
+    assert tracked.applied.min() == -1.1
+    assert tracked.applied.max() <= 1.05
+    assert tracked.effort.saturated > 0.0
+    assert tracked.effort.peak == (1.1,)
+
+
+@pytest.mark.parametrize("hold", Hold)
+def test_an_exact_plan_needs_no_feedback(scene: Scene, hold: Hold):
+    """States of the continuous motion under the plan's inputs: the open loop amplifies rounding alone, the tracked one nothing."""
+    u = 0.3 * np.sin(np.arange(STEPS))[:, None]
+    whole = expm(H * np.array([[0.0, 1.0, 0.0, 0.0], [10.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0, 0.0]]))
+    states = [np.array([0.01, -0.03])]
+    for step in range(STEPS):
+        slope = (u[min(step + 1, STEPS - 1), 0] - u[step, 0]) / H if hold is Hold.LINEAR else 0.0
+        states.append(whole[:2] @ np.array([*states[-1], u[step, 0], slope]))
+    plan = made(np.array(states), u, hold)
+    tracked = replay(scene, build_fmu(scene), plan, track=True).tracked
+    assert tracked is not None
+    assert tracked.effort is not None
+    assert tracked.effort.peak[0] < 1e-7
+    assert np.abs(tracked.q[tracked.knots] - plan.q).max() < 1e-9
+
+
+def test_a_held_correction_stays_within_the_bounds_of_inputs_that_are_lines(scene: Scene):
+    states = np.zeros((STEPS + 1, 2))
+    states[0] = 0.1, 0.0
+    u = np.where(np.arange(STEPS) % 2, 3.9, -3.9)[:, None]
+    plan = made(states, u, Hold.LINEAR)
+    tracked = replay(scene, build_fmu(scene), plan, track=True).tracked
+    assert tracked is not None
+    assert tracked.applied is not None
+    ends = tracked.applied[:-1] + np.diff(u, axis=0)
+    assert max(np.abs(tracked.applied).max(), np.abs(ends).max()) <= 4.0 + 1e-12
+
+
+def test_energy_balances_with_the_inputs_that_were_applied(scene: Scene, still: Trajectory, caught: Replay):
+    assert score(scene, still, caught).value("tracked_energy_residual") == pytest.approx(0.0, abs=1e-10)
+    assert caught.tracked is not None
+    assert caught.tracked.input_work is not None
+    assert abs(caught.tracked.input_work[-1]) > 1e-3
+
+
+def test_twice_is_the_same(scene: Scene, still: Trajectory, caught: Replay):
+    again = replay(scene, build_fmu(scene), still)
+    assert caught.tracked is not None
+    assert again.tracked is not None
+    for one, other in ((caught, again), (caught.tracked, again.tracked)):
+        assert one.q.tobytes() == other.q.tobytes()
+        assert one.v.tobytes() == other.v.tobytes()
+    assert caught.tracked.effort == again.tracked.effort
+
+
+def test_a_child_process_replays_the_same(scene: Scene, still: Trajectory, caught: Replay):
+    from validate.isolation import Limits
+
+    other = replay(scene, build_fmu(scene), still, limits=Limits(seconds=100.0))
+    assert other.tracked is not None
+    assert caught.tracked is not None
+    assert other.tracked.q.tobytes() == caught.tracked.q.tobytes()
+
+
+def test_files_give_back_the_law_and_what_it_did(tmp_path, scene: Scene, still: Trajectory, caught: Replay):
+    tracked = caught.tracked
+    assert tracked is not None
+    assert tracked.feedback is not None
+    write_netcdf(tmp_path / "plan.nc", still, scene, tracked.feedback.gains)
+    write_replay(tmp_path / "tracked.nc", tracked, scene)
+    gains = read_gains(tmp_path / "plan.nc", scene)
+    back = read_replay(tmp_path / "tracked.nc", scene)
+    assert gains is not None
+    assert gains.tobytes() == tracked.feedback.gains.tobytes()
+    assert read_netcdf(tmp_path / "plan.nc", scene).q.tobytes() == still.q.tobytes()
+    assert back.applied is not None
+    assert tracked.applied is not None
+    assert (back.applied.tobytes(), back.effort) == (tracked.applied.tobytes(), tracked.effort)
+    write_netcdf(tmp_path / "bare.nc", still, scene)
+    assert read_gains(tmp_path / "bare.nc", scene) is None
+    with pytest.raises(TrajectoryError, match="gains have shape"):
+        write_netcdf(tmp_path / "plan.nc", still, scene, gains[1:])
+
+
+def _limited(told: Score) -> set[str]:
+    return {figure.name for figure in told.figures if figure.is_judged}
+
+
+def test_limits_on_the_replay_go_with_the_one_that_is_judged(scene: Scene, still: Trajectory, caught: Replay):
+    assert caught.growth is not None
+    assert caught.growth.is_large  # exp(2.5 sqrt(10)) = 2700
+    told = score(scene, still, caught)
+    assert told.judged == "tracked"
+    assert told.why.startswith("judged with tracking feedback, because in the open loop an error may grow")
+    assert {"tracked_replay_error", "feedback_effort"} < _limited(told)
+    assert "replay_error" not in _limited(told)
+    assert {"physics_scaled", "defect"} < _limited(told)  # what needs no replay is judged either way
+    calm = replace(caught, growth=Growth(amplification=20.0, begin=0.0, end=1.0, duration=3.0))
+    told = score(scene, still, calm)
+    assert told.judged == "open"
+    assert told.why.startswith("judged in the open loop (in the open loop an error may grow 20 times")
+    assert "replay_error" in _limited(told)
+    assert not {name for name in _limited(told) if name.startswith(("tracked", "feedback"))}
+
+
+def test_the_open_loop_alone_says_nothing_of_feedback(scene: Scene, still: Trajectory, caught: Replay):
+    told = score(scene, still, replace(caught, tracked=None))
+    assert (told.judged, told.figure("feedback_effort")) == ("open", None)
+    assert not told.why.startswith("judged")
+
+
+def test_a_plan_that_feedback_must_replace_does_not_hold(scene: Scene, still: Trajectory, caught: Replay):
+    """It stands upright by a claim; the feedback does all the work, which is more than correcting."""
+    assert caught.tracked is not None
+    assert caught.tracked.effort is not None
+    heavy = replace(caught.tracked, effort=replace(caught.tracked.effort, rms_share=0.3))
+    told = score(scene, still, replace(caught, tracked=heavy))
+    figure = told.figure("feedback_effort")
+    assert figure is not None
+    assert (figure.ok, figure.limit, told.verdict) == (False, 0.25, Verdict.VIOLATES)

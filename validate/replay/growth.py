@@ -1,0 +1,106 @@
+"""How much an error grows in the open loop: the largest gain of the state-transition product along a plan.
+
+    growth = measure_growth(load_kernel(scene), scene, plan)
+    growth.amplification        # 1500: an error of the state somewhere on the way is 1500 times larger somewhere later
+
+The plan is cut into at most 50 blocks. Phi of a block is the exact derivative of the plan's own time step, with the true contact law, from
+the block's first state on under the plan's inputs; Phi(j, i) is the product of the blocks i .. j - 1. The amplification is the largest 2-norm of
+S^-1 Phi(j, i) S over i < j, with S the scene's nominals: a finite-time Lyapunov growth. Its rate is such that amplification = exp(rate T).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from models.codegen.kernel import Kernel, KernelError
+from models.scene import Scene
+from models.trajectory import Trajectory
+from validate.replay.subject import Subject
+
+# From this amplification on the open loop says nothing of a plan: the steps of a good one are off by about a thousandth of what they move, and a
+# thousand times that is all of it. Stiff contacts reach some hundreds (a small change of place, times the frequency, is a large one of speed).
+AMPLIFIED = 1000.0
+# Blocks in which a plan is cut: growth within one is told by the next product, and fifty keep the cost below that of one replay.
+_BLOCKS = 50
+
+
+@dataclass(frozen=True, kw_only=True)
+class Growth:
+    """amplification: see the module docstring; begin, end [s]: between which it is reached; duration [s]: of the plan."""
+
+    amplification: float
+    begin: float
+    end: float
+    duration: float
+
+    @property
+    def rate(self) -> float:
+        """[1/s] with amplification = exp(rate * duration)."""
+        return math.log(max(self.amplification, 1e-300)) / self.duration
+
+    @property
+    def is_large(self) -> bool:
+        """Whether the open loop can no longer judge a plan, so that the tracked replay does."""
+        return self.amplification > AMPLIFIED
+
+
+def nominals(subject: Subject) -> np.ndarray:
+    """(2*nq,) typical size of each component of the state; a velocity's is that of its position, per second."""
+    sizes = [item.nominal for item in subject.coordinates]
+    return np.array(sizes + sizes)
+
+
+def measure_growth(kernel: Kernel, scene: Scene, plan: Trajectory) -> Growth | None:
+    """The growth along the plan; None where the true law leads out of every bound within a block, or the mass matrix is singular."""
+    h = np.diff(plan.t)
+    uniform = bool(np.allclose(h, scene.task.step, rtol=1e-9, atol=0.0)) or plan.has_uniform_grid()
+    edges = np.unique(np.linspace(0, plan.steps, _BLOCKS + 1).round().astype(int)) if uniform else np.arange(plan.steps + 1)
+    try:
+        blocks = [
+            flow_derivative(kernel, np.concatenate([plan.q[first], plan.v[first]]), plan.u[first:last], float(h[first]))[0]
+            for first, last in pairwise(edges)
+        ]
+    except KernelError:
+        return None
+    return largest_growth(np.array(blocks), plan.t[edges], nominals(scene))
+
+
+def largest_growth(steps: np.ndarray, t: np.ndarray, scale: np.ndarray) -> Growth | None:
+    """Of transition matrices steps (n, nx, nx) from t[i] to t[i + 1] [s], t (n + 1,); scale (nx,). None where they are not finite."""
+    scaled = steps * (scale[None, None, :] / scale[None, :, None])
+    if not np.isfinite(scaled).all():
+        return None
+    best = (0.0, 0, 0)
+    products = np.empty((0, *steps.shape[1:]))
+    with np.errstate(over="ignore", invalid="ignore"):
+        for end, matrix in enumerate(scaled, start=1):
+            # Row i: from edge i to edge `end`.
+            products = np.concatenate([matrix @ products, matrix[None]])
+            if not np.isfinite(products).all():
+                return None
+            gains = np.linalg.norm(products, ord=2, axis=(1, 2))
+            begin = int(gains.argmax())
+            best = max(best, (float(gains[begin]), begin, end))
+    amplification, begin, end = best
+    return Growth(amplification=amplification, begin=float(t[begin]), end=float(t[end]), duration=float(t[-1] - t[0]))
+
+
+def flow_derivative(kernel: Kernel, state: np.ndarray, u: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of the state after len(u) steps of h [s] under the true law, at `state` (2*nq,) and inputs u (n, nu): (2*nq, 2*nq) with respect
+    to the state, (2*nq, nu) with respect to a change of all the inputs by the same. Raises KernelError where it does not stay finite."""
+    rollout = kernel.rollout(state, u, h)
+    if rollout.diverged:
+        raise KernelError(f"scene {kernel.scene.name}: the true contact law leads out of every bound from {state.tolist()}.")
+    nq = kernel.scene.nq
+    by_state, by_input = np.empty((2 * nq, 2 * nq)), np.empty((2 * nq, u.shape[1]))
+    bar = np.zeros((2, len(u) + 1, nq))
+    for row in range(2 * nq):
+        bar[row // nq, -1, row % nq] = 1.0
+        u_bar, by_state[row] = kernel.adjoint(rollout, u, bar[0], bar[1])
+        by_input[row] = u_bar.sum(axis=0)
+        bar[row // nq, -1, row % nq] = 0.0
+    return by_state, by_input
