@@ -213,8 +213,16 @@ class TranscriptionSession(Session):
         )
 
 
+# MUMPS permutes the KKT matrix before it orders it, unless told otherwise; where softplus' tiny slopes stand on the diagonal that destroys the band
+# of time steps: 10 carts at T = 500 take 0.04 instead of 1.1 CPU s an iteration, and 7 instead of 31 of them; three carts take the same.
+_KEEP_THE_BAND = {"mumps_permuting_scaling": 0}
+
+
 class SoftplusSession(TranscriptionSession):
     contact = ContactLaw.SOFTPLUS
+
+    def common_options(self) -> dict[str, Any]:
+        return {**super().common_options(), **_KEEP_THE_BAND}
 
     def sharpest(self, eps: float | None) -> float:
         return sharpness(cast(float, eps))
