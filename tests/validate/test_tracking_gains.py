@@ -38,6 +38,12 @@ def test_gains_that_overflow_are_refused():
         lqr_gains(np.full((400, 1, 1), 1e6), np.zeros((400, 1, 1)), np.ones(1), np.ones(1), np.ones(1))
 
 
+def test_gains_that_rounding_loses_are_refused():
+    """Two inputs that do the same, on an end that weighs 1e40: their own weights are lost beside it, and the equations are singular."""
+    with pytest.raises(TrackingError, match="lost to rounding at step 0"):
+        lqr_gains(np.eye(2)[None], np.ones((1, 2, 2)), np.ones(2), np.ones(2), np.full(2, 1e40))
+
+
 def test_a_scale_is_half_the_bounds_or_the_largest_value():
     u = np.array([[1.0, -3.0, 0.0], [2.0, 1.0, 0.0]])
     assert input_scale(np.array([-4.0, -np.inf, -np.inf]), np.array([6.0, np.inf, 1.0]), u).tolist() == [5.0, 3.0, 1.0]

@@ -71,7 +71,7 @@ def input_scale(lower: np.ndarray, upper: np.ndarray, u: np.ndarray) -> np.ndarr
 
 
 def lqr_gains(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, Q_end: np.ndarray) -> np.ndarray:
-    """K (steps, nu, nx) of the Riccati recursion of the module docstring; Q, Q_end (nx,), R (nu,): diagonals. Raises TrackingError where it overflows."""
+    """K (steps, nu, nx) of the Riccati recursion of the module docstring; Q, Q_end (nx,), R (nu,): diagonals. Raises TrackingError where it overflows or is singular."""
     steps, nx, nu = B.shape
     K = np.empty((steps, nu, nx))
     P = np.diag(Q_end)
@@ -80,7 +80,12 @@ def lqr_gains(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, Q_end:
             BP = B[t].T @ P
             if not np.isfinite(BP).all():
                 raise TrackingError(f"plan: the tracking gains overflow at step {t}; what grows there no input reaches.")
-            K[t] = np.linalg.solve(np.diag(R) + BP @ B[t], BP @ A[t])
+            try:
+                K[t] = np.linalg.solve(np.diag(R) + BP @ B[t], BP @ A[t])
+            except np.linalg.LinAlgError as error:
+                raise TrackingError(
+                    f"plan: the tracking gains are lost to rounding at step {t}; what grows there swamps the inputs' weight."
+                ) from error
             closed = A[t] - B[t] @ K[t]
             # Joseph's form, which keeps P symmetric and positive semidefinite in rounding.
             P = np.diag(Q) + closed.T @ P @ closed + K[t].T @ (R[:, None] * K[t])
