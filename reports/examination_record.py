@@ -7,7 +7,7 @@ runs, examinations = divided(records)
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Discriminator, RootModel, Tag
 
@@ -18,11 +18,42 @@ class _Model(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+class CheckRow(_Model):
+    """One check of an FMU: what it claims of a sound one, and what was found. type: "ME", "CS", or nothing for the file."""
+
+    name: str
+    type: str
+    claim: str
+    status: Literal["passed", "failed", "not offered"]
+    sentence: str
+    seconds: Finite
+
+
+class FmuRecord(_Model):
+    """An FMU that was exported and checked. version: of FMI, as it says itself; types: ME, CS; export_seconds: little if it was kept from before."""
+
+    version: str
+    types: tuple[str, ...]
+    bytes: int
+    sha256: str
+    export_seconds: Finite
+    check_seconds: Finite
+    rows: tuple[CheckRow, ...]
+
+    def count(self, status: str) -> int:
+        return sum(row.status == status for row in self.rows)
+
+    @property
+    def failed(self) -> tuple[CheckRow, ...]:
+        return tuple(row for row in self.rows if row.status == "failed")
+
+
 class ExaminationRecord(_Model):
     """One examination. kind and name together are unique in a campaign; a kind has a page of its own.
 
     outcome: `answered`, or how it ended without an answer (`failed`: it says itself why it could not; `crashed`, `time_limit`); passed: what was
-    found is what was expected, never true without an answer; found, message: one sentence each, what was found and why there is no answer.
+    found is what was expected, never true without an answer; found, message: one sentence each, what was found and why there is no answer;
+    fmu: what kind `FMU` found in detail.
     """
 
     schema_version: int = SCHEMA_VERSION
@@ -36,6 +67,7 @@ class ExaminationRecord(_Model):
     found: str = ""
     message: str = ""
     figures: tuple[FigureRecord, ...] = ()
+    fmu: FmuRecord | None = None
     wall_seconds: Finite
     cpu_seconds: Finite
     provenance: ProvenanceRecord

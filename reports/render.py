@@ -22,6 +22,7 @@ from reports.load import ReportError, load
 from reports.pages import (
     cosimulation,
     errata,
+    fmus,
     front,
     matrix,
     provenance,
@@ -37,7 +38,22 @@ from reports.pages import (
 from reports.pages.section import Report, Section
 
 _HERE = Path(__file__).parent
-_PAGES = (summary, matrix, table1, violation, tightening, front, tolerance, runs, scene, replay_speed, cosimulation, errata, provenance)
+_PAGES = (
+    summary,
+    matrix,
+    table1,
+    violation,
+    tightening,
+    front,
+    tolerance,
+    runs,
+    scene,
+    fmus,
+    replay_speed,
+    cosimulation,
+    errata,
+    provenance,
+)
 
 
 def write_report(folder: Path) -> Path:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from validate.chosen import CampaignError, Entry, Examined, Settings, select, with_stored
 from validate.engine import LocalEngine
-from validate.results import write_results
+from validate.results import write_examinations, write_results
 from validate.store import Store, write_durably
 from validate.sweeps import write_sweeps
 from validate.tools import load_tools
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["CampaignError", "Narrator", "Outcome", "Settings", "run_campaign", "select", "stored_campaign", "with_stored"]
 
 TITLE = "Plans through contact, replayed and scored"
-CAMPAIGN, RESULTS, VIOLATION = "campaign.json", "results.csv", "violation.csv"
+CAMPAIGN, RESULTS, EXAMINATIONS, VIOLATION = "campaign.json", "results.csv", "examinations.csv", "violation.csv"
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Narrator(Protocol):
 
 
 def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
-    """Run what is not stored and write campaign.json, results.csv, violation.csv, starts.csv, front.csv and the report.
+    """Run what is not stored and write campaign.json, results.csv, examinations.csv, violation.csv, starts.csv, front.csv and the report.
 
     Raises TouchstoneError for what the user can mend; KeyboardInterrupt passes through when children are stopped and what finished is written.
     """
@@ -96,6 +96,7 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
         write_durably(settings.out / CAMPAIGN, campaign().model_dump_json(indent=1))
         told = collected(done)
         write_results(settings.out / RESULTS, told)
+        write_examinations(settings.out / EXAMINATIONS, examinations)
         write_violation(settings.out / VIOLATION, violation)
         write_sweeps(settings.out, told)
         return told, examinations

@@ -153,11 +153,11 @@ def _examined(
 
 
 def _counted(examinations: Sequence[Examination]) -> tuple[str, ...]:
-    """Examinations by kind: the only one by its name, several by their number."""
-    kinds: dict[str, list[str]] = {}
+    """Examinations by group: the only one by its name, several by their number."""
+    groups: dict[str, list[str]] = {}
     for item in examinations:
-        kinds.setdefault(item.kind, []).append(item.name)
-    return tuple(f"{kind}: {names[0] if len(names) == 1 else f'{len(names)} examinations'}" for kind, names in kinds.items())
+        groups.setdefault(item.group or item.kind, []).append(item.title)
+    return tuple(titles[0] if len(titles) == 1 else f"{group}: {len(titles)} examinations" for group, titles in groups.items())
 
 
 def _in_words(cells: Sequence[tuple[str, str]], scenes: int) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""results.csv: one row a stage, rebuilt from records at any time, numbers in full (repr), nothing where nothing is known.
+"""results.csv: one row a stage, and examinations.csv: one row an examination; rebuilt from records at any time, numbers in full (repr), nothing where nothing is known.
 
 Rows stand in the order of the campaign's cells; apart from the columns whose names end in `_s` (seconds) the file is the same bytes whenever
 the same cells are run on the same machine.
@@ -8,20 +8,24 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from reports.examination_record import ExaminationRecord
 from reports.record import RunRecord, StageRecord
 from validate.store import write_durably
 
 _FIGURES_FIRST = ("terminal_error", "physics", "physics_scaled", "defect", "discrete_terminal_error", "replay_terminal_error")
 _FIGURES_LAST = ("replay_error", "ghost_impulse", "missed_impulse", "energy_residual")
+# Of the replay with feedback, and which of the two replays the verdict is on.
+_FIGURES_TRACKED = ("tracked_terminal_error", "tracked_replay_error", "feedback_effort")
 COLUMNS = (
     *("scene", "pipeline", "stage", "method", "eps", "outcome", "cost"),
     *_FIGURES_FIRST,
     *_FIGURES_LAST,
     *("verdict", "iterations", "build_s", "solve_s", "stage_s", "total_s", "replay_s"),
+    *("judged", *_FIGURES_TRACKED, "growth_rate"),
 )
 
 
@@ -49,15 +53,39 @@ def _row(record: RunRecord, stage: StageRecord) -> dict[str, Any]:
         "stage_s": stage.seconds.stage if ran else None,
         "total_s": stage.seconds.total if ran else None,
         "replay_s": stage.seconds.replay if ran else None,
+        "judged": stage.replay.judged if stage.replay is not None else None,
+        **{name: figures.get(name) for name in _FIGURES_TRACKED},
+        "growth_rate": stage.replay.growth_rate if stage.replay is not None else None,
     }
+
+
+def examination_rows(records: Iterable[ExaminationRecord]) -> list[dict[str, Any]]:
+    """One dictionary an examination, by column name; message: what was found, or why there is no answer."""
+    return [
+        {
+            "kind": record.kind,
+            "name": record.name,
+            "scene": record.scene,
+            "outcome": record.outcome,
+            "passed": record.passed,
+            "message": record.found or record.message,
+            "wall_s": record.wall_seconds,
+            "cpu_s": record.cpu_seconds,
+        }
+        for record in records
+    ]
 
 
 def results_text(records: Iterable[RunRecord]) -> str:
     """The whole file as text."""
+    return _text(COLUMNS, rows(records))
+
+
+def _text(columns: Sequence[str], content: Iterable[dict[str, Any]]) -> str:
     text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
-    for row in rows(records):
+    for row in content:
         writer.writerow({name: _cell(value) for name, value in row.items()})
     return text.getvalue()
 
@@ -71,3 +99,12 @@ def _cell(value: Any) -> str:
 def write_results(path: Path, records: Iterable[RunRecord]) -> None:
     """Write results.csv. Raises MachineError if the disk refuses."""
     write_durably(path, results_text(records))
+
+
+def write_examinations(path: Path, records: Iterable[ExaminationRecord]) -> None:
+    """Write examinations.csv, or remove it where there are none. Raises MachineError if the disk refuses."""
+    found = examination_rows(records)
+    if found:
+        write_durably(path, _text(list(found[0]), found))
+    else:
+        path.unlink(missing_ok=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from reports.examination_record import ExaminationRecord
 from reports.pages.section import Report, Section
 from reports.record import RunRecord, StageRecord
 from reports.rows import Row
@@ -26,14 +27,16 @@ class Sentence:
 def build(report: Report) -> Section:
     stored = report.stored
     runs = stored.runs
+    whole = not (stored.missing or stored.unreadable)
     return Section(
         "summary",
         "Summary",
         "summary.html",
         {
             "sentences": [
-                *_rule(runs, whole=not (stored.missing or stored.unreadable)),
-                *_direct(runs, whole=not (stored.missing or stored.unreadable)),
+                *_rule(runs, stored.examinations, whole=whole),
+                *_direct(runs, whole=whole),
+                *_examined(stored.examinations),
                 *_indirect(report.rows),
                 *_cheapest(report.rows),
                 *_times(runs),
@@ -67,12 +70,26 @@ def _named(run: RunRecord) -> str:
     return f"{run.pipeline} on {run.scene.name}"
 
 
-def _rule(runs: tuple[RunRecord, ...], *, whole: bool) -> list[Sentence]:
+def _rule(runs: tuple[RunRecord, ...], examinations: tuple[ExaminationRecord, ...], *, whole: bool) -> list[Sentence]:
     """Whether the campaign fails, by its rule, and why."""
-    found = failures(runs)
+    found = failures(runs, examinations)
     if found:
         return [Sentence("violates", "✗", f"The campaign fails: {sentence.rstrip('.')}.") for sentence in found]
-    return [Sentence("holds", "✓", f"The campaign does not fail{'' if whole else ', as far as it is stored'}.")] if runs else []
+    return (
+        [Sentence("holds", "✓", f"The campaign does not fail{'' if whole else ', as far as it is stored'}.")]
+        if runs or examinations
+        else []
+    )
+
+
+def _examined(examinations: tuple[ExaminationRecord, ...]) -> list[Sentence]:
+    """Of each kind of examination, how many passed."""
+    said = []
+    for kind in dict.fromkeys(record.kind for record in examinations):
+        passed = [record.passed for record in examinations if record.kind == kind]
+        style, symbol = ("holds", "✓") if all(passed) else ("violates", "✗")
+        said.append(Sentence(style, symbol, f"{kind}: {sum(passed)} of {count(len(passed), 'examination')} passed."))
+    return said
 
 
 def _direct(runs: tuple[RunRecord, ...], *, whole: bool) -> list[Sentence]:
@@ -168,7 +185,7 @@ def _stored(report: Report) -> list[Sentence]:
                 "The campaign's own record is missing or unreadable: the page shows every run it finds, in the order of their names.",
             )
         )
-    if not stored.runs:
+    if not stored.runs and not stored.examinations:
         said.append(Sentence("noplan", "○", "No run is stored here yet; there is nothing to judge."))
     if stored.missing:
         said.append(

@@ -38,6 +38,7 @@ content: scene, pipeline with all options, our sources, library versions.
 Examples:
   python -m validate all                               everything
   python -m validate all --quick                       three pipelines
+  python -m validate all -k FMU                        only our FMUs, checked
   python -m validate all -k "strict and not relaxed"   some
   python -m validate all --scene my/own_scene.py       a scene of your own
 
@@ -51,7 +52,7 @@ configuration or nothing selected; 3 this machine cannot; 130 interrupted.
 @click.option(
     "--quick",
     is_flag=True,
-    help="Only the pipelines softplus_dc+strict, softplus_gd+relu_gd and free_motion; below the table stands what was left out.",
+    help="Only the pipelines softplus_dc+strict, softplus_gd+relu_gd and free_motion, and FMUs in FMI 2.0; below the table stands what was left out.",
 )
 @click.option("--fresh", is_flag=True, help="Run cells again that are stored.")
 @click.option(
@@ -103,8 +104,8 @@ def command(
     """Run every scene by every pipeline, replay and score each plan, write the report.
 
     Progress goes to stderr; the table of results and the path of the report to stdout. DIR then holds report.html,
-    results.csv (one row a stage), violation.csv, starts.csv (one row a start), front.csv (one row a terminal tolerance),
-    campaign.json and, for each cell, runs/<key>.
+    results.csv (one row a stage), examinations.csv (one row an examination, such as the check of a scene's FMU), violation.csv,
+    starts.csv (one row a start), front.csv (one row a terminal tolerance), campaign.json and, for each cell, runs/<key>.
     """
     from validate.campaign import Settings, run_campaign
     from validate.cli.narrator import narrator
@@ -147,13 +148,17 @@ def _print_table(outcome, settings, resume: str) -> None:
     from validate.cli.table import one_line, results_table
 
     colour = use_colour()
-    click.echo(results_table(outcome.records), color=colour)
-    click.echo()
+    if outcome.records:
+        click.echo(results_table(outcome.records), color=colour)
+        click.echo()
+    for kind in dict.fromkeys(record.kind for record in outcome.examinations):
+        passed = [record.passed for record in outcome.examinations if record.kind == kind]
+        click.echo(f"{kind}: {sum(passed)} of {len(passed)} examinations passed")
     if settings.quick:
         click.echo(f"left out by --quick: {', '.join(outcome.left_out) or 'nothing'}")
     for sentence in outcome.failures:
         click.echo(click.style("fails: ", fg="red") + one_line(sentence), color=colour)
-    if all(record.outcome == "refused" for record in outcome.records):
+    if outcome.records and all(record.outcome == "refused" for record in outcome.records):
         click.echo("nothing was judged: every method refused its scene, for the reasons in the report")
     elif not outcome.failures:
         click.echo("the campaign does not fail: all that must hold holds")
@@ -163,10 +168,11 @@ def _print_table(outcome, settings, resume: str) -> None:
 
 
 def _print_json(outcome, settings) -> None:
-    from validate.results import rows
+    from validate.results import examination_rows, rows
 
     data = {
         "results": rows(outcome.records),
+        "examinations": examination_rows(outcome.examinations),
         "failures": list(outcome.failures),
         "left_out": list(outcome.left_out),
         "report": str(outcome.report),

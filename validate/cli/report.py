@@ -12,16 +12,17 @@ import click
 @click.argument("folder", type=click.Path(path_type=Path), default="runs/all", metavar="[DIR]")
 @click.option("--json", "as_json", is_flag=True, help="The results as JSON on stdout.")
 def command(folder: Path, as_json: bool) -> int:
-    """Rebuild results.csv, violation.csv and report.html of the campaign in DIR (runs/all) from its records; no solver is needed."""
+    """Rebuild results.csv, examinations.csv, violation.csv and report.html of the campaign in DIR (runs/all) from its records; no solver is needed."""
     from reports.examination_record import divided
-    from validate.campaign import RESULTS, VIOLATION, stored_campaign
-    from validate.results import rows, write_results
+    from validate.campaign import EXAMINATIONS, RESULTS, VIOLATION, stored_campaign
+    from validate.results import examination_rows, rows, write_examinations, write_results
     from validate.tools import DEFAULT
     from validate.violation import write_violation
 
     campaign, stored = stored_campaign(folder)
-    records, _ = divided(stored)
+    records, examinations = divided(stored)
     write_results(folder / RESULTS, records)
+    write_examinations(folder / EXAMINATIONS, examinations)
     write_violation(folder / VIOLATION, campaign.violation)
     report = DEFAULT.write_report(folder)
     missing = len(campaign.keys) - len(stored)
@@ -31,7 +32,11 @@ def command(folder: Path, as_json: bool) -> int:
             err=True,
         )
     if as_json:
-        click.echo(json.dumps({"results": rows(records), "report": str(report)}, indent=1, allow_nan=False))
+        click.echo(
+            json.dumps(
+                {"results": rows(records), "examinations": examination_rows(examinations), "report": str(report)}, indent=1, allow_nan=False
+            )
+        )
     else:
         click.echo(f"report:  {report}")
         click.echo(f"results: {folder / RESULTS}")

@@ -1,0 +1,102 @@
+"""The page of FMUs, from records: sound ones, failing ones, and examinations that ended without an answer."""
+
+from __future__ import annotations
+
+import html
+import re
+from pathlib import Path
+
+from reports.examination_record import CheckRow, ExaminationRecord, FmuRecord, StoredRecord
+from reports.load import load
+from reports.render import write_report
+from reports.rule import failures
+
+
+def _words(folder: Path) -> str:
+    return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", write_report(folder).read_text(encoding="utf-8"))).split())
+
+
+def _fmu(factory, scene: str, version: str, statuses: tuple[str, ...], **changes: object) -> ExaminationRecord:
+    rows = tuple(
+        CheckRow(name=f"check {place}", type="ME", claim=f"claim <{place}>", status=status, sentence=f"found {place}.", seconds=0.25)
+        for place, status in enumerate(statuses)
+    )
+    fmu = FmuRecord(version=version, types=("ME", "CS"), bytes=79867, sha256="ab" * 32, export_seconds=2.5, check_seconds=4.25, rows=rows)
+    values = {
+        "key": f"{scene}-{version}-0123456789",
+        "kind": "FMU",
+        "name": f"{scene}, FMI {version}",
+        "expected": "it passes every check of what it offers.",
+        "scene": scene,
+        "outcome": "answered",
+        "passed": "failed" not in statuses,
+        "found": "counts.",
+        "fmu": fmu,
+        "wall_seconds": 7.0,
+        "cpu_seconds": 6.0,
+        "provenance": factory.provenance(),
+    }
+    return ExaminationRecord.model_validate(values | changes)
+
+
+def _campaign(factory, folder: Path, examinations: list[ExaminationRecord]) -> Path:
+    return factory.store(folder, [*factory.runs(), *examinations])
+
+
+def test_each_fmu_has_a_row_and_all_of_its_checks(factory, tmp_path):
+    sound = _fmu(factory, "three_cart", "2.0", ("passed", "passed", "not offered"))
+    other = _fmu(factory, "three_cart", "3.0", ("passed", "passed", "passed"))
+    words = _words(_campaign(factory, tmp_path, [sound, other]))
+    assert "2 FMUs of 1 scene in FMI 2.0 and 3.0: every one passes. Checks: 5 passed, 0 failed, 1 not offered; 12 CPU seconds." in words
+    assert "three_cart 2.0 ME, CS 2 0 1 79.9 2.50 4.25 ✓ passed none" in words
+    assert "Claim <2>. Found 2." in words
+    assert "FMU: 2 of 2 examinations passed." in words
+    assert "The campaign does not fail" in words
+
+
+def test_a_failed_check_fails_the_campaign_and_is_named(factory, tmp_path):
+    bad = _fmu(factory, "three_cart", "2.0", ("passed", "failed", "failed"), found="check 1 (ME): found 1; check 2 (ME): found 2.")
+    words = _words(_campaign(factory, tmp_path, [bad]))
+    assert failures(factory.runs(), [bad]) == ("FMU: three_cart, FMI 2.0: failed - check 1 (ME): found 1; check 2 (ME): found 2.",)
+    assert "The campaign fails: FMU: three_cart, FMI 2.0: failed - check 1 (ME): found 1; check 2 (ME): found 2." in words
+    assert "✗ failed check 1 (ME), check 2 (ME)" in words
+    assert "FMU: 0 of 1 examination passed." in words
+    assert "1 FMU of 1 scene in FMI 2.0: 1 of them does not pass." in words
+
+
+def test_an_end_without_an_answer_fails_too(factory, tmp_path):
+    lost = _fmu(
+        factory,
+        "hopper",
+        "3.0",
+        (),
+        outcome="time_limit",
+        passed=False,
+        found="",
+        fmu=None,
+        message="ended at its time limit of 120 s, during the check.",
+        log_tail="last <line>",
+    )
+    words = _words(_campaign(factory, tmp_path, [lost]))
+    assert "hopper 3.0 ✗ failed time limit: ended at its time limit of 120 s, during the check." in words
+    assert "last <line>" in words
+    assert failures([], [lost]) == ("FMU: hopper, FMI 3.0: time limit - ended at its time limit of 120 s, during the check.",)
+
+
+def test_a_folder_with_nothing_but_examinations(factory, tmp_path):
+    sound = _fmu(factory, "three_cart", "2.0", ("passed",))
+    words = _words(factory.store(tmp_path, [sound]))
+    assert "every one passes" in words
+    assert "No run is stored here yet" not in words
+    stored = load(tmp_path)
+    assert (stored.runs, stored.examinations, stored.unreadable) == ((), (sound,), ())
+
+
+def test_no_page_without_examinations(factory, tmp_path):
+    assert 'id="fmus"' not in write_report(factory.store(tmp_path, factory.runs())).read_text(encoding="utf-8")
+
+
+def test_each_record_is_read_as_what_it_is(factory):
+    run, examination = factory.runs()[0], _fmu(factory, "three_cart", "2.0", ("passed",))
+    for record in (run, examination):
+        assert StoredRecord.model_validate_json(record.model_dump_json()).root == record

@@ -1,0 +1,81 @@
+"""Our own FMUs as cells of a campaign: exported, checked, stored, told."""
+
+from __future__ import annotations
+
+import csv
+import json
+import time
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import models.fmu
+from models.catalog import load_scene, scene_names
+from reports.examination_record import StoredRecord
+from validate.campaign import Settings, select
+from validate.examination import Course
+from validate.fmu_examination import VERSIONS, examine
+
+
+def test_every_scene_in_every_version_is_examined_and_quick_says_what_it_leaves_out():
+    chosen = Settings(out=Path(), expression="fmu_check")
+    entries, _ = select(chosen)
+    assert [(entry.cell.scene, entry.cell.arguments["version"]) for entry in entries] == [
+        (scene, version) for version in VERSIONS for scene in scene_names()
+    ]
+    assert len({entry.cell.key for entry in entries}) == len(entries)
+    quick, left_out = select(Settings(out=Path(), expression="fmu_check", quick=True))
+    assert {entry.cell.arguments["version"] for entry in quick} == {"2.0"}
+    assert left_out == (f"FMU, FMI 3.0: {len(scene_names())} examinations",)
+
+
+def test_a_campaign_checks_an_fmu_stores_it_and_tells_of_it(cli, tmp_path):
+    command = ("all", "--scene", "bouncing_mass", "-k", "fmi2", "--out", str(tmp_path))
+    done = cli(*command)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "FMU: 1 of 1 examinations passed" in done.stdout
+    assert "[1/1] FMU: bouncing_mass, FMI 2.0: passed, " in done.stderr
+    (record,) = (StoredRecord.model_validate_json(path.read_bytes()).root for path in tmp_path.glob("runs/*/record.json"))
+    assert record.fmu.count("failed") == 0
+    assert record.fmu.count("passed") > 30
+    assert len({(row.name, row.type) for row in record.fmu.rows}) == len(record.fmu.rows)
+    (row,) = csv.DictReader((tmp_path / "examinations.csv").read_text(encoding="utf-8").splitlines())
+    assert (row["kind"], row["scene"], row["outcome"], row["passed"]) == ("FMU", "bouncing_mass", "answered", "True")
+    assert "bouncing_mass" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    again = cli(*command, "--json")
+    assert "1 stored, 0 to run" in again.stderr
+    assert [item["passed"] for item in json.loads(again.stdout)["examinations"]] == [True]
+
+
+def test_a_failed_check_of_our_own_is_found_and_named(monkeypatch, tmp_path):
+    sound = models.fmu.build_fmu(load_scene("bouncing_mass"), "2.0")
+
+    def defective(scene, version):
+        """A description that gives another stiffness than the binary has."""
+        path = tmp_path / "defective.fmu"
+        with zipfile.ZipFile(sound) as source, zipfile.ZipFile(path, "w") as target:
+            for name in source.namelist():
+                data = source.read(name)
+                if name == "modelDescription.xml":
+                    place = data.index(b'start="', data.index(b'causality="parameter"'))
+                    data = data[: place + 7] + b"1" + data[place + 7 :]
+                target.writestr(name, data)
+        return path
+
+    monkeypatch.setattr(models.fmu, "build_fmu", defective)
+    found = examine({"scene": "bouncing_mass", "version": "2.0"}, Course(tmp_path, time.monotonic() + 100.0))
+    assert not found.passed
+    assert "start values are the XML's (CS)" in found.sentence
+    assert found.details["fmu"].failed
+    assert (tmp_path / "progress.txt").read_text() == "the check"
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_the_key_is_that_of_the_scene_and_its_sources(version):
+    def key(scene: str) -> str:
+        (entry,), _ = select(Settings(out=Path(), scenes=(scene,), expression=f"fmi{version[0]}"))
+        return entry.cell.key
+
+    assert key("bouncing_mass") == key("bouncing_mass")
+    assert key("bouncing_mass") != key("two_body_collision")
