@@ -1,6 +1,6 @@
 """What benchmarks leave for the report: DIR/bench/*.json, one record a file, told apart by `kind`.
 
-BenchRecord.model_validate_json(text).root        a CosimRecord or a ReplaySpeedRecord
+BenchRecord.model_validate_json(text).root        a CosimRecord, a ReplaySpeedRecord ..
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, RootModel
 
 from reports.record import Finite
+from reports.scaling_record import ScalingRecord
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
@@ -81,5 +82,8 @@ class ReplaySpeedRecord(_Model):
     scenes: tuple[SpeedScene, ...]
 
 
-class BenchRecord(RootModel[Annotated[CosimRecord | ReplaySpeedRecord, Field(discriminator="kind")]]):
+AnyBench = CosimRecord | ReplaySpeedRecord | ScalingRecord
+
+
+class BenchRecord(RootModel[Annotated[AnyBench, Field(discriminator="kind")]]):
     """A record of any kind, in `root`."""

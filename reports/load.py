@@ -11,7 +11,7 @@ from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from reports.bench_record import BenchRecord, CosimRecord, ReplaySpeedRecord
+from reports.bench_record import AnyBench, BenchRecord
 from reports.collected import collected
 from reports.examination_record import ExaminationRecord, StoredRecord, divided
 from reports.record import SCHEMA_VERSION, CampaignRecord, RunRecord
@@ -49,7 +49,7 @@ class Stored:
     missing: tuple[str, ...]
     foreign: int
     examinations: tuple[ExaminationRecord, ...] = ()
-    benches: tuple[CosimRecord | ReplaySpeedRecord, ...] = ()
+    benches: tuple[AnyBench, ...] = ()
 
 
 def load(folder: Path) -> Stored:

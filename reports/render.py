@@ -28,6 +28,7 @@ from reports.pages import (
     provenance,
     replay_speed,
     runs,
+    scaling,
     scene,
     summary,
     table1,
@@ -52,6 +53,7 @@ _PAGES = (
     replay_speed,
     cosimulation,
     errata,
+    scaling,
     provenance,
 )
 

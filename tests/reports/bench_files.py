@@ -48,6 +48,22 @@ def speed(name: str = "three_cart") -> dict:
     }
 
 
+def scaling(exponent: float = 1.0) -> dict:
+    """Two stages over three sizes: one whose time is a power of n T, one that is not solved at its largest size."""
+    sizes = ((3, 500), (3, 5000), (10, 5000))
+
+    def stage(name: str, rows: list[dict], time: float | None) -> dict:
+        return {"name": name, "time_exponent": time, "iteration_exponent": time, "memory_exponent": 1.0, "rows": rows}
+
+    def row(n: int, steps: int, cpu: float | None, outcome: str = "solved") -> dict:
+        memory = None if cpu is None else n * steps / 100
+        return {"n": n, "steps": steps, "cpu_s": cpu, "memory_mib": memory, "iterations": 1, "outcome": outcome, "cost": None}
+
+    done = [row(n, steps, 1e-6 * (n * steps) ** exponent) for n, steps in sizes]
+    cut = [*done[:2], row(10, 5000, None, "no answer in 900 s")]
+    return {"kind": "scaling", "stages": [stage("gd_iteration", done, exponent), stage("mpec_step", cut, None)]}
+
+
 def leave(folder: Path, *records: dict) -> None:
     (folder / "bench").mkdir(exist_ok=True)
     for place, record in enumerate(records):

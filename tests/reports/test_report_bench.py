@@ -31,6 +31,7 @@ def test_without_benchmarks_there_are_no_such_pages(full_folder, factory, tmp_pa
     text = render(factory.store(tmp_path / "all", [factory.runs()[0]]))
     assert 'id="cosimulation"' not in text
     assert 'id="replay-speed"' not in text
+    assert 'id="scaling"' not in text
 
 
 def test_what_splitting_costs_is_concluded_from_the_rows(page, benches):
@@ -128,3 +129,11 @@ def test_reading_curves():
     assert at(line, 3e-3) == pytest.approx(9e-6)
     assert at(line, 1.0) is None
     assert at([(1.0, 0.0), (2.0, 1.0)], 1.5) is None
+
+
+def test_growth_is_concluded_from_the_exponents(page, benches):
+    linear, cut = sentences(page(benches.scaling(1.0)))
+    assert linear == "gd iteration: grows in time as (n T) to the 1.00, about linear and memory as (n T) to the 1.00, about linear."
+    assert cut.endswith("Not solved: n = 10, T = 5000 (no answer in 900 s).")
+    steep, _ = sentences(page(benches.scaling(1.4)))
+    assert "time as (n T) to the 1.40, faster than linear" in steep
