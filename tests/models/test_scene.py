@@ -62,6 +62,8 @@ def test_a_sound_scene_is_accepted():
         ({"parameters": (Parameter(symbol=m, value=1.0, unit="kg"), Parameter(symbol=k, value=-1.0, unit="N/m"))}, ["wall", "stiffness"]),
         ({"kinetic_energy": m * vx}, ["kinetic_energy", "quadratic"]),
         ({"contacts": (Contact(name="wall", penetration=sp.sqrt(x), stiffness=k),)}, ["wall", "not differentiable at the start"]),
+        ({"contacts": (Contact(name="wall", penetration=sp.Abs(x) - 1, stiffness=k),)}, ["wall", "Abs", "not differentiable", "sqrt"]),
+        ({"contacts": (Contact(name="wall", penetration=sp.Max(x, 0) - 1, stiffness=k),)}, ["wall", "Max", "a contact of its own"]),
         ({"contacts": (Contact(name="wall", penetration=sp.Integer(1) * m, stiffness=k),)}, ["wall", "no coordinate"]),
         ({"contacts": (Contact(name="a", penetration=x, stiffness=k),) * 2}, ["lam_a", "2 times"]),
         ({"inputs": (Input(symbol=x, unit="N"),)}, ["'x'", "2 times"]),
