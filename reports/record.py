@@ -12,6 +12,8 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from reports.tracked_record import TrackedRecord
+
 SCHEMA_VERSION = 1
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -84,7 +86,7 @@ class FigureRecord(_Model):
 
 
 class ReplayRecord(_Model):
-    """Facts about the replay of one stage: the error estimate [m or rad] and what it is made of, seconds, FMU hash."""
+    """Facts about the replay of one stage: the error estimate [m or rad] and what it is made of, seconds, FMU hash; judged: or the tracked one."""
 
     error_estimate: Finite | None
     tolerance_difference: Finite | None = None  # reference at two tolerances
@@ -95,6 +97,9 @@ class ReplayRecord(_Model):
     seconds_everyday: Finite = 0.0
     fmu: str = ""
     message: str = ""
+    judged: Literal["open", "tracked"] = "open"
+    growth_rate: Finite | None = None  # of an error in the open loop [1/s]
+    tracked: TrackedRecord | None = None
 
 
 class TraceRecord(_Model):
@@ -219,6 +224,7 @@ class StageRecord(_Model):
     replay: ReplayRecord | None = None
     plan_trace: TraceRecord | None = None
     replay_trace: TraceRecord | None = None
+    tracked_trace: TraceRecord | None = None
     paper: dict[str, Finite] = {}  # the paper's numbers for this row: cost, stability, physics, time
 
     def figure(self, name: str) -> FigureRecord | None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, replace
 
+from reports.judged import judged_figure
 from reports.paper import SCENE as PAPER_SCENE
 from reports.paper import TABLE_1, PaperRow
 from reports.record import RunRecord, SceneRecord, StageRecord
@@ -46,7 +47,8 @@ class Row:
         return None if any(time is None for time in times) else sum(time for time in times if time is not None)
 
     def figure(self, name: str) -> float | None:
-        figure = self.stage.figure(name)
+        """Its value; of the replay's end, that of the replay that is judged."""
+        figure = judged_figure(self.stage, name)
         return figure.value if figure is not None else None
 
     @property

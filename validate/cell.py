@@ -3,7 +3,8 @@
     record = run_cell(cell, provenance, folder)        # in a child process of its own: see validate.worker
 
 Each stage starts from the plan of the stage before it (or of the last one that had a plan). Beside the record the folder holds
-`trajectory.nc` and `replay.nc` of the last stage, and `trajectory_<n>.nc` and `replay_<n>.nc` of every other stage n (from 1).
+`trajectory.nc` and `replay.nc` of the last stage, and `trajectory_<n>.nc` and `replay_<n>.nc` of every other stage n (from 1); where there was a tracked
+replay too, also `tracked.nc` and `tracked_<n>.nc`, and the gains with the trajectory.
 """
 
 from __future__ import annotations
@@ -239,6 +240,10 @@ def _judge(tools: Tools, scene: Scene, fmu: Path | None, item: _Solved, folder: 
         score = tools.score(scene, trajectory, replay)
         seconds = time.perf_counter() - began
         tools.write_replay(folder / f"replay{ending}.nc", replay, scene)
+        tracked = getattr(replay, "tracked", None)
+        if tracked is not None:
+            tools.write_replay(folder / f"tracked{ending}.nc", tracked, scene)
+            write_netcdf(folder / f"trajectory{ending}.nc", trajectory, scene, tracked.feedback.gains)
     except MachineError:
         raise
     except Exception as error:  # noqa: BLE001 - the plan is kept even if the judge stumbles; the verdict is then not resolved

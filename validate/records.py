@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from formulations.pipeline import stage_plan
 from formulations.solution import Bound, Outcome, Seconds, Solution
 from reports.record import BoundRecord, FigureRecord, ReplayRecord, RunRecord, SceneRecord, SecondsRecord, SizeRecord, StageRecord, Verdict
+from reports.tracked_record import TrackedRecord
 from validate.evidence_records import certificate_record, front_records, start_records
 from validate.table_one import paper_row
 from validate.traces import plan_trace, replay_trace, thin
@@ -98,9 +99,10 @@ def stage_record(
         figures=tuple(_figure(figure) for figure in judged.score.figures) if judged.score is not None else (),
         verdict=verdict,
         why=why,
-        replay=_replay(judged.replay) if judged.replay is not None else None,
+        replay=_replay(judged.replay, judged.score) if judged.replay is not None else None,
         plan_trace=plan_trace(scene, trajectory) if trajectory is not None else None,
-        replay_trace=_replay_trace(scene, trajectory, judged),
+        replay_trace=_replay_trace(scene, trajectory, judged.replay),
+        tracked_trace=_replay_trace(scene, trajectory, getattr(judged.replay, "tracked", None)),
         paper=dict(paper_row(scene.name, pipeline, planned.index)),
     )
 
@@ -189,8 +191,8 @@ def _size(solution: Solution) -> SizeRecord | None:
     return SizeRecord(unknowns=size.unknowns, equations=size.equations, paper_unknowns=paper.unknowns, paper_equations=paper.equations)
 
 
-def _replay(replay: Any) -> ReplayRecord:
-    error = replay.error
+def _replay(replay: Any, score: Any) -> ReplayRecord:
+    error, growth, tracked = replay.error, getattr(replay, "growth", None), getattr(replay, "tracked", None)
     return ReplayRecord(
         error_estimate=_position(error.estimate),
         tolerance_difference=_position(error.tolerance),
@@ -201,6 +203,20 @@ def _replay(replay: Any) -> ReplayRecord:
         seconds_everyday=replay.seconds_everyday,
         fmu=replay.fmu,
         message=replay.message or replay.outcome.value,
+        judged=getattr(score, "judged", "open"),
+        growth_rate=None if growth is None else finite(growth.rate),
+        tracked=None if tracked is None else _tracked(tracked),
+    )
+
+
+def _tracked(replay: Any) -> TrackedRecord:
+    return TrackedRecord(
+        error_estimate=_position(replay.error.estimate),
+        events=len(replay.events),
+        seconds_reference=replay.seconds_reference,
+        seconds_everyday=replay.seconds_everyday,
+        message=replay.message or replay.outcome.value,
+        **asdict(replay.effort),
     )
 
 
@@ -208,10 +224,10 @@ def _position(difference: Any) -> float | None:
     return None if difference is None else finite(difference.position)
 
 
-def _replay_trace(scene: Scene, trajectory: Trajectory | None, judged: Judged):
-    if trajectory is None or judged.replay is None or len(judged.replay.t) == 0:
+def _replay_trace(scene: Scene, trajectory: Trajectory | None, replay: Any):
+    if trajectory is None or replay is None or len(replay.t) == 0:
         return None
-    return replay_trace(scene, trajectory, judged.replay)
+    return replay_trace(scene, trajectory, replay)
 
 
 def _figure(figure: Any) -> FigureRecord:

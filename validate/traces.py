@@ -35,7 +35,8 @@ def plan_trace(scene: Scene, trajectory: Trajectory) -> TraceRecord:
 
 
 def replay_trace(scene: Scene, trajectory: Trajectory, replay: Replay) -> TraceRecord:
-    """q, v, lam, friction, gap of a replay, and `position_error`: the largest difference of a coordinate to the plan."""
+    """q, v, lam, friction, gap of a replay, and `position_error`: the largest difference of a coordinate to the plan; of a tracked one also u as applied
+    (at the start of the step that a point lies in)."""
     keep = thin(len(replay.t))
     q = np.asarray(replay.q)[keep]
     lam = np.asarray(replay.lam)[keep]
@@ -44,6 +45,10 @@ def replay_trace(scene: Scene, trajectory: Trajectory, replay: Replay) -> TraceR
     knots = np.asarray(replay.knots)
     if len(knots) == 0:
         return TraceRecord(t=_numbers(replay.t[keep]), columns=columns, poses=poses(scene, q))
+    applied = getattr(replay, "applied", None)
+    if applied is not None and len(applied):
+        step = np.clip(np.searchsorted(knots, keep, side="right") - 1, 0, len(applied) - 1)
+        columns |= _columns(scene, u=np.asarray(applied)[step])
     difference = np.abs(np.asarray(replay.q)[knots] - trajectory.q[: len(knots)]).max(axis=1)
     # The plan is known at its nodes only: between them its error is drawn as a line.
     columns["position_error"] = _numbers(np.interp(replay.t[keep], replay.t[knots], difference))

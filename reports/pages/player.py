@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
+from reports.judged import is_tracked, judged_trace
 from reports.record import RunRecord, StageRecord, TraceRecord
 from reports.traces import at, force
 
@@ -26,10 +27,11 @@ class Film:
 def film(run: RunRecord) -> Film | None:
     """The film of the last stage with poses, or None."""
     shapes = [shape for shape in run.scene.shapes if shape.size]
-    stage = next((stage for stage in reversed(run.stages) if _poses(stage.plan_trace) or _poses(stage.replay_trace)), None)
+    stage = next((stage for stage in reversed(run.stages) if _poses(stage.plan_trace) or _poses(judged_trace(stage))), None)
     if stage is None or not shapes:
         return None
-    tracks = [trace for trace in (stage.plan_trace, stage.replay_trace) if trace is not None and trace.t]
+    replay = judged_trace(stage)
+    tracks = [trace for trace in (stage.plan_trace, replay) if trace is not None and trace.t]
     begin, end = min(trace.t[0] for trace in tracks), max(trace.t[-1] for trace in tracks)
     if end <= begin:
         return None
@@ -38,12 +40,13 @@ def film(run: RunRecord) -> Film | None:
         "t": [round(t, 4) for t in times],
         "shapes": [{"name": shape.name, "kind": shape.kind, "size": list(shape.size)} for shape in shapes],
         "plan": _track(stage.plan_trace, [shape.name for shape in shapes], times),
-        "replay": _track(stage.replay_trace, [shape.name for shape in shapes], times),
+        "replay": _track(replay, [shape.name for shape in shapes], times),
         "contacts": [contact.name for contact in run.scene.contacts],
         "plan_force": _forces(stage.plan_trace, [contact.name for contact in run.scene.contacts], times),
-        "replay_force": _forces(stage.replay_trace, [contact.name for contact in run.scene.contacts], times),
+        "replay_force": _forces(replay, [contact.name for contact in run.scene.contacts], times),
     }
-    words = f"The bodies of {run.scene.name} moving as planned (dashed outline) and as replayed (filled), with the contact forces as bars (above: planned, below: replayed)."
+    how = "replayed with tracking feedback" if is_tracked(stage) else "replayed"
+    words = f"The bodies of {run.scene.name} moving as planned (dashed outline) and as {how} (filled), with the contact forces as bars (above: planned, below: replayed)."
     return Film(script_json(data), stage, words)
 
 

@@ -5,23 +5,27 @@ from __future__ import annotations
 import shlex
 from dataclasses import dataclass
 
+from reports.judged import is_tracked, judged_figure
 from reports.pages.player import Film, film
 from reports.pages.section import Report, Section
 from reports.pages.stage_plots import StagePlots, stage_plots
 from reports.pages.starts import Spread, spread
-from reports.record import RunRecord, StageRecord
+from reports.record import FigureRecord, RunRecord, StageRecord
 from reports.wording import tail
 
 
 @dataclass(frozen=True)
 class StageView:
-    """A stage and what is drawn of it; `row` is its number in the tables (of the same stage, if another run has it too)."""
+    """A stage and what is drawn of it; `row` is its number in the tables (of the same stage, if another run has it too); missed: where the judged
+    replay ends, tracked: whether that is the one with feedback."""
 
     stage: StageRecord
     row: int | None
     plots: StagePlots
     spread: Spread | None
     last: bool
+    missed: FigureRecord | None
+    tracked: bool
 
 
 @dataclass(frozen=True)
@@ -50,7 +54,15 @@ def _view(report: Report, run: RunRecord) -> RunView:
     numbers = {id(row.stage): row.number for row in report.rows}
     last = len(run.stages) - 1
     stages = [
-        StageView(stage, numbers.get(id(stage)), stage_plots(run.scene, stage), spread(stage), place == last)
+        StageView(
+            stage,
+            numbers.get(id(stage)),
+            stage_plots(run.scene, stage),
+            spread(stage),
+            place == last,
+            judged_figure(stage, "replay_terminal_error"),
+            is_tracked(stage),
+        )
         for place, stage in enumerate(run.stages)
     ]
     return RunView(run, report.anchor(run), stages, film(run), tail(run.log_tail), again(report, run))

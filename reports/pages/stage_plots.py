@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from reports.judged import is_tracked, judged_trace
 from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
 from reports.record import QuantityRecord, SceneRecord, StageRecord, TraceRecord
@@ -43,7 +44,7 @@ class StagePlots:
 
 def stage_plots(scene: SceneRecord, stage: StageRecord) -> StagePlots:
     plan = stage.plan_trace if stage.plan_trace is not None and stage.plan_trace.t else None
-    replay = stage.replay_trace if stage.replay_trace is not None and stage.replay_trace.t else None
+    replay = judged_trace(stage)
     absent = []
     if plan is None:
         absent.append("No planned trajectory is stored: " + (stage.why or stage.advice or "the stage came back without a plan."))
@@ -64,12 +65,15 @@ def stage_plots(scene: SceneRecord, stage: StageRecord) -> StagePlots:
             motion.append(
                 _contact(f"Friction force, {friction.description or friction.name}", "force", "N", friction.name, x, plan, replay)
             )
-        motion.append(_error(scene, x, plan, replay))
+        opened = stage.replay_trace if stage.replay_trace is not None and stage.replay_trace.t else None
+        tracked = stage.tracked_trace if stage.tracked_trace is not None and stage.tracked_trace.t else None
+        motion.append(_error(scene, x, plan, opened) if tracked is None else _two_errors(scene, x, plan, opened, tracked))
         for contact in scene.contacts:
             motion.append(_contact(f"Gap, {contact.name}", "gap", "m", contact.name, x, plan, replay))
-        motion.append(_inputs(scene, x, plan))
+        motion.append(_inputs(scene, x, plan, tracked))
     history = [_history(name, values, stage.iterations) for name, values in list(stage.history.items())[:_MOST_HISTORY] if len(values) > 1]
-    return StagePlots(_KEYS, [plot for plot in motion if plot is not None], history, absent)
+    keys = [*_KEYS[:1], Key("replay", "replay with tracking feedback"), *_KEYS[2:]] if is_tracked(stage) else _KEYS
+    return StagePlots(keys, [plot for plot in motion if plot is not None], history, absent)
 
 
 def _positions(items: list[QuantityRecord], unit: str, x: Axis, plan: TraceRecord | None, replay: TraceRecord | None) -> Plot | None:
@@ -140,18 +144,51 @@ def _error(scene: SceneRecord, x: Axis, plan: TraceRecord | None, replay: TraceR
     return plot
 
 
-def _inputs(scene: SceneRecord, x: Axis, plan: TraceRecord | None) -> Plot | None:
+def _two_errors(scene: SceneRecord, x: Axis, plan: TraceRecord | None, opened: TraceRecord | None, tracked: TraceRecord) -> Plot | None:
+    """Open loop and tracked on one logarithmic axis: what grows, and what feedback leaves of it."""
+    found = [
+        (name, style, position_error(scene, plan, trace))
+        for name, style, trace in (("open loop", "c3", opened), ("tracked", "c5", tracked))
+    ]
+    lines = [(name, style, *values) for name, style, values in found if values is not None]
+    positive = [value for *_, values in lines for value in values if value > 0.0]
+    if not positive:
+        return None
+    unit = "/".join(dict.fromkeys(item.unit for item in scene.coordinates))
+    # The start is exact: below a millionth of the largest nothing needs to be read.
+    floor = max(min(positive), 1e-6 * max(positive))
+    plot = Plot(
+        "Position error: open loop and tracked",
+        x,
+        Axis.fitted("largest difference", unit, [max(value, floor) for value in positive], log=True),
+    )
+    for name, style, times, values in lines:
+        plot.line(name, style, times, [max(value, floor) for value in values])
+        place = 3 * len(times) // 4  # far from the start, which they share, and from the edge
+        plot.label(times[place], max(values[place], floor), name, f"strong {style}")
+    plot.words = " ".join(
+        f"{name.capitalize()}: at most {error(max(values))} {unit}, at the end {error(values[-1])} {unit}." for name, _, _, values in lines
+    )
+    return plot
+
+
+def _inputs(scene: SceneRecord, x: Axis, plan: TraceRecord | None, tracked: TraceRecord | None) -> Plot | None:
     if plan is None:
         return None
     data = [(item, values) for item in scene.inputs if (values := column(plan, item.name))]
     if not data:
         return None
     units = list(dict.fromkeys(item.unit for item, _ in data))
-    plot = Plot(
-        "Inputs of the plan", x, Axis.fitted("input", "/".join(units), [value for _, values in data for value in values], zero=True)
-    )
+    applied = {item.name: values for item, _ in data if (values := column(tracked, item.name))}
+    title = "Inputs of the plan (dotted) and with feedback" if applied else "Inputs of the plan"
+    every = [value for values in (*(values for _, values in data), *applied.values()) for value in values]
+    plot = Plot(title, x, Axis.fitted("input", "/".join(units), every, zero=True))
     for place, (item, values) in enumerate(data):
-        plot.line(item.name, f"c{place % _MOST_COLOURS}", plan.t, values)
+        style = f"c{place % _MOST_COLOURS}"
+        if tracked is not None and item.name in applied:
+            plot.line(f"{item.name} with feedback", style, tracked.t, applied[item.name])
+            style += " ghost"
+        plot.line(item.name, style, plan.t, values)
         peak = max(range(len(values)), key=[abs(value) for value in values].__getitem__)
         plot.label(plan.t[min(peak, len(plan.t) - 1)], values[peak], item.name, f"strong c{place % _MOST_COLOURS}")
     plot.words = " ".join(

@@ -11,11 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from reports.mathml import safe_mathml
+from reports.pages.stage_plots import stage_plots
 from reports.plots.axis import Axis
 from reports.plots.figure import Plot
 from reports.plots.simplify import simplified
 from reports.record import TraceRecord
 from reports.traces import at, contact_phases
+from reports.tracked_record import TrackedRecord
 from reports.wording import cost, error, number, percent, product, seconds, small
 
 _HEIGHTS = st.lists(st.floats(-300, 300), min_size=2, max_size=200)
@@ -133,3 +135,23 @@ def test_what_is_not_mathml_is_not(text):
 def test_attributes_of_mathml_that_could_act_are_dropped():
     markup = safe_mathml('<math onclick="alert(1)" href="javascript:1" style="x" display="block"><mi class="c">k</mi></math>')
     assert markup == '<math display="block"><mi>k</mi></math>'
+
+
+def test_a_tracked_replay_is_shown_where_it_is_judged(factory):
+    """Both errors on one axis, the feedback's inputs beside the plan's, and the tracked motion as the replay."""
+    stage = factory.run("strict", None, "strict_lcp").stages[0]
+    opened = stage.replay_trace
+    calm = dict(opened.columns)
+    calm["position_error"] = tuple(1e-3 for _ in opened.t)
+    calm["q1"] = tuple(0.5 for _ in opened.t)
+    calm["u1"] = tuple(0.25 for _ in opened.t)
+    feedback = TrackedRecord(error_estimate=1e-9, rms=(0.1,), peak=(0.3,), rms_share=0.02, peak_share=0.06)
+    replay = stage.replay.model_copy(update={"judged": "tracked", "tracked": feedback, "growth_rate": 3.7})
+    both = stage.model_copy(update={"replay": replay, "tracked_trace": opened.model_copy(update={"columns": calm})})
+    plots = {plot.title: plot for plot in stage_plots(factory.scene(), both).motion}
+    assert "Open loop: at most" in plots["Position error: open loop and tracked"].words
+    assert "Tracked: at most 0.0010 m, at the end 0.0010 m." in plots["Position error: open loop and tracked"].words
+    assert "u1 with feedback" in str(plots["Inputs of the plan (dotted) and with feedback"].markup())
+    assert "The replay ends at q1 0.5" in plots["Positions: plan dotted, replay solid"].words
+    only = stage_plots(factory.scene(), stage)
+    assert {plot.title for plot in only.motion} >= {"Position error: replay against plan", "Inputs of the plan"}

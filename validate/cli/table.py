@@ -69,10 +69,14 @@ _NUMBERS = ("stage", "eps", "cost", "terminal error", "replayed", "physics", "se
 
 
 def results_table(records: Sequence[RunRecord]) -> str:
-    """What of results.csv a terminal has room for; `replayed` is the terminal error after the replay."""
+    """What of results.csv a terminal has room for; `replayed` is the terminal error after the replay that is judged."""
     from validate.results import rows
 
-    cells = [[one_line(short(row[name], pattern)) for name, _, pattern in _TITLES] for row in rows(records)]
+    content = rows(records)
+    for row in content:
+        if row["judged"] == "tracked":
+            row["replay_terminal_error"] = row["tracked_terminal_error"]
+    cells = [[one_line(short(row[name], pattern)) for name, _, pattern in _TITLES] for row in content]
     place = [name for name, _, _ in _TITLES].index("verdict")
     for line, stage in zip(cells, [stage for record in records for stage in record.stages], strict=True):
         if stage.kind == "indirect" and stage.verdict == "violates":

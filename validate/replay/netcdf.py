@@ -142,8 +142,13 @@ def read_replay(path: Path, scene: Scene) -> Replay:
 
 
 def _effort(stored: dict[str, Any]) -> Effort:
-    lists = {name: tuple(float(value) for value in stored.pop(name)) for name in ("rms", "peak")}
-    return Effort(**lists, **{name: float(value) for name, value in stored.items()})
+    return Effort(
+        rms=tuple(map(float, stored["rms"])),
+        peak=tuple(map(float, stored["peak"])),
+        rms_share=float(stored["rms_share"]),
+        peak_share=float(stored["peak_share"]),
+        saturated=float(stored["saturated"]),
+    )
 
 
 def _applied(path: Path, columns: dict[str, Column], scene: Scene) -> np.ndarray:
