@@ -206,22 +206,16 @@ def _check_mass(scene: Scene) -> None:
             )
 
 
-def _check_contacts(scene: Scene) -> None:
-    start = _start(scene)
 # Functions with corners or jumps: forces point along the gradient of the gap, and plans need how that turns.
 _ROUGH = (sp.Abs, sp.sign, sp.Max, sp.Min, sp.floor, sp.ceiling, sp.Mod, sp.Heaviside, sp.Piecewise)
 
 
+def _check_contacts(scene: Scene) -> None:
+    start = _start(scene)
     for contact in scene.contacts:
         stiffness = contact.stiffness.subs(start).evalf()
         if not (stiffness.is_real and float(stiffness) > 0):
             raise _fail(scene, f"contact {contact.name}: the stiffness is {stiffness}, but must be positive.")
-        gradient = [sp.diff(contact.penetration, coordinate.symbol).subs(start).evalf() for coordinate in scene.coordinates]
-        if not all(entry.is_number and entry.is_real and entry.is_finite for entry in gradient):
-        damping = contact.damping.subs(start).evalf()
-        if not (damping.is_real and float(damping) >= 0):
-            unit = contact.damping_law.unit
-            raise _fail(scene, f"contact {contact.name}: the damping is {damping} {unit}, but must not be negative; 0 is a contact without damping.")
         rough = sorted({type(part).__name__ for part in contact.penetration.atoms(*_ROUGH)})
         if rough:
             raise _fail(
@@ -229,6 +223,8 @@ _ROUGH = (sp.Abs, sp.sign, sp.Max, sp.Min, sp.floor, sp.ceiling, sp.Mod, sp.Heav
                 f"contact {contact.name}: the penetration contains {', '.join(rough)}, which is not differentiable everywhere; give each side a "
                 "contact of its own, or round the corner off, as sqrt(x^2 + r^2) does with Abs(x).",
             )
+        gradient = [sp.diff(contact.penetration, coordinate.symbol).subs(start).evalf() for coordinate in scene.coordinates]
+        if not all(entry.is_number and entry.is_real and entry.is_finite for entry in gradient):
             raise _fail(
                 scene, f"contact {contact.name}: the penetration is not differentiable at the start; its gradient there is {gradient}."
             )
