@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, RootModel
 
+from reports.balance_record import BalanceRecord
 from reports.record import Finite
 from reports.scaling_record import ScalingRecord
 
@@ -82,7 +83,7 @@ class ReplaySpeedRecord(_Model):
     scenes: tuple[SpeedScene, ...]
 
 
-AnyBench = CosimRecord | ReplaySpeedRecord | ScalingRecord
+AnyBench = BalanceRecord | CosimRecord | ReplaySpeedRecord | ScalingRecord
 
 
 class BenchRecord(RootModel[Annotated[AnyBench, Field(discriminator="kind")]]):

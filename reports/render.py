@@ -20,6 +20,7 @@ from markupsafe import Markup
 from reports import wording
 from reports.load import ReportError, load
 from reports.pages import (
+    balance,
     cosimulation,
     errata,
     fmus,
@@ -51,6 +52,7 @@ _PAGES = (
     scene,
     fmus,
     replay_speed,
+    balance,
     cosimulation,
     errata,
     scaling,
