@@ -28,6 +28,7 @@ _COMMANDS = {
     "replay": "Replay and score anybody's plan, on a scene or on anybody's FMU.",
     "fmu": "Export a scene as an FMU.",
     "check": "Check any FMU: its files, and how its code behaves.",
+    "doctor": "Try what this machine can do, and say how to mend what it cannot.",
 }
 _EPILOG = """\b
 Examples:

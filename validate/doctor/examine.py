@@ -1,0 +1,144 @@
+"""Runs the trials, one child each, and says of each what was found and what to do."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+from validate.isolation import Isolated, Limits, run_isolated
+
+# A folder with less room than this [bytes] does not hold a campaign with its FMUs and trajectories.
+_ROOM = 500 * 1024**2
+_SECONDS = 300.0
+
+
+class State(Enum):
+    """OK; ABSENT: an extra that is not installed, and nothing else is wrong; BROKEN: something the main job needs does not work."""
+
+    OK = "works"
+    ABSENT = "not installed"
+    BROKEN = "does not work"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """sentence: what was found; remedy: what to do about it ("" if nothing); seconds of the clock."""
+
+    name: str
+    state: State
+    sentence: str
+    remedy: str = ""
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trial:
+    """needed: the main job does not work without it; absent: what an empty answer means; remedy: how to mend it."""
+
+    name: str
+    function: str
+    remedy: str
+    needed: bool = True
+    absent: str = ""
+
+
+TRIALS = (
+    Trial(name="C compiler", function="compiler", remedy="pip install 'touchstone-contact[compiler]', or set CC to a compiler you have"),
+    Trial(
+        name="Ipopt",
+        function="ipopt",
+        remedy="pip install --force-reinstall cyipopt-wheels==1.7.0.dev0; TOUCHSTONE_IPOPT=cyipopt leaves the other one out",
+    ),
+    Trial(name="PyTorch", function="gradient", remedy="pip install --force-reinstall 'torch>=2.4'"),
+    Trial(
+        name="FMU",
+        function="fmu",
+        remedy="pip install --force-reinstall fmpy scikit-sundae; a temporary folder that allows execution (TMPDIR)",
+    ),
+    Trial(
+        name="proofs (extra [global])",
+        function="integer_programs",
+        remedy="pip install 'touchstone-contact[global]'",
+        needed=False,
+        absent="method global will say that it cannot run",
+    ),
+)
+
+
+def examine_machine(out: Path, trials: tuple[Trial, ...] = TRIALS) -> Iterator[Finding]:
+    """One finding after the other, as they are made. out: the folder a campaign would write to."""
+    yield _interpreter()
+    yield _store(out)
+    for trial in trials:
+        yield _tried(trial)
+
+
+def _interpreter() -> Finding:
+    version = ".".join(map(str, sys.version_info[:3]))
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    good = sys.version_info >= (3, 11)
+    return Finding(
+        name="Python",
+        state=State.OK if good else State.BROKEN,
+        sentence=f"Python {version} on {cores} {'core' if cores == 1 else 'cores'}",
+        remedy="" if good else "install Python 3.11 or newer",
+    )
+
+
+def _store(out: Path) -> Finding:
+    """Write, sync, rename and read back where the campaign would, and leave nothing."""
+    began = time.monotonic()
+    place = next(folder for folder in (out, *out.absolute().parents) if folder.exists())
+    trial: Path | None = None
+    try:
+        if not place.is_dir():
+            raise NotADirectoryError(20, "there is a file of that name")
+        trial = Path(tempfile.mkdtemp(prefix=".touchstone-doctor-", dir=place))
+        first, last = trial / "part", trial / "whole"
+        with open(first, "wb") as file:
+            file.write(b"touchstone")
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(first, last)
+        if last.read_bytes() != b"touchstone":
+            raise OSError(5, "what was written reads back differently")
+        room = shutil.disk_usage(place).free
+    except OSError as error:
+        sentence = f"{place} cannot be written to ({error.strerror})"
+        return Finding(name="store", state=State.BROKEN, sentence=sentence, remedy="choose another folder with --out, or free this one")
+    finally:
+        if trial is not None:
+            shutil.rmtree(trial, ignore_errors=True)
+    enough = room >= _ROOM
+    return Finding(
+        name="store",
+        state=State.OK if enough else State.BROKEN,
+        sentence=f"{place} can be written to and has {room / 1024**3:.1f} GiB free",
+        remedy="" if enough else f"make room: a campaign of all scenes wants about {_ROOM // 1024**2} MiB",
+        seconds=time.monotonic() - began,
+    )
+
+
+def _tried(trial: Trial) -> Finding:
+    done = run_isolated(
+        f"validate.doctor.trials:{trial.function}", {}, limits=Limits(seconds=_SECONDS, memory=16 * 1024**3), what=trial.name
+    )
+    if done.ok and done.value:
+        return Finding(name=trial.name, state=State.OK, sentence=str(done.value), seconds=done.wall)
+    if done.ok:
+        return Finding(name=trial.name, state=State.ABSENT, sentence=trial.absent, remedy=trial.remedy, seconds=done.wall)
+    return Finding(
+        name=trial.name, state=State.BROKEN if trial.needed else State.ABSENT, sentence=_why(done), remedy=trial.remedy, seconds=done.wall
+    )
+
+
+def _why(done: Isolated) -> str:
+    last = done.output.strip().splitlines()[-1:] or [""]
+    return " ".join([done.sentence.rstrip("."), *(f"(last line of its output: {line.strip()[:200]})" for line in last if line.strip())])
