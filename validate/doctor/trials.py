@@ -13,7 +13,6 @@ from typing import Any
 
 from models.errors import MachineError
 
-
 # The square root of 2 by Newton's iteration.
 _NEWTON = """\
 __attribute__((visibility("default"))) double trial(double x)
