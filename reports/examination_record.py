@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Discriminator, RootModel, Tag
 
+from reports.chart_record import ChartRecord
 from reports.record import SCHEMA_VERSION, FigureRecord, Finite, ProvenanceRecord, RunRecord
 
 
@@ -53,7 +54,7 @@ class ExaminationRecord(_Model):
 
     outcome: `answered`, or how it ended without an answer (`failed`: it says itself why it could not; `crashed`, `time_limit`); passed: what was
     found is what was expected, never true without an answer; found, message: one sentence each, what was found and why there is no answer;
-    fmu: what kind `FMU` found in detail.
+    fmu: what kind `FMU` found in detail; charts: data of plots it draws itself.
     """
 
     schema_version: int = SCHEMA_VERSION
@@ -68,6 +69,7 @@ class ExaminationRecord(_Model):
     message: str = ""
     figures: tuple[FigureRecord, ...] = ()
     fmu: FmuRecord | None = None
+    charts: tuple[ChartRecord, ...] = ()
     wall_seconds: Finite
     cpu_seconds: Finite
     provenance: ProvenanceRecord

@@ -72,7 +72,8 @@ class SceneRecord(_Model):
 class FigureRecord(_Model):
     """One figure of the score. `value` is None where it could not be measured (`reason` says why).
 
-    `ok`: None where the scene sets no limit; `resolved`: False where the replay's own error is not 10x smaller than the figure's limit.
+    `ok`: None where the scene sets no limit; `resolved`: False where the replay's own error is not 10x smaller than the figure's limit;
+    `at_least`: the limit is one from below.
     """
 
     name: str
@@ -83,6 +84,7 @@ class FigureRecord(_Model):
     reason: str = ""
     ok: bool | None = None
     resolved: bool = True
+    at_least: bool = False
 
 
 class ReplayRecord(_Model):

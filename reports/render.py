@@ -31,6 +31,7 @@ from reports.pages import (
     runs,
     scaling,
     scene,
+    stability,
     summary,
     table1,
     tightening,
@@ -43,6 +44,7 @@ _HERE = Path(__file__).parent
 _PAGES = (
     summary,
     matrix,
+    stability,
     table1,
     violation,
     tightening,

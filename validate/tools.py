@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 DEFAULT_TOOLS = "validate.tools:DEFAULT"
 # What a campaign examines beside scenes by pipelines: functions of its scenes that give validate.examination.Examination.
-EXAMINATIONS: tuple[str, ...] = ("validate.fmu_examination:examinations",)
+EXAMINATIONS: tuple[str, ...] = ("validate.fmu_examination:examinations", "validate.hardcases.examine:examinations")
 
 
 def _load_method(name: str) -> Method:

@@ -1,0 +1,132 @@
+"""The hard cases, a row each: what a correct system does, what happened, the figures, and whether that passes; below them their plots."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from reports.chart_record import AxisRecord, ChartRecord
+from reports.examination_record import ExaminationRecord
+from reports.pages.section import Report, Section
+from reports.plots.axis import Axis
+from reports.plots.figure import Key, Plot
+from reports.record import FigureRecord
+from reports.wording import Sign, count, number, spaced, unit
+
+KIND = "hard case"
+PASS = Sign("pass", "✓", "holds", "every figure keeps its limit")
+FAIL = Sign("fail", "✗", "violates", "a figure breaks its limit")
+LOST = Sign("no answer", "○", "noplan", "the case ended without an answer")
+_STYLES = (("c0", "circle"), ("c1", "square"), ("c2", "diamond"), ("c3", "triangle"), ("c4", "circle"), ("c5", "square"))
+# Curves of more points than this are drawn without markers.
+_MARKED = 60
+
+
+@dataclass(frozen=True)
+class Shown:
+    """One figure with its limit in words; sign: None where there is no limit."""
+
+    name: str
+    value: str
+    limit: str
+    reason: str
+    meaning: str
+    sign: Sign | None
+
+
+@dataclass(frozen=True)
+class Row:
+    """One case. number and title are parts of its name; decisive: what is shown in the table."""
+
+    anchor: str
+    number: str
+    title: str
+    record: ExaminationRecord
+    sign: Sign
+    happened: str
+    decisive: Shown | None
+    figures: tuple[Shown, ...]
+    plots: tuple[Plot, ...]
+
+
+def build(report: Report) -> Section | None:
+    records = sorted((item for item in report.stored.examinations if item.kind == KIND), key=lambda item: item.name)
+    if not records:
+        return None
+    rows = [_row(record) for record in records]
+    failed = [row for row in rows if row.sign is not PASS]
+    passed = f"{len(rows) - len(failed)} of {count(len(rows), 'hard case')} pass"
+    return Section(
+        "stability",
+        "Stability: the hard cases",
+        "stability.html",
+        {"rows": rows, "passed": passed, "failed": failed, "seconds": sum(row.record.cpu_seconds for row in rows)},
+    )
+
+
+def _row(record: ExaminationRecord) -> Row:
+    place, _, title = record.name.partition(" ")
+    sign = PASS if record.passed else FAIL if record.outcome == "answered" else LOST
+    judged = [figure for figure in record.figures if figure.ok is not None]
+    return Row(
+        anchor=f"hard-case-{place}",
+        number=place.lstrip("0") or place,
+        title=title or record.name,
+        record=record,
+        sign=sign,
+        happened=record.found or record.message or f"It ended as {spaced(record.outcome)}, without a word.",
+        decisive=_shown(min(judged, key=_room)) if judged else None,
+        figures=tuple(_shown(figure) for figure in record.figures),
+        plots=tuple(_plot(chart) for chart in record.charts if any(series.x for series in chart.series)),
+    )
+
+
+def _room(figure: FigureRecord) -> float:
+    """How far a figure is from its limit, as a share: below 0 beyond it. Failed ones come first; what must be zero and is decides least."""
+    if figure.ok is False or figure.value is None or figure.limit is None:
+        return -1.0
+    if figure.limit == 0.0:
+        return 2.0
+    share = figure.value / figure.limit
+    return 1.0 - (1.0 / share if figure.at_least and share else share)
+
+
+def _shown(figure: FigureRecord) -> Shown:
+    of = f" {unit(figure.unit)}" if unit(figure.unit) else ""
+    limit = "" if figure.limit is None else f"{'≥' if figure.at_least else '≤'} {number(figure.limit)}{of}"
+    value = "no number" if figure.value is None else f"{number(figure.value, 3)}{of}"
+    return Shown(figure.name, value, limit, figure.reason, figure.meaning, None if figure.ok is None else PASS if figure.ok else FAIL)
+
+
+def _plot(chart: ChartRecord) -> Plot:
+    plot = Plot(
+        chart.title,
+        _axis(chart.x, [x for series in chart.series for x in series.x]),
+        _axis(chart.y, [y for series in chart.series for y in series.y] + ([] if chart.level is None else [chart.level])),
+        width=480,
+        height=300,
+    )
+    for place, series in enumerate(chart.series):
+        style, marker = _STYLES[place % len(_STYLES)]
+        marked = not series.line or len(series.x) <= _MARKED
+        plot.keys.append(Key(style, series.name, marker if marked else ""))
+        x, y = (_drawn(values, axis) for values, axis in ((series.x, plot.x), (series.y, plot.y)))
+        if series.line:
+            plot.line(series.name, style, x, y)
+        for left, up, true_x, true_y in zip(x, y, series.x, series.y, strict=True) if marked else ():
+            plot.point(left, up, style, marker, f"{series.name}: {chart.x.quantity} {number(true_x)}, {chart.y.quantity} {number(true_y)}")
+    if chart.level is not None:
+        plot.level(chart.level, chart.level_words)
+    plot.words = chart.words or f"{chart.y.quantity} against {chart.x.quantity}, {count(len(chart.series), 'curve')}."
+    return plot
+
+
+def _axis(axis: AxisRecord, values: list[float]) -> Axis:
+    positive = [value for value in values if value > 0]
+    if axis.log and positive:
+        return Axis.fitted(axis.quantity, axis.unit, positive, log=True)
+    return Axis.fitted(axis.quantity, axis.unit, values)
+
+
+def _drawn(values: tuple[float, ...], axis: Axis) -> list[float]:
+    """Zero and less are drawn at the low end of a logarithmic axis."""
+    return [max(value, axis.low) if axis.log else value for value in values]

@@ -1,0 +1,1 @@
+"""One file, one hard case: h<number>_<name>.py defines CASE."""
