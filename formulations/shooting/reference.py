@@ -31,6 +31,8 @@ def reference_rollout(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """q, v (steps+1, nq) and lam (steps, nc) from inputs u (steps, nu) and start (2*nq,); step: that of the task unless given.
 
+    All is computed in the dtype of start: float64, unless it is to be seen what float32 loses.
+
     lam[t] = L(phi(q[t])), v[t+1] = v[t] + h M^-1 (tau + J' lam), q[t+1] = q[t] + h v[t+1].
     """
     if scene.nf:
@@ -39,8 +41,9 @@ def reference_rollout(
     force = _contact_law(law, eps)
     d = derive(scene)
     arguments = (d.q, d.v, d.u, d.lam)
-    penetration, stiffness = _torch_function(scene, d.penetration, d.q), _torch_function(scene, d.stiffness)()
-    acceleration = _acceleration(scene, arguments)
+    dtype = start.dtype
+    penetration, stiffness = _torch_function(scene, d.penetration, d.q, dtype=dtype), _torch_function(scene, d.stiffness, dtype=dtype)()
+    acceleration = _acceleration(scene, arguments, dtype)
     q, v, lam = [start[: scene.nq]], [start[scene.nq :]], []
     for inputs in u:
         lam.append(force(penetration(q[-1]), stiffness))
@@ -57,15 +60,20 @@ def _contact_law(law: ContactLaw, eps: float | None) -> Callable[[Tensor, Tensor
     return lambda phi, k: k / b * torch.logaddexp(b * phi, torch.zeros_like(phi))
 
 
-def _acceleration(scene: Scene, arguments: tuple[Sequence[sp.Symbol], ...]) -> Callable[..., Tensor]:
+def _acceleration(scene: Scene, arguments: tuple[Sequence[sp.Symbol], ...], dtype: torch.dtype) -> Callable[..., Tensor]:
     d = derive(scene)
     if d.acceleration is not None:
-        return _torch_function(scene, d.acceleration, *arguments)
-    mass, force = _torch_function(scene, d.mass_matrix, d.q), _torch_function(scene, d.generalised_force, *arguments)
+        return _torch_function(scene, d.acceleration, *arguments, dtype=dtype)
+    mass, force = (
+        _torch_function(scene, d.mass_matrix, d.q, dtype=dtype),
+        _torch_function(scene, d.generalised_force, *arguments, dtype=dtype),
+    )
     return lambda q, v, u, lam: torch.linalg.solve(mass(q).reshape(scene.nq, scene.nq), force(q, v, u, lam))
 
 
-def _torch_function(scene: Scene, expressions: sp.Matrix, *groups: Sequence[sp.Symbol]) -> Callable[..., Tensor]:
+def _torch_function(
+    scene: Scene, expressions: sp.Matrix, *groups: Sequence[sp.Symbol], dtype: torch.dtype = torch.float64
+) -> Callable[..., Tensor]:
     """Entries of a matrix, flattened row by row, as a function of vectors; parameters have the scene's values.
 
     Parameters enter as tensors and constants as floats, because PyTorch's functions take tensors only (`torch.sqrt(2)` fails).
@@ -73,12 +81,12 @@ def _torch_function(scene: Scene, expressions: sp.Matrix, *groups: Sequence[sp.S
     entries = [sp.sympify(entry).replace(lambda e: e.is_number and not e.is_Number, lambda e: sp.Float(e, 17)) for entry in expressions]
     parameters = [parameter.symbol for parameter in scene.parameters]
     compiled = sp.lambdify([parameters, *(list(group) for group in groups)], entries, modules="torch", cse=True)
-    values = [torch.tensor(parameter.value, dtype=torch.float64) for parameter in scene.parameters]
+    values = [torch.tensor(parameter.value, dtype=dtype) for parameter in scene.parameters]
 
     def function(*vectors: Tensor) -> Tensor:
         results = compiled(values, *(vector.unbind() for vector in vectors))
         if not results:
-            return torch.zeros(0, dtype=torch.float64)
-        return torch.stack([torch.as_tensor(result, dtype=torch.float64) for result in results])
+            return torch.zeros(0, dtype=dtype)
+        return torch.stack([torch.as_tensor(result, dtype=dtype) for result in results])
 
     return function
