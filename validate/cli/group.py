@@ -25,6 +25,7 @@ _COMMANDS = {
     "all": "Run every scene by every pipeline, replay and score each plan, write the report.",
     "list": "Scenes, pipelines and methods.",
     "report": "Rebuild results.csv and report.html of a campaign from its records.",
+    "compare": "What differs between two campaigns, regressions first.",
     "replay": "Replay and score anybody's plan, on a scene or on anybody's FMU.",
     "fmu": "Export a scene as an FMU.",
     "check": "Check any FMU: its files, and how its code behaves.",

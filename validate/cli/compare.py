@@ -1,0 +1,85 @@
+"""`compare`: two campaigns, regressions first."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+
+import click
+
+from validate.cli.table import one_line, table, use_colour
+
+_EPILOG = """\b
+Examples:
+  python -m validate compare runs/before runs/after
+  python -m validate compare runs/before runs/after --json
+
+\b
+A regression is a worse verdict or outcome, a figure that left its limit, a
+dearer plan of the same verdict, an examination that failed, or a row that is
+gone. Times that differ by half and by a second are told, but are none.
+
+\b
+Exit codes: 0 no regression; 1 at least one; 2 a folder that is no campaign.
+"""
+_WORDS = {
+    "REGRESSION": ("worse", "red"),
+    "GONE": ("gone", "red"),
+    "SLOWER": ("slower", "yellow"),
+    "OTHER": ("other", None),
+    "NEW": ("new", None),
+    "FASTER": ("faster", "green"),
+    "IMPROVEMENT": ("better", "green"),
+}
+
+
+@click.command(epilog=_EPILOG)
+@click.argument("before", type=click.Path(path_type=Path), metavar="A")
+@click.argument("after", type=click.Path(path_type=Path), metavar="B")
+@click.option("--json", "as_json", is_flag=True, help="The differences as JSON on stdout.")
+def command(before: Path, after: Path, as_json: bool) -> int:
+    """What differs between the campaigns in the folders A (before) and B (after), regressions first."""
+    from validate.compare import compare
+
+    comparison = compare(_loaded(before), _loaded(after))
+    code = 1 if comparison.regressions else 0
+    if as_json:
+        changes = [
+            {
+                "kind": _WORDS[change.kind.name][0],
+                "where": change.where,
+                "what": change.what,
+                "before": change.before,
+                "after": change.after,
+            }
+            for change in comparison.changes
+        ]
+        click.echo(json.dumps({"pairs": comparison.pairs, "changes": changes, "exit_code": code}, indent=1))
+        return code
+    if comparison.changes:
+        cells = [
+            [_WORDS[change.kind.name][0], *(one_line(text) for text in (change.where, change.what, change.before, change.after))]
+            for change in comparison.changes
+        ]
+        lines = table(["", "where", "what", str(before), str(after)], cells).splitlines()
+        for line, change in zip(lines, [None, None, *comparison.changes], strict=True):
+            colour = _WORDS[change.kind.name][1] if change is not None else None
+            click.echo(click.style(line, fg=colour) if colour else line, color=use_colour())
+        click.echo()
+    counts = Counter(_WORDS[change.kind.name][0] for change in comparison.changes)
+    told = ", ".join(f"{count} {word}" for word, count in counts.items()) or "no difference"
+    click.echo(f"{comparison.pairs} rows are in both: {told}")
+    return code
+
+
+def _loaded(folder: Path):
+    from reports.load import ReportError, load
+
+    try:
+        stored = load(folder)
+    except ReportError as problem:
+        raise click.UsageError(str(problem)) from problem
+    if not stored.runs and not stored.examinations:
+        raise click.UsageError(f"{folder}: there is no readable record; give the folder of a campaign (it holds campaign.json and runs/).")
+    return stored

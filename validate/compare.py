@@ -1,0 +1,143 @@
+"""Two campaigns beside each other: what got worse, what got better, what is only in one of them.
+
+    comparison = compare(load(Path("runs/before")), load(Path("runs/after")))
+    comparison.regressions        # tuple of Change, worst first
+
+Stages are paired by scene, pipeline, part, place in the pipeline, method and eps; examinations by kind, name and scene. Costs are compared
+where both stages ended with a plan of the same verdict: a cheaper plan that does not hold is no progress.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterable, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, TypeVar
+
+from reports.examination_record import ExaminationRecord
+from reports.load import Stored
+from reports.record import RunRecord, StageRecord
+
+# Verdicts from worst to best; a relaxed stage is expected to violate, and is neither better nor worse for it.
+_VERDICTS = ("no plan", "not resolved", "violates", "holds")
+# A cost that differs by less (relative, and in its own unit) is the same; so is a time that differs by less than this factor or these seconds.
+COST_TOLERANCE, COST_FLOOR = 1e-6, 1e-9
+TIME_FACTOR, TIME_FLOOR = 1.5, 1.0
+
+_Item = TypeVar("_Item")
+
+
+class Kind(IntEnum):
+    """Worst first."""
+
+    REGRESSION = 0
+    GONE = 1
+    SLOWER = 2
+    OTHER = 3
+    NEW = 4
+    FASTER = 5
+    IMPROVEMENT = 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Change:
+    """One difference. where: which stage or examination; what: the quantity; before, after: its values as they are shown."""
+
+    kind: Kind
+    where: str
+    what: str
+    before: str
+    after: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """changes: worst first; pairs: how many stages and examinations stand in both."""
+
+    changes: tuple[Change, ...]
+    pairs: int
+
+    @property
+    def regressions(self) -> tuple[Change, ...]:
+        return tuple(change for change in self.changes if change.kind in (Kind.REGRESSION, Kind.GONE))
+
+
+def compare(before: Stored, after: Stored) -> Comparison:
+    """Everything that differs between two campaigns."""
+    stages = _pair(_stages(before.runs), _stages(after.runs), _stage_changes)
+    examinations = _pair(_examinations(before.examinations), _examinations(after.examinations), _examination_changes)
+    changes = sorted([*stages[0], *examinations[0]], key=lambda change: (change.kind, change.where))
+    return Comparison(changes=tuple(changes), pairs=stages[1] + examinations[1])
+
+
+def _stages(runs: Iterable[RunRecord]) -> dict[Hashable, StageRecord]:
+    return {(run.scene.name, run.pipeline, run.part, stage.index, stage.method, stage.eps): stage for run in runs for stage in run.stages}
+
+
+def _examinations(records: Iterable[ExaminationRecord]) -> dict[Hashable, ExaminationRecord]:
+    return {(record.kind, record.name, record.scene): record for record in records}
+
+
+def _pair(
+    before: Mapping[Hashable, _Item], after: Mapping[Hashable, _Item], changes: Callable[[str, _Item, _Item], Iterable[Change]]
+) -> tuple[list[Change], int]:
+    found: list[Change] = []
+    for key in dict.fromkeys([*before, *after]):
+        where = _where(key)
+        if key not in after:
+            found.append(Change(kind=Kind.GONE, where=where, what="row", before="there", after="gone"))
+        elif key not in before:
+            found.append(Change(kind=Kind.NEW, where=where, what="row", before="not there", after="new"))
+        else:
+            found.extend(changes(where, before[key], after[key]))
+    return found, len(set(before) & set(after))
+
+
+def _where(key: Any) -> str:
+    if len(key) == 3:
+        return " ".join(str(part) for part in key if part)
+    scene, pipeline, part, index, method, eps = key
+    several = f" part {part}" if part > 1 else ""
+    return f"{scene} {pipeline}{several}, stage {index + 1} {method}" + (f" at {eps:g}" if eps is not None else "")
+
+
+def _stage_changes(where: str, before: StageRecord, after: StageRecord) -> Iterable[Change]:
+    expected = before.kind == after.kind == "indirect"
+    if before.verdict != after.verdict:
+        better = _VERDICTS.index(after.verdict) - _VERDICTS.index(before.verdict)
+        relaxed = expected and {before.verdict, after.verdict} == {"holds", "violates"}
+        kind = Kind.OTHER if relaxed else Kind.IMPROVEMENT if better > 0 else Kind.REGRESSION
+        yield Change(kind=kind, where=where, what="verdict", before=before.verdict, after=after.verdict)
+    if before.outcome != after.outcome:
+        kind = {"solved": Kind.REGRESSION}.get(before.outcome, {"solved": Kind.IMPROVEMENT}.get(after.outcome, Kind.OTHER))
+        yield Change(kind=kind, where=where, what="outcome", before=before.outcome, after=after.outcome)
+    elif before.verdict == after.verdict and before.cost is not None and after.cost is not None:
+        yield from _cost_change(where, before.cost, after.cost)
+    for figure in after.figures:
+        was = before.figure(figure.name)
+        if was is not None and was.ok is not None and figure.ok is not None and was.ok != figure.ok:
+            kind = Kind.OTHER if expected else Kind.IMPROVEMENT if figure.ok else Kind.REGRESSION
+            words = ("within its limit", "beyond its limit")
+            yield Change(kind=kind, where=where, what=figure.name, before=words[not was.ok], after=words[not figure.ok])
+    yield from _time_change(where, before.seconds.stage_cpu, after.seconds.stage_cpu)
+
+
+def _cost_change(where: str, before: float, after: float) -> Iterable[Change]:
+    if abs(after - before) > COST_TOLERANCE * max(abs(before), abs(after)) + COST_FLOOR:
+        kind = Kind.REGRESSION if after > before else Kind.IMPROVEMENT
+        yield Change(kind=kind, where=where, what="cost", before=f"{before:.9g}", after=f"{after:.9g}")
+
+
+def _time_change(where: str, before: float, after: float) -> Iterable[Change]:
+    """A time is not a regression by itself: machines are shared."""
+    slow, fast = max(before, after), min(before, after)
+    if slow - fast > TIME_FLOOR and slow > TIME_FACTOR * fast:
+        kind = Kind.SLOWER if after > before else Kind.FASTER
+        yield Change(kind=kind, where=where, what="CPU seconds", before=f"{before:.3g}", after=f"{after:.3g}")
+
+
+def _examination_changes(where: str, before: ExaminationRecord, after: ExaminationRecord) -> Iterable[Change]:
+    if before.passed != after.passed:
+        words = {True: "passed", False: "failed", None: "no answer"}
+        kind = Kind.IMPROVEMENT if after.passed else Kind.REGRESSION if before.passed else Kind.OTHER
+        yield Change(kind=kind, where=where, what="examination", before=words[before.passed], after=words[after.passed])
