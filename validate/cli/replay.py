@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from validate.cli.numbers import FiniteRange
 from validate.cli.table import one_line, short, table, use_colour
 
 if TYPE_CHECKING:
@@ -37,11 +38,9 @@ Examples:
     help="What of the plan is what of the FMU; equal names without it.",
 )
 @click.option("--hold", type=click.Choice(["zero", "linear"]), help="Inputs within a step: constant (default), or a line to the next row.")
+@click.option("--time-limit", type=FiniteRange(min=0.1), default=300.0, show_default=True, help="Seconds after which the FMU is ended.")
 @click.option(
-    "--time-limit", type=click.FloatRange(min=0.1), default=300.0, show_default=True, help="Seconds after which the FMU is ended."
-)
-@click.option(
-    "--memory-limit", type=click.FloatRange(min=0.5), default=4.0, show_default=True, help="GiB of address space of the FMU's process."
+    "--memory-limit", type=FiniteRange(min=0.5), default=4.0, show_default=True, help="GiB of address space of the FMU's process."
 )
 @click.option(
     "--track",
@@ -184,7 +183,9 @@ def _print(result: Score, replay: Replay, lacks: dict[str, str]) -> None:
             continue  # beside its twin
         twin = beside.get(figure.name)
         judged = twin if twin is not None and twin.is_judged else figure
-        values = [short(figure.value, ".4e")] + ([short(twin.value, ".4e") if twin else ""] if beside else [])
+        values = [short(figure.value, ".4e"), short(twin.value, ".4e") if twin else ""][: len(names)]
+        if figure.name.startswith("feedback"):
+            values.reverse()  # there is none in the open loop
         meaning = one_line(judged.meaning if judged.value is not None else f"not measured: {judged.reason}")
         rows.append([figure.name, *values, figure.unit, short(judged.limit, ".3g"), _judgement(judged), meaning])
     click.echo(table(["figure", *names, "unit", "limit", "", "meaning"], rows, (*names, "limit")), color=use_colour())

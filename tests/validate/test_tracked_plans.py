@@ -1,0 +1,120 @@
+"""Plans of the cart-pole between walls under tracking: an exact one is followed, one that cheats is not saved, and the command shows both replays."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from formulations.catalog import load_method
+from models.catalog import load_scene
+from models.fmu import build_fmu
+from models.scene import Scene
+from models.trajectory import Trajectory, write_csv
+from models.trajectory_netcdf import read_gains
+from validate.cli.group import run
+from validate.replay import Replay, replay
+from validate.score import Score, Verdict, score
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return load_scene("cart_pole_walls")
+
+
+@pytest.fixture(scope="module")
+def plans(scene: Scene) -> dict[str, Trajectory]:
+    """cheat: force from a distance; exact: what strict complementarity makes of its last tightening."""
+    found: dict[str, Trajectory] = {}
+    plan = None
+    with load_method("softplus_dc").open(scene, {}) as session:
+        for eps in (1e-3, 1e-5, 1e-7):
+            plan = session.solve(eps=eps, warm_start=plan, time_limit=60.0).trajectory
+            assert plan is not None
+            found.setdefault("cheat", plan)
+    with load_method("strict_lcp").open(scene, {}) as session:
+        exact = session.solve(eps=None, warm_start=plan, time_limit=60.0).trajectory
+    assert exact is not None
+    return found | {"exact": exact}
+
+
+@pytest.fixture(scope="module")
+def exact(scene: Scene, plans: dict[str, Trajectory]) -> Replay:
+    return replay(scene, build_fmu(scene), plans["exact"])
+
+
+def above(told: Score) -> set[str]:
+    return {figure.name for figure in told.figures if figure.ok is False}
+
+
+def test_an_exact_plan_is_followed_where_alone_it_falls(scene: Scene, plans: dict[str, Trajectory], exact: Replay):
+    told = score(scene, plans["exact"], exact)
+    assert (told.verdict, told.judged) == (Verdict.HOLDS, "tracked")
+    assert exact.growth is not None
+    assert 3.67 < exact.growth.rate < 5.0
+    values = {figure.name: figure.value or 0.0 for figure in told.figures}
+    assert values["replay_terminal_error"] > 1.0 > 0.2 > values["tracked_terminal_error"]
+    assert values["feedback_effort"] < 0.25
+    assert values["tracked_energy_residual"] < 1e-9
+    assert exact.tracked is not None
+    assert exact.tracked.contact_impulse is not None
+    planned = scene.task.step * plans["exact"].lam.sum()
+    assert exact.tracked.contact_impulse[-1].sum() == pytest.approx(planned, rel=0.1)  # by the wall, as planned
+    assert planned > 0.5
+    assert np.abs(exact.tracked.applied).max() <= 4.0  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("tells", [True, False])
+def test_feedback_does_not_save_a_plan_whose_walls_push_from_a_distance(scene: Scene, plans: dict[str, Trajectory], tells: bool):
+    """With its forces in the plan, and with a plan that keeps them to itself: then arrival, the plan's own grid and the effort still tell."""
+    plan = plans["cheat"]
+    if not tells:
+        plan = Trajectory(t=plan.t, q=plan.q, v=plan.v, u=plan.u, lam=0.0 * plan.lam, missing=frozenset({"lam"}))
+    told = score(scene, plan, replay(scene, build_fmu(scene), plan))
+    assert (told.verdict, told.judged) == (Verdict.VIOLATES, "tracked")
+    assert {"discrete_terminal_error", "tracked_terminal_error", "feedback_effort"} <= above(told)
+    assert ("physics_scaled" in above(told)) is tells
+
+
+def test_feedback_that_arrives_by_planning_anew_does_not_hold(scene: Scene, plans: dict[str, Trajectory], exact: Replay):
+    """The exact plan's tracked replay, with the effort that a plan of force from a distance needs."""
+    assert exact.tracked is not None
+    assert exact.tracked.effort is not None
+    strained = replace(exact.tracked, effort=replace(exact.tracked.effort, rms_share=0.65))
+    told = score(scene, plans["exact"], replace(exact, tracked=strained))
+    assert told.verdict is Verdict.VIOLATES
+    assert above(told) == {"feedback_effort"}
+
+
+def test_the_command_shows_both_and_keeps_the_gains(
+    scene: Scene, plans: dict[str, Trajectory], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    write_csv(tmp_path / "plan.csv", plans["exact"], scene)
+    arguments = ["replay", str(tmp_path / "plan.csv"), "--scene", scene.name, "--track"]
+    assert run([*arguments, "--out", str(tmp_path / "told")]) == 0
+    out, _ = capsys.readouterr()
+    header = next(line for line in out.splitlines() if line.startswith("figure"))
+    assert "open loop" in header
+    assert "tracked" in header
+    row = next(line.split() for line in out.splitlines() if line.startswith("replay_terminal_error"))
+    assert float(row[1]) > 1.0 > float(row[2])
+    assert "holds: judged with tracking feedback, because in the open loop an error may grow" in out
+    assert sorted(path.name for path in (tmp_path / "told").iterdir()) == ["plan.nc", "replay.nc", "score.json", "tracked.nc"]
+    gains = read_gains(tmp_path / "told/plan.nc", scene)
+    assert gains is not None
+    assert gains.shape == (100, 1, 4)
+    told = json.loads((tmp_path / "told/score.json").read_text())
+    assert told["judged"] == "tracked"
+    assert told["tracked"]["effort"]["rms_share"] == pytest.approx(0.23, abs=0.03)
+    assert told["growth"]["rate"] > 3.67
+
+
+def test_a_scene_without_inputs_cannot_be_tracked(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    (tmp_path / "plan.csv").write_text("t,q,v\n0,1,0\n0.01,1,0\n", encoding="utf-8")
+    code = run(["replay", str(tmp_path / "plan.csv"), "--scene", "bouncing_mass", "--track"])
+    _, err = capsys.readouterr()
+    assert (code, err.count("\n")) == (2, 1)
+    assert "no inputs, so there is nothing to feed back to" in err
