@@ -35,6 +35,11 @@ RELU_GD_AFTER_SOFTPLUS_DC = 6
 # the number after softplus GD is taken.
 RELU_GD_AFTER_RELAXED = 10
 
+# Multiple shooting goes from far softer to far harder contact than the paper: each stage moves its plan little, and costs a fraction of a second.
+MULTIPLE_SHOOTING_EPS = (1e-3, 1e-6, 1e-12, 1e-24, 1e-48)
+# Standard deviation of the random inputs, in half ranges of the inputs.
+NOISE = (0.3, 0.1, 0.03)
+
 
 # Starts of mpcc_multistart, and how many of them a cell runs: beside them, starting a process and replaying its best plan costs little.
 STARTS, STARTS_EACH = 20, 5
@@ -48,6 +53,7 @@ _RELAXED = Leg(method="relaxed_lcp", schedule=RELAXED_EPS)
 _SOFTPLUS_DC = Leg(method="softplus_dc", schedule=SOFTPLUS_EPS)
 _SOFTPLUS_GD = Leg(method="softplus_gd", schedule=SOFTPLUS_EPS, stage_options=_counts(*SOFTPLUS_GD_COUNTS))
 _STRICT = Leg(method="strict_lcp")
+_RELU_LBFGS = Leg(method="relu_lbfgs")
 
 
 def _relu_gd(iterations: int) -> Leg:
@@ -92,6 +98,30 @@ PIPELINES: tuple[Pipeline, ...] = (
         title="Softplus gradient descent, then ReLU, each until our own stopping rule says stop",
         legs=(Leg(method="softplus_gd", schedule=SOFTPLUS_EPS), Leg(method="relu_gd")),
         source="ours: what the paper's gradient descent reaches when it is not cut off",
+    ),
+    Pipeline(
+        name="lbfgs",
+        title="L-BFGS on softplus contact, tightened, then on ReLU contact",
+        legs=(Leg(method="softplus_lbfgs", schedule=SOFTPLUS_EPS), _RELU_LBFGS),
+        source="ours: the loss of gradient descent, a method that learns its curvature, and the goal met by multipliers",
+    ),
+    Pipeline(
+        name="softplus_dc+lbfgs",
+        title="Softplus collocation, tightened, then fine tuning by L-BFGS on softplus and on ReLU contact",
+        legs=(_SOFTPLUS_DC, Leg(method="softplus_lbfgs", schedule=SOFTPLUS_EPS[-1:]), _RELU_LBFGS),
+        source="ours: the outlook of the paper, collocation followed by fine tuning on what is simulated",
+    ),
+    Pipeline(
+        name="randomised_smoothing",
+        title="L-BFGS on ReLU contact averaged over random inputs, with ever less noise, then without",
+        legs=(Leg(method="randomised_smoothing", schedule=NOISE), _RELU_LBFGS),
+        source="ours: another relaxation, by noise; bundled gradients of Suh, Pang and Tedrake",
+    ),
+    Pipeline(
+        name="multiple_shooting",
+        title="Multiple shooting on softplus contact, tightened, then on ReLU contact",
+        legs=(Leg(method="softplus_multiple_shooting", schedule=MULTIPLE_SHOOTING_EPS), Leg(method="relu_multiple_shooting")),
+        source="ours: for unstable and long scenes, whose gradients explode in single shooting",
     ),
     Pipeline(
         name="mpcc",

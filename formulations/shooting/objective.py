@@ -47,6 +47,8 @@ class Objective:
     A loss must be sent backward before the next one is evaluated, because its buffers are reused.
     """
 
+    smoothed = False  # whether the gradient is another than that of the last rollout
+
     def __init__(
         self,
         kernel: Kernel,

@@ -9,7 +9,8 @@ from reports.paper import TABLE_1
 from validate.records import planned_stages
 from validate.table_one import paper_row, table_rows
 
-OURS = ("gd_converged", "mpcc", "mpcc_multistart", "mpcc_front", "free_motion", "global")
+SHOOTING = ("lbfgs", "softplus_dc+lbfgs", "randomised_smoothing", "multiple_shooting")
+OURS = ("gd_converged", *SHOOTING, "mpcc", "mpcc_multistart", "mpcc_front", "free_motion", "global")
 
 
 def test_every_pipeline_of_table_one_is_there():

@@ -1,0 +1,16 @@
+"""Multiple shooting through the true contact law: for unstable scenes, whose errors then grow over one time step only."""
+
+from formulations.method import Kind
+from formulations.multiple_shooting.method import MultipleShootingMethod
+from models.contact_law import ContactLaw
+
+
+class ReluMultipleShooting(MultipleShootingMethod):
+    name = "relu_multiple_shooting"
+    title = "Multiple shooting on ReLU contact"
+    kind = Kind.DIRECT
+    needs_eps = False
+    law = ContactLaw.RELU
+
+
+METHOD = ReluMultipleShooting()

@@ -1,0 +1,16 @@
+"""Multiple shooting through softplus contact: for unstable scenes, whose errors then grow over one time step only; its forces act at a distance."""
+
+from formulations.method import Kind
+from formulations.multiple_shooting.method import MultipleShootingMethod
+from models.contact_law import ContactLaw
+
+
+class SoftplusMultipleShooting(MultipleShootingMethod):
+    name = "softplus_multiple_shooting"
+    title = "Multiple shooting on softplus contact"
+    kind = Kind.INDIRECT
+    needs_eps = True
+    law = ContactLaw.SOFTPLUS
+
+
+METHOD = SoftplusMultipleShooting()

@@ -1,0 +1,73 @@
+"""Running and final cost of a scene with first and second derivatives, from its SymPy expressions, for all steps at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import sympy as sp
+
+from models.dynamics import derive
+from models.scene import Scene
+
+
+class Costs:
+    """running(x, u) and final(x): values, slopes and Hessians, the Hessians made positive semidefinite."""
+
+    def __init__(self, scene: Scene) -> None:
+        d = derive(scene)
+        state, inputs = [*d.q, *d.v], list(d.u)
+        values = scene.parameter_values
+        running, final = sp.sympify(d.running_cost).xreplace(values), sp.sympify(d.final_cost).xreplace(values)
+        self._nx, self._nu = len(state), len(inputs)
+        self._running = _Derivatives(running, [*state, *inputs])
+        self._final = _Derivatives(final, state)
+
+    def value(self, x: np.ndarray, u: np.ndarray) -> float:
+        """The cost of nodes x (steps+1, nx) and inputs u (steps, nu)."""
+        return float(self._running.value(np.hstack([x[:-1], u])).sum() + self._final.value(x[-1:])[0])
+
+    def running(self, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Slope (steps, nx+nu) and Hessian (steps, nx+nu, nx+nu) at x (steps, nx), u (steps, nu)."""
+        point = np.hstack([x, u])
+        return self._running.slope(point), self._running.hessian(point)
+
+    def final(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Slope (nx,) and Hessian (nx, nx) at x (nx,)."""
+        point = x[None, :]
+        return self._final.slope(point)[0], self._final.hessian(point)[0]
+
+
+class _Derivatives:
+    def __init__(self, expression: sp.Expr, symbols: Sequence[sp.Symbol]) -> None:
+        n = len(symbols)
+        slope = [sp.diff(expression, symbol) for symbol in symbols]
+        hessian = [sp.diff(entry, symbol) for entry in slope for symbol in symbols]
+        self._n = n
+        self._value, self._slope, self._hessian = (_rows(entries, symbols) for entries in ([expression], slope, hessian))
+        self._quadratic = not any(entry.free_symbols for entry in hessian)
+
+    def value(self, point: np.ndarray) -> np.ndarray:
+        return self._value(point)[:, 0]
+
+    def slope(self, point: np.ndarray) -> np.ndarray:
+        return self._slope(point)
+
+    def hessian(self, point: np.ndarray) -> np.ndarray:
+        rows = self._hessian(point[:1] if self._quadratic else point).reshape(-1, self._n, self._n)
+        value, vectors = np.linalg.eigh(rows)
+        convex = (vectors * np.maximum(value, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1) if (value < 0.0).any() else rows
+        return np.broadcast_to(convex, (len(point), self._n, self._n))
+
+
+def _rows(entries: Sequence[sp.Expr], symbols: Sequence[sp.Symbol]) -> Callable[[np.ndarray], np.ndarray]:
+    """A function of points (n, len(symbols)) to (n, len(entries)), constants spread over the rows."""
+    compiled = sp.lambdify([list(symbols)], list(entries), modules="numpy", cse=True)
+
+    def function(point: np.ndarray) -> np.ndarray:
+        found = np.empty((len(point), len(entries)))
+        for index, column in enumerate(compiled(list(point.T))):
+            found[:, index] = column
+        return found
+
+    return function

@@ -1,0 +1,220 @@
+"""Multiple shooting by sequential linear-quadratic programming, with the steps run through the scene's own time step under feedback.
+
+Unknowns are the inputs u and the states x at every node; gap[t] = f(x[t], u[t]) - x[t+1]. In each iteration the linear-quadratic
+subproblem (riccati.py) gives inputs and feedback, and the plan is rolled out with both, the gaps closed by the length of the step. A
+step is taken if it lowers the exact penalty function  cost + goal term + nu sum |gap|,  nu above the multipliers of the gaps.
+
+The goal is met by an augmented Lagrangian (goal.py): its multipliers are updated where the iterations have settled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from time import perf_counter
+from typing import NamedTuple
+
+import numpy as np
+
+from formulations.multiple_shooting.costs import Costs
+from formulations.multiple_shooting.goal import GoalTerm
+from formulations.multiple_shooting.riccati import Stages
+from formulations.solution import Outcome
+from models.codegen.steps import Linearised, Steps
+from models.contact_law import ContactLaw
+
+_SUFFICIENT = 1e-4  # of the decrease that the linearised penalty function promises
+_SHORTEST = 2.0**-12  # step length; below, the subproblem is damped instead
+_NU = 1.5  # nu over the largest multiplier of a gap
+_FIRST_SHIFT, _LARGEST_SHIFT, _SHIFT_GROWTH = 1e-6, 1e12, 10.0  # of the inputs' Hessian, relative to its size
+_SLOW = 0.25  # a miss that shrinks by less than this from update to update gets ten times the weight
+_HEAVIEST = 1e12
+_CRAWL, _CRAWLS = 10, 1e-2  # so many steps in a row that gain less than this share of the precision: a kink, and no way on
+_FIRST_PRECISION = 1e-3  # before the first update of the multipliers; each one asks for ten times more
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """goal_weight: first weight of the squared miss of the goal; tolerance: a relative decrease of the penalty function that counts as none."""
+
+    goal_weight: float
+    goal_tolerance: float
+    gap_tolerance: float
+    tolerance: float
+    max_iterations: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Found:
+    """x (steps+1, 2*nq), u (steps, nu): the nodes and inputs it ended with; gap: largest entry; miss: |x_T - goal| at the last node;
+    slope: promised decrease of the penalty function; history: columns of equal length, one row an iteration."""
+
+    outcome: Outcome
+    message: str
+    x: np.ndarray
+    u: np.ndarray
+    gap: float
+    miss: float
+    slope: float
+    iterations: int
+    history: dict[str, list[float]]
+
+
+class _Taken(NamedTuple):
+    x: np.ndarray
+    u: np.ndarray
+    lin: Linearised
+    length: float
+
+
+@dataclass(eq=False)
+class Solver:
+    """See the module docstring. evaluate_seconds: wall seconds in the scene's compiled steps."""
+
+    steps: Steps
+    costs: Costs
+    law: ContactLaw
+    eps: float | None
+    settings: Settings
+    evaluate_seconds: float = 0.0
+    _history: dict[str, list[float]] = field(
+        default_factory=lambda: {"penalty": [], "cost": [], "terminal_error": [], "gap": [], "length": []}
+    )
+
+    def solve(self, x: np.ndarray, u: np.ndarray, goal: GoalTerm, deadline: float) -> Found:
+        """From nodes x (steps+1, 2*nq), x[0] the start, and inputs u (steps, nu) within their bounds; deadline: of perf_counter."""
+        scene, settings = self.steps.scene, self.settings
+        self._lower, self._upper = np.array([i.lower for i in scene.inputs]), np.array([i.upper for i in scene.inputs])
+        self._stages = Stages(len(u), 2 * scene.nq, scene.nu)
+        shift, slope, last_miss, iteration, crawling, nu, settled = 0.0, -np.inf, np.inf, 0, 0, 0.0, False
+        precision = max(settings.tolerance, _FIRST_PRECISION) if goal.any else settings.tolerance
+        lin = self._linearise(x, u)
+
+        def ended(outcome: Outcome, message: str) -> Found:
+            gap = np.inf if lin is None else float(np.abs(lin.next - x[1:]).max())
+            miss = float(np.linalg.norm(goal.miss(x[-1])))
+            return Found(
+                outcome=outcome, message=message, x=x, u=u, gap=gap, miss=miss, slope=slope, iterations=iteration, history=self._history
+            )
+
+        if lin is None:
+            return ended(
+                Outcome.EVALUATION_ERROR, "a time step from the first guess is not finite; start, parameters and inputs must allow one"
+            )
+        while True:
+            if iteration >= settings.max_iterations:
+                return ended(Outcome.ITERATION_LIMIT, f"stopped at max_iterations = {settings.max_iterations}")
+            if perf_counter() >= deadline:
+                return ended(Outcome.TIME_LIMIT, f"stopped after {iteration} iterations at its time limit")
+            self._fill(x, u, lin, goal)
+            size = float(np.abs(self._stages.luu).max(initial=0.0)) or 1.0
+            taken = None
+            while taken is None and shift <= _LARGEST_SHIFT:
+                if self._stages.backward(u, self._lower, self._upper, shift * size):
+                    slope, nu = self._slope()
+                    settled = -slope <= precision * max(abs(self._penalty(x, u, goal, nu, self._stages.gap)), 1e-12)
+                    if settled or crawling >= _CRAWL:
+                        break
+                    taken = self._search(x, u, goal, nu, slope)
+                if taken is None:
+                    shift = max(_FIRST_SHIFT, shift * _SHIFT_GROWTH)
+            iteration += 1
+            gap = float(np.abs(self._stages.gap).max())
+            if taken is not None:
+                before = self._penalty(x, u, goal, nu, self._stages.gap)
+                x, u, lin, length = taken
+                won = before - self._penalty(x, u, goal, nu, lin.next - x[1:])
+                crawling = crawling + 1 if won <= _CRAWLS * precision * abs(before) else 0
+                shift = shift / _SHIFT_GROWTH if length == 1.0 and shift > _FIRST_SHIFT else 0.0 if length == 1.0 else shift
+                self._note(x, u, goal, lin, length)
+                continue
+            miss = float(np.linalg.norm(goal.miss(x[-1])))
+            if shift > _LARGEST_SHIFT:
+                return ended(
+                    Outcome.STALLED, "no step along the subproblem's direction lowers the penalty function, however short or damped"
+                )
+            if miss <= settings.goal_tolerance and gap <= settings.gap_tolerance and precision <= settings.tolerance:
+                if settled:
+                    return ended(Outcome.SOLVED, "")
+                return ended(
+                    Outcome.STALLED, f"the last {_CRAWL} steps gained next to nothing, although the subproblem promises {-slope:.2g}"
+                )
+            if goal.weight > _HEAVIEST:
+                return ended(Outcome.STALLED, f"the goal is still missed by {miss:.3g} although its weight has grown to {goal.weight:.1g}")
+            goal.update(x[-1])
+            if miss > max(settings.goal_tolerance, _SLOW * last_miss):
+                goal.weight *= 10.0
+            precision = max(settings.tolerance, 0.1 * precision)
+            last_miss, shift, crawling = miss, 0.0, 0
+
+    def _linearise(self, x: np.ndarray, u: np.ndarray) -> Linearised | None:
+        started = perf_counter()
+        found = self.steps.linearise(x[:-1], u, self.steps.scene.task.step, self.law, self.eps)
+        self.evaluate_seconds += perf_counter() - started
+        return found
+
+    def _fill(self, x: np.ndarray, u: np.ndarray, lin: Linearised, goal: GoalTerm) -> None:
+        stages, nx = self._stages, x.shape[1]
+        stages.A[:], stages.B[:] = lin.A, lin.B
+        np.subtract(lin.next, x[1:], out=stages.gap)
+        slope, hessian = self.costs.running(x[:-1], u)
+        stages.lx[:], stages.lu[:] = slope[:, :nx], slope[:, nx:]
+        stages.lxx[:], stages.lux[:], stages.luu[:] = hessian[:, :nx, :nx], hessian[:, nx:, :nx], hessian[:, nx:, nx:]
+        slope_end, hessian_end = self.costs.final(x[-1])
+        stages.px[:], stages.pxx[:] = slope_end + goal.slope(x[-1]), hessian_end + goal.hessian()
+
+    def _slope(self) -> tuple[float, float]:
+        """Directional derivative of the penalty function along the subproblem's step, and nu."""
+        stages = self._stages
+        dx, du = stages.forward()
+        nu = _NU * float(np.abs(stages.Vx).max())
+        along = float((stages.lx * dx[:-1]).sum() + (stages.lu * du).sum() + stages.px @ dx[-1])
+        return along - nu * float(np.abs(stages.gap).sum()), nu
+
+    def _penalty(self, x: np.ndarray, u: np.ndarray, goal: GoalTerm, nu: float, gap: np.ndarray) -> float:
+        return self.costs.value(x, u) + goal.value(x[-1]) + nu * float(np.abs(gap).sum())
+
+    def _search(self, x: np.ndarray, u: np.ndarray, goal: GoalTerm, nu: float, slope: float) -> _Taken | None:
+        """The longest step that lowers the penalty function enough; None if none does.
+
+        While there are gaps the nodes move along the subproblem's step, so that no error grows over more than one time step; without
+        gaps, or where that fails, the plan is rolled out under the subproblem's feedback.
+        """
+        before = self._penalty(x, u, goal, nu, self._stages.gap)
+        dx, du = self._stages.forward()
+        open_gaps = float(np.abs(self._stages.gap).max()) > self.settings.gap_tolerance
+        for rolled in (False, True) if open_gaps else (True,):
+            length = 1.0
+            while length >= _SHORTEST:
+                limit = before + _SUFFICIENT * length * slope
+                trial = self._rolled(x, u, length) if rolled else self._moved(x, u, length * dx, length * du)
+                lin = None if trial is None else self._linearise(*trial)
+                if trial is not None and lin is not None:
+                    if self._penalty(*trial, goal, nu, lin.next - trial[0][1:]) <= limit:
+                        return _Taken(*trial, lin, length)
+                    if not rolled:  # what the step leaves open because the scene is not linear, closed by one more linear step
+                        ddx, ddu = self._stages.forward(lin.next - trial[0][1:] - (1.0 - length) * self._stages.gap)
+                        trial = self._moved(*trial, ddx, ddu)
+                        lin = self._linearise(*trial)
+                        if lin is not None and self._penalty(*trial, goal, nu, lin.next - trial[0][1:]) <= limit:
+                            return _Taken(*trial, lin, length)
+                length *= 0.5
+        return None
+
+    def _moved(self, x: np.ndarray, u: np.ndarray, dx: np.ndarray, du: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return x + dx, np.clip(u + du, self._lower, self._upper)
+
+    def _rolled(self, x: np.ndarray, u: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray] | None:
+        """Nodes and inputs of the scene's own motion under the subproblem's inputs and feedback; the gaps closed by `length`."""
+        stages = self._stages
+        started = perf_counter()
+        run = self.steps.follow(
+            x[0], x[:-1], u + length * stages.k, stages.K, self.steps.scene.task.step, self.law, self.eps, (length - 1.0) * stages.gap
+        )
+        self.evaluate_seconds += perf_counter() - started
+        return None if run.diverged else (run.x, run.u)
+
+    def _note(self, x: np.ndarray, u: np.ndarray, goal: GoalTerm, lin: Linearised, length: float) -> None:
+        cost = self.costs.value(x, u)
+        row = (cost + goal.value(x[-1]), cost, float(np.linalg.norm(goal.miss(x[-1]))), float(np.abs(lin.next - x[1:]).max()), length)
+        for column, value in zip(self._history.values(), row, strict=True):
+            column.append(value)

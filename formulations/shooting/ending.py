@@ -1,0 +1,69 @@
+"""What every shooting method does with its plan at the end, and with a warm start at the beginning. No PyTorch here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from formulations.solution import Outcome
+from models.errors import TrajectoryError
+from models.goal import goal_state, miss
+from models.scene import Scene
+from models.trajectory import Trajectory, uniform_grid
+
+
+def first_inputs(scene: Scene, warm_start: Trajectory | None) -> np.ndarray:
+    """Inputs (steps, nu) of the warm start within their bounds, or zeros. Raises TrajectoryError for a plan of another scene or grid."""
+    lower, upper = input_bounds(scene)
+    return np.clip(given_inputs(scene, warm_start), lower, upper)
+
+
+def given_inputs(scene: Scene, warm_start: Trajectory | None) -> np.ndarray:
+    """The same as they are. Raises TrajectoryError."""
+    task = scene.task
+    if warm_start is None:
+        return np.zeros((task.steps, scene.nu))
+    warm_start.check_fits(scene)
+    grid = uniform_grid(task.step, task.steps)
+    if warm_start.steps != task.steps or not np.allclose(warm_start.t - warm_start.t[0], grid, rtol=1e-9, atol=1e-9 * task.step):
+        raise TrajectoryError(
+            f"warm start: it has {warm_start.steps} steps over {warm_start.t[-1] - warm_start.t[0]:g} s, but scene {scene.name} has "
+            f"{task.steps} steps of {task.step:g} s; resample it to that grid."
+        )
+    return np.array(warm_start.u)
+
+
+def input_bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper bounds (nu,) of the inputs."""
+    return np.array([item.lower for item in scene.inputs]), np.array([item.upper for item in scene.inputs])
+
+
+def plan_residuals(scene: Scene, plan: Trajectory) -> dict[str, float]:
+    """terminal_error, terminal_position_error, input_bound_excess and, where the scene has such bounds, velocity_bound_excess."""
+    error = miss(plan.end, goal_state(scene.task))
+    lower, upper = input_bounds(scene)
+    residuals = {
+        "terminal_error": float(np.linalg.norm(error)),
+        "terminal_position_error": float(np.linalg.norm(error[: scene.nq])),
+        "input_bound_excess": float(np.maximum(np.maximum(lower - plan.u, plan.u - upper), 0.0).max(initial=0.0)),
+    }
+    if any(coordinate.has_velocity_bounds for coordinate in scene.coordinates):
+        slowest = np.array([coordinate.velocity_lower for coordinate in scene.coordinates])
+        fastest = np.array([coordinate.velocity_upper for coordinate in scene.coordinates])
+        excess = np.maximum(slowest - plan.v[:-1], plan.v[:-1] - fastest)
+        residuals["velocity_bound_excess"] = float(np.maximum(excess, 0.0).max(initial=0.0))
+    return residuals
+
+
+def arrived(
+    scene: Scene, outcome: Outcome, message: str, residuals: Mapping[str, float], advice: str = "a larger terminal_weight"
+) -> tuple[Outcome, str]:
+    """Outcome and message; whoever converged away from the goal has not solved the task: STALLED, with `advice` on what brings it nearer."""
+    for name in ("terminal_position_error", "terminal_error"):
+        limit = scene.limit(f"discrete_{name}")
+        if outcome is Outcome.SOLVED and limit is not None and residuals[name] > limit.value:
+            told = f"{name} is {residuals[name]:.3g}, the scene asks for {limit.value:g}; {advice} brings it nearer"
+            outcome, message = Outcome.STALLED, f"{message} It converged away from the goal: {told}.".strip()
+    missed = f" The goal is missed by {residuals['terminal_error']:.3g} in the plan's own contact model." if scene.task.has_goal else ""
+    return outcome, f"{message}{missed}".strip()

@@ -1,0 +1,201 @@
+"""L-BFGS on an Objective within the bounds of the inputs (SciPy's L-BFGS-B), and the goal met by aiming beside it.
+
+    found = minimise(objective, u0, Settings(), time_limit=60.0)
+
+The loss is that of gradient descent, which weighs the goal against the cost and so ends a little beside the goal. Each round after the
+first displaces the goal that is aimed at by what was missed: goal - s with s <- s + (x_T - goal). That is the method of multipliers, since
+w |m + s|^2 = w |m|^2 + 2 w s'm + constant, with 2 w s as multipliers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import numpy as np
+from scipy.optimize import Bounds, minimize
+
+from formulations.shooting.descent import Descent
+from formulations.shooting.diagnosis import dead_contact_message, sensitivity, stable_rate
+from formulations.shooting.ending import input_bounds
+from formulations.shooting.objective import Objective
+from formulations.solution import Outcome
+from models.goal import miss
+from models.scene import Scene
+
+_PATIENCE = 20  # iterations over which the decrease is judged
+_SHRINKS, _HEAVIER = 0.25, 5.0  # a round that misses by more than this share of the least before makes the goal heavier
+_STALLS = 0.9  # three rounds in a row that miss by more than this share of the least are enough
+_FLAT = 1e-5  # a gradient of this share of the first one is none, where no step lowers the loss
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """memory: corrections kept; tolerance: relative decrease over 20 iterations that counts as none; goal_rounds: most displacements of
+    the goal; goal_tolerance: |x_T - goal| at which there is no need of another."""
+
+    memory: int = 20
+    max_iterations: int = 2000
+    tolerance: float = 1e-4
+    goal_rounds: int = 10
+    goal_tolerance: float = 1e-6
+
+
+class _Run:
+    """One minimisation for a fixed aim: the function in units of its first value, its best point, and when to stop."""
+
+    def __init__(
+        self, objective: Objective, goal: np.ndarray, settings: Settings, deadline: float, history: dict[str, list[float]]
+    ) -> None:
+        self._objective, self._goal, self._settings, self._deadline, self._history = objective, goal, settings, deadline, history
+        self._shape = objective.work.u.shape
+        self._last: tuple[np.ndarray, float, np.ndarray, float, float] | None = None  # point, loss, gradient, miss, cost
+        self._scale = 1.0
+        self.losses: list[float] = []
+        self.ending = ""
+        self._norm = 0.0  # of the projected gradient at the last iterate
+
+    def start(self, u: np.ndarray) -> float:
+        value = self._objective.value(u)
+        self._scale = value if np.isfinite(value) and value > 0.0 else 1.0
+        if np.isfinite(value):
+            self._norm = float(np.linalg.norm(projected(self._objective, u, self._objective.gradient())))
+        return value
+
+    @property
+    def flat(self) -> bool:
+        """Whether next to nothing is left of the projected gradient that the first point had."""
+        norms = self._history["gradient_norm"]
+        return self._norm <= _FLAT * (norms[0] if norms else 0.0)
+
+    def function(self, point: np.ndarray) -> tuple[float, np.ndarray]:
+        value = self._objective.value(point.reshape(self._shape))
+        if not np.isfinite(value):  # a step too far: the line search shortens it
+            return 1e300, np.zeros(point.size)
+        gradient = self._objective.gradient().ravel()
+        self._last = (
+            point.copy(),
+            value,
+            gradient.copy(),
+            float(np.linalg.norm(miss_of(self._objective, self._goal))),
+            self._objective.cost,
+        )
+        return value / self._scale, gradient / self._scale
+
+    def watch(self, point: np.ndarray) -> None:
+        """After each iteration; raises StopIteration where it is enough."""
+        objective, settings = self._objective, self._settings
+        if self._last is None or not np.array_equal(self._last[0], point):
+            self.function(point)
+        if self._last is None:
+            return
+        _, value, slope, missed, cost = self._last
+        gradient = projected(objective, point.reshape(self._shape), slope.reshape(self._shape))
+        self._norm = float(np.linalg.norm(gradient))
+        row = (value, missed, cost, self._norm)
+        for column, entry in zip(self._history.values(), row, strict=True):
+            column.append(entry)
+        self.losses.append(value)
+        if len(self._history["loss"]) >= settings.max_iterations:
+            self.ending = "limit"
+        elif perf_counter() >= self._deadline:
+            self.ending = "time"
+        elif len(self.losses) > _PATIENCE and self.losses[-1 - _PATIENCE] - value <= settings.tolerance * abs(self.losses[-1 - _PATIENCE]):
+            self.ending = "settled"
+        if self.ending:
+            raise StopIteration
+
+
+def miss_of(objective: Objective, goal: np.ndarray) -> np.ndarray:
+    """x_T - goal (2*nq,) of the last rollout, 0 where the end is free."""
+    return miss(np.concatenate([objective.work.q[-1], objective.work.v[-1]]), goal)
+
+
+def projected(objective: Objective, u: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    """The gradient (steps, nu) without entries whose descent would leave the bounds."""
+    lower, upper = input_bounds(objective.work.kernel.scene)
+    beyond = ((u <= lower) & (gradient > 0.0)) | ((u >= upper) & (gradient < 0.0))
+    return np.where(beyond, 0.0, gradient)
+
+
+def minimise(objective: Objective, u0: np.ndarray, settings: Settings, time_limit: float) -> Descent:
+    """From u0 (steps, nu) to the best inputs; gradient_norm is without entries that point beyond a bound. time_limit: wall seconds.
+
+    The objective's goal is left where it was."""
+    deadline = perf_counter() + time_limit
+    goal, weights = objective.goal.copy(), objective.weights
+    history: dict[str, list[float]] = {"loss": [], "terminal_error": [], "cost": [], "gradient_norm": []}
+    u = np.clip(u0, *input_bounds(objective.work.kernel.scene))
+    try:
+        run, u, missed, rounds = _rounds(objective, u, settings, deadline, history)
+    finally:
+        objective.goal[:], objective.weights = goal, weights
+    if run is None:
+        work = objective.work
+        told = f"at the first guess the rollout is no longer finite beyond step {work.finite_steps} (t = {work.finite_steps * work.step:.3g} s)"
+        return Descent(outcome=Outcome.EVALUATION_ERROR, message=f"{told}.", u=None, iterations=0, gradient_norm=0.0, history=history)
+    iterations = len(history["loss"])
+    objective.value(u)
+    gradient = float(np.linalg.norm(projected(objective, u, objective.gradient())))
+    told = {
+        "limit": (Outcome.ITERATION_LIMIT, f"stopped at max_iterations = {settings.max_iterations}"),
+        "time": (Outcome.TIME_LIMIT, f"stopped after {iterations} iterations at the time limit of {time_limit:g} s"),
+        "settled": (Outcome.SOLVED, f"the loss fell by less than {100.0 * settings.tolerance:.2g} % over the last {_PATIENCE} iterations"),
+        "flat": (Outcome.SOLVED, f"the gradient has fallen to less than {_FLAT:g} of what it was"),
+        "search": (Outcome.STALLED, "no step along the search direction lowers the loss: a kink of the contact forces, or rounding"),
+    }
+    outcome, message = told[run.ending]
+    if rounds:
+        message += f"; the goal was displaced {rounds} times"
+    dead = (
+        dead_contact_message(objective, sensitivity(objective), min(stable_rate(objective, u), 1e12))
+        if missed > settings.goal_tolerance
+        else ""
+    )
+    objective.value(u)
+    if dead:
+        outcome, message = (Outcome.STALLED if outcome is Outcome.SOLVED else outcome), f"{message}; {dead}"
+    message = message if message.endswith(".") else f"{message}."
+    return Descent(outcome=outcome, message=message, u=u, iterations=iterations, gradient_norm=gradient, history=history)
+
+
+def _rounds(
+    objective: Objective, u: np.ndarray, settings: Settings, deadline: float, history: dict[str, list[float]]
+) -> tuple[_Run | None, np.ndarray, float, int]:
+    """Minimise, displace the goal by what was missed, and again; the last run, the best inputs, what they miss, and how often displaced."""
+    goal, best, least, displaced, weight, slow = objective.goal.copy(), u, np.inf, 0, objective.weights.terminal, 0
+    shift = np.zeros(len(goal))
+    while True:
+        objective.goal[:], objective.weights = goal - shift, replace(objective.weights, terminal=weight)
+        run = _Run(objective, goal, settings, deadline, history)
+        if not np.isfinite(run.start(u)):
+            return None, u, np.inf, 0
+        u = _one(run, objective.work.kernel.scene, u, settings)
+        objective.value(u)
+        error = miss_of(objective, goal)
+        missed = float(np.linalg.norm(error))
+        slow = slow + 1 if missed > _STALLS * least else 0
+        shift += error
+        if missed > _SHRINKS * least:  # a heavier goal, with the same multipliers
+            weight, shift = weight * _HEAVIER, shift / _HEAVIER
+        if missed < least:
+            best, least = u, missed
+        if run.ending in ("limit", "time") or missed <= settings.goal_tolerance or displaced >= settings.goal_rounds or slow > 2:
+            return run, best, least, displaced
+        displaced += 1
+
+
+def _one(run: _Run, scene: Scene, u: np.ndarray, settings: Settings) -> np.ndarray:
+    lower, upper = (np.broadcast_to(bound, u.shape).ravel() for bound in input_bounds(scene))
+    result = minimize(
+        run.function,
+        u.ravel(),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=Bounds(lower, upper),
+        callback=run.watch,
+        options={"maxcor": settings.memory, "maxiter": settings.max_iterations, "maxfun": 10**9, "ftol": 0.0, "gtol": 0.0, "maxls": 40},
+    )
+    if not run.ending:
+        run.ending = "flat" if run.flat else "search"
+    return np.clip(result.x.reshape(u.shape), lower.reshape(u.shape), upper.reshape(u.shape))
