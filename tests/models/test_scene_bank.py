@@ -13,7 +13,7 @@ import torch
 from scipy.optimize import minimize
 
 from formulations import ContactLaw, build_model
-from formulations.shooting.reference import reference_rollout
+from formulations.shooting.reference import _acceleration, reference_rollout
 from formulations.transcription.expressions import SceneExpressions
 from models.catalog import load_scene
 from models.codegen.emit import emit_model
@@ -27,7 +27,17 @@ from models.scenes.two_discs import RIGID_OPTIMUM, RIGID_OPTIMUM_WALL, rigid_cos
 from models.trajectory import Trajectory, uniform_grid
 from validate.replay import replay
 
-NAMES = ("acrobot_limits", "bouncing_mass", "cart_pole_walls", "hopper", "three_cart", "two_body_collision", "two_discs")
+NAMES = (
+    "acrobot_limits",
+    "bouncing_mass",
+    "cart_pole_walls",
+    "hopper",
+    "three_cart",
+    "two_body_collision",
+    "two_discs",
+    "two_finger",
+    "two_finger_lift",
+)
 BANK: dict[str, Callable[[], Scene]] = {
     **{name: (lambda name=name: load_scene(name)) for name in NAMES},
     **{f"cart_chain({n})": (lambda n=n: cart_chain(n)) for n in (2, 3, 5, 20)},
@@ -46,8 +56,8 @@ def kernel_of(name: str) -> Kernel:
 
 
 def points(scene: Scene) -> tuple[np.ndarray, ...]:
-    """Rows (q, v, u, lam): zeros, ones, 0101, 0123 and two random ones."""
-    sizes = np.cumsum([scene.nq, scene.nq, scene.nu, scene.nc])
+    """Rows (q, v, u, lam with friction): zeros, ones, 0101, 0123 and two random ones."""
+    sizes = np.cumsum([scene.nq, scene.nq, scene.nu, scene.nl])
     count = np.arange(int(sizes[-1]), dtype=float)
     random = np.random.default_rng(7).normal(size=(2, len(count)))
     rows = np.array([np.zeros_like(count), np.ones_like(count), count % 2, count, *random])
@@ -58,7 +68,7 @@ def points(scene: Scene) -> tuple[np.ndarray, ...]:
 def test_c_sympy_and_pyomo_agree_at_probe_points(name: str):
     """SymPy by numpy is the reference; the C kernel and the functions that write the Pyomo model, given numbers, give the same."""
     scene, kernel, d = scene_of(name), kernel_of(name), derive(scene_of(name))
-    mass, force = d.function(d.mass_matrix, d.q), d.function(d.generalised_force, d.q, d.v, d.u, d.lam)
+    mass, force = d.function(d.mass_matrix, d.q), d.function(d.generalised_force, d.q, d.v, d.u, (*d.lam, *d.f))
     phi, cost, end = d.function(d.penetration, d.q), d.function([d.running_cost], d.q, d.v, d.u), d.function([d.final_cost], d.q, d.v)
     written, p = SceneExpressions(d), [parameter.value for parameter in scene.parameters]
     for q, v, u, lam in zip(*points(scene), strict=True):
@@ -81,12 +91,23 @@ def test_c_sympy_and_pyomo_agree_at_probe_points(name: str):
 @pytest.mark.parametrize("name", BANK)
 def test_torch_takes_the_same_steps(name: str):
     scene, kernel = scene_of(name), kernel_of(name)
+    if scene.nf:  # the rollout in plain PyTorch solves no friction; given its forces, it has the same accelerations
+        d, arguments = derive(scene), [torch.from_numpy(np.ascontiguousarray(rows)) for rows in points(scene)]
+        accelerations = _acceleration(scene, (d.q, d.v, d.u, (*d.lam, *d.f)), torch.float64)
+        found = np.array([accelerations(*(rows[point] for rows in arguments)).numpy() for point in range(len(arguments[0]))])
+        assert found == pytest.approx(kernel.acceleration(*points(scene)), rel=1e-11, abs=1e-11)
+        return
     u = np.random.default_rng(3).normal(size=(8, scene.nu))
     start = np.array(scene.task.start)
     found = reference_rollout(scene, torch.from_numpy(u), torch.from_numpy(start))
     plan = kernel.rollout(start, u, scene.task.step)
     for left, right in zip(found, (plan.q, plan.v, plan.lam), strict=True):
         assert np.abs(left.numpy() - right).max(initial=0.0) < 1e-11
+
+
+# Fingers swap, the disc's x and angle change sign; friction is measured along the line of centres turned left, which a mirror turns right.
+_FINGERS = np.block([[np.eye(4)[[2, 3, 0, 1]], np.zeros((4, 3))], [np.zeros((3, 4)), np.diag([-1.0, 1.0, -1.0])]])
+_PAIR = np.eye(2)[::-1]
 
 
 def _reversed(nq: int) -> np.ndarray:
@@ -101,6 +122,12 @@ MIRRORS = {
     "cart_chain(20)": (_reversed(20), _reversed(2), np.eye(19)[::-1]),
     "cart_pole_walls": (-np.eye(2), -np.eye(1), np.eye(2)[::-1]),
     "acrobot_limits": (-np.eye(2), -np.eye(1), np.eye(2)[::-1]),
+    "two_finger": (_FINGERS, np.eye(4)[[2, 3, 0, 1]], _PAIR),
+    "two_finger_lift": (
+        _FINGERS,
+        np.eye(4)[[2, 3, 0, 1]],
+        np.block([[_PAIR, np.zeros((2, 3))], [np.zeros((1, 2)), np.ones((1, 1)), np.zeros((1, 2))], [np.zeros((2, 3)), -_PAIR]]),
+    ),
     "two_discs": (np.diag([-1.0, 1.0, -1.0, 1.0]), np.diag([-1.0, 1.0]), np.eye(1)),
 }
 
@@ -109,10 +136,11 @@ MIRRORS = {
 def test_a_mirrored_state_has_the_mirrored_motion(name: str):
     kernel, (state, inputs, contacts) = kernel_of(name), MIRRORS[name]
     q, v, u, lam = points(scene_of(name))
+    nc = scene_of(name).nc
     mirrored = kernel.acceleration(q @ state.T, v @ state.T, u @ inputs.T, lam @ contacts.T)
     expected = kernel.acceleration(q, v, u, lam) @ state.T
     assert mirrored == pytest.approx(expected, rel=1e-11, abs=1e-11)
-    assert kernel.penetration(q @ state.T) == pytest.approx(kernel.penetration(q) @ contacts.T, rel=1e-11, abs=1e-11)
+    assert kernel.penetration(q @ state.T) == pytest.approx(kernel.penetration(q) @ contacts[:nc, :nc].T, rel=1e-11, abs=1e-11)
 
 
 @pytest.mark.parametrize("name", ["two_discs", "two_discs(wall)", "two_body_collision", "three_cart", "cart_chain(20)"])
@@ -129,16 +157,17 @@ def test_a_pair_of_bodies_pushes_itself_nowhere(name: str):
 
 @pytest.mark.parametrize("name", BANK)
 def test_a_model_holds_what_the_scene_needs_and_nothing_else(name: str):
-    """Counted on paper, T steps: states 2 nq (T+1), inputs nu T, forces nc T; rows: start, what is given of the goal, 2 nq T steps, nc T contacts."""
+    """Counted on paper, T steps: states 2 nq (T+1), inputs nu T, forces nl T; rows: start, what is given of the goal, 2 nq T steps, nl T laws of contact and friction."""
     scene, T = scene_of(name), 3
     model = build_model(scene, ContactLaw.SOFTPLUS, eps=1e-2, steps=T)
     given = sum(value is not None for value in scene.task.goal)
-    assert len(list(model.component_data_objects(pyo.Var))) == 2 * scene.nq * (T + 1) + (scene.nu + scene.nc) * T
-    assert len(list(model.component_data_objects(pyo.Constraint))) == 2 * scene.nq + given + (2 * scene.nq + scene.nc) * T
+    assert len(list(model.component_data_objects(pyo.Var))) == 2 * scene.nq * (T + 1) + (scene.nu + scene.nl) * T
+    assert len(list(model.component_data_objects(pyo.Constraint))) == 2 * scene.nq + given + (2 * scene.nq + scene.nl) * T
     text, structure = emit_model(scene), derive(scene).structure
-    assert ("sin(" in text) == (name in {"cart_pole_walls", "acrobot_limits"})
+    curved = {"cart_pole_walls", "acrobot_limits", "two_finger", "two_finger_lift"}
+    assert ("sin(" in text) == (name in curved)
     assert ("sqrt(" in text) == (not structure.constant_mass or name.startswith("two_discs"))
-    assert structure.linear == (name not in {"cart_pole_walls", "acrobot_limits", "two_discs", "two_discs(wall)"})
+    assert structure.linear == (name not in curved | {"two_discs", "two_discs(wall)"})
     assert ("FINAL_COST" in text) == (scene.task.final_cost != 0)
 
 

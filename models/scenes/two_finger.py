@@ -1,0 +1,54 @@
+"""Two fingers carry a disc sideways and set it to rest: seven positions, four torques, and a mass matrix that depends on the position.
+
+The disc (0.5 kg) lies on a smooth table, seen from above, between the tips of two 2-link fingers. It has no drive of its own: only the tips can
+move it, 0.05 m to the right, and they have to catch it again. The fingers start 5 mm off on both sides, so that no force acts at first and both
+contacts have to be found.
+
+Source: dimensions, masses, stiffness, damping and the time step are those of our scene bank, after the planar grippers of contact-implicit
+planning; the equations are Lagrange's, see `_fingers`. Chosen here: bases 0.14 m beside the row of tip, disc and tip, so that the elbows are
+bent; 2 N m at each joint, ten times what the push takes once the tips are there; no friction, which this task can do without
+(`two_finger_lift` has it).
+
+To hold: the task asks for rest at the end, with the disc at its goal. The running cost counts the distance of the disc from its goal, 5 a metre,
+against the torques squared: little enough that tips of 100 N/m sink in by no more than half of R + w/2, enough that the disc arrives after
+0.3 s and stays for the other 0.2 s, which is tested. The distance is counted as it is, not squared: its square would let the last millimetres take
+as long as they like.
+"""
+
+import sympy as sp
+
+from models.scene import Limit, Scene, Task
+from models.scenes import _fingers as fingers
+
+WAY, HEIGHT, GAP, MASS, PULL = 0.05, 0.14, 0.005, 0.5, 5.0
+
+SCENE = Scene(
+    name="two_finger",
+    title="Two fingers carry a disc and set it to rest",
+    source="Lagrange's equations of four bars and a disc; dimensions of planar grippers in contact-implicit planning (see the file)",
+    coordinates=fingers.coordinates(),
+    inputs=fingers.inputs(2.0),
+    parameters=fingers.parameters(MASS),
+    kinetic_energy=fingers.kinetic_energy(),
+    potential_energy=sp.Integer(0),
+    forces=fingers.forces(),
+    contacts=fingers.tip_contacts(0.01),
+    task=Task(
+        start=(*fingers.pinch(GAP, HEIGHT), 0.0, HEIGHT, 0.0, *[0.0] * 7),
+        goal=(None, None, None, None, WAY, HEIGHT, None, *[0.0] * 7),
+        running_cost=fingers.running_cost(WAY, HEIGHT, PULL),
+        step=0.001,
+        steps=500,
+    ),
+    limits=(
+        *fingers.solver_limits(),
+        Limit(
+            figure="discrete_terminal_error",
+            value=0.01,
+            reason="a fifth of the way, or a fifth of the speed at which the disc crosses it in a quarter of a second",
+        ),
+        Limit(figure="replay_terminal_position_error", value=0.005, reason="a tenth of the way that the disc is to be moved"),
+    ),
+    answers=(fingers.stretched_answer(),),
+    shapes=fingers.shapes(),
+)

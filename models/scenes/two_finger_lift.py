@@ -1,0 +1,86 @@
+"""Two fingers lift a disc off a table by friction and hold it: the paper's cup, which no force at a distance may lift.
+
+The fingers of `two_finger`, hung from above in the vertical plane. The disc stands on a smooth table; the tips start 5 mm off on both sides.
+They have to close, to press - friction gives mu N a side, so that it takes at least m g/(2 mu) on each to hold the disc - to lift it by 0.05 m and
+to hold it there. Without contact there is no lift, and without friction none either: both pushes are level.
+
+Source: as `two_finger`. Chosen here: mu = 1 (rubber); a disc of 0.1 kg, a cup: tips of 100 N/m hold it with 5 mm of penetration, where
+the 0.5 kg of `two_finger` would sink in by 25 mm, half the radius; a table of 500 N/m, into which it sinks by 2 mm, and which starts in balance;
+h = 0.002 s: the stiffest of its motions, the disc on the table, has h w = 0.14.
+
+To hold: as in `two_finger`, 0.2 s of the 0.4 s. Here the distance from the goal counts 20 a metre: 1 a step on the table against 0.05 for
+the torques that hold the disc, so that lifting at once is worth it; at a quarter of that the cheapest plan is to juggle the disc at the end.
+"""
+
+import sympy as sp
+
+from models.scene import Answer, Contact, Limit, Parameter, Scene, Shape, Task
+from models.scenes import _fingers as fingers
+
+g, mu, k_t, y_t = sp.symbols("g mu k_t y_t", positive=True)
+WAY, HEIGHT, GAP, MASS, GRAVITY, MU, TABLE, PULL = 0.05, -0.14, 0.005, 0.1, 9.81, 1.0, 500.0, 20.0
+SUNK = MASS * GRAVITY / TABLE
+
+SCENE = Scene(
+    name="two_finger_lift",
+    title="Two fingers lift a disc off a table by friction",
+    source="Lagrange's equations of four bars and a disc; dimensions of planar grippers in contact-implicit planning (see the file)",
+    coordinates=fingers.coordinates(),
+    inputs=fingers.inputs(2.0),
+    parameters=(
+        *fingers.parameters(MASS),
+        Parameter(symbol=g, value=GRAVITY, unit="m/s^2", lower=0.0, description="gravity"),
+        Parameter(symbol=mu, value=MU, unit="1", lower=0.0, description="coefficient of friction between tip and disc"),
+        Parameter(symbol=k_t, value=TABLE, unit="N/m", lower=1e-6, description="stiffness of the table"),
+        Parameter(symbol=y_t, value=fingers.RADIUS - SUNK - HEIGHT, unit="m", description="depth of the table below the bases"),
+    ),
+    kinetic_energy=fingers.kinetic_energy(),
+    potential_energy=g * (fingers.m_d * fingers.y + fingers.m_l * sum(centre[1] for centre, _ in fingers.bars())),
+    forces=fingers.forces(),
+    contacts=(
+        *fingers.tip_contacts(0.01),
+        Contact(name="table", penetration=fingers.R - fingers.y - y_t, stiffness=k_t, nominal=0.002, description="disc on the table"),
+    ),
+    frictions=fingers.tip_frictions(mu, 0.1),
+    task=Task(
+        start=(*fingers.pinch(GAP, HEIGHT), 0.0, HEIGHT, 0.0, *[0.0] * 7),
+        goal=(None, None, None, None, 0.0, HEIGHT + WAY, None, *[0.0] * 7),
+        running_cost=fingers.running_cost(0.0, HEIGHT + WAY, PULL),
+        step=0.002,
+        steps=200,
+    ),
+    limits=(
+        *fingers.solver_limits(),
+        Limit(
+            figure="friction_violation",
+            value=1e-4,
+            reason="mu N is 0.5 N and more while it lifts; 0.1 mN beyond is force that friction does not have",
+        ),
+        Limit(
+            figure="friction_dissipation_error",
+            value=2e-5,
+            reason="20 microwatts: a creep of 0.04 mm/s under the friction that holds the disc, 8 micrometres over the 0.2 s",
+        ),
+        Limit(
+            figure="discrete_terminal_error",
+            value=0.01,
+            reason="a fifth of the way, or the speed that falling freely gives in 1 ms",
+        ),
+        Limit(figure="replay_terminal_position_error", value=0.005, reason="a tenth of the way that the disc is to be lifted"),
+        Limit(
+            figure="ghost_impulse",
+            value=0.02,
+            reason="a twentieth of the impulse m g T by which the disc is held up: what a step of 2 ms may misplace at the ten touches of a plan",
+        ),
+    ),
+    answers=(
+        fingers.stretched_answer(),
+        Answer(
+            quantity="least squeeze of each tip that holds the disc in the air [N]",
+            value=MASS * GRAVITY / (2 * MU),
+            tolerance=1e-9,
+            source="2 mu N >= m g: balance of the disc under two level pushes and their friction",
+        ),
+    ),
+    shapes=(*fingers.shapes(), Shape(name="table", kind="wall", x=sp.Integer(0), y=-y_t, size=(0.4,))),
+)
