@@ -83,7 +83,35 @@ class ReplaySpeedRecord(_Model):
     scenes: tuple[SpeedScene, ...]
 
 
-AnyBench = BalanceRecord | CosimRecord | ReplaySpeedRecord | ScalingRecord
+class StiffnessRow(_Model):
+    """One contact stiffness k [N/m]. omega_h: the contact's frequency times the time step; outcomes, costs: of each try by its start; cost: of the
+    best plan, None without one; replayed_cost: of its inputs in the continuous dynamics."""
+
+    k: Positive
+    steps: int = Field(gt=0)
+    omega_h: Positive
+    outcomes: dict[str, str]
+    costs: dict[str, Finite | None]
+    cost: Finite | None
+    replayed_cost: Finite | None
+    cpu_s: Finite
+
+
+class RigidLimitCase(_Model):
+    """rigid: the optimum in the limit of rigid bodies."""
+
+    name: str
+    title: str
+    rigid: Positive
+    rows: tuple[StiffnessRow, ...]
+
+
+class RigidLimitRecord(_Model):
+    kind: Literal["rigid_limit"]
+    cases: tuple[RigidLimitCase, ...]
+
+
+AnyBench = BalanceRecord | CosimRecord | ReplaySpeedRecord | RigidLimitRecord | ScalingRecord
 
 
 class BenchRecord(RootModel[Annotated[AnyBench, Field(discriminator="kind")]]):

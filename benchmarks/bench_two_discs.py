@@ -1,0 +1,119 @@
+"""The optimum of the two discs as their contact gets stiffer, against the optimum of rigid discs.
+
+    python benchmarks/bench_two_discs.py [-o FILE.json] [--stiffness K:STEPS ..] [--seconds S]
+
+Both variants (with and without the wall), from soft to stiff; the grid gets finer with the contact, so that omega h <= 0.45, omega^2 = 2 k/m. Each
+stiffness is solved twice, cold and from the plan of the one before, by the exact method mpcc with its search; the cheaper plan counts. Its
+inputs are then replayed through the continuous dynamics: the cost of what really happens stands beside the plan's own. The integral of
+abs(u)^2 is the same on every grid: its weight goes with the step.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+
+from formulations.catalog import load_method
+from formulations.solution import Solution
+from formulations.windows.grids import on_grid
+from models.fmu import build_fmu
+from models.scene import Scene
+from models.scenes.two_discs import MASS, RIGID_OPTIMUM, RIGID_OPTIMUM_WALL, two_discs
+from models.trajectory import Trajectory
+from validate.replay import replay
+
+_SWEEP = ((50, 480), (100, 480), (200, 480), (500, 480), (1000, 480), (2000, 480), (5000, 480), (10000, 480), (20000, 480))
+
+
+def _scene(wall: bool, k: float, steps: int) -> Scene:
+    scene = two_discs(wall=wall).with_parameters(k=k)
+    task = scene.task
+    return scene.with_task(steps=steps, step=task.horizon / steps, running_cost=task.running_cost * task.steps / steps)
+
+
+def _solved(scene: Scene, start: Trajectory | None, seconds: float) -> Solution:
+    with load_method("mpcc").open(scene) as session:
+        return session.solve(eps=None, warm_start=start, time_limit=seconds)
+
+
+def _replayed_cost(scene: Scene, plan: Trajectory) -> float | None:
+    """The cost with the end that the continuous dynamics lead to; None if the replay did not get there."""
+    found = replay(scene, build_fmu(scene), plan)
+    if not found.ok:
+        return None
+    own = plan.q[-1, 2:] @ plan.q[-1, 2:]
+    real = found.end[2:4] @ found.end[2:4]
+    work = sum(_weight(scene) * float(u @ u) for u in plan.u)
+    return work + float(real) if np.isfinite(own) else None
+
+
+def _weight(scene: Scene) -> float:
+    """Of u^2 in the running cost, per step."""
+    cost = scene.task.running_cost
+    return float(cost.subs({item.symbol: 1.0 if index == 0 else 0.0 for index, item in enumerate(scene.inputs)}))
+
+
+def _row(wall: bool, k: float, steps: int, before: Trajectory | None, seconds: float) -> tuple[dict[str, Any], Trajectory | None]:
+    scene = _scene(wall, k, steps)
+    began = process_time()
+    tries = [("cold", _solved(scene, None, seconds))]
+    if before is not None:
+        tries.append(("from the stiffness before", _solved(scene, on_grid(before, scene), seconds)))
+    found = [(words, solution) for words, solution in tries if solution.trajectory is not None and solution.cost is not None]
+    row: dict[str, Any] = {
+        "k": float(k),
+        "steps": steps,
+        "omega_h": math.sqrt(2 * k / MASS) * scene.task.step,
+        "outcomes": {words: solution.outcome.name.lower() for words, solution in tries},
+        "costs": {words: solution.cost for words, solution in tries},
+        "cost": None,
+        "replayed_cost": None,
+    }
+    plan = None
+    if found:
+        solution = min(found, key=lambda pair: float(pair[1].cost or 0.0))[1]
+        plan, row["cost"] = solution.trajectory, solution.cost
+        assert plan is not None
+        row["replayed_cost"] = _replayed_cost(scene, plan)
+    row["cpu_s"] = process_time() - began
+    return row, plan
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "--stiffness", nargs="+", default=[f"{k}:{steps}" for k, steps in _SWEEP], help="k [N/m], a colon, steps, from soft to stiff"
+    )
+    parser.add_argument("--seconds", type=float, default=120.0, help="for each of the two solves of a stiffness")
+    parser.add_argument("-o", "--output", type=Path, help="write all numbers as JSON, after each stiffness")
+    arguments = parser.parse_args()
+    sweep = [(float(k), int(steps)) for k, steps in (item.split(":") for item in arguments.stiffness)]
+    cases = [
+        {"name": "two_discs", "title": "Two discs", "rigid": RIGID_OPTIMUM, "rows": []},
+        {"name": "two_discs_wall", "title": "Two discs and a wall", "rigid": RIGID_OPTIMUM_WALL, "rows": []},
+    ]
+    for case, wall in zip(cases, (False, True), strict=True):
+        before = None
+        for k, steps in sweep:
+            row, plan = _row(wall, k, steps, before, arguments.seconds)
+            before = plan or before
+            case["rows"].append(row)
+            told = "no plan" if row["cost"] is None else f"{row['cost']:.6f} ({100 * (row['cost'] / case['rigid'] - 1):+.3f} %)"
+            print(
+                f"{case['name']} k = {k:g}, {steps} steps, omega h = {row['omega_h']:.3f}: {told}, replayed {row['replayed_cost']}, {row['cpu_s']:.1f} CPU s",
+                flush=True,
+            )
+            if arguments.output is not None:
+                arguments.output.parent.mkdir(parents=True, exist_ok=True)
+                record = {"kind": "rigid_limit", "cases": [case for case in cases if case["rows"]]}
+                arguments.output.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
