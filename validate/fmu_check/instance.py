@@ -22,7 +22,6 @@ from validate.fmu_check.subject import Subject, Variable
 
 # Rounds of one event iteration before it is called endless.
 _EVENT_ROUNDS = 100
-_DOUBLES = ctypes.POINTER(ctypes.c_double)
 
 
 @dataclass(frozen=True)
@@ -164,9 +163,13 @@ class Instance:
         """(sum of sizes,) the values in the order given; one call a type."""
         if not variables:
             return np.empty(0)
+        kinds = dict.fromkeys([item.type for item in variables])
+        if len(kinds) == 1:
+            references, size = [item.reference for item in variables], sum([item.size for item in variables])
+            return np.array(self.read_group(variables[0].type, references, size), dtype=float)
         places = np.cumsum([0, *(item.size for item in variables)])
         values = np.empty(places[-1])
-        for kind in dict.fromkeys(item.type for item in variables):
+        for kind in kinds:
             chosen = [index for index, item in enumerate(variables) if item.type == kind]
             sizes = [variables[index].size for index in chosen]
             read = self.read_group(kind, [variables[index].reference for index in chosen], sum(sizes))
@@ -232,9 +235,9 @@ class Instance:
         return self.settle()
 
     def _array(self, call: Callable[..., Any], size: int) -> np.ndarray:
-        array = np.full(size, np.nan)
-        call(array.ctypes.data_as(_DOUBLES), size)
-        return array
+        array = (ctypes.c_double * size)(*[math.nan] * size)  # a pointer into a numpy array costs more than all else here
+        call(array, size)
+        return np.frombuffer(memoryview(array)) if size else np.empty(0)
 
     @property
     def state_count(self) -> int:
@@ -259,8 +262,7 @@ class Instance:
     def move(self, time: float, states: np.ndarray) -> None:
         self.set_time(time)
         if self.state_count:
-            array = np.ascontiguousarray(states, dtype=float)
-            self.fmu.setContinuousStates(array.ctypes.data_as(_DOUBLES), self.state_count)
+            self.fmu.setContinuousStates((ctypes.c_double * self.state_count)(*states.tolist()), self.state_count)
 
     def set_time(self, time: float) -> None:
         self.time = time
