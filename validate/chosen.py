@@ -9,11 +9,11 @@ from __future__ import annotations
 import difflib
 import json
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from formulations.pipeline import cells_of
 from models.catalog import load_scene, scene_names
@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     from reports.record import ProvenanceRecord, RunRecord
     from validate.records import Planned
     from validate.worker import Lost
+
+
+NOTHING_STORED = "nothing is stored of it"
 
 
 class CampaignError(TouchstoneError):
@@ -59,6 +62,7 @@ class Entry:
     scene: Scene
     plan: tuple[Planned, ...]
     stored: RunRecord | ExaminationRecord | None = None
+    why: str = ""  # it is run, although something like it may be stored
 
     def lost(self, provenance: ProvenanceRecord) -> Callable[[Lost], RunRecord]:
         """Makes the record of a child that left none."""
@@ -74,6 +78,7 @@ class Examined:
 
     cell: Examination
     stored: RunRecord | ExaminationRecord | None = None
+    why: str = ""
 
     def lost(self, provenance: ProvenanceRecord) -> Callable[[Lost], ExaminationRecord]:
         """Makes the record of a child that left none."""
@@ -189,20 +194,44 @@ def _nothing(settings: Settings, seen: list[str], left_out: tuple[str, ...]) -> 
 
 
 def with_stored(entries: Sequence[Entry | Examined], store: Store, settings: Settings) -> list[Entry | Examined]:
-    """The same cells, each with its stored record where that can be used again."""
-    if settings.fresh:
-        return list(entries)
-    return [replace(entry, stored=_usable(store, entry.cell)) for entry in entries]
+    """The same cells, each with its stored record where that can be used again, else with the reason why not."""
+    found: list[Entry | Examined] = []
+    for entry in entries:
+        record, why = _usable(store, entry.cell, settings.fresh)
+        found.append(replace(entry, stored=record, why=why))
+    return found
 
 
-def _usable(store: Store, cell: Cell | Examination) -> RunRecord | ExaminationRecord | None:
+def _usable(store: Store, cell: Cell | Examination, fresh: bool) -> tuple[RunRecord | ExaminationRecord | None, str]:
     record = store.read(cell.key)
     if record is None:
-        return None
+        return None, NOTHING_STORED
+    if fresh:
+        return None, "stored, but --fresh runs it anew"
     outcomes = {record.outcome, *(stage.outcome for stage in getattr(record, "stages", ()))}
     if "crashed" in outcomes:
-        return None
+        return None, "stored, but it crashed"
     if "time_limit" in outcomes:
         before = json.loads(store.request_text(cell.key)).get("cell", {}).get("time_limit", 0.0)
-        return record if before >= cell.time_limit else None
-    return record
+        if before < cell.time_limit:
+            return None, f"stored, but it ran out of {before:g} s and would have {cell.time_limit:g} s now"
+    return record, ""
+
+
+def reasons(entries: Sequence[Entry | Examined], store: Store) -> list[str]:
+    """For each cell why it would be run, "" where its record is used; one of which another version is stored says that."""
+    others = {_identity(request) for request in store.requests()}
+    return [
+        "stored for other code, options, libraries or another scene file"
+        if entry.why == NOTHING_STORED and _identity(entry.cell.to_json()) in others
+        else entry.why
+        for entry in entries
+    ]
+
+
+def _identity(cell: Mapping[str, Any]) -> tuple[object, ...]:
+    """What a cell is called, whatever its content."""
+    pipeline = cell.get("pipeline")
+    if isinstance(pipeline, Mapping):
+        return cell.get("scene_name"), pipeline.get("name"), *(pipeline.get("part") or ())
+    return cell.get("kind"), cell.get("name"), cell.get("scene")

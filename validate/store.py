@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import json
 import os
 import shutil
 import socket
 import uuid
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from models.errors import MachineError, TouchstoneError
 
@@ -98,6 +100,14 @@ class Store:
             return (self.runs / key / REQUEST).read_text(encoding="utf-8")
         except OSError:
             return "{}"
+
+    def requests(self) -> Iterator[dict[str, Any]]:
+        """What was asked for in each stored cell that can be read."""
+        for path in sorted(self.runs.glob(f"[!.]*/{REQUEST}")):
+            with contextlib.suppress(OSError, ValueError):
+                request = json.loads(path.read_text(encoding="utf-8"))
+                if isinstance(request, dict) and isinstance(request.get("cell"), dict):
+                    yield request["cell"]
 
     def open_partial(self, key: str, token: str) -> Path:
         """A new folder for a cell that is about to run."""

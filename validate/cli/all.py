@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import signal
 import textwrap
 from pathlib import Path
@@ -11,10 +10,8 @@ from pathlib import Path
 import click
 
 from reports.rule import RESULTS, RULE
+from validate.cli.campaign_options import campaign_options
 from validate.cli.table import use_colour
-from validate.tools import DEFAULT_TOOLS
-
-_DEFAULT_OUT = "runs/all"
 
 
 def _wrapped(text: str) -> str:
@@ -49,45 +46,8 @@ configuration or nothing selected; 3 this machine cannot; 130 interrupted.
 
 
 @click.command(epilog=_EPILOG)
-@click.option(
-    "--quick",
-    is_flag=True,
-    help="Only the pipelines softplus_dc+strict, softplus_gd+relu_gd and free_motion, and FMUs in FMI 2.0; below the table stands what was left out.",
-)
-@click.option("--fresh", is_flag=True, help="Run cells again that are stored.")
-@click.option(
-    "-k",
-    "expression",
-    default="",
-    metavar="EXPR",
-    help="Only cells whose scene, pipeline or method names match: words joined with and, or, not.",
-)
-@click.option(
-    "-j",
-    "--jobs",
-    type=click.IntRange(min=1),
-    default=1,
-    show_default=True,
-    metavar="N",
-    help="Cells at a time. With more than one, times are less comparable.",
-)
-@click.option(
-    "--scene",
-    "scenes",
-    multiple=True,
-    metavar="NAME|FILE.py",
-    help="Only this scene, by name or by the path of a scene file; may be repeated.",
-)
-@click.option(
-    "--out", type=click.Path(path_type=Path), default=_DEFAULT_OUT, show_default=True, metavar="DIR", help="The folder of the campaign."
-)
-@click.option(
-    "--time-limit", type=float, default=120.0, show_default=True, metavar="SECONDS", help="For each cell, all its stages and replays."
-)
+@campaign_options
 @click.option("--json", "as_json", is_flag=True, help="The results as JSON on stdout instead of a table.")
-@click.option(
-    "--tools", default=DEFAULT_TOOLS, metavar="MODULE:NAME", help="Methods, pipelines and judge from elsewhere (see validate/tools.py)."
-)
 @click.pass_obj
 def command(
     arguments: tuple[str, ...],
@@ -111,8 +71,6 @@ def command(
     from validate.cli.narrator import narrator
     from validate.provenance import command_line
 
-    if not math.isfinite(time_limit) or time_limit <= 0:
-        raise click.BadParameter(f"{time_limit:g} is not a positive number of seconds.", param_hint="--time-limit")
     settings = Settings(
         out=out,
         scenes=scenes,

@@ -23,6 +23,7 @@ INTERRUPTED = 130
 # name -> what the overview says; the command itself is `command` in validate/cli/<name>.py.
 _COMMANDS = {
     "all": "Run every scene by every pipeline, replay and score each plan, write the report.",
+    "plan": "What `all` would run, what is stored already, and why the rest is not.",
     "list": "Scenes, pipelines and methods.",
     "report": "Rebuild results.csv and report.html of a campaign from its records.",
     "compare": "What differs between two campaigns, regressions first.",

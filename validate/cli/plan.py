@@ -1,0 +1,63 @@
+"""`plan`: what `all` would do."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+
+import click
+
+from validate.cli.campaign_options import campaign_options
+from validate.cli.table import one_line, table
+
+_EPILOG = """\b
+Examples:
+  python -m validate plan
+  python -m validate plan --quick --out runs/quick
+  python -m validate plan -k mpcc --json
+
+\b
+Exit codes: 0 told; 2 usage, or nothing selected.
+"""
+
+
+@click.command(epilog=_EPILOG)
+@campaign_options
+@click.option("--json", "as_json", is_flag=True, help="As JSON on stdout.")
+def command(
+    quick: bool,
+    fresh: bool,
+    expression: str,
+    jobs: int,
+    scenes: tuple[str, ...],
+    out: Path,
+    time_limit: float,
+    tools: str,
+    as_json: bool,
+) -> int:
+    """What `all` with the same options would run, what of it is stored already, and why the rest is not. Nothing is run or written."""
+    from validate.chosen import Settings, reasons, select, with_stored
+    from validate.store import Store
+
+    settings = Settings(
+        out=out, scenes=scenes, quick=quick, expression=expression, jobs=jobs, fresh=fresh, time_limit=time_limit, tools=tools
+    )
+    entries, left_out = select(settings)
+    store = Store(out)
+    entries = with_stored(entries, store, settings)
+    told = list(zip(entries, reasons(entries, store), strict=True))
+    stored = sum(entry.stored is not None for entry in entries)
+    if as_json:
+        cells = [{"cell": entry.cell.title, "key": entry.cell.key, "stored": entry.stored is not None, "why": why} for entry, why in told]
+        data = {"cells": cells, "stored": stored, "to_run": len(entries) - stored, "left_out": list(left_out)}
+        click.echo(json.dumps(data, indent=1))
+        return 0
+    click.echo(table(["cell", "", "why"], [[one_line(entry.cell.title), "run" if why else "stored", why] for entry, why in told]))
+    click.echo()
+    if left_out:
+        click.echo(f"left out by --quick: {', '.join(left_out)}")
+    for why, count in Counter(why for _, why in told if why).items():
+        click.echo(f"{count} to run: {why}")
+    click.echo(f"{stored} stored, {len(entries) - stored} to run")
+    return 0
