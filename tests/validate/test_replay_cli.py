@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_fmu import FULL_MAP, build_foreign, foreign_plan, write_plan
+from foreign_fmu import COSIMULATION, FULL_MAP, build_foreign, foreign_plan, write_plan
 
 from models.catalog import load_scene
 from models.fmu import build_fmu
@@ -98,6 +98,10 @@ def test_equal_names_need_no_map(command: Command, folder: Path):
         (("scale = 0.001, unit = \"N\"", 'scale = "big", factor = 2'), "inputs.F.scale: input should be a valid number"),
         (("scale = 0.001, unit = \"N\"", 'scale = "big", factor = 2'), "inputs.F.factor: extra inputs are not permitted"),
         (("[goal]", "[goals]"), "goals: extra inputs are not permitted"),
+        (("[positions]", 'x = "drive.force"\n[positions]'), "inputs.x: 'drive.force' is driven by the column 'F' already"),
+        (("[goal]", '[parameters]\n"stop.push" = 1\n[goal]'), "parameters.stop.push: 'stop.push' is no parameter of the FMU, but output"),
+        (("[goal]", '[start]\n"der(body.pos)" = 1\n[goal]'), "start.der(body.pos): 'der(body.pos)' has no start value that can be set"),
+        (("\n[inputs]", 'internal_step = "body.pos"\n[inputs]'), "internal_step: 'body.pos' is no parameter of the FMU"),
         (("[goal]", "[goal"), "it is not TOML"),
     ],
 )  # fmt: skip
@@ -152,6 +156,21 @@ def test_a_plan_of_the_wrong_form(command: Command, folder: Path, text: str, wor
     code, out, err = command(write(folder / "form.csv", text), "--fmu", "cart.fmu", "--map", write(folder / "form.toml", given))
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert (words or "the plan is in 'km', but 'body.pos' is in 'mm'; give a scale") in err
+
+
+def test_a_unit_that_the_map_contradicts_is_refused(command: Command, folder: Path):
+    text = "t,x [inch],F\n0,1,1\n1,1,1\n"
+    code, out, err = command(write(folder / "inch.csv", text), "--fmu", "cart.fmu", "--map", "map.toml")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "positions.x: the plan's column 'x' is in 'inch', but the map says 'm'" in err
+
+
+@pytest.mark.parametrize("option", ["--time-limit", "--memory-limit"])
+@pytest.mark.parametrize("number", ["nan", "inf"])
+def test_a_limit_that_is_no_number_is_refused(command: Command, option: str, number: str):
+    code, out, err = command("plan.csv", "--fmu", "cart.fmu", option, number)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "is not a finite number" in err
 
 
 def test_a_scene_plan_with_another_unit_is_refused(command: Command, folder: Path):
@@ -213,3 +232,13 @@ def test_a_misbehaving_fmu_leaves_a_verdict(command: Command, folder: Path):
     assert (code, told["verdict"], told["replay"]["outcome"]) == (1, "not resolved", "crashed")
     assert "SIGSEGV" in told["why"]
     assert (folder / "crashed/score.json").exists()
+
+
+def test_a_cosimulation_that_does_not_heed_its_step_is_not_resolved(command: Command, folder: Path):
+    """Its own step is 1e-5 s whatever is asked for: no run says how wrong it is, so no limit can be judged."""
+    build_foreign(folder / "only_cs.fmu", kinds=COSIMULATION)
+    code, out, _ = command("plan.csv", "--fmu", "only_cs.fmu", "--map", "map.toml", "--json")
+    told = json.loads(out)
+    assert (code, told["verdict"]) == (1, "not resolved")
+    assert told["replay"]["error"]["estimate"] is None
+    assert "Half the communication step changes nothing" in told["replay"]["message"]

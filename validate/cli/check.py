@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from validate.cli.numbers import FiniteRange
 from validate.cli.table import one_line, use_colour
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ _SIGNS = {"passed": "✓", "failed": "✗", "not offered": "-"}
 @click.command(epilog=_EPILOG)
 @click.argument("file", type=click.Path(path_type=Path), metavar="FILE.fmu")
 @click.option("--only", "names", multiple=True, metavar="NAME", help="Only the check of this name; may be repeated.")
-@click.option("--time-limit", type=click.FloatRange(min=0.1), default=60.0, show_default=True, metavar="SECONDS", help="For each check.")
+@click.option("--time-limit", type=FiniteRange(min=0.1), default=60.0, show_default=True, metavar="SECONDS", help="For each check.")
 @click.option("--json", "as_json", is_flag=True, help="The results as JSON on stdout.")
 def command(file: Path, names: tuple[str, ...], time_limit: float, as_json: bool) -> int:
     """Check any FMU (FMI 2.0 or 3.0, Model Exchange and Co-Simulation), its files and how its code behaves.

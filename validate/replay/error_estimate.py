@@ -33,6 +33,16 @@ def difference(one: AtNodes | None, other: AtNodes | None) -> Difference | None:
 
 # Below this position difference [m or rad] a ratio is one of roundings.
 _ROUNDING = 1e-11
+# Two runs that differ by less than this share of the motion are the same run.
+_SAME = 1e-13
+
+
+def heeds_step(coarse: AtNodes | None, fine: AtNodes | None) -> bool:
+    """Whether half the communication step changes anything. If not, the FMU has a step of its own, and what is wrong with that one does not show."""
+    if coarse is None or fine is None:
+        return True
+    one, other = np.hstack([coarse.q, coarse.v]), np.hstack([fine.q, fine.v])
+    return bool((np.abs(one - other) > _SAME * np.abs(other).max(initial=0.0)).any())
 
 
 def step_ratio(before: Difference | None, after: Difference | None) -> float | None:

@@ -61,10 +61,26 @@ class _Wiring:
     def _reference(self, path: str, name: str) -> int:
         return int(self._variable(path, name).valueReference)
 
+    def _parameter(self, path: str, name: str) -> int:
+        variable = self._variable(path, name)
+        if variable.causality != "parameter":
+            raise self._fail(path, f"{name!r} is no parameter of the FMU, but {variable.causality}.")
+        return int(variable.valueReference)
+
+    def _startable(self, path: str, name: str) -> int:
+        variable = self._variable(path, name)
+        if variable.causality not in ("parameter", "input") and variable.initial not in ("exact", "approx"):
+            raise self._fail(path, f"{name!r} has no start value that can be set: the FMU calculates it.")
+        return int(variable.valueReference)
+
     def _check_names(self) -> None:
         given = self.map
+        driven: dict[str, str] = {}
         for name, signal in given.inputs.items():
             path = f"inputs.{name}"
+            if signal.variable in driven:
+                raise self._fail(path, f"{signal.variable!r} is driven by the column {driven[signal.variable]!r} already.")
+            driven[signal.variable] = name
             if self._variable(path, signal.variable).causality != "input":
                 raise self._fail(path, f"{signal.variable!r} is no input of the FMU.")
             self._check_unit(path, name, signal)
@@ -85,7 +101,10 @@ class _Wiring:
     def _check_unit(self, path: str, column: str, signal: Signal) -> None:
         """A unit that the map or the plan's header says, against the FMU's; where they differ, a scale must say how."""
         variable = self._variable(path, signal.variable)
-        unit = signal.unit or self._table.units.get(column)
+        written = self._table.units.get(column)
+        if signal.unit and written and signal.unit != written:
+            raise self._fail(path, f"the plan's column {column!r} is in {written!r}, but the map says {signal.unit!r}.")
+        unit = signal.unit or written
         if unit and variable.unit and unit != variable.unit and signal.scale == 1.0 and signal.offset == 0.0:
             raise self._fail(path, f"the plan is in {unit!r}, but {signal.variable!r} is in {variable.unit!r}; give a scale.")
         if signal.scale == 0.0:
@@ -162,9 +181,9 @@ class _Wiring:
                 energies={},
                 powers={},
                 zero=frozenset(),
-                parameters=tuple((self._reference(f"parameters.{name}", name), value) for name, value in given.parameters.items()),
+                parameters=tuple((self._parameter(f"parameters.{name}", name), value) for name, value in given.parameters.items()),
                 start=tuple(reference for reference, _ in settings),
-                internal_step=None if internal is None else self._reference("internal_step", internal),
+                internal_step=None if internal is None else self._parameter("internal_step", internal),
             ),
             scale=np.array([signal.scale for _, signal in outputs]),
             offset=np.array([signal.offset for _, signal in outputs]),
@@ -182,7 +201,7 @@ class _Wiring:
                 if value not in self._table.names:
                     raise self._fail(path, f"the plan has no column {value!r}{hint(value, self._table.names)}.")
                 value = float(self._column(value, False)[0])
-            found[self._reference(path, name)] = float(value)
+            found[self._startable(path, name)] = float(value)
         signals: list[tuple[str, Signal]] = [
             *given.positions.items(),
             *((self._velocity_column(name), signal) for name, signal in given.velocities.items()),

@@ -58,7 +58,7 @@ class ReplayError:
     against reference. `estimate` is what verdicts use: the tolerance difference, which overstates the error of the tighter
     run that is judged - unless the everyday replay, an independent method, differs from the reference by more than its own
     step halving explains; then that difference. Without a reference (the FMU has no Model Exchange) the finer everyday run is
-    judged and its step difference, the error of the coarser run to first order, is the estimate.
+    judged and its step difference, the error of the coarser run to first order, is the estimate; there is none if half the step changes nothing.
 
     step_ratio: how much the everyday replay's position difference shrank when its step was halved once more (Richardson): 2^order where it
     converges, about 1 or less where it does not; None where the differences are rounding already.

@@ -12,7 +12,7 @@ from models.codegen.kernel import load_kernel
 from models.scene import Scene
 from models.trajectory import Trajectory
 from validate.isolation import Limits
-from validate.replay.error_estimate import difference, estimate, step_ratio
+from validate.replay.error_estimate import difference, estimate, heeds_step, step_ratio
 from validate.replay.feedback import Feedback, measure_effort
 from validate.replay.growth import measure_growth
 from validate.replay.job import Settings, Simulated, run_job
@@ -160,9 +160,10 @@ def _assemble(subject: Subject, package: Package, variables: Variables, simulate
     nodes = [_at_nodes(subject, variables, run) for run in (*reference, *everyday)]
     loose, tight = nodes[:2] if len(reference) == 2 else (None, None)
     first, coarse, fine = ([None, None, None, *nodes[len(reference) :]])[-3:]
+    tells = bool(reference) or variables.internal_step is not None or heeds_step(coarse, fine)
     error = estimate(
         tolerance=difference(loose, tight),
-        step=difference(coarse, fine),
+        step=difference(coarse, fine) if tells else None,
         everyday=difference(fine, tight),
         has_reference=bool(reference),
         ratio=step_ratio(difference(first, coarse), difference(coarse, fine)),
@@ -175,6 +176,10 @@ def _assemble(subject: Subject, package: Package, variables: Variables, simulate
         notes.append(f"No everyday replay: {refusal.rstrip('.')}.")
     if not reference:
         notes.append("No reference replay: the FMU offers no Model Exchange.")
+        if not tells:
+            notes.append(
+                "Half the communication step changes nothing: the FMU has a step of its own, and how wrong that is cannot be told."
+            )
     if simulated.note:
         notes.append(simulated.note)
     return _replay(subject, variables, judged, package, simulated, error, " ".join(notes), event_budget)

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from models.errors import SceneError, TrajectoryError
 from models.trajectory import Trajectory
 from validate.replay.result import Replay
@@ -81,7 +83,9 @@ def _figure(item: Asked, case: Evidence) -> Figure:
     bound = None if limit is None else limit.value
     unit = entry.unit(case.scene)
     try:
-        measured = entry.measure(case)
+        # The plan's own time step may lead out of every bound, past its stability limit: what comes of it is not finite, and is refused below.
+        with np.errstate(over="ignore", invalid="ignore"):
+            measured = entry.measure(case)
     except Unmeasured as missing:
         return Figure(
             name=entry.name, value=None, unit=unit, meaning=entry.meaning, limit=bound, reason=str(missing), ok=None, resolved=bound is None
