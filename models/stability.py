@@ -20,7 +20,7 @@ from itertools import combinations
 
 import numpy as np
 
-from models.codegen.kernel import Kernel, load_kernel
+from models.codegen.kernel import Kernel, KernelError, load_kernel
 from models.dynamics import derive
 from models.scene import Scene
 
@@ -118,6 +118,8 @@ def step_stability(scene: Scene, step: float | None = None) -> StepStability:
     """
     h = scene.task.step if step is None else step
     models = _linear_models(replace(scene, frictions=(), limits=()) if scene.frictions else scene)
+    if not models:
+        return StepStability(scene=scene.name, step=h, radius=1.0, contacts=(), growth=0.0, largest_step=math.inf)
     worst = max(models, key=lambda model: model.excess(h))
     return StepStability(
         scene=scene.name,
@@ -138,7 +140,10 @@ def _linear_models(scene: Scene) -> list[_Linear]:
     for q in (start, np.where(np.isnan(goal), start, goal)):
         for indices, closed in [((), q), *_closed_positions(scene, q)]:
             # The derivatives of v' = v + a do not depend on the step they are taken with: one second makes them those of a itself.
-            jacobian = step_jacobian(kernel, np.concatenate([closed, at_rest]), u, 1.0)
+            try:
+                jacobian = step_jacobian(kernel, np.concatenate([closed, at_rest]), u, 1.0)
+            except KernelError:  # the masses are singular where only the search for a closed position led
+                continue
             names = tuple(scene.contacts[index].name for index in indices)
             found.append(_Linear(names, jacobian[nq:, :nq], jacobian[nq:, nq:] - np.eye(nq)))
     return found

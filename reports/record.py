@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from reports.time_step_record import TimeStepRecord
 from reports.tracked_record import TrackedRecord
 
 SCHEMA_VERSION = 1
@@ -291,4 +292,5 @@ class CampaignRecord(_Model):
     left_out: tuple[str, ...] = ()  # what a quick campaign did not run, in words
     keys: tuple[str, ...]  # of the cells, in order
     violation: tuple[ViolationPoint, ...] = ()
+    time_steps: tuple[TimeStepRecord, ...] = ()  # of the scenes planned for
     provenance: ProvenanceRecord

@@ -24,6 +24,7 @@ from validate.tools import load_tools
 if TYPE_CHECKING:
     from reports.examination_record import ExaminationRecord
     from reports.record import CampaignRecord, ProvenanceRecord, RunRecord, ViolationPoint
+    from reports.time_step_record import TimeStepRecord
     from validate.worker import Job, Worker
 
 __all__ = ["CampaignError", "Narrator", "Outcome", "Settings", "run_campaign", "select", "stored_campaign", "with_stored"]
@@ -51,6 +52,7 @@ class Narrator(Protocol):
     """Who is told how it goes (validate.cli.narrator)."""
 
     def begins(self, total: int, stored: int) -> None: ...
+    def warns(self, sentence: str) -> None: ...
     def runs(self, workers: Sequence[Worker]) -> None: ...
     def finished(self, record: RunRecord | ExaminationRecord) -> None: ...
     def ends(self) -> None: ...
@@ -75,6 +77,7 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
     entries = with_stored(entries, store, settings)
     provenance = gather(settings.command)
     violation = _violation(entries)
+    steps = _time_steps(entries, settings.out)
     records = {entry.cell.key: entry.stored for entry in entries if entry.stored is not None}
 
     def campaign() -> CampaignRecord:
@@ -88,6 +91,7 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
             left_out=left_out,
             keys=tuple(entry.cell.key for entry in entries),
             violation=violation,
+            time_steps=steps,
             provenance=provenance,
         )
 
@@ -102,6 +106,9 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
         return told, examinations
 
     narrator.begins(len(entries), len(records))
+    for item in steps:
+        if item.warning:
+            narrator.warns(item.warning)
     try:
         for record in _run([entry for entry in entries if entry.stored is None], store, provenance, settings, narrator.runs):
             records[record.key] = record
@@ -119,6 +126,14 @@ def _violation(entries: Sequence[Entry | Examined]) -> tuple[ViolationPoint, ...
 
     scenes = [entry.scene for entry in entries if isinstance(entry, Entry)]
     return tuple(measure(next((scene for scene in scenes if scene.nc), scenes[0]))) if scenes else ()
+
+
+def _time_steps(entries: Sequence[Entry | Examined], out: Path) -> tuple[TimeStepRecord, ...]:
+    """Whether the step of each scene is stable in contact; what an earlier campaign of this folder said is used again."""
+    from validate.time_steps import time_steps
+
+    scenes = {entry.scene.name: entry.scene for entry in entries if isinstance(entry, Entry)}
+    return time_steps(scenes.values(), out / CAMPAIGN)
 
 
 def _run(

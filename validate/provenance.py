@@ -39,6 +39,7 @@ _NO_INFLUENCE = (
     "validate/engine.py",
     "validate/results.py",
     "validate/selection.py",
+    "validate/time_steps.py",
 )
 # Parts that decide what examinations find, and nothing of a cell of a scene by a pipeline.
 _OF_EXAMINATIONS = (

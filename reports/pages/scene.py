@@ -5,6 +5,24 @@ from __future__ import annotations
 from reports.mathml import safe_mathml
 from reports.pages.section import Report, Section
 from reports.pages.sizes import method_sizes
+from reports.wording import listing, number
+
+
+def time_step(report: Report, scene: str) -> str:
+    """What was known of the scene's time step before anything ran, in a sentence; empty where the campaign does not say."""
+    campaign = report.stored.campaign
+    known = next((item for item in campaign.time_steps if item.scene == scene), None) if campaign else None
+    if known is None:
+        return ""
+    if known.warning:
+        return f"Past its stability limit: {known.warning}"
+    closed = listing(list(known.contacts)) or "no contact"
+    grows = f", the motion itself grows at {number(known.growth, 3)}/s there" if known.growth else ""
+    limit = "at any step" if known.largest_step is None else f"below {number(known.largest_step, 3)} s"
+    return (
+        f"The time step of {number(known.step)} s is stable in contact: the largest spectral radius of its Jacobian is {number(known.radius, 6)}, with {closed} "
+        f"closed{grows}; it is stable {limit}."
+    )
 
 
 def build(report: Report) -> Section | None:
@@ -16,6 +34,7 @@ def build(report: Report) -> Section | None:
             scene,
             [(equation.caption, safe_mathml(equation.mathml), equation.mathml) for equation in scene.equations],
             method_sizes(report, scene.name),
+            time_step(report, scene.name),
         )
         for place, scene in enumerate(report.scenes, 1)
     ]

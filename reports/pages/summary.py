@@ -35,6 +35,7 @@ def build(report: Report) -> Section:
         {
             "sentences": [
                 *_rule(runs, stored.examinations, whole=whole),
+                *_time_steps(report),
                 *_direct(runs, whole=whole),
                 *_examined(stored.examinations),
                 *_indirect(report.rows),
@@ -90,6 +91,12 @@ def _examined(examinations: tuple[ExaminationRecord, ...]) -> list[Sentence]:
         style, symbol = ("holds", "✓") if all(passed) else ("violates", "✗")
         said.append(Sentence(style, symbol, f"{kind}: {sum(passed)} of {count(len(passed), 'examination')} passed."))
     return said
+
+
+def _time_steps(report: Report) -> list[Sentence]:
+    """Scenes whose time step is unstable in contact, said before anything ran."""
+    campaign = report.stored.campaign
+    return [Sentence("unresolved", "!", capital(item.warning)) for item in campaign.time_steps if item.warning] if campaign else []
 
 
 def _direct(runs: tuple[RunRecord, ...], *, whole: bool) -> list[Sentence]:

@@ -14,11 +14,13 @@ from validate.cli.table import one_line, table
 @click.command(epilog="Example: python -m validate list --json")
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
 def command(as_json: bool) -> int:
-    """Scenes, pipelines and methods, with what each is."""
+    """Scenes, pipelines, methods and hard cases, with what each is."""
     from formulations.catalog import method_names
     from formulations.pipeline import PIPELINES, QUICK
     from models.catalog import scene_names, scene_path
+    from validate.hardcases.catalog import case_names, describe_case
 
+    cases = [describe_case(name) for name in case_names()]
     methods = Path(__file__).resolve().parents[2] / "formulations" / "methods"
     data = {
         "scenes": [{"name": name, "title": _title(scene_path(name))} for name in scene_names()],
@@ -32,6 +34,7 @@ def command(as_json: bool) -> int:
             for pipeline in PIPELINES
         ],
         "methods": [{"name": name, "title": _title(methods / f"{name}.py")} for name in method_names()],
+        "hard cases": [{"name": case.name, "title": case.title, "quick": case.quick, "expected": case.expected} for case in cases],
     }
     if as_json:
         click.echo(json.dumps(data, indent=1))
@@ -42,6 +45,9 @@ def command(as_json: bool) -> int:
     click.echo(table(["pipeline", "", "stages (method: eps)", "what it is"], rows))
     click.echo()
     click.echo(table(["method", "what it is"], [[item["name"], item["title"]] for item in data["methods"]]))
+    click.echo()
+    told = [[item["name"], "quick" if item["quick"] else "", one_line(item["title"])] for item in data["hard cases"]]
+    click.echo(table(["hard case", "", "what it is"], told))
     return 0
 
 

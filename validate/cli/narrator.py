@@ -35,6 +35,10 @@ class PlainNarrator:
         self.total, self.stored = total, stored
         self._line(f"{stored} stored, {total - stored} to run")
 
+    def warns(self, sentence: str) -> None:
+        """What the user should know before anything runs."""
+        self._line(f"warning: {one_line(sentence)}")
+
     def runs(self, workers: Sequence[Worker]) -> None:
         """Called many times a second with the running workers."""
 
