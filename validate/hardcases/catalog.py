@@ -7,9 +7,12 @@ import difflib
 import importlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from models.errors import UnknownNameError
-from validate.hardcases.case import HardCase
+
+if TYPE_CHECKING:  # names cost no numpy
+    from validate.hardcases.case import HardCase
 
 FOLDER = Path(__file__).parent / "cases"
 

@@ -58,5 +58,4 @@ CASE = HardCase(
     expected="Symmetric in, symmetric out, whatever order contacts are listed in.",
     scenes=("three_cart", "cart_chain"),
     measure=measure,
-    quick=True,
 )

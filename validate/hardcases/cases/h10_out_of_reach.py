@@ -43,5 +43,4 @@ CASE = HardCase(
     scenes=("three_cart",),
     methods=("softplus_dc", "relaxed_lcp", "strict_lcp", "mpcc"),
     measure=measure,
-    quick=True,
 )

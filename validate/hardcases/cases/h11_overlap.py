@@ -49,5 +49,4 @@ CASE = HardCase(
     expected="A defined normal and finite values.",
     scenes=("two_discs",),
     measure=measure,
-    quick=True,
 )

@@ -106,5 +106,4 @@ CASE = HardCase(
     expected="Dry friction sticks; the creep of regularised friction is measured.",
     scenes=("transport",),
     measure=measure,
-    quick=True,
 )

@@ -97,5 +97,4 @@ CASE = HardCase(
     scenes=("three_cart",),
     methods=("softplus_dc", "strict_lcp", "mpcc"),
     measure=measure,
-    quick=True,
 )

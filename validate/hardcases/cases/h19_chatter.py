@@ -63,5 +63,4 @@ CASE = HardCase(
     expected="The replay converges as the step shrinks, or is marked `not resolved`.",
     scenes=("three_cart",),
     measure=measure,
-    quick=True,
 )
