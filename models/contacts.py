@@ -1,17 +1,28 @@
 """Contacts and dry friction of a scene.
 
     Contact(name="left", penetration=d - (q2 - q1), stiffness=k)
+    Contact(name="pad", penetration=-q, stiffness=k, damping=c)                 # Kelvin-Voigt, c [N s/m]
+    Contact(name="ball", penetration=-q, stiffness=k, damping=d, damping_law=DampingLaw.HUNT_CROSSLEY)   # d [s/m]
     Friction(name="left", slip=v1 - v2, coefficient=mu, contact="left")         # pressed by the force of the contact "left"
     Friction(name="belt", slip=v_cargo - v_cart, coefficient=mu, normal_force=m * g)   # pressed by a given force
 
 Friction is that of the plane: one tangential direction, Coulomb's law. With the slip speed s = S(q) v and the pressing force
 N >= 0 the friction force f acts as the generalised force S' f and obeys maximal dissipation: it minimises f s over |f| <= mu N.
 So f = -mu N sign(s) where it slips; where it sticks, s = 0 and f is whatever keeps it there.
+
+Damping is part of the normal force. With the penetration phi and its rate phi' = -J v:
+
+    Kelvin-Voigt     lam = max(k phi + c phi', 0)     where phi > 0, else 0
+    Hunt-Crossley    lam = k phi max(1 + d phi', 0)   where phi > 0, else 0
+
+Neither pulls: a contact that opens faster than its spring follows is released, lam = 0, before phi is. The force of Kelvin-Voigt jumps to
+c phi' where it touches; that of Hunt-Crossley is continuous. The spring holds k/2 max(phi, 0)^2, and (lam - k max(phi, 0)) phi' >= 0 is dissipated.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 
 import sympy as sp
 
@@ -19,23 +30,51 @@ from models.errors import SceneError
 from models.scene_values import as_expression, as_number, check_name, settle
 
 
+class DampingLaw(Enum):
+    """How a damped contact pushes; the value is the number of the law in the generated C. See the module docstring."""
+
+    KELVIN_VOIGT = 1
+    HUNT_CROSSLEY = 2
+
+    @property
+    def unit(self) -> str:
+        """Of the coefficient."""
+        return "N s/m" if self is DampingLaw.KELVIN_VOIGT else "s/m"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Contact:
-    """One unilateral contact: `penetration` phi(q) [m], positive in contact, and `stiffness` k [N/m], lam = k*max(phi, 0)."""
+    """One unilateral contact: `penetration` phi(q) [m], positive in contact, and `stiffness` k [N/m], lam = k*max(phi, 0).
+
+    damping: an expression in parameters, never negative, in the unit of `damping_law`; 0 is no damping, and leaves nothing of it in any model.
+    """
 
     name: str
     penetration: sp.Expr
     stiffness: sp.Expr
+    damping: sp.Expr = sp.S.Zero
+    damping_law: DampingLaw = DampingLaw.KELVIN_VOIGT
     nominal: float = 1e-2
     description: str = ""
 
     def __post_init__(self) -> None:
         check_name("contact", self.name)
-        for field in ("penetration", "stiffness"):
+        for field in ("penetration", "stiffness", "damping"):
             settle(self, field, as_expression(f"contact {self.name}: {field}", getattr(self, field)))
         settle(self, "nominal", as_number(f"contact {self.name}: nominal", self.nominal))
         if self.nominal <= 0:
             raise SceneError(f"contact {self.name}: nominal (a typical penetration in m) must be positive, not {self.nominal:g}.")
+        if not isinstance(self.damping_law, DampingLaw):
+            known = " or ".join(str(law) for law in DampingLaw)
+            raise SceneError(f"contact {self.name}: damping_law must be {known}, not {self.damping_law!r}.")
+
+    @property
+    def is_damped(self) -> bool:
+        return self.damping != 0
+
+    @property
+    def pressing_name(self) -> str:
+        return f"pressing_{self.name}"
 
     @property
     def force_name(self) -> str:

@@ -1,6 +1,7 @@
 """Scene -> equations of motion, and what the scene does *not* need.
 
     M(q) dv/dt = tau(q, v, u) + J(q)' lam + S(q)' f        lam_i = k_i * max(phi_i(q), 0),   |f_j| <= mu_j N_j
+    (lam of a damped contact: models.contacts)
 
 derived by computer algebra from the kinetic energy T, the potential energy V and the generalised forces Q (Lagrange):
 
@@ -20,6 +21,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import sympy as sp
 
+from models.contacts import Contact, DampingLaw
 from models.scene import Scene
 
 _DERIVED: WeakKeyDictionary[Scene, Dynamics] = WeakKeyDictionary()
@@ -37,6 +39,7 @@ class Structure:
     inputs: bool
     contacts: bool
     friction: bool
+    contact_damping: bool  # a contact is damped
 
     @property
     def absent(self) -> tuple[str, ...]:
@@ -46,7 +49,7 @@ class Structure:
             "inertial coupling": self.diagonal_mass,
             "nonlinear forces or gaps": self.linear,
             "a potential": not self.conservative_forces,
-            "damping": not self.dissipation,
+            "damping": not (self.dissipation or self.contact_damping),
             "inputs": not self.inputs,
             "contacts": not self.contacts,
             "friction": not self.friction,
@@ -60,6 +63,7 @@ class Dynamics:
 
     q, v: nq symbols; u: nu; lam: nc contact force symbols [N]; f: nf friction force symbols [N]; p: np parameter symbols.
     mass_matrix: (nq, nq); tau: (nq, 1); penetration, stiffness: (nc, 1); gap_jacobian: (nc, nq).
+    damping (nc, 1): the coefficients, 0 without; push (nc, 1): the force in contact before its positive part is taken [N], in q, v and parameters.
     slip [m/s], friction_limit (mu N [N], in q, lam and parameters): (nf, 1); slip_jacobian: (nf, nq).
     kinetic_energy, potential_energy [J]; input_power, dissipated_power [W] (power in and out besides contacts and potential).
     """
@@ -75,6 +79,8 @@ class Dynamics:
     tau: sp.Matrix
     penetration: sp.Matrix
     stiffness: sp.Matrix
+    damping: sp.Matrix
+    push: sp.Matrix
     gap_jacobian: sp.Matrix
     slip: sp.Matrix
     friction_limit: sp.Matrix
@@ -148,6 +154,8 @@ def _build(scene: Scene) -> Dynamics:
     phi = sp.Matrix(scene.nc, 1, [contact.penetration for contact in scene.contacts])
     stiffness = sp.Matrix(scene.nc, 1, [sp.sympify(contact.stiffness) for contact in scene.contacts])
     jacobian = -phi.jacobian(q) if scene.nc else sp.zeros(0, scene.nq)
+    damping = sp.Matrix(scene.nc, 1, [contact.damping for contact in scene.contacts])
+    push = sp.Matrix(scene.nc, 1, [_push(contact, -(jacobian[i, :] * sp.Matrix(v))[0]) for i, contact in enumerate(scene.contacts)])
 
     pressing = {contact.name: force for contact, force in zip(scene.contacts, lam, strict=True)}
     slip = sp.Matrix(scene.nf, 1, [friction.slip for friction in scene.frictions])
@@ -167,6 +175,8 @@ def _build(scene: Scene) -> Dynamics:
         tau=tau,
         penetration=phi,
         stiffness=stiffness,
+        damping=damping,
+        push=push,
         gap_jacobian=jacobian,
         slip=slip,
         friction_limit=sp.Matrix(scene.nf, 1, limit),
@@ -177,12 +187,20 @@ def _build(scene: Scene) -> Dynamics:
         dissipated_power=sp.expand(-(velocity.T * passive)[0]),
         running_cost=sp.sympify(scene.task.running_cost),
         final_cost=sp.sympify(scene.task.final_cost),
-        structure=_structure(mass, tau, phi, gravity, passive, slip, q, v, u),
+        structure=_structure(scene, mass, tau, phi, gravity, passive, slip, q, v, u),
     )
 
 
+def _push(contact: Contact, rate: sp.Expr) -> sp.Expr:
+    """k phi, k phi + c phi' or k phi (1 + d phi')."""
+    spring = contact.stiffness * contact.penetration
+    if not contact.is_damped:
+        return spring
+    return spring + contact.damping * rate if contact.damping_law is DampingLaw.KELVIN_VOIGT else spring * (1 + contact.damping * rate)
+
+
 def _structure(
-    mass: sp.Matrix, tau: sp.Matrix, phi: sp.Matrix, gravity: sp.Matrix, passive: sp.Matrix, slip: sp.Matrix, q, v, u
+    scene: Scene, mass: sp.Matrix, tau: sp.Matrix, phi: sp.Matrix, gravity: sp.Matrix, passive: sp.Matrix, slip: sp.Matrix, q, v, u
 ) -> Structure:
     variables = {*q, *v, *u}
 
@@ -198,4 +216,5 @@ def _structure(
         inputs=bool(u),
         contacts=phi.rows > 0,
         friction=slip.rows > 0,
+        contact_damping=any(contact.is_damped for contact in scene.contacts),
     )

@@ -16,7 +16,7 @@ one sentence that names the scene and the field.
 
 Sign conventions: `penetration` phi is positive in contact; the contact force lam >= 0 pushes the bodies apart, that is,
 `M(q) dv/dt = tau(q, v, u) + J(q)' lam` with J the Jacobian of the gap (-phi). The true contact law is
-`lam = stiffness * max(phi, 0)`.
+`lam = stiffness * max(phi, 0)`; a contact may also have damping (models.contacts).
 """
 
 from __future__ import annotations
@@ -248,6 +248,11 @@ class Scene:
     @property
     def nf(self) -> int:
         return len(self.frictions)
+
+    @property
+    def damped(self) -> tuple[int, ...]:
+        """The damped contacts, by their places among the contacts."""
+        return tuple(index for index, contact in enumerate(self.contacts) if contact.is_damped)
 
     @property
     def nl(self) -> int:

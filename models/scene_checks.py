@@ -105,6 +105,7 @@ def _check_names(scene: Scene) -> None:
     names = [coordinate.name for coordinate in scene.coordinates] + [coordinate.velocity_name for coordinate in scene.coordinates]
     names += [item.name for item in scene.inputs] + [parameter.name for parameter in scene.parameters]
     names += [name for contact in scene.contacts for name in (contact.force_name, contact.gap_name)]
+    names += [contact.pressing_name for contact in scene.contacts if contact.is_damped]
     names += [name for friction in scene.frictions for name in (friction.force_name, friction.slip_name)]
     for name, count in Counter(names).items():
         if count > 1:
@@ -165,6 +166,7 @@ def _check_symbols(scene: Scene) -> None:
     for contact in scene.contacts:
         check(f"contact {contact.name}: penetration", contact.penetration, parameters | positions)
         check(f"contact {contact.name}: stiffness", contact.stiffness, parameters)
+        check(f"contact {contact.name}: damping", contact.damping, parameters)
     for friction in scene.frictions:
         check(f"friction {friction.name}: slip", friction.slip, parameters | positions | velocities)
         check(f"friction {friction.name}: coefficient", friction.coefficient, parameters)
@@ -216,6 +218,12 @@ def _check_contacts(scene: Scene) -> None:
         stiffness = contact.stiffness.subs(start).evalf()
         if not (stiffness.is_real and float(stiffness) > 0):
             raise _fail(scene, f"contact {contact.name}: the stiffness is {stiffness}, but must be positive.")
+        damping = contact.damping.subs(start).evalf()
+        if not (damping.is_real and float(damping) >= 0):
+            unit = contact.damping_law.unit
+            raise _fail(
+                scene, f"contact {contact.name}: the damping is {damping} {unit}, but must not be negative; 0 is a contact without damping."
+            )
         rough = sorted({type(part).__name__ for part in contact.penetration.atoms(*_ROUGH)})
         if rough:
             raise _fail(

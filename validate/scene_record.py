@@ -10,6 +10,7 @@ import sympy as sp
 from sympy.printing.mathml import mathml
 
 from models.codegen.operations import step_operations
+from models.contacts import Contact, DampingLaw
 from models.dynamics import Dynamics, derive
 from models.scene import Scene
 from reports.record import EquationRecord, QuantityRecord, SceneRecord, ShapeRecord
@@ -83,7 +84,10 @@ def equations(dynamics: Dynamics) -> tuple[EquationRecord, ...]:
     for contact, phi, k, lam in zip(dynamics.scene.contacts, dynamics.penetration, dynamics.stiffness, greek.values(), strict=True):
         depth = sp.Symbol(f"phi_{contact.name}", real=True)
         found.append((f"penetration of contact {contact.name} (its gap is the negative)", _equation(depth, phi)))
-        found.append((f"force of contact {contact.name}", _equation(lam, sp.Mul(k, sp.Max(depth, 0), evaluate=False))))
+        if contact.is_damped:
+            found += _damped_force(dynamics, contact, depth, lam)
+        else:
+            found.append((f"force of contact {contact.name}", _equation(lam, sp.Mul(k, sp.Max(depth, 0), evaluate=False))))
     found += _friction_equations(dynamics)
     belongs = ", friction to the slip at its end" if dynamics.f else ""
     after = [sp.Symbol(f"{velocity.name}__t+1", real=True) for velocity in dynamics.v]
@@ -100,6 +104,20 @@ def equations(dynamics: Dynamics) -> tuple[EquationRecord, ...]:
     if dynamics.final_cost != 0:
         found.append(("cost of the last state, added to that sum", _equation(sp.Symbol("J_T"), dynamics.final_cost)))
     return tuple(EquationRecord(caption=caption, mathml=presentation(equation)) for caption, equation in found)
+
+
+def _damped_force(dynamics: Dynamics, contact: Contact, depth: sp.Symbol, lam: sp.Symbol) -> list[tuple[str, sp.Basic]]:
+    """The rate of penetration and the force that follows from it."""
+    rate, k, c = sp.Symbol(f"phidot_{contact.name}", real=True), contact.stiffness, contact.damping
+    row = [item.name for item in dynamics.scene.contacts].index(contact.name)
+    if contact.damping_law is DampingLaw.KELVIN_VOIGT:
+        law, words = sp.Piecewise((sp.Max(k * depth + c * rate, 0), depth > 0), (0, True)), "Kelvin-Voigt without adhesion"
+    else:
+        law, words = sp.Mul(k, sp.Max(depth, 0), sp.Max(1 + c * rate, 0), evaluate=False), "Hunt-Crossley"
+    return [
+        (f"rate of penetration of contact {contact.name}", _equation(rate, -(dynamics.gap_jacobian[row, :] * sp.Matrix(dynamics.v))[0])),
+        (f"force of contact {contact.name}, {words}", _equation(lam, law)),
+    ]
 
 
 def _friction_equations(dynamics: Dynamics) -> list[tuple[str, sp.Basic]]:

@@ -188,7 +188,13 @@ class _Prover:
 
 def why_no_proof(scene: Scene) -> str | None:
     """None, or the reason why the scene's problem is no mixed-integer quadratic program."""
-    reason = f"scene {scene.name} has friction" if scene.nf else why_not_linear(scene)
+    reason = (
+        f"scene {scene.name} has friction"
+        if scene.nf
+        else f"scene {scene.name} has damped contacts"
+        if scene.damped
+        else why_not_linear(scene)
+    )
     return (
         None if reason is None else f"{reason}, and a proof needs a linear scene with contacts alone and a convex quadratic running cost."
     )

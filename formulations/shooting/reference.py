@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from models.contact_law import ContactLaw, sharpness
+from models.contacts import DampingLaw
 from models.dynamics import derive
 from models.errors import SceneError
 from models.scene import Scene
@@ -44,9 +45,12 @@ def reference_rollout(
     dtype = start.dtype
     penetration, stiffness = _torch_function(scene, d.penetration, d.q, dtype=dtype), _torch_function(scene, d.stiffness, dtype=dtype)()
     acceleration = _acceleration(scene, arguments, dtype)
+    damped = _damped_forces(scene, law, eps, dtype) if scene.damped else None
     q, v, lam = [start[: scene.nq]], [start[scene.nq :]], []
     for inputs in u:
         lam.append(force(penetration(q[-1]), stiffness))
+        if damped is not None:
+            lam[-1] = damped(lam[-1], q[-1], v[-1])
         v.append(v[-1] + h * acceleration(q[-1], v[-1], inputs, lam[-1]))
         q.append(q[-1] + h * v[-1])
     return torch.stack(q), torch.stack(v), torch.stack(lam) if lam else u.new_zeros((0, scene.nc))
@@ -58,6 +62,26 @@ def _contact_law(law: ContactLaw, eps: float | None) -> Callable[[Tensor, Tensor
     b = sharpness(eps if eps is not None else 0.0)
     # logaddexp neither overflows nor turns linear (as torch.nn.functional.softplus does beyond 20).
     return lambda phi, k: k / b * torch.logaddexp(b * phi, torch.zeros_like(phi))
+
+
+def _damped_forces(scene: Scene, law: ContactLaw, eps: float | None, dtype: torch.dtype) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
+    """(lam, q, v) -> lam with the forces of the damped contacts (laws and smoothing: models.contacts, models/codegen/damping.h)."""
+    d = derive(scene)
+    rate = -d.gap_jacobian * sp.Matrix(d.v)
+    quantities = (sp.Matrix([d.penetration, d.stiffness, d.damping, rate]), d.q, d.v)
+    evaluate, nc = _torch_function(scene, *quantities, dtype=dtype), scene.nc
+    is_linear = torch.tensor([contact.damping_law is DampingLaw.KELVIN_VOIGT for contact in scene.contacts])
+    is_damped = torch.tensor([contact.is_damped for contact in scene.contacts])
+    soft = _contact_law(law, eps)  # k times the smoothed positive part
+
+    def forces(lam: Tensor, q: Tensor, v: Tensor) -> Tensor:
+        phi, k, c, r = evaluate(q, v).reshape(4, nc)
+        closed = (phi > 0).to(dtype) if law is ContactLaw.RELU else torch.sigmoid(sharpness(eps if eps is not None else 0.0) * phi)
+        kelvin_voigt = soft(phi + closed * c * r / k, k) if law is ContactLaw.SOFTPLUS else closed * soft(phi + c * r / k, k)
+        one = torch.ones_like(k)
+        return torch.where(is_damped, torch.where(is_linear, kelvin_voigt, soft(phi, k) * soft(1 + c * r, one) / soft(one, one)), lam)
+
+    return forces
 
 
 def _acceleration(scene: Scene, arguments: tuple[Sequence[sp.Symbol], ...], dtype: torch.dtype) -> Callable[..., Tensor]:

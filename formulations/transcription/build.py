@@ -11,6 +11,7 @@ What a block has, t in 0..T (`set_nodes`) or 0..T-1 (`set_steps`):
 | variable_q, variable_v | t in nodes, coordinate | positions [m, rad], velocities |
 | variable_u | t in steps, input | inputs within their bounds |
 | variable_lam | t in steps, contact | contact forces [N] at the start of the step |
+| variable_spring, variable_touch | t in steps, damped contact | k max(phi, 0) [N], and Kelvin-Voigt's switch; complementarity only (`damping`) |
 | variable_friction | t in steps, friction | friction forces [N], of the slip at the end of the step |
 | variable_slip | t in steps, friction, way | slip speeds forward and backward [m/s], complementarity only |
 | parameter_scene | parameter | the scene's parameters, mutable |
@@ -21,11 +22,12 @@ What a block has, t in 0..T (`set_nodes`) or 0..T-1 (`set_steps`):
 | constraint_start_position, _start_velocity, _goal_position, _goal_velocity | coordinate | goals only where the end is given |
 | constraint_position_step, constraint_velocity_step | t in steps, coordinate | semi-implicit Euler |
 | constraint_contact_softplus or complementarity_contact | t in steps, contact | the contact law |
+| complementarity_spring, complementarity_touch | t in steps, damped contact | what the two variables above are |
 | constraint_friction_regularised, or constraint_slip and complementarity_friction | t in steps, friction (, way) | the friction law (`friction`) |
 | expression_cost, objective_cost | | sum of the running cost, and the final cost; the objective exists in `build_model` only |
 
 What the scene does not need is not there: no variable_u without inputs, no variable_lam without contacts, no
-variable_friction without friction.
+variable_friction without friction, no variable_spring without damping.
 """
 
 from __future__ import annotations
@@ -38,6 +40,7 @@ from pyomo.mpec import Complementarity
 
 from formulations.transcription import equations
 from formulations.transcription.contact_laws import ContactLaw, ModelError, relax
+from formulations.transcription.damping import add_springs, damped_softplus
 from formulations.transcription.expressions import SceneExpressions
 from formulations.transcription.friction import add_friction
 from models.catalog import load_scene
@@ -182,7 +185,7 @@ def _add_steps(block: Any, scene: Scene, contact: ContactLaw, b: float | None) -
     place = {name: index for index, name in enumerate(block.set_coordinates)}
     lam: list[list[Any]] = [[]] * scene.task.steps
     if scene.nc:
-        lam = _add_contact(block, scene, contact, b, law, q, p)
+        lam = _add_contact(block, scene, contact, b, law, (q, v), p)
     if scene.nf:
         friction = add_friction(block, scene, law, b, (q, v, lam), p)
         lam = [[*contacts, *frictions] for contacts, frictions in zip(lam, friction, strict=True)]
@@ -204,9 +207,10 @@ def _add_steps(block: Any, scene: Scene, contact: ContactLaw, b: float | None) -
 
 
 def _add_contact(
-    block: Any, scene: Scene, contact: ContactLaw, b: float | None, law: SceneExpressions, q: list[list[Any]], p: list[Any]
+    block: Any, scene: Scene, contact: ContactLaw, b: float | None, law: SceneExpressions, states: tuple[list, list], p: list[Any]
 ) -> list[list[Any]]:
-    """The contact forces and their law; returns the variables lam[t][contact]."""
+    """The contact forces and their law; states: q, v as rows of variables; returns the variables lam[t][contact]."""
+    q, v = states
     place = {name: index for index, name in enumerate(block.set_contacts)}
     block.variable_lam = pyo.Var(block.set_steps, block.set_contacts, initialize=0.0)
     lam = _rows(block.variable_lam, scene.task.steps)
@@ -217,15 +221,19 @@ def _add_contact(
 
         def softplus(_: Any, t: int, name: str) -> Any:
             i = place[name]
+            if i in scene.damped:
+                rate = law.penetration_rate(q[t], v[t], p)[i]
+                return lam[t][i] == damped_softplus(scene, i, phi[t][i], rate, k[i], law.damping(p)[i], block.parameter_sharpness)
             return equations.constraint_contact_softplus(lam[t][i], phi[t][i], k[i], block.parameter_sharpness)
 
         block.constraint_contact_softplus = pyo.Constraint(block.set_steps, block.set_contacts, rule=softplus)
     else:
         block.variable_lam.setlb(0.0)
+        pushes = add_springs(block, scene, law, phi, q, v, p) if scene.damped else [{}] * scene.task.steps
 
         def complementarity(_: Any, t: int, name: str) -> Any:
             i = place[name]
-            return equations.complementarity_contact(lam[t][i], phi[t][i], k[i])
+            return equations.complementarity_contact(lam[t][i], pushes[t][i] if i in pushes[t] else k[i] * phi[t][i])
 
         block.complementarity_contact = Complementarity(block.set_steps, block.set_contacts, rule=complementarity)
     return lam

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pyomo.environ as pyo
 
+from formulations.transcription.damping import settle_springs
 from formulations.transcription.friction import settle_slip
 from models.contact_law import sharpness
 from models.errors import TouchstoneError
@@ -46,8 +47,9 @@ def relax(block: Any, eps: float) -> None:
 
 def settle_separation(block: Any) -> None:
     """Give the separation force v = lam - k phi (friction: the reserve mu N - |f| either way) of each relaxed pair the value that its own
-    equation asks for (at least 0), and slip speeds theirs."""
+    equation asks for (at least 0), and slip speeds and springs theirs."""
     settle_slip(block)
+    settle_springs(block)
     if not is_relaxed(block):
         return
     for _, pair in pairs(block):
@@ -66,13 +68,14 @@ def tighten(block: Any, eps: float) -> None:
 
 
 def pairs(block: Any) -> list[tuple[Any, Any]]:
-    """(variable, pair) of every complementarity, contacts then frictions, each by step: (lam, its pair), (slip one way, its pair)."""
+    """(variable, pair) of every complementarity, contacts, frictions, then springs and switches of damped contacts, each by step: (lam, its
+    pair), (slip one way, its pair)."""
     return [item for family in _families(block) for item in zip(family[0].values(), family[1].values(), strict=True)]
 
 
 def sides(block: Any) -> list[tuple[Any, Any]]:
     """The two variables of every pair of a relaxed block, of which one is zero, step by step as in `hold_modes`: (lam, lam - k phi) of
-    the contacts, then (slip forward, mu N + f), (slip backward, mu N - f) of the frictions."""
+    the contacts, then (slip forward, mu N + f), (slip backward, mu N - f) of the frictions, then the pairs of `damping`: springs, switches."""
     steps = len(block.set_steps)
     rows: list[list[tuple[Any, Any]]] = [[] for _ in range(steps)]
     for variables, components in _families(block):
@@ -84,7 +87,8 @@ def sides(block: Any) -> list[tuple[Any, Any]]:
 
 
 def _families(block: Any) -> list[tuple[Any, Any]]:
-    names = (("variable_lam", "complementarity_contact"), ("variable_slip", "complementarity_friction"))
+    kinds = (("lam", "contact"), ("slip", "friction"), ("spring", "spring"), ("touch", "touch"))
+    names = [(f"variable_{variable}", f"complementarity_{pair}") for variable, pair in kinds]
     found = [(block.component(variable), block.component(pair)) for variable, pair in names]
     return [(variable, pair) for variable, pair in found if pair is not None]
 
@@ -92,8 +96,9 @@ def _families(block: Any) -> list[tuple[Any, Any]]:
 def hold_modes(block: Any, closed: np.ndarray) -> None:
     """Decide every pair of a relaxed block; the products are switched off.
 
-    closed (steps, nc + 2 nf) is True where a contact is closed (lam = k phi; else lam = 0), then, for each friction, where it may slip
-    forward against f = -mu N (else it does not), and where backward. What is left has no complementarity: for a linear scene without
+    closed (steps, nc + 2 nf + springs + switches) is True where a contact is closed (lam = k phi; else lam = 0), then, for each friction, where it may slip
+    forward against f = -mu N (else it does not), and where backward; then whether each damped contact touches, for its spring and for its
+    switch. What is left has no complementarity: for a linear scene without
     friction a convex quadratic program.
     """
     for _, pair in pairs(block):

@@ -42,13 +42,43 @@ def constraint_contact_softplus(lam: Any, phi: Any, k: Any, b: Any) -> Any:
     return lam == (k / b) * pyo.log(1 + pyo.exp(b * phi))
 
 
-def complementarity_contact(lam: Any, phi: Any, k: Any) -> Any:
-    """0 <= lam[t]  complements  lam[t] - k phi(q[t]) >= 0   [N]   (paper, eq. 7)
+def expression_kelvin_voigt_softplus(phi: Any, rate: Any, k: Any, c: Any, b: Any) -> Any:
+    """(k / b) log(1 + exp(b (phi + w c r / k))),  w = 1 / (1 + exp(-b phi))   [N]; r [m/s] the rate of phi, c [N s/m]"""
+    return (k / b) * pyo.log(1 + pyo.exp(b * (phi + c * rate / (k * (1 + pyo.exp(-b * phi))))))
+
+
+def expression_hunt_crossley_softplus(phi: Any, rate: Any, k: Any, c: Any, b: Any) -> Any:
+    """(k / b) log(1 + exp(b phi)) log(1 + exp(b (1 + c r))) / log(1 + exp(b))   [N]; r [m/s] the rate of phi, c [s/m]; b a number in the quotient"""
+    return (k / b) * pyo.log(1 + pyo.exp(b * phi)) * pyo.log(1 + pyo.exp(b * (1 + c * rate))) / pyo.log(1 + pyo.exp(b))
+
+
+def expression_kelvin_voigt(spring: Any, touch: Any, c: Any, rate: Any) -> Any:
+    """sigma + c w r   [N]: what a contact with Kelvin-Voigt damping pushes with"""
+    return spring + c * touch * rate
+
+
+def expression_hunt_crossley(spring: Any, c: Any, rate: Any) -> Any:
+    """sigma (1 + c r)   [N]: what a contact with Hunt-Crossley damping pushes with"""
+    return spring * (1 + c * rate)
+
+
+def complementarity_switch(spring: Any, touch: Any) -> Any:
+    """0 <= sigma [N]  complements  1 - w >= 0: a spring that is compressed touches"""
+    return complements(1 - touch >= 0, spring >= 0)
+
+
+def complementarity_touch(touch: Any, spring: Any, push: Any) -> Any:
+    """0 <= w  complements  sigma - k phi >= 0 [N]: what touches has no gap"""
+    return complements(spring - push >= 0, touch >= 0)
+
+
+def complementarity_contact(lam: Any, push: Any) -> Any:
+    """0 <= lam[t]  complements  lam[t] - push >= 0   [N];  push = k phi(q[t]) without damping   (paper, eq. 7)
 
     The separation force lam - k phi comes first: Pyomo gives the first expression a variable of its own (`v`) and multiplies it
     with the second, so that the product is lam * v, of two variables. The other order would copy lam.
     """
-    return complements(lam - k * phi >= 0, lam >= 0)
+    return complements(lam - push >= 0, lam >= 0)
 
 
 def constraint_friction_regularised(f: Any, limit: Any, slip: Any, steepness: Any) -> Any:

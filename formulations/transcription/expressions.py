@@ -38,6 +38,8 @@ class SceneExpressions:
         self.force = _function(d, "the generalised force", list(d.generalised_force), d.q, d.v, d.u, (*d.lam, *d.f), d.p)
         self.penetration = _function(d, "a penetration", list(d.penetration), d.q, d.p)
         self.stiffness = _function(d, "a stiffness", list(d.stiffness), d.p)
+        self.damping = _function(d, "a damping", list(d.damping), d.p)
+        self.penetration_rate = _function(d, "a rate of penetration", list(-d.gap_jacobian * sp.Matrix(d.v)), d.q, d.v, d.p)
         self.slip = _function(d, "a slip", list(d.slip), d.q, d.v, d.p)
         self.friction_limit = _function(d, "a friction coefficient or normal force", list(d.friction_limit), d.q, d.lam, d.p)
         self.running_cost = _function(d, "the running cost", [d.running_cost], d.q, d.v, d.u, d.p)

@@ -13,6 +13,7 @@ import numpy as np
 import sympy as sp
 
 from models.contact_law import ContactLaw, contact_force, sharpness
+from models.contacts import DampingLaw
 from models.dynamics import derive
 from models.goal import distance, goal_state
 from models.scene import Scene
@@ -33,20 +34,30 @@ class PlanResiduals:
         self._slip_nominal = np.array([friction.nominal for friction in scene.frictions])
         self._cost = _function(scene, sp.Matrix([d.running_cost]), d.q, d.v, d.u)
         self._final_cost = _function(scene, sp.Matrix([d.final_cost]), d.q, d.v)
+        self._push, self._rate = _function(scene, d.push, d.q, d.v), _function(scene, -d.gap_jacobian * sp.Matrix(d.v), d.q, d.v)
+        self._damping = np.array(d.damping.subs(scene.parameter_values), dtype=float).ravel()
         self._stiffness = np.array(d.stiffness.subs(scene.parameter_values), dtype=float).ravel()
 
     def separation(self, plan: Trajectory) -> np.ndarray:
-        """lam - k phi (steps, nc) [N]: at least 0 under the true law, and 0 where a contact is closed."""
-        return plan.lam[:, : self._scene.nc] - self._stiffness * self._penetration(plan.q[:-1])
+        """lam - k phi (steps, nc) [N], k phi with its damping: at least 0 under the true law, and 0 where a contact pushes."""
+        phi, damped = self._penetration(plan.q[:-1]), list(self._scene.damped)
+        push = self._stiffness * phi
+        if damped:
+            push[:, damped] = np.where(phi > 0.0, self._push(plan.q[:-1], plan.v[:-1]), push)[:, damped]
+        return plan.lam[:, : self._scene.nc] - push
 
     def modes(self, plan: Trajectory) -> np.ndarray:
-        """(steps, nc + 2 nf) whether a contact is closed - its force is larger than its separation force - and, for each friction, whether
-        it slips forward and whether backward: its slip (in its nominal) is larger than what is left of its force (in mu N)."""
+        """(steps, nc + 2 nf + springs + switches) whether a contact is closed - its force is larger than its separation force - and, for each friction, whether
+        it slips forward and whether backward: its slip (in its nominal) is larger than what is left of its force (in mu N); then, for the
+        spring and for the switch of each damped contact, whether it touches."""
         closed = plan.lam[:, : self._scene.nc] > np.maximum(self.separation(plan), 0.0)
         slip, force, limit = self.friction(plan)
         scale = np.maximum(limit, np.finfo(float).tiny)
         ways = [sign * slip / self._slip_nominal > np.maximum(1.0 + sign * force / scale, 0.0) for sign in (1.0, -1.0)]
-        return np.hstack([closed, np.stack(ways, axis=2).reshape(len(closed), -1)])
+        scene, touches = self._scene, self._penetration(plan.q[:-1]) > 0.0
+        switched = [index for index in scene.damped if scene.contacts[index].damping_law is DampingLaw.KELVIN_VOIGT]
+        springs = touches[:, [*scene.damped, *switched]]
+        return np.hstack([closed, np.stack(ways, axis=2).reshape(len(closed), -1), springs])
 
     def friction(self, plan: Trajectory) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Slip at the end of each step [m/s], friction force and its limit mu N [N], each (steps, nf)."""
@@ -91,8 +102,20 @@ class PlanResiduals:
             found["complementarity"] = _largest(products)
             found["force_sign"] = max(_largest(np.maximum(-lam, 0.0)), _largest(np.maximum(-separation, 0.0)))
         else:
-            found["contact_law"] = _largest(lam - contact_force(self._penetration(plan.q[:-1]), self._stiffness, law, eps))
+            found["contact_law"] = _largest(lam - self._relaxed(plan, law, eps))
         return found
+
+    def _relaxed(self, plan: Trajectory, law: ContactLaw, eps: float | None) -> np.ndarray:
+        """(steps, nc) the smoothed contact forces at the plan's states; damped ones by models/codegen/damping.h."""
+        phi, k = self._penetration(plan.q[:-1]), self._stiffness
+        lam, b = contact_force(phi, k, law, eps), sharpness(eps if eps is not None else 0.0)
+        for i in self._scene.damped:
+            share = self._damping[i] * self._rate(plan.q[:-1], plan.v[:-1])[:, i]
+            if self._scene.contacts[i].damping_law is DampingLaw.KELVIN_VOIGT:
+                lam[:, i] = contact_force(phi[:, i] + share / k[i] * np.exp(-np.logaddexp(0.0, -b * phi[:, i])), k[i], law, eps)
+            else:
+                lam[:, i] *= np.logaddexp(0.0, b * (1.0 + share)) / np.logaddexp(0.0, b)
+        return lam
 
     def _friction_residuals(self, plan: Trajectory, law: ContactLaw, eps: float | None) -> dict[str, float]:
         slip, force, limit = self.friction(plan)
@@ -109,7 +132,7 @@ MEANING = {
     "terminal_error": "norm of x[T] - goal, over the components that are given",
     "input_bound_excess": "by how much an input leaves its bounds [N, N m]",
     "velocity_bound_excess": "by how much a velocity leaves its bounds at the start of a step",
-    "physics": "sum over steps and contacts of abs(lam (lam - k phi)) [N^2] (paper, eq. 10)",
+    "physics": "sum over steps and contacts of abs(lam (lam - k phi)) [N^2], k phi with its damping (paper, eq. 10)",
     "complementarity": "largest abs(lam (lam - k phi)) [N^2]",
     "force_sign": "by how much lam or lam - k phi is negative [N]",
     "contact_law": "largest miss of the softplus law [N]",

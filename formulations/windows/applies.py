@@ -14,6 +14,9 @@ def why_not(scene: Scene) -> str | None:
         return f"scene {scene.name} has no inputs, so there is nothing to plan."
     if scene.nf:
         return f"scene {scene.name} has friction, and contact windows alone do not say where it sticks; strict_lcp plans it."
+    if scene.damped:
+        names = ", ".join(scene.contacts[index].name for index in scene.damped)
+        return f"scene {scene.name} has damped contacts ({names}), and contact windows alone do not say where they are released; strict_lcp plans it."
     from formulations.transcription.expressions import SceneExpressions
     from models.dynamics import derive
     from models.errors import SceneError

@@ -15,6 +15,7 @@ import sympy as sp
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
 from models.codegen.c_function import Vector, c_function
+from models.codegen.damping import damping_functions
 from models.codegen.friction import friction_functions
 from models.codegen.vectors import SceneVectors
 from models.dynamics import derive
@@ -32,6 +33,7 @@ def emit_model(scene: Scene, *, defaults: bool = True) -> str:
         parts = [
             _head(scene, defaults),
             *_contact_functions(vectors),
+            *damping_functions(vectors),
             *friction_functions(vectors),
             *_acceleration_functions(vectors),
             *_energy_functions(vectors),

@@ -163,9 +163,10 @@ SCENE_FUNCTION int friction_forces(int law, double b, double h, const double *p,
 /* The part of the adjoint of a step that goes through the friction forces.
  *
  * v_bar (NQ): the derivative of the loss with respect to v[t+1] = v_end; what the slip adds to it is added here (S' s_bar). Adds to
- * q_bar what slip and limit depend on, and to lam_bar[0 .. NC) what the limit depends on. f = lam[NC ..] as friction_forces left it.
+ * q_bar what slip and limit depend on, and to lam_bar[0 .. NC) what the limit depends on; lam_bar[NC ..] are the derivatives with respect
+ * to f itself. f = lam[NC ..] as friction_forces left it.
  *
- * With f_bar = h A (v_bar + S' s_bar): where a force slips or is regularised s_bar = (df/ds) f_bar; where it sticks, f_bar = 0
+ * With f_bar = lam_bar + h A (v_bar + S' s_bar): where a force slips or is regularised s_bar = (df/ds) f_bar; where it sticks, f_bar = 0
  * determines s_bar. */
 SCENE_FUNCTION int friction_adjoint(int law, double b, double h, const double *p, const double *q, const double *v, const double *u,
     const double *lam, const double *v_end, double *v_bar, double *q_bar, double *lam_bar)
@@ -178,7 +179,7 @@ SCENE_FUNCTION int friction_adjoint(int law, double b, double h, const double *p
     if (friction_step(h, p, q, v, u, work, &step)) return 1;
     for (int j = 0; j < NF; j++) {
         const double s = slip_at_end(&step, f, j), c = friction_sharpness(b, j), limit = step.limit[j];
-        f_bar[j] = 0.0;
+        f_bar[j] = lam_bar[NC + j];
         for (int i = 0; i < NQ; i++) f_bar[j] += h * step.A[j][i] * v_bar[i];
         s_bar[j] = 0.0;
         if (law == 1) {

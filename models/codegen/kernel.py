@@ -21,6 +21,7 @@ import numpy as np
 
 from models.codegen.cache import cached
 from models.codegen.compiler import FLAGS, compile_shared, find_compiler
+from models.codegen.damping import damping_source, for_scene
 from models.codegen.emit import emit_model
 from models.codegen.friction import friction_source
 from models.contact_law import ContactLaw, sharpness
@@ -33,6 +34,7 @@ _SOURCE = Path(__file__).with_name("rollout.c")
 # plain integers: a ctypes pointer object for each of them would cost more than the rollout itself.
 _TYPES = {"n": ctypes.c_int, "d": ctypes.c_double, "p": ctypes.c_void_p}
 _FRICTION_SIGNATURES = {"slip": (None, "npppp"), "friction_limit": (None, "npppp")}
+_DAMPING_SIGNATURES = {"damped_contact_force": (None, "npndppp"), "contact_push": (None, "npppp")}
 _SIGNATURES = {
     "rollout": (ctypes.c_int, "ndpndppppp"),
     "adjoint": (ctypes.c_int, "ndpndpppppppdpp"),
@@ -82,13 +84,20 @@ class BoundFunctions(NamedTuple):
 
 def load_kernel(scene: Scene) -> Kernel:
     """Compile (or find in the cache) the kernel of a scene. Raises MachineError without a compiler."""
-    compiler = find_compiler()
-    sources = {"scene_model.h": emit_model(scene, defaults=False), "rollout.c": _SOURCE.read_text(encoding="utf-8")}
-    if scene.nf:
-        sources["friction.h"] = friction_source()
+    compiler, sources = find_compiler(), kernel_sources(scene)
     key = "\n".join([compiler.describe(), " ".join(FLAGS), *(f"{name}\n{text}" for name, text in sorted(sources.items()))])
     library = cached(key, ".so", lambda path: compile_shared(compiler, sources, path))
     return Kernel(scene, library)
+
+
+def kernel_sources(scene: Scene) -> dict[str, str]:
+    """File name -> text of the C sources of a scene's kernel."""
+    sources = {"scene_model.h": emit_model(scene, defaults=False), "rollout.c": for_scene(scene, _SOURCE.read_text(encoding="utf-8"))}
+    if scene.nf:
+        sources["friction.h"] = friction_source()
+    if scene.damped:
+        sources["damping.h"] = damping_source()
+    return sources
 
 
 class Kernel:
@@ -98,7 +107,8 @@ class Kernel:
         self.scene = scene
         self.path = library
         self._library = ctypes.CDLL(str(library))
-        for name, (result, arguments) in (_SIGNATURES | (_FRICTION_SIGNATURES if scene.nf else {})).items():
+        signatures = _SIGNATURES | (_FRICTION_SIGNATURES if scene.nf else {}) | (_DAMPING_SIGNATURES if scene.damped else {})
+        for name, (result, arguments) in signatures.items():
             function = getattr(self._library, f"kernel_{name}")
             function.restype, function.argtypes = result, [_TYPES[letter] for letter in arguments]
         values = [parameter.value for parameter in scene.parameters]
@@ -126,12 +136,28 @@ class Kernel:
         self._library.kernel_stiffness(_at(self._p), _at(k))
         return k
 
-    def contact_force(self, q: np.ndarray, law: ContactLaw = ContactLaw.RELU, eps: float | None = None) -> np.ndarray:
-        """lam (n, nc) [N] at positions q (n, nq)."""
+    def contact_force(
+        self, q: np.ndarray, law: ContactLaw = ContactLaw.RELU, eps: float | None = None, *, v: np.ndarray | None = None
+    ) -> np.ndarray:
+        """lam (n, nc) [N] at positions q (n, nq) and, for damped contacts, velocities v (n, nq); None is at rest."""
         q = self._array("q", q, self.scene.nq)
         lam = np.empty((len(q), self.scene.nc))
-        self._library.kernel_contact_force(len(q), _at(self._p), law.value, _b(law, eps), _at(q), _at(lam))
+        head = (len(q), _at(self._p), law.value, _b(law, eps), _at(q))
+        if self.scene.damped:
+            v = self._array("v", np.zeros_like(q) if v is None else v, self.scene.nq, len(q))
+            self._library.kernel_damped_contact_force(*head, _at(v), _at(lam))
+        else:
+            self._library.kernel_contact_force(*head, _at(lam))
         return lam
+
+    def contact_push(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(n, nc) [N] what the true contact force is the positive part of, at positions and velocities (n, nq): k phi without damping."""
+        q, v = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq)
+        if not self.scene.damped:
+            return self.stiffness() * self.penetration(q)
+        push = np.empty((len(q), self.scene.nc))
+        self._library.kernel_contact_push(len(q), _at(self._p), _at(q), _at(v), _at(push))
+        return push
 
     def slip(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """s (n, nf) [m/s] at positions and velocities (n, nq)."""

@@ -9,6 +9,9 @@
 #if NF > 0
 #include "friction.h"
 #endif
+#ifdef DAMPING
+#include "damping.h"
+#endif
 
 #define EXPORT __attribute__((visibility("default")))
 #define SIZE(n) ((n) > 0 ? (n) : 1)
@@ -68,6 +71,9 @@ EXPORT int kernel_rollout(int steps, double h, const double *parameters, int law
         const double *qt = q + t * NQ, *vt = v + t * NQ;
         double *qn = q + (t + 1) * NQ, *vn = v + (t + 1) * NQ;
         contact_forces(law, b, k, qt, p, lam + t * NL);
+#ifdef DAMPING
+        damp_contacts(law, b, k, qt, vt, p, lam + t * NL);
+#endif
 #if NF > 0
         if (friction_forces(law, b, h, p, qt, vt, u + t * NU, lam + t * NL)) return t;
 #endif
@@ -109,6 +115,9 @@ EXPORT int kernel_adjoint(int steps, double h, const double *parameters, int law
         for (int i = 0; i < NQ; i++) a_bar[i] = h * gv[i];
         for (int i = 0; i < NU; i++) u_bar[t * NU + i] = 0.0;
         if (scene_acceleration_vjp(qt, vt, u + t * NU, lam + t * NL, p, a_bar, gq, gv, u_bar + t * NU, gl)) return 1;
+#ifdef DAMPING
+        damp_contacts_vjp(law, b, k, qt, vt, p, gl, gq, gv);
+#endif
         scene_penetration(qt, p, phi);
         for (int i = 0; i < NC; i++) gl[i] *= contact_slope(law, b, k[i], phi[i]);
         scene_penetration_vjp(qt, p, gl, gq);
@@ -130,6 +139,32 @@ EXPORT void kernel_penetration(int n, const double *p, const double *q, double *
     for (int t = 0; t < n; t++) scene_penetration(q + t * NQ, p, phi + t * NC);
 }
 
+#ifdef DAMPING
+EXPORT void kernel_damped_contact_force(int n, const double *p, int law, double b, const double *q, const double *v, double *lam)
+{
+    double k[SIZE(NC)];
+    scene_stiffness(p, k);
+    for (int t = 0; t < n; t++) {
+        contact_forces(law, b, k, q + t * NQ, p, lam + t * NC);
+        damp_contacts(law, b, k, q + t * NQ, v + t * NQ, p, lam + t * NC);
+    }
+}
+
+/* The forces whose positive parts are those of the contacts: without damping k phi. */
+EXPORT void kernel_contact_push(int n, const double *p, const double *q, const double *v, double *push)
+{
+    double k[NC], c[NC], rate[NC];
+    scene_stiffness(p, k);
+    scene_damping(p, c);
+    for (int t = 0; t < n; t++) {
+        double *phi = push + t * NC;
+        scene_penetration(q + t * NQ, p, phi);
+        scene_penetration_jvp(q + t * NQ, p, v + t * NQ, rate);
+        for (int i = 0; i < NC; i++)
+            phi[i] = scene_damping_laws[i] && phi[i] > 0.0 ? contact_push(scene_damping_laws[i], k[i], c[i], phi[i], rate[i]).value : k[i] * phi[i];
+    }
+}
+#endif
 EXPORT void kernel_contact_force(int n, const double *p, int law, double b, const double *q, double *lam)
 {
     double k[SIZE(NC)];

@@ -83,7 +83,7 @@ def model_structure(scene: Scene, standard: Standard) -> dict[str, list[Unknown]
         "outputs": [running(variable) for variable in table if variable.causality == "output"],
         "derivatives": [running(variable) for variable in derivatives],
         "initial": [initial(variable) for variable in table if variable.initial == "calculated"],
-        "indicators": [running(variable) for variable in table if variable.kind in (Kind.GAP, Kind.RESERVE)],
+        "indicators": [running(variable) for variable in table if variable.kind in (Kind.GAP, Kind.RESERVE, Kind.PRESSING)],
     }
 
 

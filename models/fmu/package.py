@@ -14,6 +14,7 @@ from pathlib import Path
 
 from models.codegen.cache import cached
 from models.codegen.compiler import Compiler, compile_shared
+from models.codegen.damping import damping_source, for_scene
 from models.codegen.emit import emit_model
 from models.codegen.friction import friction_source
 from models.fmu.archive import pack
@@ -56,12 +57,18 @@ def build_fmu(scene: Scene, version: str = "2.0", platforms: Sequence[str] = ())
 
 def fmu_texts(scene: Scene, standard: Standard) -> dict[str, str]:
     """Every text file of the FMU, by its path inside."""
-    sources = {path.name: path.read_text(encoding="utf-8") for path in sorted(_SHELL.iterdir()) if _belongs(path, standard)}
+    sources = {
+        path.name: for_scene(scene, path.read_text(encoding="utf-8")) for path in sorted(_SHELL.iterdir()) if _belongs(path, standard)
+    }
     sources |= {f"{standard.header_folder}{name}": text for name, text in standard_headers(standard).items()}
     if scene.nf:
         sources["friction.h"] = friction_source()
     else:
         del sources["friction_modes.h"]  # friction_values.h alone says that there is none
+    if scene.damped:
+        sources["damping.h"] = damping_source()
+    else:
+        del sources["damping_modes.h"]
     sources |= {"scene_model.h": emit_model(scene, defaults=False), "scene_sensitivity.h": emit_sensitivity(scene)}
     description = describe(scene, sources, standard)
     sources |= {"model_config.h": description.config, "buildDescription.xml": description.build}

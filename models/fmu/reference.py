@@ -1,7 +1,7 @@
 """The true continuous motion of a scene under inputs that are constant piece by piece, without any C.
 
 It is integrated by scipy's DOP853 on the scene's equations as numpy functions, restarted at every change of an input, a
-contact or a friction: what the FMU's own numbers are compared with, by users and by our tests. What sticks and what slips is
+contact, its damping or a friction: what the FMU's own numbers are compared with, by users and by our tests. What sticks and what slips is
 found by trying every combination for one that contradicts nothing - another road than the one the FMU takes.
 """
 
@@ -15,7 +15,8 @@ import numpy as np
 import sympy as sp
 from scipy.integrate import solve_ivp
 
-from models.dynamics import derive
+from models.contacts import DampingLaw
+from models.dynamics import Dynamics, derive
 from models.errors import SceneError
 from models.fmu.variables import friction_nominals
 from models.scene import Scene
@@ -38,9 +39,10 @@ class Piece:
 
 @dataclass(frozen=True)
 class Modes:
-    """closed (nc,) bool; slips (nf,): -1 or 1, the way it slips, or 0 where it sticks."""
+    """closed, pushes (nc,) bool: a damped contact may be closed and released; slips (nf,): -1 or 1, the way it slips, or 0 where it sticks."""
 
     closed: np.ndarray
+    pushes: np.ndarray
     slips: np.ndarray
 
 
@@ -53,6 +55,10 @@ class Equations:
         self._mass, self._force = d.function(d.mass_matrix, d.q), d.function(d.generalised_force, d.q, d.v, d.u, (*d.lam, *d.f))
         self._phi, self._jacobian = d.function(d.penetration, d.q), d.function(d.gap_jacobian, d.q)
         self.stiffness = d.function(d.stiffness)().ravel()
+        share = pressing_shares(d)
+        self._push, self._share = d.function(d.push, d.q, d.v), d.function(share, d.q, d.v)
+        slopes = [share.jacobian(group) if scene.damped else sp.zeros(0, self.n) for group in (d.q, d.v)]
+        self._share_slopes = [d.function(slope, d.q, d.v) for slope in slopes]
         slip_rate = d.slip.jacobian(d.q) * sp.Matrix(d.v) if scene.nf else d.slip  # at no acceleration
         self._slip, self._slip_rate = d.function(d.slip, d.q, d.v), d.function(slip_rate, d.q, d.v)
         self._direction, self._limit = d.function(d.slip_jacobian, d.q), d.function(d.friction_limit, d.q, d.lam)
@@ -74,19 +80,20 @@ class Equations:
     def modes(self, x: np.ndarray, u: np.ndarray) -> Modes:
         """Each contact is closed or not, on its boundary: whether it is closing; each friction slips one way or sticks."""
         closed = self.closed(x, u)
+        pushes = self.pushes(x, u, closed)
         slip = self.slip(x)
-        limit = self.limit(x, closed)
+        limit = self.limit(x, pushes)
         decided = np.abs(slip) > self._slip_band
         ways = [[0, 1, -1] if pressed else [1, -1] for pressed in limit > 0]  # what nothing presses does not stick
         choices = [[1 if value >= 0 else -1] if known else way for value, known, way in zip(slip, decided, ways, strict=True)]
         for slips in product(*choices):
-            modes = Modes(closed, np.array(slips, dtype=int))
+            modes = Modes(closed, pushes, np.array(slips, dtype=int))
             acceleration, force = self.motion(x, u, modes)
             change = self._slip_rate(x[: self.n], x[self.n :]).ravel() + self._direction(x[: self.n]) @ acceleration
             holds = np.abs(force) <= limit * (1 + _BOUNDARY / 2)  # less than what ends sticking: whoever has just left does not stick
             if np.all(decided | np.where(modes.slips == 0, holds, modes.slips * change >= 0)):
                 return modes
-        return Modes(closed, np.where(decided, np.where(slip >= 0, 1, -1), 0))
+        return Modes(closed, pushes, np.where(decided, np.where(slip >= 0, 1, -1), 0))
 
     def closed(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         """(nc,) by penetration; on its boundary by the direction of motion, or of the acceleration of a body at rest there."""
@@ -96,23 +103,41 @@ class Equations:
         jacobian, at_boundary = self._jacobian(x[: self.n]), np.abs(phi) <= self._band
         rate = -jacobian @ x[self.n :]
         if np.any(at_boundary & (rate == 0)):
-            free = Modes(phi > self._band, np.ones(len(self._slip_band), dtype=int))
+            inside = phi > self._band
+            free = Modes(inside, inside, np.ones(len(self._slip_band), dtype=int))
             rate = np.where(rate == 0, -jacobian @ self.motion(x, u, free)[0], rate)
         return (phi > self._band) | (at_boundary & (rate > 0))
 
-    def limit(self, x: np.ndarray, closed: np.ndarray) -> np.ndarray:
-        """mu N (nf,) [N]."""
-        return self._limit(x[: self.n], self.contact_force(x, closed)).ravel()
+    def pushes(self, x: np.ndarray, u: np.ndarray, closed: np.ndarray) -> np.ndarray:
+        """(nc,) closed contacts whose force would not pull; where it is nothing, those whose force grows."""
+        result = closed.copy()
+        for row, contact in enumerate(self.scene.damped):
+            share = self.share_pressing(x, row)
+            if closed[contact] and share <= _BOUNDARY:
+                free = Modes(closed, closed, np.ones(len(self._slip_band), dtype=int))
+                by_q, by_v = (slope(x[: self.n], x[self.n :])[row] for slope in self._share_slopes)
+                result[contact] = share >= -_BOUNDARY and by_q @ x[self.n :] + by_v @ self.motion(x, u, free)[0] > 0
+        return result
 
-    def contact_force(self, x: np.ndarray, closed: np.ndarray) -> np.ndarray:
-        """k phi (nc,) [N] in closed contacts and nothing in open ones."""
-        return np.where(closed, self.stiffness * self.penetration(x), 0.0)
+    def share_pressing(self, x: np.ndarray, row: int) -> float:
+        """What damped contact `row` would push with if it is closed, as the FMU gives it."""
+        return float(self._share(x[: self.n], x[self.n :])[row, 0])
+
+    def limit(self, x: np.ndarray, pushes: np.ndarray) -> np.ndarray:
+        """mu N (nf,) [N]."""
+        return self._limit(x[: self.n], self.contact_force(x, pushes)).ravel()
+
+    def contact_force(self, x: np.ndarray, pushes: np.ndarray) -> np.ndarray:
+        """(nc,) [N]: k phi, with damping more or less, in contacts that push and nothing in others."""
+        push, damped = self.stiffness * self.penetration(x), list(self.scene.damped)
+        push[damped] = self._push(x[: self.n], x[self.n :]).ravel()[damped]
+        return np.where(pushes, push, 0.0)
 
     def motion(self, x: np.ndarray, u: np.ndarray, modes: Modes) -> tuple[np.ndarray, np.ndarray]:
         """Accelerations (nq,) and friction forces (nf,): M a - S' f = forces, and S a = -dS/dt v where it sticks."""
         q, v = x[: self.n], x[self.n :]
-        lam = self.contact_force(x, modes.closed)
-        friction = -modes.slips * self.limit(x, modes.closed)
+        lam = self.contact_force(x, modes.pushes)
+        friction = -modes.slips * self.limit(x, modes.pushes)
         force = self._force(q, v, u, np.concatenate([lam, friction])).ravel()
         sticks = modes.slips == 0
         S = self._direction(q)[sticks] if sticks.size else np.zeros((0, self.n))
@@ -130,7 +155,7 @@ class Equations:
         """What is left until friction `index` leaves its mode: slip [m/s] or force [N]."""
         if modes.slips[index]:
             return float(modes.slips[index] * self.slip(x)[index])
-        return float(self.limit(x, modes.closed)[index] * (1 + _BOUNDARY) - abs(self.motion(x, u, modes)[1][index]))
+        return float(self.limit(x, modes.pushes)[index] * (1 + _BOUNDARY) - abs(self.motion(x, u, modes)[1][index]))
 
     def share(self, x: np.ndarray, u: np.ndarray, modes: Modes, index: int) -> float:
         """The reserve over the nominal slip or friction force, as the FMU gives it."""
@@ -139,11 +164,14 @@ class Equations:
 
     def outputs(self, x: np.ndarray, u: np.ndarray) -> dict[str, float]:
         """What the FMU gives besides positions and velocities, by the FMU's names."""
-        phi = self.penetration(x)
-        lam = self.stiffness * np.maximum(phi, 0.0)
+        phi, modes = self.penetration(x), self.modes(x, u)
+        spring = self.stiffness * np.maximum(phi, 0.0)
+        lam = np.maximum(self.contact_force(x, phi > 0), 0.0)
         parts = {"q": x[: self.n], "v": x[self.n :], "u": u}
         values = {contact.force_name: lam[index] for index, contact in enumerate(self.scene.contacts)}
-        modes = self.modes(x, u)
+        rate = -self._jacobian(x[: self.n]) @ x[self.n :]
+        for row, contact in enumerate(self.scene.damped):
+            values[self.scene.contacts[contact].pressing_name] = self.share_pressing(x, row) if phi[contact] > 0 else 1.0
         friction, slip = self.motion(x, u, modes)[1], self.slip(x)
         values |= {item.force_name: friction[index] for index, item in enumerate(self.scene.frictions)}
         values |= {item.slip_name: slip[index] for index, item in enumerate(self.scene.frictions)}
@@ -151,7 +179,18 @@ class Equations:
         values |= {name: function(*(parts[letter] for letter in letters)).item() for name, (function, letters) in self._energies.items()}
         values |= {f"reserve_{item.name}": self.share(x, u, modes, index) for index, item in enumerate(self.scene.frictions)}
         values["dissipated_power"] -= float(friction @ slip)
-        return values | {"contact_energy": float(np.sum(lam * phi) / 2)}
+        values["dissipated_power"] += sum(float((lam - spring)[contact] * rate[contact]) for contact in self.scene.damped)
+        return values | {"contact_energy": float(np.sum(spring * phi) / 2)}
+
+
+def pressing_shares(d: Dynamics) -> sp.Matrix:
+    """Of each damped contact what its push is a share of k times the nominal penetration; Hunt-Crossley: of its spring's push."""
+    shares = []
+    for index in d.scene.damped:
+        contact, rate = d.scene.contacts[index], -(d.gap_jacobian[index, :] * sp.Matrix(d.v))[0]
+        is_linear = contact.damping_law is DampingLaw.KELVIN_VOIGT
+        shares.append(d.push[index] / (d.stiffness[index] * contact.nominal) if is_linear else 1 + contact.damping * rate)
+    return sp.Matrix(len(shares), 1, shares)
 
 
 def true_motion(equations: Equations, pieces: Sequence[Piece], times: np.ndarray) -> np.ndarray:
@@ -195,7 +234,12 @@ def _leaving(equations: Equations, modes: Modes, u: np.ndarray) -> list[Callable
     def friction(index: int) -> Callable[[float, np.ndarray], float]:
         return lambda _, y: equations.reserve(y, u, modes, index)
 
+    def pressing(row: int, sign: float) -> Callable[[float, np.ndarray], float]:
+        return lambda _, y: sign * equations.share_pressing(y, row)
+
     events = [contact(index, 1.0 if mode else -1.0) for index, mode in enumerate(modes.closed)]
+    damped = enumerate(equations.scene.damped)
+    events += [pressing(row, 1.0 if modes.pushes[index] else -1.0) for row, index in damped if modes.closed[index]]
     events += [friction(index) for index in range(len(modes.slips))]
     for event in events:
         event.terminal, event.direction = True, -1.0  # type: ignore[attr-defined] - how scipy is told

@@ -8,7 +8,7 @@ add to the adjoints (q, v, u, p)_bar:
     scene_<quantity>_parameter_jvp  penetration, stiffness and acceleration along dp
     scene_<quantity>_parameter_vjp  the same backwards
 
-and, in scenes with friction, those of slips, of their rates and of the limits mu N.
+and, in scenes with damped contacts, those of the rates of penetration and coefficients; in scenes with friction, those of slips, of their rates and of the limits mu N.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from collections.abc import Sequence
 import sympy as sp
 
 from models.codegen.c_function import Vector, c_function
+from models.codegen.damping import penetration_rate
 from models.codegen.friction import slip_rate
 from models.codegen.vectors import SceneVectors
 from models.dynamics import derive
@@ -59,7 +60,15 @@ def emit_sensitivity(scene: Scene) -> str:
     """Text of `scene_sensitivity.h` (C99, static inline functions; needs `scene_model.h`)."""
     x = SceneVectors.of(derive(scene))
     return "\n".join(
-        [_HEAD.format(name=scene.name), *_parameter_functions(x), *_friction_functions(x), *_energy_functions(x), "#endif", ""]
+        [
+            _HEAD.format(name=scene.name),
+            *_parameter_functions(x),
+            *_damping_functions(x),
+            *_friction_functions(x),
+            *_energy_functions(x),
+            "#endif",
+            "",
+        ]
     )
 
 
@@ -110,6 +119,22 @@ def _parameter_functions(x: SceneVectors) -> list[str]:
             _SOLVES,
         ]
     return functions
+
+
+def _damping_functions(x: SceneVectors) -> list[str]:
+    """Rates of penetration and damping coefficients along the parameters, of a scene with damped contacts."""
+    d, dp = x.dynamics, _tangent(x.p)
+    if not d.structure.contact_damping:
+        return []
+    rate, damping = penetration_rate(x), x.local(d.damping)
+    rate_bar, c_bar = (Vector.of(name, x.contacts) for name in ("rate_bar", "c_bar"))
+    moving = (x.q, x.v, x.p)
+    return [
+        c_function("void", "scene_penetration_rate_parameter_jvp", (*moving, dp), "d_rate", _jvp(rate, [x.p])),
+        c_function("void", "scene_penetration_rate_parameter_vjp", (*moving, rate_bar), _vjp(rate, rate_bar, [x.p]), operator="+="),
+        c_function("void", "scene_damping_parameter_jvp", (x.p, dp), "d_c", _jvp(damping, [x.p])),
+        c_function("void", "scene_damping_parameter_vjp", (x.p, c_bar), _vjp(damping, c_bar, [x.p]), operator="+="),
+    ]
 
 
 def _friction_functions(x: SceneVectors) -> list[str]:

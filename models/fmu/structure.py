@@ -53,6 +53,8 @@ def _knowns(d: Dynamics, variable: Variable) -> dict[sp.Symbol, Dependency] | No
             return _of_expressions(d, [d.slip[index]])
         case Kind.RESERVE:
             return _of_everything(d)
+        case Kind.PRESSING:
+            return _of_contact(d, d.scene.damped[index - d.scene.nl])
         case Kind.GAP:
             return _of_expressions(d, [d.penetration[index]])
         case Kind.KINETIC_ENERGY:
@@ -60,13 +62,13 @@ def _knowns(d: Dynamics, variable: Variable) -> dict[sp.Symbol, Dependency] | No
         case Kind.POTENTIAL_ENERGY:
             return _of_expressions(d, [d.potential_energy])
         case Kind.CONTACT_ENERGY:
-            return _merge(_of_contact(d, contact) for contact in range(len(d.lam)))
+            return _merge(_of_spring(d, contact) for contact in range(len(d.lam)))
         case Kind.INPUT_POWER:
             return _of_expressions(d, [d.input_power])
         case Kind.DISSIPATED_POWER if d.f:
             return _of_everything(d)
         case Kind.DISSIPATED_POWER:
-            return _of_expressions(d, [d.dissipated_power])
+            return _merge([_of_expressions(d, [d.dissipated_power]), *(_of_contact(d, contact) for contact in d.scene.damped)])
         case _:
             return None
 
@@ -93,13 +95,19 @@ def _all_dependent(symbols: Iterable[sp.Symbol]) -> dict[sp.Symbol, Dependency]:
 
 
 def _of_contact(d: Dynamics, contact: int) -> dict[sp.Symbol, Dependency]:
-    """A contact force follows its penetration in one mode and nothing in the other."""
+    """A contact force follows its penetration in one mode and nothing in the other; a damped one follows the rate too."""
+    if not d.scene.contacts[contact].is_damped:
+        return _of_spring(d, contact)
+    return _all_dependent(d.push[contact].free_symbols & {*d.q, *d.v, *d.p})
+
+
+def _of_spring(d: Dynamics, contact: int) -> dict[sp.Symbol, Dependency]:
     return _all_dependent((d.penetration[contact].free_symbols | d.stiffness[contact].free_symbols) & {*d.q, *d.p})
 
 
 def _of_everything(d: Dynamics) -> dict[sp.Symbol, Dependency]:
     """A friction force holds against everything that moves: while it sticks, it depends on all that accelerates the bodies."""
-    entries = [*d.generalised_force, *d.mass_matrix, *d.slip, *d.friction_limit, *d.penetration, *d.stiffness]
+    entries = [*d.generalised_force, *d.mass_matrix, *d.slip, *d.friction_limit, *d.penetration, *d.push]
     symbols = set().union(*(sp.sympify(entry).free_symbols for entry in entries))
     return _all_dependent(symbols & {*d.q, *d.v, *d.u, *d.p})
 

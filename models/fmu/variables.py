@@ -90,6 +90,7 @@ def variable_table(scene: Scene) -> tuple[Variable, ...]:
         *_inputs(scene),
         *_contacts(scene),
         *_frictions(scene),
+        *_pressing(scene),
         *_energies(scene),
         *_parameters(scene),
     )
@@ -212,9 +213,25 @@ def _frictions(scene: Scene) -> list[Variable]:
     return [*forces, *slips, *reserves]
 
 
+def _pressing(scene: Scene) -> list[Variable]:
+    """Of each damped contact; in the rows of forces they stand behind the frictions."""
+    return [
+        Variable(
+            name=scene.contacts[contact].pressing_name,
+            kind=Kind.PRESSING,
+            index=scene.nl + row,
+            unit="1",
+            nominal=1.0,
+            description=f"what pushes while the contact is closed, as a share: below 0 it is released, {scene.contacts[contact].description or scene.contacts[contact].name}",
+        )
+        for row, contact in enumerate(scene.damped)
+    ]
+
+
 def _energies(scene: Scene) -> list[Variable]:
     """Energies and powers the scene has: no contact energy without contacts, no input power without inputs, and so on."""
     dynamics = derive(scene)
+    parts = [f"{what} and by " for what, present in (("friction", scene.nf), ("the damping of contacts", scene.damped)) if present]
     rows = (
         ("kinetic_energy", Kind.KINETIC_ENERGY, "J", "kinetic energy", True),
         ("potential_energy", Kind.POTENTIAL_ENERGY, "J", "potential energy without contacts", dynamics.potential_energy != 0),
@@ -224,10 +241,8 @@ def _energies(scene: Scene) -> list[Variable]:
             "dissipated_power",
             Kind.DISSIPATED_POWER,
             "W",
-            "power taken out by friction and by forces that remain without inputs"
-            if scene.nf
-            else "power taken out by forces that remain without inputs",
-            dynamics.dissipated_power != 0 or scene.nf > 0,
+            f"power taken out by {''.join(parts)}forces that remain without inputs",
+            dynamics.dissipated_power != 0 or bool(parts),
         ),
     )
     return [Variable(name=name, kind=kind, unit=unit, description=text) for name, kind, unit, text, present in rows if present]

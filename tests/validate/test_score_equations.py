@@ -12,18 +12,18 @@ def test_physics_and_its_scale():
     k = np.array([10.0, 2.0])
     lam, phi = np.array([[3.0, 0.0], [5.0, 1.0]]), np.array([[0.2, -1.0], [0.5, -0.25]])
     # |3(3-2)| + 0 + 0 + |1(1+0.5)|
-    assert eq.physics(lam, phi, k) == pytest.approx(4.5)
-    scaled = eq.physics_scaled(lam, phi, k, length=np.array([0.1, 0.5]), h=np.array([0.1, 0.2]))
+    assert eq.physics(lam, k * phi) == pytest.approx(4.5)
+    scaled = eq.physics_scaled(lam, k * phi, k, length=np.array([0.1, 0.5]), h=np.array([0.1, 0.2]))
     assert scaled == pytest.approx(0.1 * 3.0 / 1.0 + 0.2 * 1.5 / 1.0)
 
 
 def test_physics_scaled_depends_on_neither_grid_nor_stiffness():
     lam, phi = np.full((10, 1), 3.0), np.full((10, 1), 0.05)
     k, length, h = np.array([30.0]), np.array([0.1]), np.full(10, 0.1)
-    once = eq.physics_scaled(lam, phi, k, length, h)
-    halved = eq.physics_scaled(np.repeat(lam, 2, 0), np.repeat(phi, 2, 0), k, length, np.repeat(h, 2) / 2)
+    once = eq.physics_scaled(lam, k * phi, k, length, h)
+    halved = eq.physics_scaled(np.repeat(lam, 2, 0), k * np.repeat(phi, 2, 0), k, length, np.repeat(h, 2) / 2)
     assert once == pytest.approx(halved)
-    assert once == pytest.approx(eq.physics_scaled(7 * lam, phi, 7 * k, length, h))
+    assert once == pytest.approx(eq.physics_scaled(7 * lam, 7 * k * phi, 7 * k, length, h))
 
 
 def test_defect_is_the_largest_residual_in_state_units():

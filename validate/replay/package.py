@@ -129,7 +129,7 @@ def find_variables(package: Package, scene: Scene, names: Mapping[str, str] | No
         "potential_energy": not structure.conservative_forces,
         "contact_energy": not structure.contacts,
         "input_power": not structure.inputs,
-        "dissipated_power": not (structure.dissipation or structure.friction),
+        "dissipated_power": not (structure.dissipation or structure.friction or structure.contact_damping),
     }
 
     def present(group: tuple[str, ...]) -> Mapping[str, int]:

@@ -31,6 +31,7 @@ class ReplayOutcome(Enum):
 @dataclass(frozen=True, kw_only=True)
 class Event:
     """A gap that closed or opened at `time` [s]. `contact`: its name; or the force's name of a friction that began to stick or to slip; or
+    the name of the push of a damped contact that was released (closes, because its push fell below zero) or pressed again; or
     `indicator_<n>` where the FMU has indicators of its own."""
 
     time: float

@@ -201,7 +201,8 @@ def _replay(
 ) -> Replay:
     out = Outputs(subject, variables, run)
     names = [contact.name for contact in subject.contacts] + list(subject.force_names[subject.nc :])
-    # Indicators are the contacts' gaps and the frictions' reserves, in their order, where the scene made the FMU; elsewhere they have no names.
+    names += [subject.contacts[index].pressing_name for index in subject.damped] if isinstance(subject, Scene) else []
+    # Indicators are the contacts' gaps, the frictions' reserves and what damped contacts press with, in their order, where the scene made the FMU; elsewhere they have no names.
     named = isinstance(subject, Scene) and all(index < len(names) for _, index, _ in run.events)
     return Replay(
         scene=subject.name,

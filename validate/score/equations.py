@@ -9,14 +9,14 @@ from __future__ import annotations
 import numpy as np
 
 
-def physics(lam: np.ndarray, phi: np.ndarray, k: np.ndarray) -> float:
-    """Sum over steps and contacts of abs(lam*(lam - k*phi)) [N^2]: the paper's (10)."""
-    return float(np.abs(lam * (lam - k * phi)).sum())
+def physics(lam: np.ndarray, push: np.ndarray) -> float:
+    """Sum over steps and contacts of abs(lam*(lam - push)) [N^2], push (steps, nc) = k*phi without damping: the paper's (10)."""
+    return float(np.abs(lam * (lam - push)).sum())
 
 
-def physics_scaled(lam: np.ndarray, phi: np.ndarray, k: np.ndarray, length: np.ndarray, h: np.ndarray) -> float:
-    """Sum over steps and contacts of h*abs(lam*(lam - k*phi))/(k*L)^2 [s]; L (nc,) [m] the contact's nominal penetration, h (steps,) [s]."""
-    return float((h[:, None] * np.abs(lam * (lam - k * phi)) / (k * length) ** 2).sum())
+def physics_scaled(lam: np.ndarray, push: np.ndarray, k: np.ndarray, length: np.ndarray, h: np.ndarray) -> float:
+    """Sum over steps and contacts of h*abs(lam*(lam - push))/(k*L)^2 [s]; L (nc,) [m] the contact's nominal penetration, h (steps,) [s]."""
+    return float((h[:, None] * np.abs(lam * (lam - push)) / (k * length) ** 2).sum())
 
 
 def defect(q: np.ndarray, v: np.ndarray, acceleration: np.ndarray, h: np.ndarray) -> float:

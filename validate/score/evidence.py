@@ -7,6 +7,8 @@ from functools import cached_property
 import numpy as np
 
 from models.codegen.kernel import Kernel, KernelError, load_kernel
+from models.contacts import DampingLaw
+from models.dynamics import derive
 from models.goal import goal_state
 from models.scene import Scene
 from models.trajectory import Trajectory
@@ -69,8 +71,25 @@ class Evidence:
         return self.kernel.penetration(self.trajectory.q[:-1])
 
     @cached_property
+    def push(self) -> np.ndarray:
+        """(steps, nc) what the true force is the positive part of at the start of each step [N]: k phi, and with damping more or less."""
+        return self.kernel.contact_push(self.trajectory.q[:-1], self.v[:-1]) if self.equations.damped else self.k * self.phi
+
+    @cached_property
     def k(self) -> np.ndarray:
         return self.kernel.stiffness()
+
+    @cached_property
+    def slopes(self) -> tuple[np.ndarray, np.ndarray]:
+        """(nc,) each: the largest derivatives of the replay's contact forces by penetration [N/m] and by its rate [N s/m]."""
+        scene, k = self.equations, self.k
+        if not scene.damped:
+            return k, np.zeros_like(k)
+        d, depth = derive(scene), np.maximum(-self.replay_gap, 0.0)
+        c = d.function(d.damping)().ravel()
+        is_linear = np.array([contact.damping_law is DampingLaw.KELVIN_VOIGT for contact in scene.contacts])
+        share = np.divide(self.replay.lam, k * depth, out=np.zeros_like(depth), where=depth > 0.0).max(axis=0)  # Hunt-Crossley: 1 + d phi'
+        return np.where(is_linear, k, k * np.maximum(share, 1.0)), np.where(is_linear, c, c * k * depth.max(axis=0))
 
     @cached_property
     def length(self) -> np.ndarray:

@@ -70,11 +70,11 @@ def _has_goal_position(scene: Subject) -> bool:
 
 
 def _physics(case: Evidence) -> float:
-    return eq.physics(lam=case.lam, phi=case.phi, k=case.k)
+    return eq.physics(lam=case.lam, push=case.push)
 
 
 def _physics_scaled(case: Evidence) -> float:
-    return eq.physics_scaled(lam=case.lam, phi=case.phi, k=case.k, length=case.length, h=case.h)
+    return eq.physics_scaled(lam=case.lam, push=case.push, k=case.k, length=case.length, h=case.h)
 
 
 def _defect(case: Evidence) -> float:
@@ -152,8 +152,9 @@ def _missed_impulse(case: Evidence) -> tuple[float, float]:
     value = eq.missed_impulse(plan_lam=case.lam, step_of=case.step_of, lam=case.replay.lam, duration=case.duration)
     if not isinstance(case.scene, Scene):
         return value, np.inf  # how wrong a force is that somebody's FMU puts out, only its own stiffness would say
-    # Each force may be wrong by k times the error of its gap, all the time.
-    return value, float(case.k.sum() * case.duration.sum()) * case.error.gap
+    # Each force may be wrong by k times the error of its gap, all the time; a damped one also by its error in the velocities.
+    error = float(case.slopes[0].sum() * case.duration.sum()) * case.error.gap
+    return value, error + (float(case.slopes[1].sum() * case.duration.sum()) * case.error.state if case.scene.damped else 0.0)
 
 
 def _friction_violation(case: Evidence) -> float:
@@ -192,7 +193,7 @@ def _energy_residual_relative(case: Evidence) -> float:
 TABLE = (
     Entry(
         name="physics", unit=_unit("N^2"), measure=_physics, applies=_has_contacts,
-        meaning="how far the plan's contact forces are from complementarity: sum over steps and contacts of |lam (lam - k phi)|",
+        meaning="how far the plan's contact forces are from complementarity: sum over steps and contacts of |lam (lam - k phi)|, k phi with its damping",
     ),
     Entry(
         name="physics_scaled", unit=_unit("s"), measure=_physics_scaled, applies=_has_contacts,

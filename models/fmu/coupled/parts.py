@@ -72,10 +72,15 @@ def force_unit(coordinate: Coordinate) -> str:
 
 
 def split(scene: Scene) -> Parts:
-    """The parts of a scene. Raises SceneError for a scene with friction or without contacts."""
+    """The parts of a scene. Raises SceneError for a scene with friction, with damped contacts or without contacts."""
     if scene.frictions:
         raise SceneError(
             f"scene {scene.name}: it has friction, whose sticking ties bodies together within a step; only scenes without it can be split into parts."
+        )
+    if scene.damped:
+        names = ", ".join(scene.contacts[index].name for index in scene.damped)
+        raise SceneError(
+            f"scene {scene.name}: it has damped contacts ({names}), and its parts would exchange forces of springs only; export it as one FMU."
         )
     if not scene.contacts:
         raise SceneError(f"scene {scene.name}: it has no contacts, so there is nothing to split; export it as one FMU.")

@@ -4,6 +4,9 @@
 
 #include "model.h"
 #include "friction_values.h"
+#ifdef DAMPING
+#include "damping_modes.h"
+#endif
 
 /* Half-width of the hysteresis around gap = 0, as a share of the contact's nominal penetration. Event location leaves a gap
  * of about 1e-13 m; within the band the direction of motion decides, and the force in it is below 1e-10 of a typical one. */
@@ -28,6 +31,8 @@ static inline void contact_forces(const double *phi, const double *k, const int 
     for (int i = 0; i < NC; i++) lam[i] = (modes ? modes[i] : phi[i] > 0.0) ? k[i] * phi[i] : 0.0;
 }
 
+DAMPED(static inline int decide_pressing(const Model *m, const double *q, const double *v, const double *u, int *modes);)
+
 /* Bring modes up to date with a point of the motion under the inputs u; returns how many changed. */
 static inline int update_modes(const Model *m, const double *q, const double *v, const double *u, int *modes)
 {
@@ -40,10 +45,12 @@ static inline int update_modes(const Model *m, const double *q, const double *v,
         changes += mode != modes[i];
         modes[i] = mode;
     }
+    DAMPED(changes += decide_pressing(m, q, v, u, modes);)
 #if NF > 0
     double k[ROOM(NC)], lam[NL];
     scene_stiffness(m->p, k);
     contact_forces(phi, k, modes, lam);
+    DAMPED(damped_forces(m, q, v, modes, lam);)
     const int slips = decide_friction(m, q, v, u, modes + NC, lam);
     changes += slips > 0 ? slips : 0; /* where it fails, so does the acceleration, and says so */
 #else
@@ -71,6 +78,7 @@ static inline int model_forces(const Model *m, const double *q, const double *v,
     double *lam)
 {
     contact_forces(phi, k, law->modes, lam);
+    DAMPED(damped_forces(m, q, v, law->modes, lam);)
 #if NF > 0
     if (law->modes) return friction_in_modes(m, q, v, u, law->modes + NC, lam);
     memcpy(lam + NC, law->friction, NF * sizeof *lam);
@@ -88,6 +96,45 @@ static inline int model_acceleration(const Model *m, const double *q, const doub
     scene_stiffness(m->p, k);
     return model_forces(m, q, v, u, law, phi, k, lam) || scene_acceleration(q, v, u, lam, m->p, a);
 }
+
+#ifdef DAMPING
+/* For the integrator, the rows of the damped contacts; nothing can happen to an open one. 1 as in model_acceleration. */
+static inline int look_at_pressing(const Model *m, const int *modes, const double *q, const double *v, const double *u, double *excess,
+    double *rate, double *band)
+{
+    double phi[NC], k[NC], lam[NL], a[NQ], rates[ND];
+    const Law law = {modes, NULL};
+    scene_penetration(q, m->p, phi);
+    scene_stiffness(m->p, k);
+    if (model_forces(m, q, v, u, &law, phi, k, lam) || scene_acceleration(q, v, u, lam, m->p, a)) return 1;
+    pressing_rates(m, q, v, a, rates);
+    for (int j = 0; j < ND; j++) {
+        const int row = PRESSING + j, side = !modes[scene_damped[j]] ? 0 : modes[row] ? -1 : 1;
+        excess[row] = side ? side * lam[row] : -1.0;
+        rate[row] = side * rates[j];
+        band[row] = PRESSING_BAND;
+    }
+    return 0;
+}
+
+/* Which closed contacts press and which are released; returns how many changed. */
+static inline int decide_pressing(const Model *m, const double *q, const double *v, const double *u, int *modes)
+{
+    double phi[NC], k[NC], lam[NL], a[NQ], rates[ND] = {0.0};
+    const Law law = {modes, NULL};
+    int changes = 0;
+    scene_penetration(q, m->p, phi);
+    scene_stiffness(m->p, k);
+    if (!model_forces(m, q, v, u, &law, phi, k, lam) && !scene_acceleration(q, v, u, lam, m->p, a)) pressing_rates(m, q, v, a, rates);
+    damped_forces(m, q, v, modes, lam);
+    for (int j = 0; j < ND; j++) {
+        const int before = modes[PRESSING + j], mode = modes[scene_damped[j]] && pressing_mode(lam[PRESSING + j], rates[j], before);
+        changes += mode != before;
+        modes[PRESSING + j] = mode;
+    }
+    return changes;
+}
+#endif
 
 /* Fill phi, k, lam and a; 1 if the mass matrix is not positive definite. */
 static inline int model_evaluate(Model *m)
@@ -112,6 +159,7 @@ static inline void model_indicators(const Model *m, double *indicators)
 #else
     (void)m, (void)indicators;
 #endif
+    DAMPED(for (int i = PRESSING; i < NL; i++) indicators[i] = m->lam[i];)
 }
 
 /* Whether an evaluated Model is beyond the hysteresis of one of its modes. */
@@ -119,6 +167,10 @@ static inline int model_modes_wrong(const Model *m)
 {
     int wrong = 0;
     for (int i = 0; i < NC; i++) wrong |= contact_mode(i, m->phi[i], 0.0, m->modes[i]) != m->modes[i];
+#ifdef DAMPING
+    for (int j = 0; j < ND; j++)
+        wrong |= m->modes[scene_damped[j]] && pressing_mode(m->lam[PRESSING + j], 0.0, m->modes[PRESSING + j]) != m->modes[PRESSING + j];
+#endif
 #if NF > 0
     double reserve[NF], limit[NF];
     friction_reserves(m, m->q, m->v, m->lam, m->modes + NC, reserve);
@@ -128,12 +180,14 @@ static inline int model_modes_wrong(const Model *m)
     return wrong;
 }
 
+#ifndef DAMPING
 static inline double contact_energy(const Model *m)
 {
     double energy = 0.0;
     for (int i = 0; i < NC; i++) energy += 0.5 * m->lam[i] * m->phi[i];
     return energy;
 }
+#endif
 
 /* The value of any variable; the Model must be evaluated. */
 static inline double model_value(const Model *m, const Variable *variable)
@@ -151,9 +205,18 @@ static inline double model_value(const Model *m, const Variable *variable)
     case KIND_GAP: return -m->phi[i];
     case KIND_KINETIC_ENERGY: return scene_kinetic_energy(m->q, m->v, m->p);
     case KIND_POTENTIAL_ENERGY: return scene_potential_energy(m->q, m->p);
+#ifdef DAMPING
+    case KIND_PRESSING: return m->lam[i];
+    case KIND_CONTACT_ENERGY: return spring_energy(m);
+#else
     case KIND_CONTACT_ENERGY: return contact_energy(m);
+#endif
     case KIND_INPUT_POWER: return scene_input_power(m->q, m->v, m->u, m->p);
+#ifdef DAMPING
+    case KIND_DISSIPATED_POWER: return scene_dissipated_power(m->q, m->v, m->p) + friction_power(m) + damping_power(m);
+#else
     case KIND_DISSIPATED_POWER: return scene_dissipated_power(m->q, m->v, m->p) + friction_power(m);
+#endif
     case KIND_SLIP: return slip_value(m, i);
     case KIND_RESERVE: return reserve_value(m, i);
     case KIND_INTERNAL_STEP: return m->internal_step;
@@ -199,6 +262,7 @@ static inline int model_tangent(const Model *m, Tangent *d)
         d->phi[i] += phi_p[i];
         d->lam[i] = m->modes[i] ? m->k[i] * d->phi[i] + d->k[i] * m->phi[i] : 0.0;
     }
+    DAMPED(damping_tangent(m, d);)
     if (friction_tangent(m, d)) return 1;
     if (scene_acceleration_jvp(m->q, m->v, m->u, m->lam, m->p, d->q, d->v, d->u, d->lam, d->a)) return 1;
     if (scene_acceleration_parameter_jvp(m->q, m->v, m->u, m->lam, m->p, m->a, d->p, a_p)) return 1;
@@ -206,12 +270,14 @@ static inline int model_tangent(const Model *m, Tangent *d)
     return 0;
 }
 
+#ifndef DAMPING
 static inline double contact_energy_tangent(const Model *m, const Tangent *d)
 {
     double energy = 0.0;
     for (int i = 0; i < NC; i++) energy += 0.5 * (d->lam[i] * m->phi[i] + m->lam[i] * d->phi[i]);
     return energy;
 }
+#endif
 
 /* The directional derivative of any variable along a completed tangent. */
 static inline double model_value_tangent(const Model *m, const Tangent *d, const Variable *variable)
@@ -228,9 +294,19 @@ static inline double model_value_tangent(const Model *m, const Tangent *d, const
     case KIND_GAP: return -d->phi[i];
     case KIND_KINETIC_ENERGY: return scene_kinetic_energy_jvp(m->q, m->v, m->p, d->q, d->v, d->p);
     case KIND_POTENTIAL_ENERGY: return scene_potential_energy_jvp(m->q, m->p, d->q, d->p);
+#ifdef DAMPING
+    case KIND_PRESSING: return d->lam[i];
+    case KIND_CONTACT_ENERGY: return spring_energy_tangent(m, d);
+#else
     case KIND_CONTACT_ENERGY: return contact_energy_tangent(m, d);
+#endif
     case KIND_INPUT_POWER: return scene_input_power_jvp(m->q, m->v, m->u, m->p, d->q, d->v, d->u, d->p);
+#ifdef DAMPING
+    case KIND_DISSIPATED_POWER:
+        return scene_dissipated_power_jvp(m->q, m->v, m->p, d->q, d->v, d->p) + friction_power_tangent(m, d) + damping_power_tangent(m, d);
+#else
     case KIND_DISSIPATED_POWER: return scene_dissipated_power_jvp(m->q, m->v, m->p, d->q, d->v, d->p) + friction_power_tangent(m, d);
+#endif
     case KIND_SLIP: return slip_tangent(m, d, i);
     case KIND_RESERVE: return reserve_tangent(m, d, i);
     case KIND_TIME:
@@ -256,16 +332,22 @@ static inline void model_value_adjoint(const Model *m, double weight, const Vari
     case KIND_GAP: bar->phi[i] -= weight; break;
     case KIND_KINETIC_ENERGY: scene_kinetic_energy_vjp(m->q, m->v, m->p, w, bar->q, bar->v, bar->p); break;
     case KIND_POTENTIAL_ENERGY: scene_potential_energy_vjp(m->q, m->p, w, bar->q, bar->p); break;
+#ifdef DAMPING
+    case KIND_PRESSING: bar->lam[i] += weight; break;
+    case KIND_CONTACT_ENERGY: spring_energy_adjoint(m, weight, bar); break;
+#else
     case KIND_CONTACT_ENERGY:
         for (int n = 0; n < NC; n++) {
             bar->lam[n] += 0.5 * weight * m->phi[n];
             bar->phi[n] += 0.5 * weight * m->lam[n];
         }
         break;
+#endif
     case KIND_INPUT_POWER: scene_input_power_vjp(m->q, m->v, m->u, m->p, w, bar->q, bar->v, bar->u, bar->p); break;
     case KIND_DISSIPATED_POWER:
         scene_dissipated_power_vjp(m->q, m->v, m->p, w, bar->q, bar->v, bar->p);
         friction_power_adjoint(m, weight, bar);
+        DAMPED(damping_power_adjoint(m, weight, bar);)
         break;
     case KIND_SLIP: slip_adjoint(m, weight, i, bar); break;
     case KIND_RESERVE: reserve_adjoint(m, weight, i, bar); break;
@@ -282,6 +364,7 @@ static inline int model_adjoint(const Model *m, Tangent *bar)
     if (scene_acceleration_vjp(m->q, m->v, m->u, m->lam, m->p, bar->a, bar->q, bar->v, bar->u, bar->lam)) return 1;
     if (scene_acceleration_parameter_vjp(m->q, m->v, m->u, m->lam, m->p, m->a, bar->a, bar->p)) return 1;
     slipping_adjoint(m, bar);
+    DAMPED(damping_adjoint(m, bar);)
     for (int i = 0; i < NC; i++) {
         if (!m->modes[i]) continue;
         bar->phi[i] += m->k[i] * bar->lam[i];

@@ -101,6 +101,7 @@ static inline StepResult advance(const Model *m, const int *modes, const Point *
         scene_penetration(from->q, m->p, phi);
         scene_stiffness(m->p, k);
         contact_forces(phi, k, NULL, lam);
+        DAMPED(damped_forces(m, from->q, from->v, NULL, lam);)
         inputs_at(inputs, offset, u);
         if (friction_forces(0, 0.0, s, m->p, from->q, from->v, u, lam)) return STEP_MASS;
         law.friction = lam + NC;
@@ -138,6 +139,8 @@ static inline int look(const Model *m, const int *modes, const Point *x, const I
 #else
     (void)inputs, (void)offset;
 #endif
+    DAMPED(double now[ROOM(NU)]; inputs_at(inputs, offset, now);)
+    DAMPED(if (look_at_pressing(m, modes, x->q, x->v, now, view->excess, view->rate, view->band)) return 1;)
     for (int i = 0; i < NC; i++) {
         view->band[i] = HYSTERESIS * CONTACT_NOMINALS[i];
         if (!modes[i]) continue;
@@ -257,11 +260,13 @@ static inline StepResult plain_step(const Model *m, int *modes, Point *x, const 
 static inline void leave_mode(const Model *m, int *modes, const Point *x, const double *u, int which)
 {
     if (which < NC) modes[which] = !modes[which];
+    DAMPED(if (which >= PRESSING) modes[which] = !modes[which]; else decide_pressing(m, x->q, x->v, u, modes);)
 #if NF > 0
     double phi[ROOM(NC)], k[ROOM(NC)], lam[NL];
     scene_penetration(x->q, m->p, phi);
     scene_stiffness(m->p, k);
     contact_forces(phi, k, modes, lam);
+    DAMPED(damped_forces(m, x->q, x->v, modes, lam);)
     decide_friction(m, x->q, x->v, u, modes + NC, lam);
 #else
     (void)m, (void)x, (void)u;

@@ -15,7 +15,11 @@
 #define ROOM(n) ((n) > 0 ? (n) : 1)
 
 /* Rows of lam hold the contact forces, then the friction forces; rows of modes and event indicators likewise. */
+#ifdef DAMPING
+#define NL (NC + NF + ND) /* and then those of the damped contacts: damping_modes.h */
+#else
 #define NL (NC + NF)
+#endif
 
 typedef enum {
     KIND_TIME,
@@ -29,6 +33,9 @@ typedef enum {
     KIND_GAP,
     KIND_SLIP,
     KIND_RESERVE,
+#ifdef DAMPING
+    KIND_PRESSING,
+#endif
     KIND_KINETIC_ENERGY,
     KIND_POTENTIAL_ENERGY,
     KIND_CONTACT_ENERGY,

@@ -1,0 +1,147 @@
+"""Two discs collide through a damped spring, and the lighter one is thrown back onto a bumper: two laws of damping, both in closed form.
+
+Disc against disc, Kelvin-Voigt without adhesion, lam = max(k phi + c phi', 0). With the reduced mass mu = m1 m2/(m1 + m2), w = sqrt(k/mu),
+z = c/(2 sqrt(k mu)) = cos(a) and the closing speed s, phi = s/(w sin a) exp(-z w t) sin(w t sin a), so that
+
+    largest compression  s/w exp(-a/tan a)                             (phi' = 0 at w t sin a = a)
+    restitution          e = exp(-2 a/tan a)                           (lam = -mu phi'' = 0 at w t sin a = 2 a: released, still compressed)
+    contact time         2 a/(w sin a) + 2 z/w                         (from there the discs part at the speed e s)
+
+A force that could pull would act until phi = 0, with the restitution exp(-pi/tan a): 0.54 instead of 0.58 here.
+
+Disc against bumper, Hunt-Crossley, lam = b phi max(1 + d phi', 0): m v dv/dphi = -b phi (1 + d v) gives x - ln x = y - ln y with y = 1 + d v_in
+and x = 1 - d v_out, x = -W(-y exp(-y)) with Lambert's W, whatever b and m are.
+"""
+
+import math
+
+import sympy as sp
+from scipy.special import lambertw
+
+from models.contacts import DampingLaw
+from models.scene import Answer, Contact, Coordinate, Limit, Parameter, Scene, Shape, Task
+
+q1, q2 = sp.symbols("q1 q2", real=True)
+v1, v2 = sp.symbols("v1 v2", real=True)
+m1, m2, k, c, b, d, r = sp.symbols("m1 m2 k c b d r", positive=True)
+
+MASS_1, MASS_2, STIFFNESS, DAMPING, BUMPER, BUMPER_DAMPING, RADIUS = 1.0, 3.0, 2000.0, 15.0, 1000.0, 0.5, 0.1
+START = (0.0, 1.0, 2.1, -1.0)
+CLOSING_SPEED = START[2] - START[3]
+REDUCED_MASS = MASS_1 * MASS_2 / (MASS_1 + MASS_2)
+FIRST_CONTACT = (START[1] - START[0] - 2 * RADIUS) / CLOSING_SPEED
+RATE = math.sqrt(STIFFNESS / REDUCED_MASS)
+ANGLE = math.acos(DAMPING / (2 * math.sqrt(STIFFNESS * REDUCED_MASS)))
+CONTACT_TIME = 2 * ANGLE / (RATE * math.sin(ANGLE)) + 2 * math.cos(ANGLE) / RATE
+COMPRESSION = CLOSING_SPEED / RATE * math.exp(-ANGLE / math.tan(ANGLE))
+RESTITUTION = math.exp(-2 * ANGLE / math.tan(ANGLE))
+MEAN = (MASS_1 * START[2] + MASS_2 * START[3]) / (MASS_1 + MASS_2)
+V1_BETWEEN = MEAN - REDUCED_MASS * RESTITUTION * CLOSING_SPEED / MASS_1
+V2_AFTER = MEAN + REDUCED_MASS * RESTITUTION * CLOSING_SPEED / MASS_2
+_Y = 1 - BUMPER_DAMPING * V1_BETWEEN
+V1_AFTER = (1 + float(lambertw(-_Y * math.exp(-_Y), 0).real)) / BUMPER_DAMPING
+
+SCENE = Scene(
+    name="damped_collision",
+    title="Two discs collide, one is thrown onto a bumper: contacts with damping",
+    source="Newton's second law; Hunt and Crossley (1975) for the bumper's law; the closed forms are derived in the docstring of this file",
+    coordinates=(
+        Coordinate(symbol=q1, velocity=v1, unit="m", description="position of the left disc"),
+        Coordinate(symbol=q2, velocity=v2, unit="m", description="position of the right disc"),
+    ),
+    inputs=(),
+    parameters=(
+        Parameter(symbol=m1, value=MASS_1, unit="kg", lower=1e-6, description="mass of the left disc"),
+        Parameter(symbol=m2, value=MASS_2, unit="kg", lower=1e-6, description="mass of the right disc"),
+        Parameter(symbol=k, value=STIFFNESS, unit="N/m", lower=1e-6, description="stiffness between the discs"),
+        Parameter(symbol=c, value=DAMPING, unit="N s/m", lower=0.0, description="damping between the discs"),
+        Parameter(symbol=b, value=BUMPER, unit="N/m", lower=1e-6, description="stiffness of the bumper"),
+        Parameter(symbol=d, value=BUMPER_DAMPING, unit="s/m", lower=0.0, description="damping of the bumper"),
+        Parameter(symbol=r, value=RADIUS, unit="m", lower=1e-6, description="radius of each disc"),
+    ),
+    kinetic_energy=(m1 * v1**2 + m2 * v2**2) / 2,
+    potential_energy=sp.Integer(0),
+    forces=(sp.Integer(0), sp.Integer(0)),
+    contacts=(
+        Contact(
+            name="pair", penetration=2 * r - (q2 - q1), stiffness=k, damping=c, nominal=0.05, description="left disc against right disc"
+        ),
+        Contact(
+            name="bumper",
+            penetration=-(q1 + sp.Rational(1, 2) - r),
+            stiffness=b,
+            damping=d,
+            damping_law=DampingLaw.HUNT_CROSSLEY,
+            nominal=0.05,
+            description="left disc against the bumper at -0.5 m",
+        ),
+    ),
+    task=Task(start=START, goal=(None,) * 4, running_cost=sp.Integer(0), step=0.001, steps=1200),
+    limits=(
+        Limit(
+            figure="answer_error",
+            value=1.0,
+            reason="the continuous motion is known exactly: a replay that is further off than the tolerance of a closed form is wrong",
+        ),
+        Limit(
+            figure="energy_residual",
+            value=1e-8,
+            reason="nothing drives: of the 3.7 J that the discs have, what the dampers do not take is kept to what the replay resolves",
+        ),
+        Limit(figure="defect", value=1e-9, reason="the time step is evaluated, not solved for: only rounding is left"),
+        Limit(
+            figure="replay_error",
+            value=0.01,
+            reason="the push of the discs jumps to 46 N and comes up to one step of 1 ms late: 0.05 m/s of the left disc, carried for 0.9 s; a quarter of that",
+        ),
+    ),
+    answers=(
+        Answer(
+            quantity="contact time of the discs [s]",
+            value=CONTACT_TIME,
+            tolerance=1e-8,
+            source="damped swing of the reduced mass until its force is gone, then free flight",
+            measure="contact time",
+        ),
+        Answer(
+            quantity="restitution of the discs",
+            value=RESTITUTION,
+            tolerance=1e-8,
+            source="the same swing, see the docstring",
+            measure="restitution",
+        ),
+        Answer(
+            quantity="time of the first contact [s]",
+            value=FIRST_CONTACT,
+            tolerance=1e-9,
+            source="the discs are free until then",
+            measure="closing time",
+        ),
+        Answer(
+            quantity="largest compression of the discs [m]", value=COMPRESSION, tolerance=1e-8, source="the same swing, see the docstring"
+        ),
+        Answer(
+            quantity="velocity of the right disc afterwards [m/s]",
+            value=V2_AFTER,
+            tolerance=1e-8,
+            source="momentum kept, and the restitution",
+        ),
+        Answer(
+            quantity="velocity of the left disc between its contacts [m/s]",
+            value=V1_BETWEEN,
+            tolerance=1e-8,
+            source="momentum kept, and the restitution",
+        ),
+        Answer(
+            quantity="velocity of the left disc after the bumper [m/s]",
+            value=V1_AFTER,
+            tolerance=1e-8,
+            source="energy of the disc over the bumper's depth",
+        ),
+    ),
+    shapes=(
+        Shape(name="left", kind="disc", x=q1, y=r, size=(r,)),
+        Shape(name="right", kind="disc", x=q2, y=r, size=(r,)),
+        Shape(name="bumper", kind="wall", x=sp.Rational(-1, 2), y=r, angle=sp.pi / 2, size=(4 * r,)),
+    ),
+)
