@@ -17,6 +17,8 @@ PASS = Sign("pass", "✓", "holds", "every figure keeps its limit")
 FAIL = Sign("fail", "✗", "violates", "a figure breaks its limit")
 LOST = Sign("no answer", "○", "noplan", "the case ended without an answer")
 _STYLES = (("c0", "circle"), ("c1", "square"), ("c2", "diamond"), ("c3", "triangle"), ("c4", "circle"), ("c5", "square"))
+# Figures of a case in the table: those that fail, then the first ones.
+_IN_TABLE = 2
 # Curves of more points than this are drawn without markers.
 _MARKED = 60
 
@@ -35,7 +37,7 @@ class Shown:
 
 @dataclass(frozen=True)
 class Row:
-    """One case. number and title are parts of its name; decisive: what is shown in the table."""
+    """One case. number and title are parts of its name; decisive: the figures that the table shows."""
 
     anchor: str
     number: str
@@ -43,7 +45,7 @@ class Row:
     record: ExaminationRecord
     sign: Sign
     happened: str
-    decisive: Shown | None
+    decisive: tuple[Shown, ...]
     figures: tuple[Shown, ...]
     plots: tuple[Plot, ...]
 
@@ -74,25 +76,15 @@ def _row(record: ExaminationRecord) -> Row:
         record=record,
         sign=sign,
         happened=record.found or record.message or f"It ended as {spaced(record.outcome)}, without a word.",
-        decisive=_shown(min(judged, key=_room)) if judged else None,
+        decisive=tuple(_shown(figure) for figure in sorted(judged, key=lambda figure: figure.ok is not False)[:_IN_TABLE]),
         figures=tuple(_shown(figure) for figure in record.figures),
         plots=tuple(_plot(chart) for chart in record.charts if any(series.x for series in chart.series)),
     )
 
 
-def _room(figure: FigureRecord) -> float:
-    """How far a figure is from its limit, as a share: below 0 beyond it. Failed ones come first; what must be zero and is decides least."""
-    if figure.ok is False or figure.value is None or figure.limit is None:
-        return -1.0
-    if figure.limit == 0.0:
-        return 2.0
-    share = figure.value / figure.limit
-    return 1.0 - (1.0 / share if figure.at_least and share else share)
-
-
 def _shown(figure: FigureRecord) -> Shown:
     of = f" {unit(figure.unit)}" if unit(figure.unit) else ""
-    limit = "" if figure.limit is None else f"{'≥' if figure.at_least else '≤'} {number(figure.limit)}{of}"
+    limit = "" if figure.limit is None else f"{'≥' if figure.at_least else '≤'} {number(figure.limit, 7)}{of}"
     value = "no number" if figure.value is None else f"{number(figure.value, 3)}{of}"
     return Shown(figure.name, value, limit, figure.reason, figure.meaning, None if figure.ok is None else PASS if figure.ok else FAIL)
 

@@ -54,7 +54,7 @@ def measure() -> Finding:
         silent.append("descent ended without a word")
     return Finding(
         happened=f"An error of the start grows {growth.factor:.1e} times over {SECONDS:g} s by the exact Jacobians of its steps, at {rate:.3f}/s; two replays {NUDGE:g} rad apart part at "
-        f"{replay_rate:.3f}/s and are {apart.max():.2g} rad apart in the end. Descent: {solution.outcome.name.lower()}, {solution.message}",
+        f"{replay_rate:.3f}/s and are {apart.max():.2g} rad apart in the end. Descent: {solution.outcome.name.lower()}, {solution.message.partition('; ')[0]}.",
         figures=(
             at_most(
                 "growth rate of the gradient, off the known one",

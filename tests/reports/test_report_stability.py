@@ -1,0 +1,163 @@
+"""The stability page: a row a hard case with a word and a symbol, plots from the record's own data, and what the time step was known to be."""
+
+import html
+import re
+
+import pytest
+
+from reports.chart_record import AxisRecord, ChartRecord, SeriesRecord
+from reports.examination_record import ExaminationRecord
+from reports.record import FigureRecord
+from reports.render import render
+from reports.time_step_record import TimeStepRecord
+
+
+def figure(name: str, value: float | None, limit: float | None, **changes) -> FigureRecord:
+    ok = None if limit is None else value is not None and (value >= limit if changes.get("at_least") else value <= limit)
+    return FigureRecord(name=name, value=value, unit="m", meaning="", limit=limit, reason="why so", ok=ok, **changes)
+
+
+def chart(**changes) -> ChartRecord:
+    curve = SeriesRecord(name="h = 0.01 s", x=(1.0, 10.0, 100.0), y=(0.0, 1e-3, 1e-1))
+    said = {
+        "title": "Radius against k",
+        "x": AxisRecord(quantity="stiffness", unit="N/m", log=True),
+        "y": AxisRecord(quantity="radius", log=True),
+    }
+    return ChartRecord(**{**said, "series": (curve,), "level": 1e-2, "level_words": "limit", **changes})
+
+
+def case(factory, place: int, title: str, **changes) -> ExaminationRecord:
+    said = {
+        "key": f"{place:064d}",
+        "kind": "hard case",
+        "name": f"{place:02d} {title}",
+        "expected": f"What is expected of {title}.",
+        "outcome": "answered",
+        "passed": True,
+        "found": f"What happened to {title}.",
+        "figures": (figure("only told", 3.0, None), figure("first", 0.9, 1.0), figure("second", 1e-9, 1.0), figure("third", 0.5, 1.0)),
+        "wall_seconds": 2.0,
+        "cpu_seconds": 1.5,
+        "provenance": factory.provenance(),
+    }
+    return ExaminationRecord(**{**said, **changes})
+
+
+@pytest.fixture
+def page(factory, tmp_path):
+    """The report's text over these hard cases, beside one run."""
+
+    def made(*cases: ExaminationRecord, **campaign) -> str:
+        folder, run = tmp_path / "all", factory.runs()[0]
+        record = factory.campaign([run], **campaign)
+        factory.store(folder, [run], record.model_copy(update={"keys": (run.key, *(item.key for item in cases))}))
+        for item in cases:
+            (folder / "runs" / item.key).mkdir(parents=True)
+            (folder / "runs" / item.key / "record.json").write_text(item.model_dump_json())
+        return html.unescape(render(folder))
+
+    return made
+
+
+def rows(text: str) -> list[str]:
+    body = text[text.index('aria-label="Hard cases"') :]
+    return re.findall(r"<tr><td class=\"n\">.*?</tr>", body[: body.index("</table>")], flags=re.DOTALL)
+
+
+def test_without_hard_cases_there_is_no_such_page(page):
+    assert 'id="stability"' not in page()
+
+
+def test_each_case_is_a_row_in_the_order_of_its_number(page, factory):
+    text = page(case(factory, 10, "late"), case(factory, 2, "early"))
+    early, late = rows(text)
+    assert "early" in early
+    assert "late" in late
+    assert "✓</span> pass" in early
+    assert "What is expected of early." in early
+    assert "What happened to early." in early
+    assert "first: 0.9 m (≤ 1 m); second: 10⁻⁹ m (≤ 1 m)" in early
+    assert "third" not in early  # it stands below
+    assert "only told" not in early
+    assert "2 of 2 hard cases pass." in text
+    assert "they took 3.00 CPU seconds" in text
+
+
+def test_a_failing_row_is_shown_and_fails_the_campaign(page, factory):
+    wrong = case(factory, 3, "wrong", passed=False, figures=(figure("fine", 0.99, 1.0), figure("order", 1.0, 1.8, at_least=True)))
+    text = page(case(factory, 1, "right"), wrong)
+    right, row = rows(text)
+    assert "✗</span> fail" in row
+    assert "✓</span> pass" in right
+    assert "order: 1 m (≥ 1.8 m); fine: 0.99 m (≤ 1 m)" in row
+    assert '1 of 2 hard cases pass; <a href="#hard-case-03">3</a> does not.' in text
+    assert "The campaign fails: hard case: 03 wrong: failed - What happened to wrong." in text
+    assert re.search(r'id="hard-case-03".*?<details open>', text, flags=re.DOTALL)
+
+
+def test_a_case_without_an_answer_says_how_it_ended(page, factory):
+    lost = case(
+        factory,
+        4,
+        "hung",
+        outcome="time_limit",
+        passed=False,
+        found="",
+        figures=(),
+        message="ended at its time limit of 120 s.",
+        log_tail="last words",
+    )
+    text = page(lost)
+    (row,) = rows(text)
+    assert "○</span> no answer" in row
+    assert "ended at its time limit of 120 s." in row
+    assert "last words" in text
+
+
+def test_a_figure_that_is_no_number_is_said(page, factory):
+    text = page(case(factory, 5, "lost", passed=False, figures=(figure("error", None, 1.0),)))
+    assert "error: no number (≤ 1 m)" in rows(text)[0]
+
+
+def test_plots_are_drawn_from_the_record(page, factory):
+    """A zero on a logarithmic axis lies at its low end; its tip tells the true value."""
+    text = page(case(factory, 1, "stiff", charts=(chart(), chart(title="Nothing in it", series=(SeriesRecord(name="none", x=(), y=()),)))))
+    section = text[text.index('id="hard-case-01"') :].split("</article>")[0]
+    assert "Radius against k" in section
+    assert "Nothing in it" not in section
+    assert section.count("data-tip=") == 3
+    assert "h = 0.01 s: stiffness 1, radius 0" in section
+    assert ">limit</text>" in section
+    assert "NaN" not in section
+
+
+def test_words_of_a_record_are_escaped(factory, tmp_path):
+    folder, run = tmp_path / "all", factory.runs()[0]
+    bad = case(factory, 1, "<script>alert(1)</script>", found="<img src=x>", charts=(chart(title="<b>bold</b>"),))
+    record = factory.campaign([run]).model_copy(update={"keys": (run.key, bad.key)})
+    factory.store(folder, [run], record)
+    (folder / "runs" / bad.key).mkdir(parents=True)
+    (folder / "runs" / bad.key / "record.json").write_text(bad.model_dump_json())
+    text = render(folder)
+    assert "<script>alert" not in text
+    assert "<img src=x>" not in text
+    assert "<b>bold</b>" not in text
+
+
+def test_what_was_known_of_the_time_step_stands_with_the_scene_and_a_warning_in_the_summary(page):
+    known = {
+        "scene": "three_cart",
+        "digest": "0",
+        "step": 0.01,
+        "radius": 1.0,
+        "contacts": ("left", "right"),
+        "growth": 0.0,
+        "largest_step": 0.19,
+    }
+    stable = page(time_steps=(TimeStepRecord(**known),))
+    assert "stable in contact" in stable
+    assert "with left and right closed; it is stable below 0.19 s." in stable
+    warned = page(time_steps=(TimeStepRecord(**{**known, "radius": 3.0}, warning="scene three_cart: past the stability limit."),))
+    summary = warned[warned.index('id="summary"') : warned.index('id="scene"')]
+    assert "Scene three_cart: past the stability limit." in summary
