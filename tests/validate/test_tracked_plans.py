@@ -5,18 +5,22 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from formulations.catalog import load_method
+from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.fmu import build_fmu
 from models.scene import Scene
 from models.trajectory import Trajectory, write_csv
 from models.trajectory_netcdf import read_gains
 from validate.cli.group import run
+from validate.records import Judged, Planned, stage_record
 from validate.replay import Replay, replay
+from validate.results import COLUMNS, _row
 from validate.score import Score, Verdict, score
 
 
@@ -110,6 +114,35 @@ def test_the_command_shows_both_and_keeps_the_gains(
     assert told["judged"] == "tracked"
     assert told["tracked"]["effort"]["rms_share"] == pytest.approx(0.23, abs=0.03)
     assert told["growth"]["rate"] > 3.67
+
+
+def test_a_campaign_keeps_and_tells_both(scene: Scene, plans: dict[str, Trajectory], exact: Replay):
+    """The record of a stage: which replay is judged, growth, effort, the tracked motion with the inputs as applied; the last columns of results.csv."""
+    plan, method = plans["exact"], load_method("strict_lcp")
+    planned = Planned(index=0, name="strict_lcp", method=method, eps=None, options={})
+    told = score(scene, plan, exact)
+    record = stage_record(
+        scene, "strict", planned, Solution(method="strict_lcp", outcome=Outcome.SOLVED, trajectory=plan, cost=0.2), wall=1.0, cpu=1.0, before=0.0,
+        judged=Judged(replay=exact, score=told),
+    )  # fmt: skip
+    assert record.replay is not None
+    assert record.replay.tracked is not None
+    assert record.tracked_trace is not None
+    assert record.replay_trace is not None
+    assert exact.tracked is not None
+    assert exact.tracked.applied is not None
+    assert (record.replay.judged, record.replay.growth_rate) == ("tracked", exact.growth.rate if exact.growth else None)
+    assert record.replay.tracked.rms_share == told.value("feedback_effort")
+    trace = record.tracked_trace
+    for time, applied in zip(trace.t, trace.columns["u"], strict=True):
+        step = min(int(np.searchsorted(plan.t, time, side="right")) - 1, plan.steps - 1)
+        assert applied == exact.tracked.applied[step, 0]
+    assert max(trace.columns["position_error"]) == pytest.approx(told.value("tracked_replay_error"))
+    assert "u" not in record.replay_trace.columns
+    row = _row(SimpleNamespace(scene=scene, pipeline="strict"), record)  # type: ignore[arg-type]
+    last = ["judged", "tracked_terminal_error", "tracked_replay_error", "feedback_effort", "growth_rate"]
+    assert list(COLUMNS)[-5:] == list(row)[-5:] == last
+    assert [row[name] for name in last[:2]] == ["tracked", told.value("tracked_terminal_error")]
 
 
 def test_a_scene_without_inputs_cannot_be_tracked(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -191,7 +191,7 @@ def test_limits_on_the_replay_go_with_the_one_that_is_judged(scene: Scene, still
     calm = replace(caught, growth=Growth(amplification=20.0, begin=0.0, end=1.0, duration=3.0))
     told = score(scene, still, calm)
     assert told.judged == "open"
-    assert told.why.startswith("judged in the open loop (in the open loop an error may grow 20 times")
+    assert told.why.startswith("judged in the open loop, where an error may grow 20 times: ")
     assert "replay_error" in _limited(told)
     assert not {name for name in _limited(told) if name.startswith(("tracked", "feedback"))}
 

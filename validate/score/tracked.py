@@ -59,12 +59,12 @@ def judged_words(replay: Replay | None) -> str:
     """What the verdict's sentence begins with where there are two replays: which one is judged, why, and what the feedback took."""
     if replay is None or replay.tracked is None or replay.growth is None or replay.tracked.effort is None:
         return ""
-    grows = f"in the open loop an error may grow {_rounded(replay.growth.amplification)} times"
+    times = f"an error may grow {_rounded(replay.growth.amplification)} times"
     if replay.judged is replay:
-        return f"judged in the open loop ({grows}): "
+        return f"judged in the open loop, where {times}: "
     effort = replay.tracked.effort
     return (
-        f"judged with tracking feedback, because {grows}; the feedback took {_rounded(100 * effort.rms_share)} % of half the inputs' range "
+        f"judged with tracking feedback, because in the open loop {times}; the feedback took {_rounded(100 * effort.rms_share)} % of half the inputs' range "
         f"(root mean square), at most {_rounded(100 * effort.peak_share)} %: "
     )
 
