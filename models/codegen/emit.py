@@ -15,6 +15,7 @@ import sympy as sp
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
 from models.codegen.c_function import Vector, c_function
+from models.codegen.cholesky import cholesky_function
 from models.codegen.damping import damping_functions
 from models.codegen.friction import friction_functions
 from models.codegen.vectors import SceneVectors
@@ -156,31 +157,6 @@ def _closed_acceleration(x: SceneVectors, acceleration: sp.Matrix, tangents: Seq
 
 
 # Cholesky factorisation and solve, written only for scenes whose mass matrix depends on q.
-_CHOLESKY = """\
-/* Solves M x = b in place (b becomes x) for symmetric positive definite M (destroyed); 0, or 1 if M is not positive definite. */
-SCENE_FUNCTION int scene_solve(double M[NQ][NQ], double *b)
-{
-    for (int j = 0; j < NQ; j++) {
-        for (int k = 0; k < j; k++) M[j][j] -= M[j][k] * M[j][k];
-        if (!(M[j][j] > 0.0)) return 1;
-        M[j][j] = sqrt(M[j][j]);
-        for (int i = j + 1; i < NQ; i++) {
-            for (int k = 0; k < j; k++) M[i][j] -= M[i][k] * M[j][k];
-            M[i][j] /= M[j][j];
-        }
-    }
-    for (int i = 0; i < NQ; i++) {
-        for (int k = 0; k < i; k++) b[i] -= M[i][k] * b[k];
-        b[i] /= M[i][i];
-    }
-    for (int i = NQ - 1; i >= 0; i--) {
-        for (int k = i + 1; k < NQ; k++) b[i] -= M[k][i] * b[k];
-        b[i] /= M[i][i];
-    }
-    return 0;
-}
-"""
-
 _SOLVES = """\
 SCENE_FUNCTION int scene_acceleration(const double *q, const double *v, const double *u, const double *lam, const double *p, double *a)
 {
@@ -227,7 +203,7 @@ def _factorised_acceleration(x: SceneVectors, tangents: Sequence[Vector]) -> lis
         for vector in (x.q, x.v, x.u, x.lam)
     ]
     return [
-        _CHOLESKY,
+        cholesky_function(d.mass_matrix),
         c_function("void", "scene_mass", (x.q, x.p), "M", sp.Matrix(list(mass))),
         c_function("void", "scene_force", x.arguments, "f", force),
         c_function("void", "scene_force_jvp", (*x.arguments, a, *tangents), "d_f", _directional(residual, x, tangents)),

@@ -20,7 +20,7 @@ _TOKEN = re.compile(
     r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[A-Za-z_]\w*)(?P<call>\s*\()?|(?P<sign>[-+*/()\[\],]))"
 )
 # What a time step evaluates once, before the contact law and the two updates.
-_OF_A_STEP = ("scene_penetration", "scene_slip", "scene_friction_limit", "scene_mass", "scene_force", "scene_acceleration")
+_OF_A_STEP = ("scene_penetration", "scene_slip", "scene_friction_limit", "scene_mass", "scene_force", "scene_solve", "scene_acceleration")
 
 
 @dataclass(frozen=True)
@@ -46,30 +46,25 @@ def step_operations(scene: Scene) -> Operations:
     The contact law (two operations a contact) and the updates of v and q (four a coordinate) are the same for every scene, and not in it.
     """
     found = count_operations(emit_model(scene, defaults=False))
-    equations = sum((found.get(name, Operations()) for name in _OF_A_STEP), Operations())
-    return equations + solve_operations(scene.nq) if "scene_solve" in found else equations
-
-
-def solve_operations(n: int) -> Operations:
-    """A Cholesky factorisation of an n x n mass matrix and the two triangular solves after it, counted on paper."""
-    products = n * (n - 1) // 2 + (n - 2) * (n - 1) * n // 6 + n * (n - 1)
-    return Operations(add=products, multiply=products, divide=n * (n - 1) // 2 + 2 * n, call=n)
+    return sum((found.get(name, Operations()) for name in _OF_A_STEP), Operations())
 
 
 def count_operations(source: str) -> dict[str, Operations]:
-    """The operations of every function of `emit_model`'s text, by its name; loops and calls of functions of this text are left out."""
+    """The operations of every function of `emit_model`'s text, by its name; calls of functions of this text are left out."""
     return {name: sum((_of_statement(line) for line in body.splitlines()), Operations()) for name, body in _FUNCTION.findall(source)}
 
 
 def _of_statement(line: str) -> Operations:
-    """Of what stands right of `=`, `+=` or `return`; declarations, casts to void and braces have none."""
+    """Of what stands right of `=` or `return`, and of `+=`, `-=` and `/=`; declarations, casts to void and braces have none."""
     text = line.strip().removesuffix(";")
-    if text.startswith(("for ", "if ")):
+    if text.startswith("if "):
         return Operations()
     if text.startswith("return "):
         own, text = Operations(), text.removeprefix("return ")
-    elif " += " in text:
-        own, text = Operations(add=1), text.partition(" += ")[2]
+    elif " += " in text or " -= " in text:
+        own, text = Operations(add=1), text.partition("= ")[2]
+    elif " /= " in text:
+        own, text = Operations(divide=1), text.partition("= ")[2]
     elif " = " in text:
         own, text = Operations(), text.partition(" = ")[2]
     else:
@@ -81,7 +76,7 @@ class _Expression:
     """Recursive descent over one C expression of numbers, names, subscripts, calls, parentheses and + - * /."""
 
     def __init__(self, text: str) -> None:
-        self._tokens = [match for match in _TOKEN.finditer(text)]
+        self._tokens = list(_TOKEN.finditer(text))
         self._place = 0
         self.operations = Operations()
         self._sum()
@@ -125,7 +120,7 @@ class _Expression:
             ours = token["name"].startswith("scene_")
             self.operations += Operations() if constant or ours else Operations(call=1)
             return constant
-        if self._peek() == "[":
+        while self._peek() == "[":
             self._place += 1
             self._inside()
         return False

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import ctypes
+
+import numpy as np
 import pytest
+import sympy as sp
 
 from models.catalog import load_scene
+from models.codegen.cholesky import cholesky_function
+from models.codegen.compiler import compile_shared, find_compiler
 from models.codegen.emit import emit_model
-from models.codegen.operations import Operations, count_operations, solve_operations, step_operations
+from models.codegen.operations import Operations, count_operations, step_operations
+from models.dynamics import derive
 from models.scenes.cart_chain import cart_chain
 
 # Counted by hand from the equations as one would write them: (additions, multiplications, divisions, roots and sines).
@@ -72,13 +79,52 @@ def test_adding_to_a_result_is_an_addition():
     }
 
 
-def test_solving_costs_what_its_loops_do():
-    """The loops of the generated factorisation, walked."""
+def cholesky_on_paper(n: int) -> Operations:
+    """The loops of a dense factorisation and of its two triangular solves, walked."""
+    products = sum(j + (n - 1 - j) * j for j in range(n)) + 2 * sum(range(n))
+    return Operations(add=products, multiply=products, divide=sum(n - 1 - j for j in range(n)) + 2 * n, call=n)
+
+
+def solve_operations(mass: sp.Matrix) -> Operations:
+    return count_operations(cholesky_function(mass))["scene_solve"]
+
+
+def test_solving_costs_what_a_dense_factorisation_does_where_the_mass_matrix_is_dense():
     for n in range(1, 9):
-        products = sum(j + (n - 1 - j) * j for j in range(n)) + 2 * sum(range(n))
-        assert solve_operations(n) == Operations(add=products, multiply=products, divide=sum(n - 1 - j for j in range(n)) + 2 * n, call=n)
+        assert solve_operations(sp.ones(n)) == cholesky_on_paper(n)
+
+
+def test_zeros_of_the_mass_matrix_cost_nothing():
+    """Two fingers and a disc: two blocks of two, three numbers on the diagonal. An arrow costs as its point is first (fill) or last (none)."""
+    block = sp.ones(2)
+    fingers = sum([cholesky_on_paper(2), cholesky_on_paper(2), *[cholesky_on_paper(1)] * 3], Operations())
+    assert solve_operations(sp.diag(block, block, 1, 1, 1)) == fingers
+    assert solve_operations(derive(load_scene("two_finger")).mass_matrix) == fingers
+    last = sp.eye(5)
+    last[4, :] = sp.ones(1, 5)
+    last[:, 4] = sp.ones(5, 1)
+    assert solve_operations(last[::-1, ::-1]) == cholesky_on_paper(5)
+    assert solve_operations(last).multiply == 4 + 2 * 4
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_sparse_factorisation_solves_what_a_dense_one_does(seed: int, tmp_path):
+    """Compiled, against numpy, for random patterns."""
+    rng = np.random.default_rng(seed)
+    n = 6
+    factor = np.tril(rng.normal(size=(n, n)) * (rng.random((n, n)) < 0.4)) + 2 * np.eye(n)
+    mass, b = factor @ factor.T, rng.normal(size=n)
+    head = '#include <math.h>\n#define NQ 6\n#define SCENE_FUNCTION __attribute__((visibility("default")))\n'
+    library = tmp_path / "solve.so"
+    compile_shared(find_compiler(), {"solve.c": head + cholesky_function(sp.Matrix(mass))}, library)
+    solve = ctypes.CDLL(str(library)).scene_solve
+    M, x = mass.copy(), b.copy()
+    assert solve(M.ctypes.data_as(ctypes.c_void_p), x.ctypes.data_as(ctypes.c_void_p)) == 0
+    assert x == pytest.approx(np.linalg.solve(mass, b), rel=1e-12, abs=1e-12)
+    M = -mass
+    assert solve(M.ctypes.data_as(ctypes.c_void_p), x.ctypes.data_as(ctypes.c_void_p)) == 1
 
 
 def test_no_trigonometry_where_there_is_none():
     assert count_operations(emit_model(load_scene("three_cart")))["scene_acceleration_vjp"].call == 0
-    assert step_operations(load_scene("cart_pole_walls")).call > solve_operations(2).call
+    assert step_operations(load_scene("cart_pole_walls")).call > cholesky_on_paper(2).call
