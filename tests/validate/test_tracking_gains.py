@@ -157,3 +157,15 @@ def test_the_effort_is_weighed_with_the_length_of_the_steps():
     assert effort.peak == (0.5, 3.0)
     assert effort.rms_share == pytest.approx(np.sqrt(27 / 5) / 3)
     assert effort.saturated == pytest.approx(1 / 3)  # 0.5 is a bound, and not what the plan asked for
+
+
+def test_many_uneven_steps_are_taken_in_blocks():
+    """Three thousand steps of a rotation with growth: the whole of it, at the cost of fifty products."""
+    random = np.random.default_rng(9)
+    h = random.uniform(0.5e-3, 1.5e-3, 3000)
+    t = np.concatenate([[0.0], np.cumsum(h)])
+    turn = np.array([[np.cos(5.0 * h), -np.sin(5.0 * h)], [np.sin(5.0 * h), np.cos(5.0 * h)]]).transpose(2, 0, 1)
+    growth = largest_growth(np.exp(2.0 * h)[:, None, None] * turn, t, np.ones(2))
+    assert growth is not None
+    assert growth.amplification == pytest.approx(np.exp(2.0 * t[-1]), rel=1e-10)
+    assert growth.rate == pytest.approx(2.0)

@@ -58,7 +58,7 @@ def measure_growth(kernel: Kernel, scene: Scene, plan: Trajectory) -> Growth | N
     """The growth along the plan; None where the true law leads out of every bound within a block, or the mass matrix is singular."""
     h = np.diff(plan.t)
     uniform = bool(np.allclose(h, scene.task.step, rtol=1e-9, atol=0.0)) or plan.has_uniform_grid()
-    edges = np.unique(np.linspace(0, plan.steps, _BLOCKS + 1).round().astype(int)) if uniform else np.arange(plan.steps + 1)
+    edges = _edges(plan.steps) if uniform else np.arange(plan.steps + 1)
     try:
         blocks = [
             flow_derivative(kernel, np.concatenate([plan.q[first], plan.v[first]]), plan.u[first:last], float(h[first]))[0]
@@ -70,14 +70,18 @@ def measure_growth(kernel: Kernel, scene: Scene, plan: Trajectory) -> Growth | N
 
 
 def largest_growth(steps: np.ndarray, t: np.ndarray, scale: np.ndarray) -> Growth | None:
-    """Of transition matrices steps (n, nx, nx) from t[i] to t[i + 1] [s], t (n + 1,); scale (nx,). None where they are not finite."""
+    """Of transition matrices steps (n, nx, nx) from t[i] to t[i + 1] [s], t (n + 1,), taken in at most 50 blocks; scale (nx,). None where they are not
+    finite."""
     scaled = steps * (scale[None, None, :] / scale[None, :, None])
-    if not np.isfinite(scaled).all():
-        return None
     best = (0.0, 0, 0)
     products = np.empty((0, *steps.shape[1:]))
+    edges = _edges(len(steps))
+    t = t[edges]
     with np.errstate(over="ignore", invalid="ignore"):
-        for end, matrix in enumerate(scaled, start=1):
+        for end, (first, last) in enumerate(pairwise(edges), start=1):
+            matrix = np.eye(len(scale))
+            for step in scaled[first:last]:
+                matrix = step @ matrix
             # Row i: from edge i to edge `end`.
             products = np.concatenate([matrix @ products, matrix[None]])
             if not np.isfinite(products).all():
@@ -87,6 +91,11 @@ def largest_growth(steps: np.ndarray, t: np.ndarray, scale: np.ndarray) -> Growt
             best = max(best, (float(gains[begin]), begin, end))
     amplification, begin, end = best
     return Growth(amplification=amplification, begin=float(t[begin]), end=float(t[end]), duration=float(t[-1] - t[0]))
+
+
+def _edges(steps: int) -> np.ndarray:
+    """(blocks + 1,) steps at which blocks begin, and the last end."""
+    return np.unique(np.linspace(0, steps, min(steps, _BLOCKS) + 1).round().astype(int))
 
 
 def flow_derivative(kernel: Kernel, state: np.ndarray, u: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
