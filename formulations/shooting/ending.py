@@ -59,11 +59,20 @@ def plan_residuals(scene: Scene, plan: Trajectory) -> dict[str, float]:
 def arrived(
     scene: Scene, outcome: Outcome, message: str, residuals: Mapping[str, float], advice: str = "a larger terminal_weight"
 ) -> tuple[Outcome, str]:
-    """Outcome and message; whoever converged away from the goal has not solved the task: STALLED, with `advice` on what brings it nearer."""
+    """Outcome and message; whoever converged away from the goal, or beyond a velocity bound, has not solved the task: STALLED.
+
+    advice: what brings it nearer to the goal.
+    """
     for name in ("terminal_position_error", "terminal_error"):
         limit = scene.limit(f"discrete_{name}")
         if outcome is Outcome.SOLVED and limit is not None and residuals[name] > limit.value:
             told = f"{name} is {residuals[name]:.3g}, the scene asks for {limit.value:g}; {advice} brings it nearer"
             outcome, message = Outcome.STALLED, f"{message} It converged away from the goal: {told}.".strip()
+    excess, limit = residuals.get("velocity_bound_excess", 0.0), scene.limit("velocity_bound_violation")
+    if outcome is Outcome.SOLVED and limit is not None and excess > limit.value:
+        outcome, message = (
+            Outcome.STALLED,
+            f"{message} A velocity exceeds its bound by {excess:.3g}: this method does not know such bounds.".strip(),
+        )
     missed = f" The goal is missed by {residuals['terminal_error']:.3g} in the plan's own contact model." if scene.task.has_goal else ""
     return outcome, f"{message}{missed}".strip()

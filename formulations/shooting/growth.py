@@ -61,6 +61,11 @@ class Growth:
         )
 
 
+def told(message: str, growth: Growth) -> str:
+    """A message of a method that did not solve its scene, with what the growth has to do with it."""
+    return f"{message} {growth.sentence()}".strip()
+
+
 def _power(exponent: float) -> str:
     tens = exponent / math.log(10.0)
     return f"{math.exp(exponent):.2g}" if tens < 3.0 else f"1e{tens:.0f}"

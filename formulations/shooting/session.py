@@ -11,7 +11,7 @@ import numpy as np
 from formulations.method import OptionError, Session
 from formulations.shooting.descent import Descent
 from formulations.shooting.ending import arrived, given_inputs, plan_residuals
-from formulations.shooting.growth import measure_growth
+from formulations.shooting.growth import measure_growth, told
 from formulations.shooting.method import ShootingMethod
 from formulations.solution import Outcome, Seconds, Solution
 from models.codegen.kernel import load_kernel
@@ -43,6 +43,7 @@ class ShootingSession(Session):
         descending = perf_counter()
         descent = self._method.minimise(objective, u0, self._options, time_limit)
         rest = perf_counter() - descending - objective.evaluate_seconds
+        solution = self._solution(descent, u0, eps if self._method.law is ContactLaw.SOFTPLUS else None)
         opening_wall, opening_cpu = self._opening
         self._opening = (0.0, 0.0)
         seconds = Seconds(
@@ -52,40 +53,37 @@ class ShootingSession(Session):
             wall=opening_wall + perf_counter() - started,
             cpu=opening_cpu + process_time() - cpu,
         )
-        return replace(self._solution(descent, eps), seconds=seconds)
+        return replace(solution, seconds=seconds)
 
-    def _solution(self, descent: Descent, eps: float | None) -> Solution:
-        """The plan simulated once more by the kernel, and its figures recomputed from that."""
-        name, law, task = self._method.name, self._method.law, self._scene.task
-        history = {column: tuple(values) for column, values in descent.history.items()}
+    def _solution(self, descent: Descent, u0: np.ndarray, eps: float | None) -> Solution:
+        """The plan simulated once more by the kernel, and its figures recomputed from that; without a plan, the growth at the first guess."""
+        law, task = self._method.law, self._scene.task
         empty = Solution(
-            method=name,
+            method=self._method.name,
             outcome=descent.outcome,
             message=descent.message,
             iterations=descent.iterations,
             options=dict(self._options),
-            history=history,
+            history={column: tuple(values) for column, values in descent.history.items()},
         )
+        u = u0 if descent.u is None else descent.u
+        plan = self._kernel.rollout(np.array(task.start), u, task.step, law, eps)
+        growth = None if plan.diverged else measure_growth(self._steps, np.hstack([plan.q, plan.v]), u, law, eps)
         if descent.u is None:
-            return empty
-        u = descent.u
-        plan = self._kernel.rollout(np.array(task.start), u, task.step, law, eps if law is ContactLaw.SOFTPLUS else None)
+            return empty if growth is None else replace(empty, message=told(descent.message, growth), residuals=growth.figures())
         if plan.diverged:  # impossible while the kernel is deterministic: the descent has just evaluated these inputs
             return replace(empty, outcome=Outcome.EVALUATION_ERROR, message="the plan could not be simulated again.")
         trajectory = Trajectory(t=uniform_grid(task.step, task.steps), q=plan.q, v=plan.v, u=u, lam=plan.lam)
-        growth = measure_growth(self._steps, np.hstack([plan.q, plan.v]), u, law, eps if law is ContactLaw.SOFTPLUS else None)
         residuals = {
             "gradient_norm": descent.gradient_norm,
             **plan_residuals(self._scene, trajectory),
             **({} if growth is None else growth.figures()),
         }
         outcome, message = arrived(self._scene, descent.outcome, descent.message, residuals)
-        if outcome is not Outcome.SOLVED and growth is not None:
-            message = f"{message} {growth.sentence()}".strip()
         return replace(
             empty,
             outcome=outcome,
-            message=message,
+            message=message if outcome is Outcome.SOLVED or growth is None else told(message, growth),
             trajectory=trajectory,
             cost=self._kernel.cost(plan.q, plan.v, u),
             residuals=residuals,
