@@ -108,10 +108,10 @@ def equations(dynamics: Dynamics) -> tuple[EquationRecord, ...]:
 
 def _damped_force(dynamics: Dynamics, contact: Contact, depth: sp.Symbol, lam: sp.Symbol) -> list[tuple[str, sp.Basic]]:
     """The rate of penetration and the force that follows from it."""
-    rate, k, c = sp.Symbol(f"phidot_{contact.name}", real=True), contact.stiffness, contact.damping
+    rate, k, c = sp.Derivative(depth, sp.Symbol("t", real=True), evaluate=False), contact.stiffness, contact.damping
     row = [item.name for item in dynamics.scene.contacts].index(contact.name)
     if contact.damping_law is DampingLaw.KELVIN_VOIGT:
-        law, words = sp.Piecewise((sp.Max(k * depth + c * rate, 0), depth > 0), (0, True)), "Kelvin-Voigt without adhesion"
+        law, words = sp.Max(k * depth + c * rate, 0), "Kelvin-Voigt without adhesion, where its penetration is positive; elsewhere 0"
     else:
         law, words = sp.Mul(k, sp.Max(depth, 0), sp.Max(1 + c * rate, 0), evaluate=False), "Hunt-Crossley"
     return [

@@ -14,6 +14,7 @@ from models.fmu import build_fmu
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
 from validate.replay import Replay, replay
+from validate.scene_record import scene_record
 from validate.score import Verdict, score
 from validate.score.result import Figure
 
@@ -101,3 +102,13 @@ def test_forces_without_their_damping_are_found():
     figures = values(score(SCENE, wrong, None).figures)
     assert figures["physics"] > 1e3
     assert figures["defect"] > 1e-2
+
+
+def test_the_report_shows_the_two_laws():
+    shown = {equation.caption: equation.mathml for equation in scene_record(SCENE).equations}
+    assert "force of contact pair, Kelvin-Voigt without adhesion, where its penetration is positive; elsewhere 0" in shown
+    law = shown["force of contact bumper, Hunt-Crossley"]
+    assert law.count("max") == 2
+    assert "<mi>b</mi>" in law
+    assert "<mi>d</mi>" in law
+    assert sum(caption.startswith("rate of penetration") for caption in shown) == 2
