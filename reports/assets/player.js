@@ -1,7 +1,9 @@
 // The scene player: plan as dashed outline, replay filled, contact forces as bars; the data stand in a JSON element beside it.
 (() => {
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-  const reach = (shape) => Math.max(...shape.size) * (shape.kind === "box" ? 0.75 : 1);
+  // A box reaches little more than half its longer side, a line or a wall of one length half of that, a disc its radius.
+  const isLine = (shape) => shape.size.length === 1 && (shape.kind === "line" || shape.kind === "wall");
+  const reach = (shape) => Math.max(...shape.size) * (shape.kind === "box" ? 0.75 : isLine(shape) ? 0.5 : 1);
 
   const start = (player) => {
     const data = JSON.parse(player.querySelector("script").textContent);
@@ -44,7 +46,11 @@
       pen.translate(px, py);
       pen.rotate(-angle);
       pen.beginPath();
-      if (shape.kind === "box" || shape.size.length > 1) {
+      if (isLine(shape)) {
+        const long = shape.size[0] * scale;
+        pen.moveTo(-long / 2, 0);
+        pen.lineTo(long / 2, 0);
+      } else if (shape.kind === "box" || shape.size.length > 1) {
         const [wide, tall] = [shape.size[0] * scale, (shape.size[1] || shape.size[0]) * scale];
         pen.rect(-wide / 2, -tall / 2, wide, tall);
       } else {
