@@ -37,6 +37,8 @@ RELU_GD_AFTER_RELAXED = 10
 
 # Multiple shooting goes from far softer to far harder contact than the paper: each stage moves its plan little, and costs a fraction of a second.
 MULTIPLE_SHOOTING_EPS = (1e-3, 1e-6, 1e-12, 1e-24, 1e-48)
+# Iterations of each of these stages: the next one starts as well from a plan that is nearly settled.
+MULTIPLE_SHOOTING_COUNT = 60
 # Standard deviation of the random inputs, in half ranges of the inputs.
 NOISE = (0.3, 0.1, 0.03)
 
@@ -120,7 +122,10 @@ PIPELINES: tuple[Pipeline, ...] = (
     Pipeline(
         name="multiple_shooting",
         title="Multiple shooting on softplus contact, tightened, then on ReLU contact",
-        legs=(Leg(method="softplus_multiple_shooting", schedule=MULTIPLE_SHOOTING_EPS), Leg(method="relu_multiple_shooting")),
+        legs=(
+            Leg(method="softplus_multiple_shooting", schedule=MULTIPLE_SHOOTING_EPS, options={"max_iterations": MULTIPLE_SHOOTING_COUNT}),
+            Leg(method="relu_multiple_shooting"),
+        ),
         source="ours: for unstable and long scenes, whose gradients explode in single shooting",
     ),
     Pipeline(

@@ -11,6 +11,9 @@ reference   the same in plain PyTorch, slow and simple: what the compiled one is
 objective   the paper's loss, as PyTorch operations and as one fast function
 descent     stochastic gradient descent's loop (without the stochastic) and its stopping rule
 diagnosis   why a descent cannot go on, in numbers: dead contacts, growth over the horizon, a rate that would do
+quasi_newton   L-BFGS within the bounds of the inputs, and the goal met by multipliers
+smoothed    the loss averaged over random inputs
+growth      how fast gradients grow on their way back over the horizon (no PyTorch; ending.py neither)
 
 PyTorch lives in this package only. Nothing here is imported until a method is opened: PyTorch takes seconds to import.
 """
