@@ -88,7 +88,7 @@ def measure() -> Finding:
                     Series(name="smallest", x=SWEEP, y=[found.min() for found in swept]),
                 ),
                 level=(1.0, "exact"),
-                words="The spread grows with h w, vanishes at 1 and runs away towards the stability limit at 2.",
+                words="The spread grows with h w, vanishes at 1 and 1.41, where a period is a whole number of steps, and runs away towards the stability limit at 2.",
             ),
         ),
     )

@@ -1,0 +1,159 @@
+"""Every hard case: described without being imported, measured (with cheaper parameters where it is long), told by a record that passes."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import math
+import re
+
+import pytest
+
+from formulations.catalog import method_names
+from models.catalog import scene_names
+from models.errors import UnknownNameError
+from reports.examination_record import ExaminationRecord
+from reports.record import ProvenanceRecord
+from reports.rule import failures
+from validate.hardcases.case import Finding, HardCase, Series, at_least, at_most, none_of, told
+from validate.hardcases.catalog import FOLDER, case_names, describe_case, load_case
+from validate.hardcases.examine import examinations, found_of
+
+NAMES = case_names()
+# What is made shorter here; a campaign runs all of it.
+CHEAP: dict[str, dict[str, object]] = {
+    "h01_stiffness": {"STIFFNESSES": (1.0, 1e2, 1e4, 1e5, 1e6), "SWEPT": 2},
+    "h02_restitution": {"SWEEP": (0.5, 1.2)},
+    "h03_mass_ratio": {"RATIOS": (1e-4, 1e4)},
+    "h07_unstable": {"ITERATIONS": 60},
+    "h08_long_horizon": {"LENGTHS": (500, 2000), "MODEL_LENGTHS": (50, 100), "EXPONENT": 100.0},  # seconds are for the campaign
+    "h14_creep": {"COEFFICIENTS": (0.05, 0.8), "STEPS": (0.02, 0.01, 0.005)},
+    "h17_front": {"TOLERANCES": (0.0, 0.1)},
+    "h18_hold": {"COUNTS": (10, 40), "FINE": 320},
+}
+
+
+def record_of(name: str, finding: Finding) -> ExaminationRecord:
+    """The record that a campaign would store, through JSON and back."""
+    case, found = describe_case(name), found_of(finding)
+    provenance = ProvenanceRecord(
+        touchstone="0",
+        commit="",
+        python="",
+        platform="",
+        cpu="",
+        cores=1,
+        threads=1,
+        packages={},
+        compiler="",
+        seed=0,
+        started="",
+        command="",
+    )
+    record = ExaminationRecord(
+        key="0" * 64,
+        kind="hard case",
+        name=case.heading,
+        expected=case.expected,
+        outcome="answered",
+        passed=found.passed,
+        found=found.sentence,
+        figures=found.figures,
+        wall_seconds=1.0,
+        cpu_seconds=1.0,
+        provenance=provenance,
+        **found.details,
+    )
+    return ExaminationRecord.model_validate_json(record.model_dump_json())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_case_passes_and_its_record_is_whole(name: str, monkeypatch):
+    module = importlib.import_module(f"validate.hardcases.cases.{name}")
+    for constant, value in CHEAP.get(name, {}).items():
+        monkeypatch.setattr(module, constant, value)
+    finding = load_case(name).measure()
+    assert finding.passed, [
+        f"{figure.name} = {figure.value} (limit {figure.limit}): {figure.meaning}" for figure in finding.figures if not figure.ok
+    ]
+    record = record_of(name, finding)
+    assert record.passed
+    assert record.found
+    assert "\n" not in record.found
+    assert failures((), (record,)) == ()
+    for figure in record.figures:
+        assert figure.value is not None
+        assert figure.reason or figure.limit is None, f"{figure.name} has a limit without a reason"
+    for chart in record.charts:
+        assert all(len(series.x) == len(series.y) > 0 for series in chart.series)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_case_says_what_it_depends_on(name: str):
+    """A stored result is used again only while these are the same: names that the file loads must be among them."""
+    text, said = (FOLDER / f"{name}.py").read_text(encoding="utf-8"), describe_case(name)
+    assert said.name == name
+    loaded = set(re.findall(r'load_scene\("(\w+)"\)', text)) | set(re.findall(r"from models\.scenes\.(\w+) import", text))
+    assert loaded <= set(said.scenes) <= set(scene_names())
+    assert set(re.findall(r'load_method\("(\w+)"\)', text)) <= set(said.methods) <= set(method_names())
+    case = load_case(name)
+    assert (case.title, case.expected, case.quick, case.scenes, case.methods) == (
+        said.title,
+        said.expected,
+        said.quick,
+        said.scenes,
+        said.methods,
+    )
+
+
+def test_all_rows_are_there_once_and_offered_to_a_campaign():
+    assert [int(name[1:3]) for name in NAMES] == list(range(1, 22))
+    offered = examinations(())
+    assert [item.name for item in offered] == [describe_case(name).heading for name in NAMES]
+    assert 0 < sum(item.quick for item in offered) < len(offered)
+    assert all(json.dumps(item.to_json()) for item in offered)
+
+
+def test_an_unknown_case_is_named():
+    with pytest.raises(UnknownNameError, match="did you mean h02_restitution"):
+        load_case("h02_restitutions")
+
+
+@pytest.mark.parametrize(
+    ("figure", "ok"),
+    [
+        (at_most("error", 1.0, 1.0, reason="r"), True),
+        (at_most("error", 1.1, 1.0, reason="r"), False),
+        (at_most("error", math.nan, 1.0, reason="r"), False),
+        (at_most("error", -math.inf, 1.0, reason="r"), False),
+        (at_least("order", 1.9, 2.0, reason="r"), False),
+        (at_least("order", 2.0, 2.0, reason="r"), True),
+        (none_of("wrong", ["one thing"], reason="r"), False),
+        (none_of("wrong", [], reason="r"), True),
+        (told("only told", 5.0), None),
+        (told("only told", math.nan), False),
+    ],
+)
+def test_a_figure_keeps_its_limit_or_does_not(figure, ok: bool | None):
+    assert figure.ok is ok
+
+
+def test_a_case_without_a_judged_figure_has_not_passed():
+    assert not Finding(happened="", figures=()).passed
+    assert not Finding(happened="", figures=(told("only told", 1.0),)).passed
+
+
+def test_numbers_that_are_none_get_into_no_record():
+    from validate.hardcases.case import Chart
+
+    chart = Chart(title="t", x=("x", ""), y=("y", ""), series=(Series(name="s", x=[1.0, 2.0, 3.0], y=[1.0, math.nan, math.inf]),))
+    finding = Finding(happened="two\nlines", figures=(at_most("error", math.nan, 1.0, reason="r"),), charts=(chart,))
+    record = record_of(NAMES[0], finding)
+    assert not record.passed
+    assert record.figures[0].value is None
+    assert record.charts[0].series[0].x == (1.0,)
+    assert len(failures((), (record,))) == 1
+
+
+def test_a_case_is_its_files_name():
+    assert all(isinstance(load_case(name), HardCase) and load_case(name).name == name for name in ("h13_b_stationary", "h15_softplus_eps"))
