@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
-from validate.fmu_check.differences import Column, agrees, column, resolved
+from validate.fmu_check.differences import Column, agrees, column, resolved, rounding_of
 from validate.fmu_check.linearisation import Point, initial_point, points
 from validate.fmu_check.result import Finding, Scope, check, failed, listed, not_offered, passed
 from validate.fmu_check.subject import Subject, Variable
@@ -106,7 +106,7 @@ def adjoint(subject: Subject, kind: str) -> Finding:
                 error = float(np.abs(seed[used]) @ found.error[used])
                 size = float(np.abs(seed[used]) @ np.abs(found.value[used]))
                 looked += 1
-                if not abs(claimed[place] - value) <= 10.0 * error + 1e-6 * max(size, abs(claimed[place])):
+                if not abs(claimed[place] - value) <= 10.0 * error + 1e-6 * max(size, abs(claimed[place])) + rounding_of(claimed):
                     names = [name for name, one in zip(point.names(), used, strict=True) if one]
                     return failed(
                         f"the adjoint of {listed(names, 1)} by {known.name} {point.where} is {claimed[place]:.6g}, "

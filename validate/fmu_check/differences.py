@@ -57,9 +57,14 @@ def column(evaluate: Callable[[np.ndarray], np.ndarray], x: np.ndarray, place: i
     return Column(extrapolated[best + 1, columns], error[best, columns], kink)
 
 
+def rounding_of(claimed: np.ndarray) -> float:
+    """What large terms that cancel leave of an entry that is zero: some units in the last place of the largest entry."""
+    return _ULPS * _EPS * float(np.abs(claimed[np.isfinite(claimed)]).max(initial=0.0))
+
+
 def agrees(claimed: np.ndarray, found: Column) -> np.ndarray:
     """(unknowns,) whether a claimed column is within the error of the one found; True where nothing can be said."""
-    allowed = 10.0 * found.error + _SHARE * np.maximum(np.abs(claimed), np.abs(found.value))
+    allowed = 10.0 * found.error + _SHARE * np.maximum(np.abs(claimed), np.abs(found.value)) + rounding_of(claimed)
     return (np.abs(claimed - found.value) <= allowed) | found.kink | ~np.isfinite(found.error)
 
 
