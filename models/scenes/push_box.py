@@ -1,0 +1,160 @@
+"""A finger pushes a box over a table to a place that one face alone does not lead to: which face, and when, is found by the optimiser.
+
+The finger has no size and starts outside, below and to the left of the box; only its contact and its friction move the box. The goal lies
+atan2(0.25, 0.3) = 39.8 degrees off the normal of the left face. A finger on that face pushes within atan(mu) = 26.6 degrees of its normal, so
+that one face alone has to turn the box by 13.2 degrees on the way, and back; with the face below as well there is no need to.
+
+The table: friction under a sliding box is a limit surface, here the ellipsoid of Goyal, Ruina and Papadopoulos (1991) in its linear form, velocity
+proportional to wrench: d v = F, d c^2 omega = torque, where c is the mean distance of the footprint from its centre, the ratio of the largest
+torque to the largest force that a uniformly pressed table gives. This is the overdamped limit of M dv/dt = -D v + F, and the mass here is M = h D:
+then the time step v' = v + h/M (F - D v) is v' = D^-1 F, the quasi-static law itself and not an approximation of it. The finger is driven
+through the same sort of damper, as a robot's would be whose velocity is commanded. In continuous time M/D = h remains: a lag of one time step,
+whose cost shows as the grid error of the replay.
+
+The rim is one smooth curve, D(p) = log(sum of exp(beta d_i))/beta over the distances d_i from the lines of the four faces: the faces but for
+exp(-beta s)/beta at s from a corner, so that the gap has a normal everywhere and the finger may roll from one face to the next. The slip
+is weighed with abs(grad D), as the force is, which is 1 on the faces: so the cone is mu everywhere.
+
+Size, friction, step and horizon are those of our scene bank; chosen here: the damping (3 N move the box by 0.3 m/s), the rim, start and goal, and
+k = 150 N/m, with which the explicit quasi-static step is stable: h k/d (1 + (a/c)^2) + h k/d = 1.45 of at most 2.
+"""
+
+import math
+
+import sympy as sp
+
+from models.contacts import Friction
+from models.scene import Answer, Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
+
+STEP, STEPS = 0.02, 100
+HALF_LENGTH, HALF_WIDTH, FRICTION, DAMPING = 0.5, 0.25, 0.5, 10.0
+GOAL = (0.3, 0.25)
+
+x, y, theta, p_x, p_y = q = sp.symbols("x y theta p_x p_y", real=True)
+v_x, v_y, omega, w_x, w_y = v = sp.symbols("v_x v_y omega w_x w_y", real=True)
+u_x, u_y = sp.symbols("u_x u_y", real=True)
+a, b, c, d, m, beta, k, mu = sp.symbols("a b c d m beta k mu", positive=True)
+
+
+def mean_distance(half_length: float, half_width: float) -> float:
+    """Mean distance [m] of the points of a rectangle from its centre; half sides [m]."""
+    s, w = half_length, half_width
+    return math.hypot(s, w) / 3 + s**2 / (6 * w) * math.asinh(w / s) + w**2 / (6 * s) * math.asinh(s / w)
+
+
+# The finger in the frame of the box, and its velocity there as seen from the box.
+_cos, _sin = sp.cos(theta), sp.sin(theta)
+_along, _across = _cos * (p_x - x) + _sin * (p_y - y), _cos * (p_y - y) - _sin * (p_x - x)
+_slip_along = _cos * (w_x - v_x) + _sin * (w_y - v_y) + omega * _across
+_slip_across = _cos * (w_y - v_y) - _sin * (w_x - v_x) - omega * _along
+_ends, _sides = 2 * sp.exp(-beta * a), 2 * sp.exp(-beta * b)
+_sum = _ends * sp.cosh(beta * _along) + _sides * sp.cosh(beta * _across)
+_normal_along, _normal_across = _ends * sp.sinh(beta * _along) / _sum, _sides * sp.sinh(beta * _across) / _sum
+
+SCENE = Scene(
+    name="push_box",
+    title="A finger pushes a box over a table, face by face",
+    source="quasi-static pushing with an ellipsoidal limit surface, as the overdamped limit of Newton's second law (see the file)",
+    coordinates=tuple(
+        Coordinate(symbol=place, velocity=speed, unit=unit, description=words)
+        for place, speed, unit, words in zip(
+            q,
+            v,
+            ("m", "m", "rad", "m", "m"),
+            ("x of the box", "y of the box", "turn of the box", "x of the finger", "y of the finger"),
+            strict=True,
+        )
+    ),
+    inputs=(
+        Input(symbol=u_x, unit="N", lower=-20.0, upper=20.0, description="force on the finger along x"),
+        Input(symbol=u_y, unit="N", lower=-20.0, upper=20.0, description="force on the finger along y"),
+    ),
+    parameters=(
+        Parameter(symbol=a, value=HALF_LENGTH, unit="m", lower=1e-3, description="half the length of the box"),
+        Parameter(symbol=b, value=HALF_WIDTH, unit="m", lower=1e-3, description="half its width"),
+        Parameter(
+            symbol=c,
+            value=mean_distance(HALF_LENGTH, HALF_WIDTH),
+            unit="m",
+            lower=1e-3,
+            description="mean distance of the footprint from its centre",
+        ),
+        Parameter(symbol=d, value=DAMPING, unit="N s/m", lower=1e-3, description="drag of the table, and of the finger's drive"),
+        Parameter(
+            symbol=m, value=STEP * DAMPING, unit="kg", lower=1e-6, description="mass of the box and of the finger: h d, quasi-static"
+        ),
+        Parameter(symbol=beta, value=20.0, unit="1/m", lower=1.0, description="sharpness of the corners"),
+        Parameter(symbol=k, value=150.0, unit="N/m", lower=1e-6, description="contact stiffness"),
+        Parameter(symbol=mu, value=FRICTION, unit="1", lower=0.0, description="coefficient of friction, finger on box"),
+    ),
+    kinetic_energy=m * (v_x**2 + v_y**2 + c**2 * omega**2 + w_x**2 + w_y**2) / 2,
+    potential_energy=sp.Integer(0),
+    forces=(-d * v_x, -d * v_y, -d * c**2 * omega, u_x - d * w_x, u_y - d * w_y),
+    contacts=(Contact(name="rim", penetration=-sp.log(_sum) / beta, stiffness=k, nominal=0.02, description="finger against the box"),),
+    frictions=(
+        Friction(
+            name="rim",
+            slip=_normal_along * _slip_across - _normal_across * _slip_along,
+            coefficient=mu,
+            contact="rim",
+            nominal=0.3,
+            description="finger along the rim",
+        ),
+    ),
+    task=Task(
+        start=(0.0, 0.0, 0.0, -0.7, -0.4, 0.0, 0.0, 0.0, 0.0, 0.0),
+        goal=(*GOAL, 0.0, None, None, None, None, None, None, None),
+        running_cost=u_x**2 + u_y**2,
+        step=STEP,
+        steps=STEPS,
+    ),
+    limits=(
+        Limit(
+            figure="physics_scaled",
+            value=1e-5,
+            reason="averaged over the 2 s a product of 5e-6 (k L)^2, L = 0.02 m: a force of 15 mN at a closed gap, where the finger pushes with 4 N",
+        ),
+        Limit(figure="defect", value=1e-6, reason="a plan that misses its own time step by more than 1e-6 was not solved to the end"),
+        Limit(figure="start_error", value=1e-6, reason="a plan from another start solves another task; 1e-6 is the solvers' own tolerance"),
+        Limit(figure="bound_violation", value=1e-6, reason="the drive gives at most 20 N; 1e-6 is the solvers' own tolerance"),
+        Limit(
+            figure="friction_violation",
+            value=1e-4,
+            reason="mu N is 2 N; more than 0.1 mN above it is force that friction does not have",
+        ),
+        Limit(
+            figure="friction_dissipation_error",
+            value=2e-5,
+            reason="20 microwatts: a creep of 0.01 mm/s under all of mu N, 0.02 mm over the 2 s",
+        ),
+        Limit(
+            figure="discrete_terminal_position_error",
+            value=0.01,
+            reason="a fortieth of the 0.39 m that the box has to go; as a turn 0.6 degrees",
+        ),
+        Limit(
+            figure="replay_terminal_position_error",
+            value=0.05,
+            reason="the discrete limit plus 0.04 for the grid: at 0.4 m/s the lag h of the overdamped limit is 8 mm of finger at each change of contact, "
+            "and a box pushed off its centre turns with it",
+        ),
+        Limit(
+            figure="replay_error",
+            value=0.05,
+            reason="as at the end: plans whose finger pushes or pulls at a distance leave theirs by more",
+        ),
+    ),
+    answers=(
+        Answer(
+            quantity="least turn on the way with which one face alone can push the box to the goal [rad]",
+            value=math.atan2(GOAL[1], GOAL[0]) - math.atan(FRICTION),
+            tolerance=1e-9,
+            source="the pushed centre moves along the force, which lies within atan(mu) of the normal of the face: the displacement cannot lie outside "
+            "the cone that this sweeps",
+        ),
+    ),
+    shapes=(
+        Shape(name="box", kind="box", x=x, y=y, size=(2 * a, 2 * b), angle=theta),
+        Shape(name="finger", kind="disc", x=p_x, y=p_y, size=(0.02,)),
+    ),
+)
