@@ -10,7 +10,7 @@ import numpy as np
 import pyomo.environ as pyo
 
 from formulations.transcription.damping import settle_springs
-from formulations.transcription.friction import settle_slip
+from formulations.transcription.friction import free_unpressed, settle_slip
 from models.contact_law import sharpness
 from models.errors import TouchstoneError
 
@@ -100,20 +100,27 @@ def hold_modes(block: Any, closed: np.ndarray) -> None:
     forward against f = -mu N (else it does not), and where backward; then whether each damped contact touches, for its spring and for its
     switch. What is left has no complementarity: for a linear scene without
     friction a convex quadratic program.
+
+    Of a friction whose contact is open nothing is decided, whatever `closed` says: it has no force, and slips as it will.
     """
     for _, pair in pairs(block):
         pair.ccon.deactivate()
-    for (force, separation), is_closed in zip(sides(block), closed.ravel().tolist(), strict=True):
+    couples = sides(block)
+    for (force, separation), is_closed in zip(couples, closed.ravel().tolist(), strict=True):
+        force.setlb(0.0)
+        separation.setlb(0.0)
         force.setub(None if is_closed else 0.0)
         separation.setub(0.0 if is_closed else None)
+    free_unpressed(block, couples, closed)
 
 
 def release_modes(block: Any) -> None:
     """Undo `hold_modes`: the pairs are open to choice again, and their products are bounded by mpec_bound."""
     for variable, pair in pairs(block):
         pair.ccon.activate()
-        variable.setub(None)
-        pair.v.setub(None)
+        for side in (variable, pair.v):
+            side.setlb(0.0)
+            side.setub(None)
 
 
 def is_relaxed(block: Any) -> bool:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pyomo.environ as pyo
 from pyomo.mpec import Complementarity
 
@@ -33,6 +34,7 @@ def add_friction(
     q, v, lam = plan
     names = [friction.name for friction in scene.frictions]
     block.set_frictions = pyo.Set(initialize=names)
+    block.set_pressed = pyo.Set(initialize=[(item.name, item.contact) for item in scene.frictions if item.contact is not None], dimen=2)
     block.variable_friction = pyo.Var(block.set_steps, block.set_frictions, initialize=0.0)
     force: list[list[Any]] = [[] for _ in range(scene.task.steps)]
     for (t, _), data in block.variable_friction.items():
@@ -81,3 +83,30 @@ def settle_slip(block: Any) -> None:
         slip = -(pyo.value(row.body) - pyo.value(row.upper))  # forward - backward - s == 0
         forward.set_value(max(slip, 0.0), skip_validation=True)
         backward.set_value(max(-slip, 0.0), skip_validation=True)
+
+
+def pressed_columns(block: Any) -> list[tuple[int, int]]:
+    """For each friction pressed by a contact: the columns, as in `contact_laws.hold_modes`, of that contact and of its way forward (backward
+    is the next)."""
+    if block.component("set_pressed") is None:
+        return []
+    contacts, frictions = list(block.component("set_contacts") or ()), list(block.set_frictions)
+    return [(contacts.index(contact), len(contacts) + 2 * frictions.index(friction)) for friction, contact in block.set_pressed]
+
+
+def free_unpressed(block: Any, couples: list[tuple[Any, Any]], closed: np.ndarray) -> None:
+    """Bounds of frictions whose contact is open; couples: (slip, reserve) of all pairs and closed as in `contact_laws.hold_modes`.
+
+    One equation for the force, mu N + f = 0 with N = 0, and one variable for the slip, of either sign. That mu N - f >= 0 then follows; kept as a
+    bound it would leave an interior-point method no interior, and a way decided for a slip that nothing holds would be a constraint on
+    the flight.
+    """
+    for contact, forward in pressed_columns(block):
+        for t in np.flatnonzero(~closed[:, contact]).tolist():
+            (slip, reserve), (other_slip, other_reserve) = couples[t * closed.shape[1] + forward : t * closed.shape[1] + forward + 2]
+            slip.setlb(None)
+            slip.setub(None)
+            reserve.setub(0.0)
+            other_slip.setub(0.0)
+            other_reserve.setlb(None)
+            other_reserve.setub(None)

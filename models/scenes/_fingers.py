@@ -74,7 +74,10 @@ def kinetic_energy() -> sp.Expr:
     """Of four bars and a uniform disc [J]. The speed of the centre of a second link is that of two arrows, l w1 and long/2 w2, its angle between them."""
     energy = m_d * (vx**2 + vy**2) / 2 + m_d * R**2 / 2 * w_theta**2 / 2
     for (first, second), (w_first, w_second) in ((ANGLES[:2], RATES[:2]), (ANGLES[2:], RATES[2:])):
-        speeds = (long**2 / 4 * w_first**2, long**2 * w_first**2 + long**2 / 4 * w_second**2 + long**2 * w_first * w_second * sp.cos(first - second))
+        speeds = (
+            long**2 / 4 * w_first**2,
+            long**2 * w_first**2 + long**2 / 4 * w_second**2 + long**2 * w_first * w_second * sp.cos(first - second),
+        )
         energy += m_l * sum(speeds) / 2 + m_l * (long**2 + w**2) / 12 * (w_first**2 + w_second**2) / 2
     return energy
 
