@@ -9,7 +9,7 @@ the 0.5 kg of `two_finger` would sink in by 25 mm, half the radius; a table of 5
 h = 0.002 s: the stiffest of its motions, the disc on the table, has h w = 0.14.
 
 To hold: as in `two_finger`, 0.2 s of the 0.4 s. Here the distance from the goal counts 20 a metre: 1 a step on the table against 0.05 for
-the torques that hold the disc, so that lifting at once is worth it; at a quarter of that the cheapest plan is to juggle the disc at the end.
+the torques that hold the disc, so that lifting at once is worth it.
 """
 
 import sympy as sp
