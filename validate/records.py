@@ -198,6 +198,8 @@ def _replay(replay: Any, score: Any) -> ReplayRecord:
         tolerance_difference=_position(error.tolerance),
         step_difference=_position(error.step),
         everyday_difference=_position(error.everyday),
+        rollback_difference=_position(error.rollback),
+        step_source=error.step_source,
         events=len(replay.events),
         seconds_reference=replay.seconds_reference,
         seconds_everyday=replay.seconds_everyday,

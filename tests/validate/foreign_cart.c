@@ -1,5 +1,6 @@
 /* Somebody else's FMU 2.0: a cart of 2 kg that meets an elastic stop at 500 mm, in millimetres and kilonewtons. Written for the tests.
- * With -DMISBEHAVE=n it goes wrong once time has passed 0.05 s; see foreign_fmu.py for the modes. */
+ * With -DMISBEHAVE=n it goes wrong once time has passed 0.05 s; see foreign_fmu.py for the modes. With -DSAVES=1 it saves its state, with 2 it does
+ * not restore it, with 3 it crashes there; -DWHOLE_STEPS makes one step of the midpoint rule a call; -DONCE lets a process have one instance. */
 #include <math.h>
 #include <stddef.h>
 #include <stdio.h>
@@ -9,6 +10,9 @@
 
 #ifndef MISBEHAVE
 #define MISBEHAVE 0
+#endif
+#ifndef SAVES
+#define SAVES 0
 #endif
 
 typedef struct {
@@ -51,6 +55,10 @@ void *fmi2Instantiate(const char *name, int type, const char *guid, const char *
     Cart *c = calloc(1, sizeof(Cart));
     (void)name; (void)type; (void)guid; (void)where; (void)f; (void)visible; (void)logging;
     c->mass = 2.0;
+#ifdef ONCE
+    static int instances;
+    if (instances++) { free(c); return NULL; }
+#endif
     return c;
 }
 void fmi2FreeInstance(void *c) { free(c); }
@@ -121,7 +129,11 @@ int fmi2GetEventIndicators(void *c, double z[], size_t n) { (void)n; z[0] = gap(
 int fmi2DoStep(void *p, double time, double step, int no)
 {
     Cart *c = p;
+#ifdef WHOLE_STEPS
+    int count = 1;
+#else
     int count = (int)ceil(step / 2e-5 - 1e-9);
+#endif
     double h = step / count;
     (void)no;
     for (int i = 0; i < count; i++) {
@@ -136,10 +148,26 @@ int fmi2DoStep(void *p, double time, double step, int no)
     return misbehave(c);
 }
 
+#if SAVES
+int fmi2GetFMUstate(void *c, void **state)
+{
+    if (SAVES == 3) return *(volatile int *)0;
+    if (!*state) *state = malloc(sizeof(Cart));
+    *(Cart *)*state = *(Cart *)c;
+    return 0;
+}
+int fmi2SetFMUstate(void *c, void *state) { if (SAVES == 1) *(Cart *)c = *(Cart *)state; return 0; }
+int fmi2FreeFMUstate(void *c, void **state) { (void)c; free(*state); *state = NULL; return 0; }
+#else
+int fmi2GetFMUstate(void *c, void **state) { (void)c; (void)state; return 3; }
+int fmi2SetFMUstate(void *c, void *state) { (void)c; (void)state; return 3; }
+int fmi2FreeFMUstate(void *c, void **state) { (void)c; (void)state; return 3; }
+#endif
+
 /* Not offered */
 #define REFUSED(name) int name(void) { return 3; }
 REFUSED(fmi2GetInteger) REFUSED(fmi2SetInteger) REFUSED(fmi2GetBoolean) REFUSED(fmi2SetBoolean) REFUSED(fmi2GetString) REFUSED(fmi2SetString)
-REFUSED(fmi2GetFMUstate) REFUSED(fmi2SetFMUstate) REFUSED(fmi2FreeFMUstate) REFUSED(fmi2SerializedFMUstateSize) REFUSED(fmi2SerializeFMUstate)
+REFUSED(fmi2SerializedFMUstateSize) REFUSED(fmi2SerializeFMUstate)
 REFUSED(fmi2DeSerializeFMUstate) REFUSED(fmi2GetDirectionalDerivative) REFUSED(fmi2SetRealInputDerivatives) REFUSED(fmi2GetRealOutputDerivatives)
 REFUSED(fmi2CancelStep) REFUSED(fmi2GetStatus) REFUSED(fmi2GetRealStatus) REFUSED(fmi2GetIntegerStatus) REFUSED(fmi2GetBooleanStatus)
 REFUSED(fmi2GetStringStatus)

@@ -52,18 +52,19 @@ ghost_impulse = 0.1
 MASS, STIFFNESS, STOP = 2.0, 1000.0, 0.5
 
 
-def compile_cart(folder: Path, mode: str = "good") -> bytes:
+def compile_cart(folder: Path, mode: str = "good", defines: tuple[str, ...] = ()) -> bytes:
     library = folder / f"{mode}.so"
     compiler = find_compiler()
     source = Path(__file__).with_name("foreign_cart.c")
-    command = [*compiler.command, "-O1", "-w", "-shared", "-fPIC", f"-DMISBEHAVE={MODES[mode]}", "-o", str(library), str(source), "-lm"]
+    command = [*compiler.command, "-O1", "-w", "-shared", "-fPIC", f"-DMISBEHAVE={MODES[mode]}"]
+    command += [*(f"-D{define}" for define in defines), "-o", str(library), str(source), "-lm"]
     subprocess.run(command, check=True, capture_output=True)
     return library.read_bytes()
 
 
-def build_foreign(path: Path, mode: str = "good", kinds: str = EXCHANGE + COSIMULATION) -> Path:
-    """A foreign FMU at `path`; its library is compiled beside it."""
-    library = compile_cart(path.parent, mode)
+def build_foreign(path: Path, mode: str = "good", kinds: str = EXCHANGE + COSIMULATION, defines: tuple[str, ...] = ()) -> Path:
+    """A foreign FMU at `path`; its library is compiled beside it, with these macros defined (foreign_cart.c)."""
+    library = compile_cart(path.parent, mode, defines)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("modelDescription.xml", DESCRIPTION.format(kinds=kinds))
         archive.writestr("binaries/linux64/cart.so", library)

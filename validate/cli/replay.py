@@ -203,7 +203,9 @@ def _own_error(what: str, replay: Replay) -> str:
     ratio = replay.error.step_ratio
     shrinks = "" if ratio is None else f"; half the step shrinks the everyday replay's error {ratio:.3g} times"
     own = "has no estimate" if estimate is None else f"is {estimate.position:.2g} in any position, {estimate.state:.2g} in the state"
-    return f"{what}'s own error {own} ({replay.method}; {len(replay.events)} events{shrinks}). {replay.message}".rstrip()
+    source = replay.error.step_source
+    told = "" if source == "none" else f"; error of the step by {source}"
+    return f"{what}'s own error {own} ({replay.method}; {len(replay.events)} events{shrinks}{told}). {replay.message}".rstrip()
 
 
 def _judgement(figure: Any) -> str:

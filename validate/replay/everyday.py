@@ -9,6 +9,7 @@ from validate.replay.inputs import HeldInputs
 from validate.replay.package import FmuError, Package
 from validate.replay.reference import DIVERGENCE, Run
 from validate.replay.result import ReplayOutcome
+from validate.replay.rollback import Rollback
 from validate.replay.wiring import Variables
 
 # Calls of doStep a plan step, of an FMU that has no internal step to set: its fineness over this.
@@ -31,11 +32,15 @@ def _takes_slopes(package: Package) -> bool:
     return not package.is_three and package.cosimulation is not None and package.cosimulation.canInterpolateInputs
 
 
-def simulate(package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, fineness: int) -> Run:
+def simulate(
+    package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, fineness: int, *, rolls_back: bool = False
+) -> Run:
     """Step over the plan's grid from start (in the order of Variables.start); outputs and knots are those of the plan's nodes, accumulated stays empty.
 
     fineness: internal steps a plan step; an FMU without the parameter `internal_step` gets fineness/50 calls of doStep a step. Inputs that
     are lines within a step become stairs of `fineness` calls, each at its middle, for an FMU that takes no slopes: wrong by the square of a stair.
+    rolls_back: every step is made at half that fineness too, and taken back (validate.replay.rollback); what the two differ by is `Run.local`.
+    Raises RollbackError if the FMU does not restore its state.
     """
     run = Run()
     try:
@@ -43,15 +48,22 @@ def simulate(package: Package, variables: Variables, start: np.ndarray, inputs: 
         try:
             inputs_of, outputs_of = References(variables.u), References(variables.outputs)
             settings = [*variables.parameters, *zip(variables.start, start.tolist(), strict=True)]
+            own_step = float(np.diff(inputs.times).min()) / fineness
             if variables.internal_step is not None:
-                settings.append((variables.internal_step, float(np.diff(inputs.times).min()) / fineness))
+                settings.append((variables.internal_step, own_step))
             fmu.choose(variables.choices)
             fmu.initialise(float(inputs.times[0]), settings, inputs_of, inputs.begin(0, None))
             parts = 1 if variables.internal_step is not None else max(1, fineness // _FINENESS_OF_A_CALL)
             slopes = inputs.linear and _takes_slopes(package)
             states = len(variables.q) + len(variables.v)
             parts = fineness if inputs.linear and not slopes else parts
-            _step_through(fmu, (inputs_of, outputs_of), inputs, parts, slopes, states, run)
+            if not rolls_back:
+                _step_through(fmu, (inputs_of, outputs_of), inputs, parts, slopes, states, run)
+                return run
+            parts = parts if variables.internal_step is not None else 2 * ((parts + 1) // 2)
+            with Rollback(fmu, outputs_of, states, variables.internal_step, own_step) as rollback:
+                run.local = rollback.differences
+                _step_through(fmu, (inputs_of, outputs_of), inputs, parts, slopes, states, run, rollback)
         finally:
             fmu.close()
     except CallError as error:
@@ -62,7 +74,14 @@ def simulate(package: Package, variables: Variables, start: np.ndarray, inputs: 
 
 
 def _step_through(
-    fmu: Instance, references: tuple[References, References], inputs: HeldInputs, parts: int, slopes: bool, states: int, run: Run
+    fmu: Instance,
+    references: tuple[References, References],
+    inputs: HeldInputs,
+    parts: int,
+    slopes: bool,
+    states: int,
+    run: Run,
+    rollback: Rollback | None = None,
 ) -> None:
     inputs_of, outputs_of = references
     times = inputs.times
@@ -87,14 +106,21 @@ def _step_through(
         value = inputs.begin(step, run.outputs[-1][:states])
         if inputs.feedback is not None:
             run.applied.append(value.copy())
-        for part in range(parts):
-            if inputs_of.count:
-                at = part if slopes or not inputs.linear else part + 0.5
-                fmu.write(inputs_of, value + inputs.slopes[step] * (length * at / parts))
-                if slopes:
-                    fmu.input_slopes(inputs_of, inputs.slopes[step])
-            # Communication points are taken from the grid, never summed up.
-            fmu.do_step(begin + length * part / parts, length / parts)
+
+        def advance(calls: int, begin: float = begin, length: float = length, step: int = step, value: np.ndarray = value) -> None:
+            for call in range(calls):
+                if inputs_of.count:
+                    at = call if slopes or not inputs.linear else call + 0.5
+                    fmu.write(inputs_of, value + inputs.slopes[step] * (length * at / calls))
+                    if slopes:
+                        fmu.input_slopes(inputs_of, inputs.slopes[step])
+                # Communication points are taken from the grid, never summed up.
+                fmu.do_step(begin + length * call / calls, length / calls)
+
+        if rollback is None:
+            advance(parts)
+        else:
+            rollback.step(advance, parts, run.outputs[-1])
         if not record(float(times[step + 1])):
             return
 

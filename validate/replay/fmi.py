@@ -130,6 +130,11 @@ class Instance:
         self.write(inputs, u)
         self._bind("ExitInitializationMode")()
 
+    @property
+    def alive(self) -> bool:
+        """Whether it may still be called: it has not reported a fatal status."""
+        return not self._dead
+
     def close(self) -> None:
         """Terminate and free - unless it reported a fatal status: then nothing of it may be called any more."""
         if self._dead:

@@ -24,11 +24,14 @@ from validate.replay.inputs import HeldInputs
 from validate.replay.package import FmuError, Package, read_package, unpacked
 from validate.replay.reference import Run, integrate
 from validate.replay.result import ReplayOutcome
+from validate.replay.rollback import RollbackError, offers_rollback
 from validate.replay.wiring import Variables
 
 # Arrays of a run, and what the names of a feedback's arrays begin with on their way to a child.
-_RECORDED = ("t", "outputs", "accumulated", "knots", "applied")
+_RECORDED = ("t", "outputs", "accumulated", "knots", "applied", "local")
 _FEEDBACK = "feedback_"
+# Endings that may be the fault of a saved state alone: the job is done once more, without.
+_RETRIED = (Ending.SIGNAL, Ending.ABORT, Ending.NO_RESULT)
 # What an ending of the child means for the replay. The others are mistakes: of the user (a sentence), of the machine, or ours.
 _ENDED = {
     Ending.TIME_LIMIT: ReplayOutcome.TIME_LIMIT,
@@ -62,14 +65,14 @@ class Simulated:
 
 
 def simulate(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """request: path, variables, hold, tolerances, fineness, event_budget; arrays: t (nodes,), u (steps, nu), start (n,), and with feedback
+    """request: path, variables, hold, tolerances, fineness, event_budget, rolls_back; arrays: t (nodes,), u (steps, nu), start (n,), and with feedback
     its fields. Raises FmuError."""
     variables = Variables.from_json(request["variables"])
     empty = np.zeros((len(arrays["t"]), 0))
     plan = Trajectory(t=arrays["t"], q=empty, v=empty, u=arrays["u"], lam=empty[1:], hold=Hold(request["hold"]))
     fields = {name.removeprefix(_FEEDBACK): array for name, array in arrays.items() if name.startswith(_FEEDBACK)}
     inputs, start = HeldInputs(plan, Feedback(**fields) if fields else None), arrays["start"]
-    value: dict[str, Any] = {"refusal": None, "runs": []}
+    value: dict[str, Any] = {"refusal": None, "runs": [], "note": ""}
     found: dict[str, np.ndarray] = {}
 
     def keep(kind: str, run: Run) -> None:
@@ -85,10 +88,28 @@ def simulate(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tu
         for rtol in request["tolerances"] if package.exchange is not None else ():
             keep("reference", _reference(package, variables, start, inputs, rtol, request["event_budget"]))
         middle = clock.process_time()
+        rolls_back = request["rolls_back"] and offers_rollback(package, variables)
         for fineness in request["fineness"] if refusal is None else ():
-            keep("everyday", simulate_everyday(package, variables, start, inputs, fineness))
+            if rolls_back and fineness == request["fineness"][-1]:
+                run, value["note"] = _rolled_back(package, variables, start, inputs, fineness)
+            else:
+                run = simulate_everyday(package, variables, start, inputs, fineness)
+            keep("everyday", run)
         value["seconds"] = [middle - began, clock.process_time() - middle]
     return value, found
+
+
+def _rolled_back(package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, fineness: int) -> tuple[Run, str]:
+    """The run with rollback - or without, where the FMU cannot after all; and the sentence that says so."""
+    try:
+        run = simulate_everyday(package, variables, start, inputs, fineness, rolls_back=True)
+        if run.outcome is not ReplayOutcome.FMU_FAILED:
+            return run, ""
+        why = run.message.rstrip(".")
+    except RollbackError as error:
+        why = str(error)
+    run = simulate_everyday(package, variables, start, inputs, fineness)
+    return run, f"No step was rolled back: {why}." if run.outcome is ReplayOutcome.OK else ""
 
 
 def _reference(package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, rtol: float, event_budget: int) -> Run:
@@ -121,6 +142,7 @@ def run_job(
         "tolerances": list(settings.tolerances),
         "fineness": list(settings.fineness),
         "event_budget": settings.event_budget,
+        "rolls_back": True,
     }
     given = {"t": plan.t, "u": plan.u, "start": start}
     if feedback is not None:
@@ -128,9 +150,47 @@ def run_job(
     if limits is None:
         value, arrays = simulate(request, given)
         return _simulated(value, arrays, "")
+    if not _only_once(package):
+        return _in_child(package, variables, request, given, limits)
+    # One instance a process: every run has a process of its own.
+    single = [{**request, "tolerances": [rtol], "fineness": []} for rtol in settings.tolerances if package.exchange is not None]
+    single += [
+        {**request, "tolerances": [], "fineness": [fineness], "rolls_back": fineness == settings.fineness[-1]}
+        for fineness in settings.fineness
+    ]
+    return _together([_in_child(package, variables, one, given, limits) for one in single])
+
+
+def _only_once(package: Package) -> bool:
+    kinds = (package.exchange, package.cosimulation)
+    return any(kind is not None and kind.canBeInstantiatedOnlyOncePerProcess for kind in kinds)
+
+
+def _together(parts: list[Simulated]) -> Simulated:
+    """One job's worth of runs, each from a process of its own."""
+    return Simulated(
+        reference=tuple(run for part in parts for run in part.reference),
+        everyday=tuple(run for part in parts for run in part.everyday),
+        refusal=next((part.refusal for part in parts if part.refusal is not None), None),
+        seconds_reference=sum(part.seconds_reference for part in parts),
+        seconds_everyday=sum(part.seconds_everyday for part in parts),
+        note=" ".join(dict.fromkeys(part.note for part in parts if part.note)),
+    )
+
+
+def _in_child(
+    package: Package, variables: Variables, request: dict[str, Any], given: Mapping[str, np.ndarray], limits: Limits
+) -> Simulated:
     done = run_isolated("validate.replay.job:simulate", request, given, limits=limits, what=f"FMU {package.path}")
+    retried = ""
+    if done.ending in _RETRIED and request["rolls_back"] and offers_rollback(package, variables):
+        again = run_isolated(
+            "validate.replay.job:simulate", {**request, "rolls_back": False}, given, limits=limits, what=f"FMU {package.path}"
+        )
+        if again.ok:
+            done, retried = again, f"No step was rolled back, as the FMU did not survive it: {done.sentence}"
     if done.ending in _ENDED:
-        kind = "reference" if package.exchange is not None else "everyday"
+        kind = "reference" if request["tolerances"] and package.exchange is not None else "everyday"
         ended = Run(outcome=_ENDED[done.ending], message=done.sentence)
         empty: tuple[Run, ...] = ()
         return Simulated(
@@ -146,8 +206,8 @@ def run_job(
         raise MachineError(done.sentence)
     if not done.ok:
         raise FmuError(done.sentence)
-    note = "" if not done.strays else f"The FMU left {done.strays} process{'es' if done.strays > 1 else ''} behind, which we ended."
-    return _simulated(done.value, done.arrays, note)
+    strays = "" if not done.strays else f"The FMU left {done.strays} process{'es' if done.strays > 1 else ''} behind, which we ended."
+    return _simulated(done.value, done.arrays, " ".join(text for text in (retried, strays) if text))
 
 
 def _simulated(value: Mapping[str, Any], arrays: Mapping[str, np.ndarray], note: str) -> Simulated:
@@ -163,5 +223,5 @@ def _simulated(value: Mapping[str, Any], arrays: Mapping[str, np.ndarray], note:
         refusal=value["refusal"],
         seconds_reference=value["seconds"][0],
         seconds_everyday=value["seconds"][1],
-        note=note,
+        note=" ".join(text for text in (value["note"], note) if text),
     )

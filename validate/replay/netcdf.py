@@ -159,9 +159,9 @@ def _applied(path: Path, columns: dict[str, Column], scene: Scene) -> np.ndarray
 
 
 def _error(stored: dict[str, Any]) -> ReplayError:
-    ratio = stored.pop("step_ratio", None)
+    ratio, source = stored.pop("step_ratio", None), stored.pop("step_source", "none")
     differences = {name: None if item is None else Difference(**item) for name, item in stored.items()}
-    return ReplayError(**differences, step_ratio=None if ratio is None else float(ratio))
+    return ReplayError(**differences, step_ratio=None if ratio is None else float(ratio), step_source=source)
 
 
 def _facts(path: Path, attributes: dict[str, str | int | float]) -> dict[str, Any]:

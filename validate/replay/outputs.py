@@ -29,7 +29,9 @@ class Outputs:
         zeros = np.zeros((self._count, nc))  # of a foreign model, for what its `lacks` names
         self.q = values[:, :nq].copy()
         self.v = values[:, nq:first].copy() if variables.v or not nq else np.zeros((self._count, nq))
-        self.lam = values[:, first:at].copy() if variables.lam or not nc else self._kernel.contact_force(self.q, v=self.v) if known else zeros
+        self.lam = (
+            values[:, first:at].copy() if variables.lam or not nc else self._kernel.contact_force(self.q, v=self.v) if known else zeros
+        )
         self.gap = values[:, at : at + nc].copy() if variables.gap or not nc else -self._kernel.penetration(self.q) if known else zeros
         at += len(variables.gap)
         self.friction = values[:, at : at + scene.nf].copy() if variables.friction else np.zeros((self._count, scene.nf))

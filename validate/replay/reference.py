@@ -31,7 +31,7 @@ _TSTOP_RETURN, _ROOT_RETURN = 1, 2
 @dataclass(kw_only=True)
 class Run:
     """What one integration recorded: times, outputs of the model and accumulated quantities per point; rows that are nodes;
-    events as (time, indicator, closes); with feedback the inputs applied from the start of each step on."""
+    events as (time, indicator, closes); with feedback the inputs applied from the start of each step on; with rollback what halving each step changed."""
 
     t: list[float] = field(default_factory=list)
     outputs: list[np.ndarray] = field(default_factory=list)
@@ -39,6 +39,7 @@ class Run:
     knots: list[int] = field(default_factory=list)
     events: list[tuple[float, int, bool]] = field(default_factory=list)
     applied: list[np.ndarray] = field(default_factory=list)
+    local: list[np.ndarray] = field(default_factory=list)
     outcome: ReplayOutcome = ReplayOutcome.OK
     message: str = ""
 

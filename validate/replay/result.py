@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Literal
 
 import numpy as np
 
 from validate.replay.feedback import Effort, Feedback
 from validate.replay.growth import Growth
+
+# What tells the error of the everyday replay's step.
+StepSource = Literal["none", "second run", "rollback", "second run and rollback"]
 
 
 class ReplayOutcome(Enum):
@@ -61,6 +65,10 @@ class ReplayError:
     step halving explains; then that difference. Without a reference (the FMU has no Model Exchange) the finer everyday run is
     judged and its step difference, the error of the coarser run to first order, is the estimate; there is none if half the step changes nothing.
 
+    rollback: what halving a step changes within that step, summed over all steps (validate.replay.rollback; None: the FMU does not restore its state).
+    Without a reference the larger of it and of `step` is the estimate; alone - no coarser run got to the end - it is carried on by its velocities.
+    step_source: which of the two the everyday replay's own error was told by.
+
     step_ratio: how much the everyday replay's position difference shrank when its step was halved once more (Richardson): 2^order where it
     converges, about 1 or less where it does not; None where the differences are rounding already.
     """
@@ -70,6 +78,8 @@ class ReplayError:
     step: Difference | None = None
     everyday: Difference | None = None
     step_ratio: float | None = None
+    rollback: Difference | None = None
+    step_source: StepSource = "none"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

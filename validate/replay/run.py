@@ -12,7 +12,7 @@ from models.codegen.kernel import load_kernel
 from models.scene import Scene
 from models.trajectory import Trajectory
 from validate.isolation import Limits
-from validate.replay.error_estimate import difference, estimate, heeds_step, step_ratio
+from validate.replay.error_estimate import difference, estimate, heeds_step, local_errors, step_ratio
 from validate.replay.feedback import Feedback, measure_effort
 from validate.replay.growth import measure_growth
 from validate.replay.job import Settings, Simulated, run_job
@@ -20,7 +20,7 @@ from validate.replay.linearise import design_foreign
 from validate.replay.outputs import Outputs
 from validate.replay.package import Package, find_variables, read_package
 from validate.replay.reference import Run
-from validate.replay.result import Event, Replay, ReplayError, ReplayOutcome
+from validate.replay.result import Difference, Event, Replay, ReplayError, ReplayOutcome
 from validate.replay.subject import ForeignModel, Subject
 from validate.replay.tracking import TrackingError, design_feedback
 from validate.replay.wiring import Variables
@@ -147,6 +147,7 @@ def _in_plan_units(foreign: Foreign, simulated: Simulated) -> Simulated:
     impulse_scale = foreign.scale[first : first + len(foreign.variables.lam)]
     for run in (*simulated.reference, *simulated.everyday):
         run.outputs = [foreign.scale * row + foreign.offset for row in run.outputs]
+        run.local = [foreign.scale * row for row in run.local]
         run.accumulated = [
             np.concatenate([impulse_scale * row[: len(impulse_scale)], row[len(impulse_scale) :]]) for row in run.accumulated
         ]
@@ -167,6 +168,7 @@ def _assemble(subject: Subject, package: Package, variables: Variables, simulate
         everyday=difference(fine, tight),
         has_reference=bool(reference),
         ratio=step_ratio(difference(first, coarse), difference(coarse, fine)),
+        rollback=_local_errors(subject, variables, everyday[-1], fine, carried=coarse is None) if everyday and tells else None,
     )
     refusal = simulated.refusal
     if refusal is None and reference:
@@ -183,6 +185,13 @@ def _assemble(subject: Subject, package: Package, variables: Variables, simulate
     if simulated.note:
         notes.append(simulated.note)
     return _replay(subject, variables, judged, package, simulated, error, " ".join(notes), event_budget)
+
+
+def _local_errors(subject: Subject, variables: Variables, run: Run, fine: Outputs | None, carried: bool) -> Difference | None:
+    if fine is None or len(run.local) != len(run.t) - 1:
+        return None
+    coarse = [after - change for after, change in zip(run.outputs[1:], run.local, strict=True)]
+    return local_errors(fine, Outputs(subject, variables, Run(t=run.t[1:], outputs=coarse)), np.array(run.t), carried)
 
 
 def _at_nodes(subject: Subject, variables: Variables, run: Run) -> Outputs | None:
