@@ -48,6 +48,10 @@ def _together(parts: list[RunRecord]) -> RunRecord:
             "message": message,
             "wall_seconds": sum(part.wall_seconds for part in parts),
             "cpu_seconds": sum(part.cpu_seconds for part in parts),
+            "profile": {
+                phase: sum(part.profile.get(phase, 0.0) for part in parts)
+                for phase in dict.fromkeys(phase for part in parts for phase in part.profile)
+            },
         }
     )
 

@@ -270,6 +270,7 @@ class RunRecord(_Model):
     must_hold: bool  # the last stage is a direct method: where it says `solved`, its plan must hold (reports.rule)
     wall_seconds: Finite
     cpu_seconds: Finite
+    profile: dict[str, Finite] = {}  # wall seconds by phase, in order; their sum is wall_seconds; empty where the cell left no answer
     provenance: ProvenanceRecord
     log_tail: str = ""
 

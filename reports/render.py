@@ -36,6 +36,7 @@ from reports.pages import (
     summary,
     table1,
     tightening,
+    time_spent,
     tolerance,
     violation,
 )
@@ -60,6 +61,7 @@ _PAGES = (
     cosimulation,
     errata,
     scaling,
+    time_spent,
     provenance,
 )
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from formulations.method import Pipeline
 from formulations.pipeline import pipeline_from_json, pipeline_to_json
 from models.errors import MachineError, TouchstoneError
+from validate.profile import Profile
 from validate.store import PROGRESS
 
 if TYPE_CHECKING:
@@ -74,8 +75,9 @@ class _Solved:
     cpu: float
 
 
-def run_cell(cell: Cell, provenance: ProvenanceRecord, folder: Path, began: float) -> RunRecord:
-    """Solve, judge and describe a cell. began: time.monotonic() at the start of the process, from which the time limit counts.
+def run_cell(cell: Cell, provenance: ProvenanceRecord, folder: Path, began: float, profile: Profile | None = None) -> RunRecord:
+    """Solve, judge and describe a cell. began: time.monotonic() at the start of the process, from which the time limit counts; profile: of
+    the process until now.
 
     Raises MachineError where this machine cannot go on; whatever else goes wrong in a method or the judge is in the record.
     """
@@ -84,16 +86,21 @@ def run_cell(cell: Cell, provenance: ProvenanceRecord, folder: Path, began: floa
     from validate.scene_record import scene_record
     from validate.tools import load_tools
 
+    profile = profile or Profile(began)
     tools = load_tools(cell.tools)
+    profile.lap("imports")
     scene = load_scene(cell.scene)
+    profile.lap("scene")
     methods = {leg.method: tools.load_method(leg.method) for leg in cell.pipeline.legs}
     plan = planned_stages(cell.pipeline, methods)
     deadline = began + cell.time_limit - min(_JUDGING_MOST, _JUDGING_SHARE * cell.time_limit)
-    solved, rest = _solve(scene, cell.pipeline, plan, deadline, folder)
+    profile.lap("imports")
+    solved, rest = _solve(tools, scene, plan, deadline, folder, profile)
     _progress(folder, "the certificate")
     solved = [_certified(tools, scene, item) for item in solved]
+    profile.lap("certificate")
     _progress(folder, "the replay")
-    judged = _judge_all(tools, scene, solved, folder, len(plan))
+    judged = _judge_all(tools, scene, solved, folder, len(plan), profile)
     stages: list[StageRecord] = []
     before = 0.0
     for item, verdict in zip(solved, judged, strict=True):
@@ -105,9 +112,12 @@ def run_cell(cell: Cell, provenance: ProvenanceRecord, folder: Path, began: floa
         before += item.wall
     stages += [unfinished_stage(scene.name, cell.pipeline.name, planned, outcome, message) for planned, outcome, message in rest]
     log = (folder / "log.txt").read_text(encoding="utf-8", errors="replace") if (folder / "log.txt").exists() else ""
-    wall = time.monotonic() - began
+    drawn = scene_record(scene)
+    profile.lap("record")
     cause = rest[0][2] if rest else None  # the stages after it only say that it came before them
-    return run_record(cell, scene_record(scene), stages, provenance, wall=wall, cpu=time.process_time(), log=log, message=cause)
+    return run_record(
+        cell, drawn, stages, provenance, wall=profile.total, cpu=time.process_time(), log=log, message=cause, profile=profile.seconds
+    )
 
 
 def _progress(folder: Path, text: str) -> None:
@@ -115,7 +125,9 @@ def _progress(folder: Path, text: str) -> None:
     (folder / PROGRESS).write_text(text, encoding="utf-8")
 
 
-def _solve(scene: Scene, pipeline: Pipeline, plan: tuple[Planned, ...], deadline: float, folder: Path) -> tuple[list[_Solved], list[tuple]]:
+def _solve(
+    tools: Tools, scene: Scene, plan: tuple[Planned, ...], deadline: float, folder: Path, profile: Profile
+) -> tuple[list[_Solved], list[tuple]]:
     """Run the stages in order. Returns those that ran, and (planned, outcome, message) of those that did not."""
     from formulations.solution import Outcome
 
@@ -123,7 +135,7 @@ def _solve(scene: Scene, pipeline: Pipeline, plan: tuple[Planned, ...], deadline
         reason = planned.method.accepts(scene)
         if reason is not None:
             return [], [(other, Outcome.REFUSED, f"{planned.name}: {reason}") for other in plan]
-    _prepare(scene, plan, folder)
+    _prepare(tools, scene, plan, folder, profile)
     solved: list[_Solved] = []
     opened = _Opened(scene)
     warm_start = None
@@ -140,6 +152,7 @@ def _solve(scene: Scene, pipeline: Pipeline, plan: tuple[Planned, ...], deadline
                 raise
             except Exception as error:  # noqa: BLE001 - a method may fail in any way; the log has the traceback, the row has the sentence
                 traceback.print_exc()
+                profile.lap("solve_rest")
                 outcome = Outcome.FAILED if isinstance(error, TouchstoneError) else Outcome.CRASHED
                 message = (
                     str(error) if isinstance(error, TouchstoneError) else f"{type(error).__name__} in {planned.name}: {_first_line(error)}"
@@ -147,6 +160,8 @@ def _solve(scene: Scene, pipeline: Pipeline, plan: tuple[Planned, ...], deadline
                 later = f"not begun, because stage {planned.index + 1} ({_stage_name(planned)}) gave no answer."
                 rest = [(other, outcome, message if other is planned else later) for other in plan[planned.index :]]
                 return solved, rest
+            spent = item.solution.seconds
+            profile.split({name: getattr(spent, name) for name in ("build", "translate", "evaluate", "linear_algebra")}, rest="solve_rest")
             solved.append(item)
             warm_start = item.solution.trajectory or warm_start
     finally:
@@ -154,16 +169,24 @@ def _solve(scene: Scene, pipeline: Pipeline, plan: tuple[Planned, ...], deadline
     return solved, []
 
 
-def _prepare(scene: Scene, plan: tuple[Planned, ...], folder: Path) -> None:
-    """Open and close every method once, so that importing libraries and compiling the scene count in no stage's seconds."""
+def _prepare(tools: Tools, scene: Scene, plan: tuple[Planned, ...], folder: Path, profile: Profile) -> None:
+    """Compile the scene, and open and close every method once, so that neither that nor importing libraries counts in any stage's seconds."""
+    _progress(folder, "the compilation of the scene")
+    _tried(lambda: tools.compile(scene))
+    profile.lap("compile")
     for planned in {planned.name: planned for planned in plan}.values():
         _progress(folder, f"the preparation of {planned.name}")
-        try:
-            planned.method.open(scene, planned.options).close()
-        except MachineError:
-            raise
-        except Exception:  # noqa: BLE001 - it will happen again where it belongs, in the stage
-            traceback.print_exc()
+        _tried(lambda planned=planned: planned.method.open(scene, planned.options).close())
+    profile.lap("opening")
+
+
+def _tried(preparation: Callable[[], object]) -> None:
+    try:
+        preparation()
+    except MachineError:
+        raise
+    except Exception:  # noqa: BLE001 - it will happen again where it belongs, in the stage
+        traceback.print_exc()
 
 
 def _stage_name(planned: Planned) -> str:
@@ -219,12 +242,13 @@ def _certified(tools: Tools, scene: Scene, item: _Solved) -> _Solved:
         return item
 
 
-def _judge_all(tools: Tools, scene: Scene, solved: list[_Solved], folder: Path, stages: int) -> list[Judged]:
+def _judge_all(tools: Tools, scene: Scene, solved: list[_Solved], folder: Path, stages: int, profile: Profile) -> list[Judged]:
     fmu = tools.build_fmu(scene) if any(item.solution.trajectory is not None for item in solved) else None
-    return [_judge(tools, scene, fmu, item, folder, stages) for item in solved]
+    profile.lap("fmu_build")
+    return [_judge(tools, scene, fmu, item, folder, stages, profile) for item in solved]
 
 
-def _judge(tools: Tools, scene: Scene, fmu: Path | None, item: _Solved, folder: Path, stages: int) -> Judged:
+def _judge(tools: Tools, scene: Scene, fmu: Path | None, item: _Solved, folder: Path, stages: int, profile: Profile) -> Judged:
     from models.trajectory_netcdf import write_netcdf
     from validate.records import Judged
 
@@ -233,21 +257,26 @@ def _judge(tools: Tools, scene: Scene, fmu: Path | None, item: _Solved, folder: 
         return Judged()
     ending = "" if item.planned.index == stages - 1 else f"_{item.planned.index + 1}"
     write_netcdf(folder / f"trajectory{ending}.nc", trajectory, scene)
+    profile.lap("writing")
     began = time.perf_counter()
     replay = None
     try:
         replay = tools.replay(scene, fmu, trajectory)
+        profile.lap("replay")
         score = tools.score(scene, trajectory, replay)
+        profile.lap("score")
         seconds = time.perf_counter() - began
         tools.write_replay(folder / f"replay{ending}.nc", replay, scene)
         tracked = getattr(replay, "tracked", None)
         if tracked is not None:
             tools.write_replay(folder / f"tracked{ending}.nc", tracked, scene)
             write_netcdf(folder / f"trajectory{ending}.nc", trajectory, scene, tracked.feedback.gains)
+        profile.lap("writing")
     except MachineError:
         raise
     except Exception as error:  # noqa: BLE001 - the plan is kept even if the judge stumbles; the verdict is then not resolved
         traceback.print_exc()
+        profile.lap("replay" if replay is None else "score")
         return Judged(
             replay=replay, seconds=time.perf_counter() - began, problem=f"the judge ended with {type(error).__name__}: {_first_line(error)}"
         )

@@ -14,6 +14,7 @@ import time
 from pathlib import Path
 
 from validate.isolation.guards import die_with_parent, limit_resources
+from validate.profile import Profile
 
 # A cell that wrote MACHINE ends with this; the file, not the code, is what counts.
 _EXIT_MACHINE = 3
@@ -23,6 +24,7 @@ _LARGEST_FILE = 2 * 1024**3
 
 def main(folder: Path) -> int:
     """Run the cell of a folder; the process's exit code."""
+    profile = Profile.since_process_start()
     began = time.monotonic()
     die_with_parent()
     limit_resources(file_bytes=_LARGEST_FILE)
@@ -45,7 +47,8 @@ def main(folder: Path) -> int:
         if "examination" in wanted:
             record = run_examination(Examination.from_json(wanted), provenance, folder, began)
         else:
-            record = run_cell(Cell.from_json(wanted), provenance, folder, began)
+            profile.lap("imports")
+            record = run_cell(Cell.from_json(wanted), provenance, folder, began, profile)
         write_durably(folder / RECORD, record.model_dump_json(indent=1))
     except MachineError as error:
         (folder / MACHINE).write_text(str(error), encoding="utf-8")

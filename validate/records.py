@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from formulations.pipeline import stage_plan
@@ -135,8 +136,9 @@ def run_record(
     log: str,
     outcome: str | None = None,
     message: str | None = None,
+    profile: Mapping[str, float] = MappingProxyType({}),
 ) -> RunRecord:
-    """The record of a cell; its outcome, message and verdict are those of the last stage unless given."""
+    """The record of a cell; its outcome, message and verdict are those of the last stage unless given. profile: wall seconds by phase."""
     last = stages[-1]
     return RunRecord(
         key=cell.key,
@@ -152,6 +154,7 @@ def run_record(
         must_hold=last.kind == "direct",
         wall_seconds=wall,
         cpu_seconds=cpu,
+        profile=dict(profile),
         provenance=provenance,
         log_tail="\n".join(log.splitlines()[-_LOG_LINES:]),
     )

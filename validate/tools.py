@@ -49,6 +49,12 @@ def _examinations(scenes: Sequence[SceneReference]) -> list[Examination]:
     return found
 
 
+def _compile(scene: Scene) -> None:
+    from models.codegen.kernel import load_kernel
+
+    load_kernel(scene)
+
+
 def _build_fmu(scene: Scene) -> Path:
     from models.fmu import build_fmu
 
@@ -97,6 +103,7 @@ class Tools:
     pipelines_for: Callable[[Scene], tuple[Pipeline, ...]] = _pipelines_for
     quick: tuple[str, ...] | None = None
     examinations: Callable[[Sequence[SceneReference]], Sequence[Examination]] = _examinations
+    compile: Callable[[Scene], None] = _compile
     build_fmu: Callable[[Scene], Path] = _build_fmu
     certify: Callable[[Scene, Solution], Solution] = _certify
     replay: Callable[[Scene, Path, Trajectory], Any] = _replay

@@ -167,6 +167,8 @@ class FakeDifference:
 class FakeError:
     estimate: FakeDifference = field(default_factory=FakeDifference)
     tolerance: FakeDifference | None = None
+    rollback: FakeDifference | None = None
+    step_source: str = "none"
     step: FakeDifference | None = None
     everyday: FakeDifference | None = None
 
@@ -240,6 +242,7 @@ def _fake_tools(score=_score) -> Tools:
         pipelines_for=lambda scene: PIPELINES,
         quick=("soft+good",),
         examinations=lambda scenes: (),
+        compile=lambda scene: None,
         build_fmu=lambda scene: Path(os.devnull),
         replay=_replay,
         score=score,

@@ -1,0 +1,118 @@
+"""Where the wall time of a campaign goes: the slowest runs, each with the phases its time was spent in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from reports.pages.section import Report, Section
+from reports.record import RunRecord
+from reports.wording import count, listing, seconds, spaced
+
+_SLOWEST = 10
+# Phase -> (what it is in words, the group it belongs to). What is not named here is shown by its own name, in the last group.
+PHASES = {
+    "start": ("interpreter", "starting"),
+    "imports": ("imports", "starting"),
+    "scene": ("reading the scene", "starting"),
+    "compile": ("compiling the scene", "compiling"),
+    "opening": ("opening methods", "starting"),
+    "build": ("building models", "modelling"),
+    "translate": ("translating them", "modelling"),
+    "evaluate": ("functions and derivatives", "evaluating"),
+    "linear_algebra": ("linear algebra of solvers", "linear algebra"),
+    "solve_rest": ("the rest of solving", "other"),
+    "certificate": ("certificates", "judging"),
+    "fmu_build": ("building the FMU", "compiling"),
+    "replay": ("replaying", "judging"),
+    "score": ("scoring", "judging"),
+    "writing": ("writing files", "other"),
+    "record": ("the record", "other"),
+}
+_GROUPS = ("starting", "compiling", "modelling", "evaluating", "linear algebra", "judging", "other")
+# Sections of a bar are this many units wide in all.
+_WIDTH = 300.0
+# A share below this is told in no sentence.
+_TOLD = 0.1
+
+
+@dataclass(frozen=True)
+class Part:
+    """A piece of a bar: from x, `width` of the whole bar's units, filled by `style`."""
+
+    x: float
+    width: float
+    style: str
+    words: str
+
+
+@dataclass(frozen=True)
+class Slow:
+    """One run: groups: wall seconds of each group; phases: (words, seconds) by length; bar: as wide as its share of the slowest run."""
+
+    run: RunRecord
+    anchor: str
+    groups: tuple[float, ...]
+    phases: tuple[tuple[str, float], ...]
+    bar: tuple[Part, ...]
+
+
+def build(report: Report) -> Section | None:
+    profiled = sorted((run for run in report.stored.runs if run.profile), key=lambda run: (-run.wall_seconds, run.key))
+    if not profiled:
+        return None
+    longest = profiled[0].wall_seconds or 1.0
+    slowest = [_slow(run, report.anchor(run), longest) for run in profiled[:_SLOWEST]]
+    values = {
+        "slowest": slowest,
+        "groups": _GROUPS,
+        "styles": {group: _style(group) for group in _GROUPS},
+        "sentence": _sentence(profiled),
+        "without": len(report.stored.runs) - len(profiled),
+        "width": _WIDTH,
+    }
+    return Section("time-spent", "Where time goes", "time_spent.html", values)
+
+
+def _group(phase: str) -> str:
+    return PHASES[phase][1] if phase in PHASES else _GROUPS[-1]
+
+
+def _style(group: str) -> str:
+    return f"c{_GROUPS.index(group) % 6}" if group != _GROUPS[-1] else "rest"
+
+
+def _words(phase: str) -> str:
+    return PHASES[phase][0] if phase in PHASES else spaced(phase)
+
+
+def _by_group(run: RunRecord) -> dict[str, float]:
+    found = dict.fromkeys(_GROUPS, 0.0)
+    for phase, spent in run.profile.items():
+        found[_group(phase)] += spent
+    return found
+
+
+def _slow(run: RunRecord, anchor: str, longest: float) -> Slow:
+    groups = _by_group(run)
+    bar, x = [], 0.0
+    for group, spent in groups.items():
+        width = max(0.0, _WIDTH * spent / longest)
+        bar.append(Part(round(x, 2), round(width, 2), _style(group), f"{group}: {seconds(spent)} s"))
+        x += width
+    phases = sorted(((_words(phase), spent) for phase, spent in run.profile.items()), key=lambda item: -item[1])
+    return Slow(run, anchor, tuple(groups.values()), tuple(phases), tuple(bar))
+
+
+def _sentence(runs: list[RunRecord]) -> str:
+    """What the wall time of all profiled runs was spent on, largest first."""
+    spent: dict[str, float] = {}
+    for run in runs:
+        for phase, took in run.profile.items():
+            spent[_words(phase)] = spent.get(_words(phase), 0.0) + took
+    whole = sum(spent.values())
+    if whole <= 0.0:
+        return ""
+    told = [
+        f"{name} ({100 * took / whole:.0f} %)" for name, took in sorted(spent.items(), key=lambda item: -item[1]) if took >= _TOLD * whole
+    ]
+    return f"Of the {seconds(whole)} s of {count(len(runs), 'run')}, most went to {listing(told)}." if told else ""
