@@ -2,7 +2,19 @@
 
 from __future__ import annotations
 
-from validate.fmu_check import agreement, archive, derivatives, description, exchange, repetition, states, timing, values
+from validate.fmu_check import (
+    agreement,
+    archive,
+    communication,
+    derivatives,
+    description,
+    exchange,
+    repetition,
+    states,
+    timing,
+    values,
+    within_step,
+)
 from validate.fmu_check.result import Check
 
 # Of the file alone; the others need its description, and most of them run its code.
@@ -19,6 +31,10 @@ BEHAVIOUR: tuple[Check, ...] = (
     values.get_order,
     timing.keeps_time,
     timing.stop_time,
+    communication.event_mode,
+    communication.early_return,
+    within_step.intermediate_update,
+    within_step.input_derivatives,
     repetition.repeats,
     repetition.resets,
     repetition.independent,

@@ -37,8 +37,9 @@ class Instance:
 
     prefix: str
 
-    def __init__(self, subject: Subject, kind: str, name: str = "check") -> None:
-        self.subject, self.kind = subject, kind
+    def __init__(self, subject: Subject, kind: str, name: str = "check", options: Mapping[str, Any] | None = None) -> None:
+        """options: more arguments of FMPy's instantiate()."""
+        self.subject, self.kind, self.options = subject, kind, dict(options or {})
         self.said: deque[str] = deque(maxlen=4)
         self.stop: float | None = None
         self.tolerance: float | None = None  # for the FMU's own integrator; None: what it likes
@@ -286,12 +287,12 @@ class Instance:
         return f"; it said: {text[:200]}" if text else ""
 
 
-def new_instance(subject: Subject, kind: str, name: str = "check") -> Instance:
-    """An instance of type "ME" or "CS". Raises Misbehaviour if the binary cannot be loaded or refuses."""
+def new_instance(subject: Subject, kind: str, name: str = "check", options: Mapping[str, Any] | None = None) -> Instance:
+    """An instance of type "ME" or "CS"; options: more arguments of FMPy's instantiate(). Raises Misbehaviour if the binary cannot be loaded or refuses."""
     if subject.major == 2:
         from validate.fmu_check.instance_fmi2 import Instance2
 
-        return Instance2(subject, kind, name)
+        return Instance2(subject, kind, name, options)
     from validate.fmu_check.instance_fmi3 import Instance3
 
-    return Instance3(subject, kind, name)
+    return Instance3(subject, kind, name, options)

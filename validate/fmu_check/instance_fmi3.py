@@ -15,7 +15,7 @@ from validate.fmu_check.subject import Variable
 
 
 class Instance3(Instance):
-    """See validate.fmu_check.instance. Co-Simulation without event mode and without early return."""
+    """See validate.fmu_check.instance. Co-Simulation without event mode and without early return, unless `options` ask for them."""
 
     prefix = "fmi3"
 
@@ -30,7 +30,7 @@ class Instance3(Instance):
             self.said.append((message or b"").decode("utf-8", errors="replace"))
 
         try:
-            self.fmu.instantiate(logMessage=keep)
+            self.fmu.instantiate(logMessage=keep, **self.options)
         except FMICallException:
             raise
         except Exception as error:  # FMPy's bare Exception for a null pointer
@@ -66,6 +66,13 @@ class Instance3(Instance):
         if terminate:
             raise Ended(time + step)
         return float(reached)
+
+    def answered_step(self, time: float, step: float) -> tuple[bool, bool, float]:
+        """One communication step: whether an event is to be handled, whether it returned early, the time it says it reached. Raises Ended."""
+        event, terminate, early, reached = self.fmu.doStep(time, step)
+        if terminate:
+            raise Ended(time + step)
+        return bool(event), bool(early), float(reached)
 
     def directional(self, unknowns: Sequence[Variable], knowns: Sequence[Variable], seed: Sequence[float]) -> np.ndarray:
         result = self.fmu.getDirectionalDerivative(
