@@ -154,17 +154,17 @@ def early_return(subject: Subject, kind: str) -> Finding:
             return failed(f"it returned early, though {_MIGHT} is false.")
         said.append(f"{told.early} times at events")
     if asked and subject.can(kind, _UPDATE):
-        wrong = _asked_to_return(subject, kind)
+        asked, wrong = _asked_to_return(subject, kind)
         if wrong:
             return failed(f"{wrong}.")
-        said.append("where it was asked to")
+        said.append("where it was asked to" if asked else "nowhere on demand, as its intermediate update never offered that")
     if not said:
         return not_offered("it has neither event mode nor intermediate update, by which it could be asked.")
     return passed(f"it returned early {' and '.join(said)}; the times told are right.")
 
 
-def _asked_to_return(subject: Subject, kind: str) -> str:
-    """Ask for an early return at the first chance; what is wrong, in words."""
+def _asked_to_return(subject: Subject, kind: str) -> tuple[bool, str]:
+    """Ask for an early return at the first chance: (whether there was one, what is wrong, in words)."""
     chances: list[float] = []
 
     def ask(_environment: Any, time: float, _set: bool, _get: bool, finished: bool, may: bool, early: Any, when: Any) -> None:
@@ -181,10 +181,10 @@ def _asked_to_return(subject: Subject, kind: str) -> str:
         _, early, reached = instance.answered_step(begin, step)
         near = _SAME * subject.step
         if not chances:
-            return f"in a step of {step:g} s its intermediate update never said that it can return early"
+            return False, ""
         if not early and begin + step - chances[0] > near:
-            return f"it was asked at {chances[0]:.9g} s to return early, and went on to {reached:.9g} s"
+            return True, f"it was asked at {chances[0]:.9g} s to return early, and went on to {reached:.9g} s"
         if early and not chances[0] - near <= reached < begin + step + near:
-            return f"it was asked to return at {chances[0]:.9g} s, and says that it reached {reached:.9g} s"
+            return True, f"it was asked to return at {chances[0]:.9g} s, and says that it reached {reached:.9g} s"
         instance.answered_step(reached, begin + step - reached if begin + step - reached > near else subject.step)
-    return ""
+    return True, ""

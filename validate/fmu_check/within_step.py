@@ -103,11 +103,11 @@ def input_derivatives(subject: Subject, kind: str) -> Finding:
     first, last = subject.inputs_at(0), subject.inputs_at(HOLD, seed=1)
     slope = (last - first) / length
 
-    def end(stairs: int, slopes: np.ndarray | None) -> np.ndarray:
+    def end(stairs: int, slopes: np.ndarray | None, climb: np.ndarray = slope) -> np.ndarray:
         with new_instance(subject, kind) as instance:
             instance.begin()
             for stair in range(stairs):
-                at = first if slopes is not None else first + slope * length * (stair + 0.5) / stairs
+                at = first if slopes is not None else first + climb * length * (stair + 0.5) / stairs
                 instance.set(inputs, at)
                 if slopes is not None:
                     instance.fmu.setRealInputDerivatives(
@@ -123,6 +123,11 @@ def input_derivatives(subject: Subject, kind: str) -> Finding:
     effect = np.abs(line - held) / scale
     if effect.max(initial=0.0) < _VISIBLE:
         return not_offered(f"what a slope changes within {length:g} s is too small to be seen.")
+    own_error = np.abs(end(_STAIRS, None, 0.0 * slope) - held) / scale
+    if own_error.max() > _NEARER * effect.max():
+        return not_offered(
+            f"its own steps are too coarse to tell: without slopes, one step of {length:g} s and {_STAIRS} small ones differ as well."
+        )
     away = np.abs(sloping - line) / scale
     worst = int(np.argmax(away - _NEARER * effect))
     if away[worst] > _NEARER * effect[worst] + _VISIBLE:
