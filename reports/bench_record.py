@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, RootModel
 from reports.balance_record import BalanceRecord
 from reports.record import Finite
 from reports.scaling_record import ScalingRecord
+from reports.suite_record import SuiteRecord
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
@@ -111,7 +112,7 @@ class RigidLimitRecord(_Model):
     cases: tuple[RigidLimitCase, ...]
 
 
-AnyBench = BalanceRecord | CosimRecord | ReplaySpeedRecord | RigidLimitRecord | ScalingRecord
+AnyBench = BalanceRecord | CosimRecord | ReplaySpeedRecord | RigidLimitRecord | ScalingRecord | SuiteRecord
 
 
 class BenchRecord(RootModel[Annotated[AnyBench, Field(discriminator="kind")]]):

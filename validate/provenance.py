@@ -32,6 +32,7 @@ SEED = 0
 LIBRARIES = ("numpy", "scipy", "sympy", "pyomo", "cyipopt-wheels", "ipyopt", "torch", "fmpy", "scikit-sundae")
 # Parts of us that cannot change a number of a cell: how cells are chosen, run side by side, listed and told.
 _NO_INFLUENCE = (
+    "validate/bench/",
     "validate/cli",
     "validate/__main__.py",
     "validate/campaign.py",

@@ -28,7 +28,7 @@ PHASES = {
     "writing": ("writing files", "other"),
     "record": ("the record", "other"),
 }
-_GROUPS = ("starting", "compiling", "modelling", "evaluating", "linear algebra", "judging", "other")
+_GROUPS: tuple[str, ...] = ("starting", "compiling", "modelling", "evaluating", "linear algebra", "judging", "other")
 # Sections of a bar are this many units wide in all.
 _WIDTH = 300.0
 # A share below this is told in no sentence.

@@ -1,0 +1,43 @@
+"""Works for the tests of the suite: in the child, by their names."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from models.errors import TouchstoneError
+from validate.bench.case import Size, Work
+
+
+def _log(name: str) -> None:
+    with open(os.environ["BENCH_LOG"], "a", encoding="utf-8") as log:
+        log.write(f"{name}\n")
+
+
+def steady(size: Size, folder: Path) -> Work:
+    """Some milliseconds."""
+    _log("steady")
+    return lambda: {"value": float(sum(range(200_000)))}
+
+
+def heavy(size: Size, folder: Path) -> Work:
+    _log("heavy")
+    kept = []
+
+    def work() -> Mapping[str, Any]:
+        if not kept:
+            kept.append(bytearray(os.urandom(1024)) * (64 * 1024))
+        return {}
+
+    return work
+
+
+def broken(size: Size, folder: Path) -> Work:
+    raise TouchstoneError("it cannot.")
+
+
+def dies(size: Size, folder: Path) -> Work:
+    return lambda: {"value": float(ctypes.string_at(0)[0])}

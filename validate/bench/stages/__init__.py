@@ -1,0 +1,1 @@
+"""Our stages: each function prepares, and hands back the work that is measured."""

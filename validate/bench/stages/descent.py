@@ -1,0 +1,53 @@
+"""Gradient descent through true contact: one whole iteration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from validate.bench.carts import INPUT_WEIGHT, push, scene_of
+from validate.bench.case import Size, Work
+
+# Iterations of one call; the rate is so small that none of them leaves the plan it starts from.
+_ITERATIONS, _RATE = 100, 1e-9
+
+
+def gd_iteration(size: Size, folder: Path) -> Work:
+    """Loss, gradient, history, stopping rule, step and projection on the bounds, as the methods of single shooting run it."""
+    import torch
+
+    from formulations.shooting.descent import Settings, descend
+    from formulations.shooting.objective import Objective
+    from models.codegen.kernel import load_kernel
+    from models.contact_law import ContactLaw
+    from validate.bench.measure import cpu_seconds
+
+    torch.set_num_threads(1)
+    objective = Objective(load_kernel(scene_of(size)), law=ContactLaw.RELU)
+    u, settings = push(size.steps), Settings(learning_rate=_RATE, iterations=_ITERATIONS)
+    descend(objective, u, Settings(learning_rate=_RATE, iterations=2), 1e5)
+
+    def work() -> Mapping[str, Any]:
+        began = cpu_seconds()
+        descent = descend(objective, u, settings, 1e5)
+        return {"cpu_s": (cpu_seconds() - began) / _ITERATIONS, "iterations": _ITERATIONS, "value": descent.history["gradient_norm"][0]}
+
+    return work
+
+
+def gd_kernel(size: Size, folder: Path) -> Work:
+    """The compiled part of an iteration, in reused buffers: rollout and adjoint."""
+    from models.codegen.kernel import load_kernel
+    from models.codegen.workspace import Workspace
+    from models.contact_law import ContactLaw
+
+    scene, u = scene_of(size), push(size.steps)
+    buffers = Workspace(load_kernel(scene), scene.task.start, steps=size.steps, step=scene.task.step, law=ContactLaw.RELU)
+
+    def work() -> Mapping[str, Any]:
+        buffers.rollout(u)
+        buffers.adjoint(INPUT_WEIGHT)
+        return {"value": float(buffers.q[-1, 0])}
+
+    return work

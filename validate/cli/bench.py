@@ -1,0 +1,180 @@
+"""`bench`: each stage measured beside what people would use instead."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from validate.cli.table import one_line, table
+
+if TYPE_CHECKING:
+    from reports.suite_record import SuiteRecord
+    from validate.bench.case import Size
+    from validate.bench.compare import Comparison
+
+_EPILOG = """\b
+Examples:
+  python -m validate bench --quick
+  python -m validate bench -k "gd_iteration or cs_replay" --size 3x500
+  python -m validate bench --compare runs/all/bench/suite.json
+
+Every measurement is a child process with one thread; all stages and peers of a
+size take turns, round after round, beside a fixed piece of work that tells how
+fast the machine is. Peers are measured where they are installed:
+pip install 'touchstone-contact[bench]' drake
+
+\b
+Exit codes: 0 measured; 1 a stage of ours gave no answer, or --compare found a
+regression beyond its noise; 2 usage, or nothing selected.
+"""
+_FILE = Path("bench") / "suite.json"
+
+
+def _sizes(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> tuple[Size, ...]:
+    from validate.bench.case import Size
+
+    found = []
+    for value in values:
+        parts = re.fullmatch(r"(\d+)x(\d+)", value)
+        if parts is None or not 3 <= int(parts[1]) <= 20 or int(parts[2]) < 1:
+            raise click.BadParameter(f"{value!r} is no size; write carts x steps, such as 3x500, with 3 to 20 carts.", context, parameter)
+        found.append(Size(int(parts[1]), int(parts[2])))
+    return tuple(found)
+
+
+@click.command(epilog=_EPILOG)
+@click.option("--quick", is_flag=True, help="Tiny sizes: whether it runs, not how fast it is.")
+@click.option(
+    "-k", "expression", default="", metavar="EXPR", help="Only stages and peers whose names match: words joined with and, or, not."
+)
+@click.option("--size", "sizes", multiple=True, metavar="NxT", callback=_sizes, help="Carts x steps, such as 3x500; may be repeated.")
+@click.option("--repeats", type=click.IntRange(min=1), default=5, show_default=True, metavar="N", help="Rounds.")
+@click.option("--slow", is_flag=True, help="Also what takes minutes: whole campaigns, and exact contact beside other packages; once each.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default="runs/all",
+    show_default=True,
+    metavar="DIR",
+    help="The folder of a campaign: the figures go to DIR/bench/suite.json, for its report.",
+)
+@click.option(
+    "--compare",
+    "earlier",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.json",
+    help="Fail on what got worse since that file.",
+)
+@click.option("--json", "as_json", is_flag=True, help="The figures as JSON on stdout.")
+@click.pass_context
+def command(
+    context: click.Context,
+    quick: bool,
+    expression: str,
+    sizes: tuple[Size, ...],
+    repeats: int,
+    slow: bool,
+    out: Path,
+    earlier: Path | None,
+    as_json: bool,
+) -> int:
+    """Measure each stage - compile, build, translate, evaluate, solve, descend, replay, report - and its peers: median, spread, memory, over n T."""
+    from validate.bench.compare import compare
+    from validate.bench.run import Settings, failures, run_suite
+    from validate.bench.suite import FULL_SIZES, QUICK_SIZES
+    from validate.provenance import command_line
+    from validate.store import write_durably
+
+    before = None if earlier is None else _read(earlier)
+    settings = Settings(
+        sizes=sizes or (QUICK_SIZES if quick else FULL_SIZES),
+        repeats=repeats,
+        expression=expression,
+        slow=slow,
+        quick=quick,
+        campaign=out if (out / "campaign.json").is_file() else None,
+        command=command_line(context.obj or ["bench"]),
+    )
+    record = run_suite(settings, lambda sentence: click.echo(one_line(sentence), err=True))
+    comparison = None if before is None else compare(before, record)
+    if before is not None and comparison is not None and not comparison.pairs:
+        raise click.UsageError(f"{earlier}: it has no stage and size in common with this run; compare runs with the same --size and -k.")
+    (out / _FILE).parent.mkdir(parents=True, exist_ok=True)
+    write_durably(out / _FILE, record.model_dump_json(indent=1))
+    if as_json:
+        click.echo(record.model_dump_json(indent=1))
+    else:
+        _tell(record)
+        click.echo(f"\nwritten: {out / _FILE}; `python -m validate report {out}` shows it")
+    if comparison is not None:
+        _tell_comparison(comparison, err=as_json)
+    failed = failures(record)
+    for sentence in failed:
+        click.echo(one_line(f"fails: {sentence}"), err=True)
+    return 1 if failed or (comparison is not None and comparison.regressions) else 0
+
+
+def _read(path: Path) -> SuiteRecord:
+    from pydantic import ValidationError
+
+    from reports.suite_record import SuiteRecord
+
+    try:
+        return SuiteRecord.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise click.UsageError(
+            f"{path} cannot be read ({error.strerror}); give a suite.json that an earlier run of bench wrote."
+        ) from error
+    except (ValidationError, json.JSONDecodeError) as error:
+        raise click.UsageError(f"{path} is no record of this suite; give a suite.json that an earlier run of bench wrote.") from error
+
+
+def _tell(record: SuiteRecord) -> None:
+    from reports.suite_record import middle, spread
+
+    def plain(value: float | None, form: str) -> str:
+        return "" if value is None else format(value, form)
+
+    lines = [
+        [
+            row.stage, row.by, f"{row.n}x{row.steps}" if row.n else "", plain(middle(row.cpu_s), ".3g"), plain(spread(row.cpu_s), ".0%"),
+            plain(middle(row.memory_mib), ".1f"), one_line(row.failed or row.outcome),
+        ]
+        for row in record.rows
+    ]  # fmt: skip
+    click.echo(table(["stage", "by", "n x T", "seconds", "spread", "MiB", "outcome"], lines))
+    words = {True: "met", False: "missed", None: "not judged"}
+    told = [
+        [item.what, f"{item.n}x{item.steps}" if item.steps else "", plain(item.measured, ".3g"), f"{item.target:.3g} {item.unit}".strip(), words[item.met], one_line(item.why)]
+        for item in record.figures
+    ]  # fmt: skip
+    if told:
+        click.echo("\n" + table(["figure", "n x T", "measured", "at most", "", ""], told))
+    for sentence in record.left_out:
+        click.echo(one_line(sentence))
+    cores = record.provenance.cores
+    if record.load is not None and max(record.load) > cores:
+        click.echo(f"the machine was busy: its load was {record.load[0]:.1f} before and {record.load[1]:.1f} after, on {cores} cores.")
+
+
+def _tell_comparison(comparison: Comparison, *, err: bool) -> None:
+    lines = []
+    for change in comparison.changes:
+        row = change.row
+        figures = ["" if value is None else f"{value:.3g}" for value in (change.before, change.after, change.factor)]
+        lines.append(
+            [change.kind.value, row.stage, row.by, f"{row.n}x{row.steps}" if row.n else "", change.quantity, *figures, one_line(change.why)]
+        )
+    if lines:
+        click.echo("\n" + table(["", "stage", "by", "n x T", "of", "before", "now", "factor", ""], lines), err=err)
+    speed = "" if comparison.speed is None else f"; the yardstick takes {comparison.speed:.2f} times as long, which is allowed for"
+    count = len(comparison.regressions)
+    click.echo(f"{_rows(comparison.pairs)} in both: {count or 'no'} regression{'s' if count > 1 else ''}{speed}", err=err)
+
+
+def _rows(pairs: int) -> str:
+    return "1 row is" if pairs == 1 else f"{pairs} rows are"
