@@ -99,14 +99,14 @@ static int model_exchange(void)
     EXPECT(fmi3EnterInitializationMode(c, fmi3True, 1e-6, 0.0, fmi3False, 0.0) == fmi3OK && fmi3ExitInitializationMode(c) == fmi3OK);
     size_t states = 0, indicators = 99;
     EXPECT(fmi3GetNumberOfContinuousStates(c, &states) == fmi3OK && states == STATES);
-    EXPECT(fmi3GetNumberOfEventIndicators(c, &indicators) == fmi3OK && indicators == CONTACTS);
-    fmi3Float64 x[STATES], dx[STATES], gaps[CONTACTS + 1], next;
+    EXPECT(fmi3GetNumberOfEventIndicators(c, &indicators) == fmi3OK && indicators == INDICATORS);
+    fmi3Float64 x[STATES], dx[STATES], gaps[INDICATORS + 1], next;
     fmi3Boolean flags[5];
     for (int n = 0; n < 300; n++) {
         EXPECT(fmi3UpdateDiscreteStates(c, flags, flags + 1, flags + 2, flags + 3, flags + 4, &next) == fmi3OK);
         EXPECT(fmi3EnterContinuousTimeMode(c) == fmi3OK);
         EXPECT(fmi3GetContinuousStates(c, x, STATES) == fmi3OK && fmi3GetContinuousStateDerivatives(c, dx, STATES) == fmi3OK);
-        EXPECT(fmi3GetEventIndicators(c, gaps, CONTACTS) == fmi3OK);
+        EXPECT(fmi3GetEventIndicators(c, gaps, INDICATORS) == fmi3OK);
         for (int i = 0; i < STATES; i++) x[i] += 0.005 * dx[i];
         EXPECT(fmi3SetTime(c, 0.005 * (n + 1)) == fmi3OK && fmi3SetContinuousStates(c, x, STATES) == fmi3OK);
         EXPECT(fmi3SetContinuousStates(c, x, STATES + 1) == fmi3Error);

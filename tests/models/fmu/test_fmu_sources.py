@@ -71,8 +71,8 @@ def test_binary_has_no_mutable_globals_and_names_no_path_of_this_machine(any_sce
 
 
 def program(scene_of, unpacked, tmp_path, version, compiler, flags):
-    """Three models linked into one program by their prefixes, with a driver each; the program's path."""
-    objects, names = [], ("two_link_arm", "three_cart", "oscillator")
+    """Five models - one with friction, one with damped contacts - linked into one program by their prefixes, with a driver each; the program's path."""
+    objects, names = [], ("two_link_arm", "three_cart", "oscillator", "transport", "damped_collision")
     driver = DRIVERS[version]
     for name in names:
         scene, folder = scene_of(name), Path(unpacked(scene_of(name), version))
@@ -87,7 +87,7 @@ def program(scene_of, unpacked, tmp_path, version, compiler, flags):
             "GUID": f'"{description.guid if version == "2.0" else description.instantiationToken}"',
             "CHECK": f"check_{name}",
             "STATES": 2 * scene.nq,
-            "CONTACTS": scene.nc,
+            "INDICATORS": int(description.numberOfEventIndicators),
             "INPUTS": scene.nu,
             "INPUT": number[table.u[0]] if scene.nu else 0,
             "VARIABLES": len(description.modelVariables) - 1,  # all but the enumeration, which is the last
