@@ -88,6 +88,8 @@ def test_beside_a_reference_it_is_told_and_changes_nothing():
     assert error.step_source == "second run and rollback"
     assert error.rollback is not None
     assert error.estimate == error.everyday or error.estimate == error.tolerance
+    # Once every difference is rounding, that is told as well: it is the FMU's own step that is halved.
+    assert replay(scene, build_fmu(scene), plan, fineness=(100, 200)).error.step_source == "second run and rollback"
 
 
 def foreign_replay(folder: Path, kinds: str, *defines: str, **options) -> Replay:
@@ -112,8 +114,9 @@ def test_a_foreign_fmu_that_heeds_its_step(tmp_path: Path):
     assert error.estimate.position >= error.rollback.position > 0.0
 
 
-def test_a_foreign_fmu_that_ignores_its_step_has_no_estimate(tmp_path: Path):
-    error = foreign_replay(tmp_path, CS, "SAVES=1").error
+@pytest.mark.parametrize("fineness", [(50, 100, 200), (200,)])
+def test_a_foreign_fmu_that_ignores_its_step_has_no_estimate(tmp_path: Path, fineness: tuple[int, ...]):
+    error = foreign_replay(tmp_path, CS, "SAVES=1", fineness=fineness).error
     assert (error.estimate, error.rollback, error.step_source) == (None, None, "none")
 
 

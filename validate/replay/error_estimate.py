@@ -54,8 +54,9 @@ def heeds_step(coarse: AtNodes | None, fine: AtNodes | None) -> bool:
     return bool((np.abs(one - other) > _SAME * np.abs(other).max(initial=0.0)).any())
 
 
-def local_errors(fine: AtNodes | None, coarse_steps: AtNodes | None, times: np.ndarray, carried: bool) -> Difference | None:
-    """What halving each step changed in that step, summed over the steps; None without a rollback, or if half the step changes nothing.
+def local_errors(fine: AtNodes | None, coarse_steps: AtNodes | None, times: np.ndarray, carried: bool, heeds: bool) -> Difference | None:
+    """What halving each step changed in that step, summed over the steps; None without a rollback, or if half the step changes nothing and it is not
+    known that the FMU `heeds` its step.
 
     coarse_steps: where each coarse step ended (steps, ...), from the fine run's node (nodes, ...) before it; times (nodes,) [s].
     carried: an error of velocity goes on as one of position until the end, dq/dt = v. That overstates (bouncing_mass: 12 times the error of the
@@ -65,7 +66,7 @@ def local_errors(fine: AtNodes | None, coarse_steps: AtNodes | None, times: np.n
         return None
     q, v, gap = (np.abs(getattr(fine, name)[1:] - getattr(coarse_steps, name)) for name in ("q", "v", "gap"))
     motion = np.abs(np.hstack([fine.q, fine.v]))
-    if not (np.hstack([q, v]) > _SAME * motion.max(initial=0.0)).any():
+    if not heeds and not (np.hstack([q, v]) > _SAME * motion.max(initial=0.0)).any():
         return None
     position, velocity = q.sum(axis=0), v.sum(axis=0)
     moved = gap.sum(axis=0)

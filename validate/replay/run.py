@@ -191,7 +191,13 @@ def _local_errors(subject: Subject, variables: Variables, run: Run, fine: Output
     if fine is None or len(run.local) != len(run.t) - 1:
         return None
     coarse = [after - change for after, change in zip(run.outputs[1:], run.local, strict=True)]
-    return local_errors(fine, Outputs(subject, variables, Run(t=run.t[1:], outputs=coarse)), np.array(run.t), carried)
+    return local_errors(
+        fine,
+        Outputs(subject, variables, Run(t=run.t[1:], outputs=coarse)),
+        np.array(run.t),
+        carried,
+        heeds=variables.internal_step is not None or not carried,
+    )
 
 
 def _at_nodes(subject: Subject, variables: Variables, run: Run) -> Outputs | None:
