@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_fmu import FULL_MAP, build_foreign, foreign_plan, write_plan
+from foreign_fmu import EXCHANGE, FULL_MAP, build_foreign, foreign_plan, write_plan
 from test_replay_foreign import edited, without
 
 from models.catalog import load_scene
@@ -19,12 +19,13 @@ from validate.replay.everyday import simulate
 from validate.replay.inputs import HeldInputs
 from validate.replay.map_schema import read_map
 from validate.replay.mapping import wire
-from validate.replay.package import find_variables, read_package, unpacked
+from validate.replay.package import FmuError, find_variables, read_package, unpacked
 from validate.replay.rollback import offers_rollback
 from validate.replay.run import replay_foreign
 
 CS = '<CoSimulation modelIdentifier="cart" canHandleVariableCommunicationStepSize="true" canGetAndSetFMUstate="true"/>'
 ONCE = CS.replace("/>", ' canBeInstantiatedOnlyOncePerProcess="true"/>')
+ONCE_EXCHANGE = EXCHANGE.replace("/>", ' canBeInstantiatedOnlyOncePerProcess="true"/>')
 
 
 def falling(name: str) -> tuple:
@@ -132,8 +133,19 @@ def test_a_state_that_cannot_be_saved_costs_the_rollback_alone(tmp_path: Path, s
     assert result.error.estimate is not None
 
 
-def test_one_instance_a_process_is_enough(tmp_path: Path):
+@pytest.mark.parametrize("kinds", [ONCE, ONCE_EXCHANGE, ONCE_EXCHANGE + ONCE])
+def test_one_instance_a_process_is_enough(tmp_path: Path, kinds: str):
     """Every run gets a process of its own; without that claim the second instance is refused."""
-    result = foreign_replay(tmp_path, ONCE, "SAVES=1", "WHOLE_STEPS", "ONCE")
-    assert (result.outcome, result.error.step_source) == (ReplayOutcome.OK, "second run and rollback")
-    assert error_against_closed_form(result) < result.error.estimate.position  # type: ignore[union-attr]
+    result = foreign_replay(tmp_path, kinds, "SAVES=1", "WHOLE_STEPS", "ONCE")
+    error, exchange = result.error, "ModelExchange" in kinds
+    assert (result.outcome, result.method) == (ReplayOutcome.OK, "reference" if exchange else "everyday")
+    assert error.estimate is not None
+    assert (error.tolerance is not None) == exchange
+    assert error.step_source == ("none" if kinds == ONCE_EXCHANGE else "second run and rollback")
+    node_error = np.abs(result.q[result.knots, 0] - foreign_plan()[:, 1]).max()
+    assert node_error < max(error.estimate.position, 1e-8)
+
+
+def test_a_second_instance_is_refused_where_nothing_was_said(tmp_path: Path):
+    with pytest.raises(FmuError, match="cannot be loaded"):
+        foreign_replay(tmp_path, CS, "SAVES=1", "WHOLE_STEPS", "ONCE")

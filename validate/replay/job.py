@@ -157,6 +157,7 @@ def run_job(
     single += [
         {**request, "tolerances": [], "fineness": [fineness], "rolls_back": fineness == settings.fineness[-1]}
         for fineness in settings.fineness
+        if package.cosimulation is not None
     ]
     return _together([_in_child(package, variables, one, given, limits) for one in single])
 
