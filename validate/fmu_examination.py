@@ -20,7 +20,7 @@ _SOURCES = ("models/", "validate/fmu_check/", "validate/isolation/", "validate/f
 
 def examinations(scenes: Sequence[SceneReference]) -> list[Examination]:
     """One for each scene and version; all scenes of one version, then of the next."""
-    from validate.provenance import scene_text
+    from models.scene_text import scene_text
 
     return [
         Examination(

@@ -13,7 +13,6 @@ import platform
 import shlex
 import subprocess
 from collections.abc import Iterable, Mapping
-from dataclasses import fields, is_dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
 from importlib import metadata
@@ -21,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.errors import MachineError
+from models.scene_text import scene_text
 from validate.isolation.environment import ROOT, THREADS
 
 if TYPE_CHECKING:
@@ -53,20 +53,6 @@ _OF_EXAMINATIONS = (
 # Scenes and methods count one by one: a cell depends on its own.
 _ONE_BY_ONE = ("models/scenes", "formulations/methods")
 _SOURCE_SUFFIXES = frozenset({".py", ".c", ".h", ".template", ".jinja", ".j2", ".xml"})
-
-
-def scene_text(value: Any) -> str:
-    """Canonical text of a scene: every field by name, SymPy expressions with their assumptions (srepr), numbers in full."""
-    import sympy as sp
-
-    if is_dataclass(value) and not isinstance(value, type):
-        inside = ", ".join(f"{field.name}={scene_text(getattr(value, field.name))}" for field in fields(value))
-        return f"{type(value).__name__}({inside})"
-    if isinstance(value, sp.Basic):
-        return sp.srepr(value)
-    if isinstance(value, (tuple, list)):
-        return f"[{', '.join(scene_text(item) for item in value)}]"
-    return repr(value)
 
 
 @lru_cache(maxsize=1)

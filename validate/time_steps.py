@@ -11,8 +11,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from models.scene_text import scene_text
 from models.stability import step_stability
-from validate.provenance import scene_text
 
 if TYPE_CHECKING:
     from models.scene import Scene

@@ -18,6 +18,7 @@ from models.codegen.c_function import Vector, c_function
 from models.codegen.cholesky import cholesky_function
 from models.codegen.damping import damping_functions
 from models.codegen.friction import friction_functions
+from models.codegen.kept import kept_text
 from models.codegen.vectors import SceneVectors
 from models.dynamics import derive
 from models.errors import SceneError
@@ -46,6 +47,11 @@ def emit_model(scene: Scene, *, defaults: bool = True) -> str:
             "use smooth elementary functions (sin, exp, sqrt, tanh ..)."
         ) from error
     return "\n".join([*parts, "#endif", ""])
+
+
+def model_source(scene: Scene) -> str:
+    """`emit_model` without default values, kept between processes."""
+    return kept_text(scene, "scene_model.h", lambda: emit_model(scene, defaults=False))
 
 
 def _head(scene: Scene, defaults: bool) -> str:

@@ -22,7 +22,7 @@ import numpy as np
 from models.codegen.cache import cached
 from models.codegen.compiler import FLAGS, compile_shared, find_compiler
 from models.codegen.damping import damping_source, for_scene
-from models.codegen.emit import emit_model
+from models.codegen.emit import model_source
 from models.codegen.friction import friction_source
 from models.contact_law import ContactLaw, sharpness
 from models.errors import TouchstoneError
@@ -92,7 +92,7 @@ def load_kernel(scene: Scene) -> Kernel:
 
 def kernel_sources(scene: Scene) -> dict[str, str]:
     """File name -> text of the C sources of a scene's kernel."""
-    sources = {"scene_model.h": emit_model(scene, defaults=False), "rollout.c": for_scene(scene, _SOURCE.read_text(encoding="utf-8"))}
+    sources = {"scene_model.h": model_source(scene), "rollout.c": for_scene(scene, _SOURCE.read_text(encoding="utf-8"))}
     if scene.nf:
         sources["friction.h"] = friction_source()
     if scene.damped:

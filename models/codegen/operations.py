@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 from dataclasses import astuple, dataclass
 
-from models.codegen.emit import emit_model
+from models.codegen.emit import model_source
 from models.scene import Scene
 
 _FUNCTION = re.compile(r"^SCENE_FUNCTION \w+ (\w+)\([^)]*\)\n\{\n(.*?)^\}$", re.MULTILINE | re.DOTALL)
@@ -45,7 +45,7 @@ def step_operations(scene: Scene) -> Operations:
 
     The contact law (two operations a contact) and the updates of v and q (four a coordinate) are the same for every scene, and not in it.
     """
-    found = count_operations(emit_model(scene, defaults=False))
+    found = count_operations(model_source(scene))
     return sum((found.get(name, Operations()) for name in _OF_A_STEP), Operations())
 
 

@@ -15,14 +15,14 @@ from pathlib import Path
 from models.codegen.cache import cached
 from models.codegen.compiler import Compiler, compile_shared
 from models.codegen.damping import damping_source, for_scene
-from models.codegen.emit import emit_model
+from models.codegen.emit import model_source
 from models.codegen.friction import friction_source
 from models.fmu.archive import pack
 from models.fmu.description import describe, model_identifier
 from models.fmu.experiment import experiment_texts
 from models.fmu.platforms import Platform, find_platforms, platform_compiler
 from models.fmu.rendering import render
-from models.fmu.sensitivity import emit_sensitivity
+from models.fmu.sensitivity import sensitivity_source
 from models.fmu.standards import Standard, find_standard, standard_headers
 from models.scene import Scene
 
@@ -69,7 +69,7 @@ def fmu_texts(scene: Scene, standard: Standard) -> dict[str, str]:
         sources["damping.h"] = damping_source()
     else:
         del sources["damping_modes.h"]
-    sources |= {"scene_model.h": emit_model(scene, defaults=False), "scene_sensitivity.h": emit_sensitivity(scene)}
+    sources |= {"scene_model.h": model_source(scene), "scene_sensitivity.h": sensitivity_source(scene)}
     description = describe(scene, sources, standard)
     sources |= {"model_config.h": description.config, "buildDescription.xml": description.build}
     return {

@@ -20,6 +20,7 @@ import sympy as sp
 from models.codegen.c_function import Vector, c_function
 from models.codegen.damping import penetration_rate
 from models.codegen.friction import slip_rate
+from models.codegen.kept import kept_text
 from models.codegen.vectors import SceneVectors
 from models.dynamics import derive
 from models.scene import Scene
@@ -70,6 +71,11 @@ def emit_sensitivity(scene: Scene) -> str:
             "",
         ]
     )
+
+
+def sensitivity_source(scene: Scene) -> str:
+    """`emit_sensitivity`, kept between processes."""
+    return kept_text(scene, "scene_sensitivity.h", lambda: emit_sensitivity(scene))
 
 
 def _jvp(function: sp.Matrix, vectors: Sequence[Vector]) -> sp.Matrix:

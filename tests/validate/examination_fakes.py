@@ -14,9 +14,9 @@ from dataclasses import replace
 import campaign_fakes
 
 from models.errors import TouchstoneError
+from models.scene_text import scene_text
 from reports.record import FigureRecord
 from validate.examination import Course, Examination, Found, SceneReference
-from validate.provenance import scene_text
 
 
 def _hang() -> None:

@@ -9,9 +9,10 @@ import sympy as sp
 
 from models.catalog import load_scene
 from models.scene import Contact
+from models.scene_text import scene_text
 from models.trajectory import Trajectory, uniform_grid
 from reports.mathml import safe_mathml
-from validate.provenance import content_key, scene_text, source_digests
+from validate.provenance import content_key, source_digests
 from validate.records import _history, _plain, finite
 from validate.scene_record import presentation, scene_record
 from validate.traces import plan_trace, thin

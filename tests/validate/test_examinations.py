@@ -10,10 +10,11 @@ from pathlib import Path
 import pytest
 
 from models.catalog import load_scene
+from models.scene_text import scene_text
 from reports.examination_record import ExaminationRecord
 from validate.campaign import CampaignError, Settings, select
 from validate.examination import Examination, SceneReference
-from validate.provenance import examination_key, scene_text
+from validate.provenance import examination_key
 from validate.tools import DEFAULT
 
 FAKES = ("--tools", "examination_fakes:TOOLS", "--scene", "three_cart")

@@ -1,0 +1,68 @@
+"""Generated text that is kept: the same as anew, found again for equal equations, made anew for anything else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import sympy as sp
+
+from models.catalog import load_scene
+from models.codegen import kept
+from models.codegen.emit import emit_model, model_source
+from models.codegen.kept import kept_text
+from models.fmu.sensitivity import emit_sensitivity, sensitivity_source
+from models.scene import Scene
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path))
+
+
+@pytest.mark.parametrize("name", ["three_cart", "transport", "cart_pole_walls", "damped_collision", "bouncing_mass"])
+def test_what_is_kept_is_what_would_be_written(name: str):
+    scene = load_scene(name)
+    for source, emit in ((model_source, lambda scene: emit_model(scene, defaults=False)), (sensitivity_source, emit_sensitivity)):
+        anew = emit(scene)
+        assert source(scene) == anew
+        assert source(scene) == anew, "read back"
+
+
+def asked(scene: Scene) -> bool:
+    """Whether the text had to be made."""
+    made = []
+    kept_text(scene, "probe", lambda: made.append(1) or "text")
+    return bool(made)
+
+
+def test_equal_equations_are_written_once():
+    scene = load_scene("three_cart")
+    assert asked(scene)
+    assert not asked(scene)
+    assert not asked(scene.with_parameters(k=77.0)), "values are no part of the equations"
+    assert not asked(scene.with_task(steps=7)), "nor is the task"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda scene: replace(scene, potential_energy=scene.potential_energy + sp.Symbol("q1", real=True)),
+        lambda scene: replace(scene, forces=(-scene.forces[0], *scene.forces[1:])),
+        lambda scene: replace(scene, contacts=scene.contacts[::-1]),
+        lambda scene: replace(scene, contacts=(replace(scene.contacts[0], nominal=0.5), *scene.contacts[1:])),
+        lambda scene: scene.with_task(running_cost=2 * scene.task.running_cost),
+        lambda scene: replace(scene, name="other"),
+    ],
+)
+def test_other_equations_are_written_anew(change):
+    scene = load_scene("three_cart")
+    asked(scene)
+    assert asked(change(scene))
+
+
+def test_other_generators_write_anew(monkeypatch):
+    scene = load_scene("three_cart")
+    asked(scene)
+    monkeypatch.setattr(kept, "_generators", lambda: "another version of the code")
+    assert asked(scene)
