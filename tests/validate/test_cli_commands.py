@@ -51,7 +51,7 @@ def test_list_imports_no_solver():
     ("arguments", "words"),
     [
         (("al",), "did you mean all?"),
-        (("frobnicate",), "there are all, list"),
+        (("frobnicate",), "there are all, plan, list"),
         (("all", "--quik"), "Did you mean '--quick'?"),
         (("all", "-j", "0"), "0 is not in the range x>=1"),
         (("all", "-j", "two"), "'two' is not a valid integer"),
