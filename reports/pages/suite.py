@@ -86,7 +86,13 @@ def _profile(figure: SuiteFigure, rows: Iterable[SuiteRow]) -> str:
     """Where our time went, from the stages that were measured beside it."""
     here = {row.stage: row for row in rows if row.by == OURS and (row.n, row.steps) == (figure.n, figure.steps)}
     if figure.name in _OF_DESCENT:
-        return _profile_of_descent(here)
+        return _profile_of_two(
+            here, "gd_iteration", "gd_kernel", "compiled rollout and adjoint", "the loss in PyTorch, history, stopping rule and step"
+        )
+    if figure.name == "replay_against_fmpy":
+        return _profile_of_two(
+            here, "cs_replay", "cs_calls", "the calls, with one internal step each", "the other internal steps, in the FMU's own C"
+        )
     chain = here.get("softplus_chain") if figure.name in _OF_CHAIN else None
     whole = None if chain is None else middle(chain.cpu_s)
     if chain is None or whole is None:
@@ -101,12 +107,12 @@ def _profile(figure: SuiteFigure, rows: Iterable[SuiteRow]) -> str:
     return f"Of its {seconds(whole)} CPU s: {listing(told)}." if told else ""
 
 
-def _profile_of_descent(here: dict[str, SuiteRow]) -> str:
-    whole, kernel = (middle(here[stage].cpu_s) if stage in here else None for stage in ("gd_iteration", "gd_kernel"))
-    if whole is None or kernel is None:
+def _profile_of_two(here: dict[str, SuiteRow], stage: str, part: str, words: str, rest: str) -> str:
+    """A stage and a part of it that was measured by itself."""
+    whole, known = (middle(here[name].cpu_s) if name in here else None for name in (stage, part))
+    if whole is None or known is None:
         return ""
-    rest = "the rest is the loss in PyTorch, history, stopping rule and step"
-    return f"Of its {error(1e6 * whole)} µs: compiled rollout and adjoint {error(1e6 * kernel)} µs; {rest}."
+    return f"Of its {error(1e6 * whole)} µs: {words} {error(1e6 * known)} µs; the rest is {rest}."
 
 
 def _factor(row: SuiteRow, ours: float | None) -> str:

@@ -30,7 +30,7 @@ PHASES = {
 }
 _GROUPS: tuple[str, ...] = ("starting", "compiling", "modelling", "evaluating", "linear algebra", "judging", "other")
 # Sections of a bar are this many units wide in all.
-_WIDTH = 300.0
+_WIDTH = 200.0
 # A share below this is told in no sentence.
 _TOLD = 0.1
 

@@ -18,6 +18,8 @@ from validate.selection import matches
 
 REPEATS = 5
 _NO_SIZE = Size(0, 0)
+# What takes minutes may take so many limits.
+_SLOW_LIMITS = 6
 # Address space: PyTorch maps a lot that it never uses.
 _MEMORY = 64 * 1024**3
 Job = tuple[Case, Size]
@@ -112,7 +114,7 @@ def _measured(jobs: Sequence[Job], settings: Settings, folder: str, narrate: Cal
                 found = samples[job]
                 if (found and found[-1].failed) or (job[0].slow and found):
                     continue
-                found.append(_sample(*job, settings.limit, folder))
+                found.append(_sample(*job, settings.limit * (_SLOW_LIMITS if job[0].slow else 1), folder))
                 if found[-1].failed:
                     narrate(found[-1].failed)
     return samples

@@ -61,6 +61,7 @@ CASES: tuple[Case, ...] = (
     ),
     _ours("fmu_build", "Scene to FMU 2.0, nothing cached", "compiled:fmu_build", once=True),
     _ours("cs_replay", "One Co-Simulation of a plan", "replayed:cs_replay"),
+    _ours("cs_calls", "Its calls, with one internal step each", "replayed:cs_calls"),
     Case(stage="cs_replay", title="FMPy's simulate_fmu", by="fmpy", function=f"{_PEERS}.fmpy_replay:simulate"),
     _ours("replay", "The whole replay with its error estimate", "replayed:whole_replay"),
     _ours("list", "python -m validate list", "command_line:list_command", sized=False),

@@ -28,6 +28,11 @@ fast the machine is. Peers are measured where they are installed:
 pip install 'touchstone-contact[bench]' drake
 
 \b
+--compare: worse is a median more than 15 % above the earlier one (memory: and
+2 MiB more) in samples that a rank test tells apart (p <= 1 %), times after both
+runs were divided by their fixed piece of work; so is an answer that is gone.
+
+\b
 Exit codes: 0 measured; 1 a stage of ours gave no answer, or --compare found a
 regression beyond its noise; 2 usage, or nothing selected.
 """

@@ -22,16 +22,25 @@ _TINY = Size(3, 5)
 
 def cs_replay(size: Size, folder: Path) -> Work:
     """An unpacked FMU stepped through the plan; value: position of the first body at the end."""
+    return _stepped(size, FINENESS)
+
+
+def cs_calls(size: Size, folder: Path) -> Work:
+    """The same with one internal step a plan step: what the calls cost, and no more than the least integration."""
+    return _stepped(size, 1)
+
+
+def _stepped(size: Size, fineness: int) -> Work:
     from models.fmu import build_fmu
 
     scene, plan = scene_of(size), pushed_plan(size)
     opened = unpacked(read_package(build_fmu(scene)))
     package = opened.__enter__()  # kept open as long as the work is
     variables, inputs = find_variables(package, scene), HeldInputs(plan)
-    simulate(package, variables, plan.start, HeldInputs(pushed_plan(_TINY)), FINENESS)
+    simulate(package, variables, plan.start, HeldInputs(pushed_plan(_TINY)), fineness)
 
     def work(_kept: object = opened) -> Mapping[str, Any]:
-        run = simulate(package, variables, plan.start, inputs, FINENESS)
+        run = simulate(package, variables, plan.start, inputs, fineness)
         return {"outcome": run.outcome.name.lower(), "value": float(np.asarray(run.outputs)[run.knots[-1], 0])}
 
     return work
