@@ -34,7 +34,7 @@ from validate.replay import replay
 
 _SWEEP = ((500, 480), (2000, 480), (5000, 960), (20000, 1920), (100000, 3840), (400000, 3840))
 # Constant forces tried in each direction at the softest contact, and how many of the throws are gone on with.
-_FORCES, _THROWS = 81, 2
+_FORCES, _THROWS = 81, 6
 
 
 def _scene(wall: bool, k: float, steps: int) -> Scene:
@@ -122,7 +122,7 @@ def main() -> None:
     parser.add_argument(
         "--stiffness", nargs="+", default=[f"{k}:{steps}" for k, steps in _SWEEP], help="k [N/m], a colon, steps, from soft to stiff"
     )
-    parser.add_argument("--seconds", type=float, default=60.0, help="for each solve")
+    parser.add_argument("--seconds", type=float, default=120.0, help="for each solve")
     parser.add_argument("-o", "--output", type=Path, help="write all numbers as JSON, after each stiffness")
     arguments = parser.parse_args()
     sweep = [(float(k), int(steps)) for k, steps in (item.split(":") for item in arguments.stiffness)]
