@@ -76,7 +76,7 @@ def _view(record: SuiteRecord) -> View:
 def _shown(figure: SuiteFigure, record: SuiteRecord) -> Shown:
     sign = UNJUDGED if figure.met is None else MET if figure.met else MISSED
     low, high = (min(figure.samples), max(figure.samples)) if figure.samples else (None, None)
-    size = f"n = {figure.n}" + (f", T = {figure.steps}" if figure.steps else "") if figure.n else ""
+    size = f"n\u00a0=\u00a0{figure.n}" + (f", T\u00a0=\u00a0{figure.steps}" if figure.steps else "") if figure.n else ""
     span = f"{number(low, 3)} – {number(high, 3)}" if number(low, 3) != number(high, 3) else ""
     profile = _profile(figure, record.rows) if figure.met is False else ""
     return Shown(figure, size, number(figure.measured, 3), span, f"{number(figure.target, 3)} {figure.unit}".strip(), sign, profile)

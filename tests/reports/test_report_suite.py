@@ -116,3 +116,13 @@ def test_names_are_escaped(factory, benches, tmp_path):
     assert "<img" not in text
     assert "<b>" not in text
     assert "\u202e" not in text
+
+
+def test_a_missed_replay_says_what_the_calls_cost_and_spreads_have_no_sign(page, factory):
+    """0.9, 1.0, 1.1: the middle half lies within 10 % of the median."""
+    rows = [row("cs_replay", 9e-3), row("cs_calls", 6e-3), row("cs_replay", 12e-3, by="fmpy")]
+    text = page(suite_record(factory, rows, [figure(False, name="replay_against_fmpy", what="against FMPy")]))
+    assert (
+        "Of its 9000 µs: the calls, with one internal step each 6000 µs; the rest is the other internal steps, in the FMU's own C." in text
+    )
+    assert ">10\u202f%<" in text
