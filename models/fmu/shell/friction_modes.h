@@ -14,6 +14,9 @@
 
 /* A slip below this share of its nominal is zero: events are located to about 1e-14 m/s. */
 #define SLIP_BAND 1e-10
+/* What sticks already, while modes are frozen, goes on below this share: ds/dt = 0 holds a slip at zero only as well as the importer's integrator does,
+ * and an event of somebody else's must not end the sticking. */
+#define DRIFT_BAND 1e-4
 /* By this share a sticking force may exceed mu N: when it starts to slip, it is pushed off by at least as much. What sticks is
  * decided with half of it, so that an event located a little early still ends the sticking. */
 #define STICKING_SLACK 1e-10
@@ -73,7 +76,8 @@ static inline int decide_friction(const Model *m, const double *q, const double 
     if (friction_rates(m, q, v, u, lam, &rates)) return -1;
     scene_slip(q, v, m->p, s);
     for (int j = 0; j < NF; j++) {
-        undecided[j] = fabs(s[j]) <= SLIP_BAND * scene_friction_nominals[j] && rates.limit[j] > 0.0;
+        const double band = m->frozen && !modes[j] ? DRIFT_BAND : SLIP_BAND;
+        undecided[j] = fabs(s[j]) <= band * scene_friction_nominals[j] && rates.limit[j] > 0.0;
         f[j] = undecided[j] ? 0.0 : s[j] > 0.0 ? -rates.limit[j] : rates.limit[j];
         if (undecided[j]) rates.limit[j] *= 1.0 + 0.5 * STICKING_SLACK;
     }
