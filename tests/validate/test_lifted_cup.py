@@ -1,0 +1,58 @@
+"""The paper's motivating example: a cup that a relaxed plan lifts with forces that are not there, and an exact plan that really lifts it."""
+
+from __future__ import annotations
+
+import pytest
+
+from formulations.catalog import load_method
+from formulations.solution import Solution
+from models.catalog import load_scene
+from models.fmu import build_fmu
+from validate.replay import replay
+from validate.score import Score, score
+
+
+@pytest.fixture(scope="module")
+def plans() -> tuple[Solution, Solution]:
+    """The relaxed plan from a cold start, and the exact one that starts from it."""
+    scene = load_scene("two_finger_lift")
+    with load_method("relaxed_lcp").open(scene) as session:
+        relaxed = session.solve(eps=1e-2, warm_start=None, time_limit=900.0)
+        for eps in (1e-3, 1e-4):
+            relaxed = session.solve(eps=eps, warm_start=relaxed.trajectory, time_limit=900.0)
+    with load_method("strict_lcp").open(scene) as session:
+        exact = session.solve(eps=None, warm_start=relaxed.trajectory, time_limit=900.0)
+    return relaxed, exact
+
+
+def judged(solution: Solution) -> Score:
+    scene = load_scene("two_finger_lift")
+    assert solution.trajectory is not None
+    return score(scene, solution.trajectory, replay(scene, build_fmu(scene), solution.trajectory))
+
+
+def test_both_plans_lift_the_cup_on_paper(plans):
+    scene = load_scene("two_finger_lift")
+    height = [coordinate.name for coordinate in scene.coordinates].index("y")
+    for solution in plans:
+        assert solution.trajectory is not None
+        y = solution.trajectory.q[:, height]
+        assert y[-1] == pytest.approx(scene.task.goal[height], abs=1e-6)
+        assert y[-1] - y[0] > 0.02
+
+
+def test_the_relaxed_plan_violates_and_says_where_its_forces_come_from(plans):
+    found = judged(plans[0])
+    assert found.verdict.value == "violates"
+    beyond = {figure.name for figure in found.figures if figure.ok is False}
+    assert {"physics_scaled", "ghost_impulse", "friction_dissipation_error", "discrete_terminal_error"} <= beyond
+    assert "force from a distance" in found.why
+
+
+def test_the_exact_plan_from_the_same_start_holds(plans):
+    found = judged(plans[1])
+    assert found.verdict.value == "holds", found.why
+    figures = {figure.name: figure.value for figure in found.figures}
+    assert figures["physics_scaled"] < 1e-9
+    assert figures["friction_violation"] < 1e-9
+    assert figures["discrete_terminal_error"] < 1e-6
