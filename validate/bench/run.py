@@ -16,7 +16,7 @@ from validate.bench.suite import CASES, FULL_SIZES, YARDSTICK
 from validate.isolation import Limits, run_isolated
 from validate.selection import matches
 
-REPEATS = 5
+REPEATS, QUICK_REPEATS = 5, 2
 _NO_SIZE = Size(0, 0)
 # What takes minutes may take so many limits.
 _SLOW_LIMITS = 6

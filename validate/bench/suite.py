@@ -42,7 +42,7 @@ CASES: tuple[Case, ...] = (
         function=f"{_PEERS}.drake_snopt:chain",
         once=True,
         needs=_DRAKE,
-        largest=5000,
+        largest=2000,
     ),
     _ours("cold_step", "The last eps, from Scene to plan, cold", "transcription:cold_step", once=True),
     Case(stage="cold_step", title="The same by hand", by="casadi", function=f"{_PEERS}.casadi_chain:cold_step", once=True, needs=_CASADI),
@@ -78,4 +78,4 @@ CASES: tuple[Case, ...] = (
 )
 
 FULL_SIZES = (Size(3, 500), Size(3, 2000), Size(3, 5000), Size(10, 500))
-QUICK_SIZES = (Size(3, 50), Size(3, 100), Size(3, 200))
+QUICK_SIZES = (Size(3, 50),)

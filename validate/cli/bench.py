@@ -52,12 +52,12 @@ def _sizes(context: click.Context, parameter: click.Parameter, values: tuple[str
 
 
 @click.command(epilog=_EPILOG)
-@click.option("--quick", is_flag=True, help="Tiny sizes: whether it runs, not how fast it is.")
+@click.option("--quick", is_flag=True, help="A tiny size, two rounds: whether it runs, not how fast it is.")
 @click.option(
     "-k", "expression", default="", metavar="EXPR", help="Only stages and peers whose names match: words joined with and, or, not."
 )
 @click.option("--size", "sizes", multiple=True, metavar="NxT", callback=_sizes, help="Carts x steps, such as 3x500; may be repeated.")
-@click.option("--repeats", type=click.IntRange(min=1), default=5, show_default=True, metavar="N", help="Rounds.")
+@click.option("--repeats", type=click.IntRange(min=1), metavar="N", help="Rounds: 5, with --quick 2 (too few for --compare).")
 @click.option("--slow", is_flag=True, help="Also what takes minutes: whole campaigns, and exact contact beside other packages; once each.")
 @click.option(
     "--out",
@@ -81,7 +81,7 @@ def command(
     quick: bool,
     expression: str,
     sizes: tuple[Size, ...],
-    repeats: int,
+    repeats: int | None,
     slow: bool,
     out: Path,
     earlier: Path | None,
@@ -89,7 +89,7 @@ def command(
 ) -> int:
     """Measure each stage - compile, build, translate, evaluate, solve, descend, replay, report - and its peers: median, spread, memory, over n T."""
     from validate.bench.compare import compare
-    from validate.bench.run import Settings, failures, run_suite
+    from validate.bench.run import QUICK_REPEATS, REPEATS, Settings, failures, run_suite
     from validate.bench.suite import FULL_SIZES, QUICK_SIZES
     from validate.provenance import command_line
     from validate.store import write_durably
@@ -97,7 +97,7 @@ def command(
     before = None if earlier is None else _read(earlier)
     settings = Settings(
         sizes=sizes or (QUICK_SIZES if quick else FULL_SIZES),
-        repeats=repeats,
+        repeats=repeats or (QUICK_REPEATS if quick else REPEATS),
         expression=expression,
         slow=slow,
         quick=quick,
