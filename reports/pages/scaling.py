@@ -70,9 +70,7 @@ def _sentence(stage: ScalingStage) -> str:
     parts = []
     for kind, exponent in (("time", stage.time_exponent), ("memory", stage.memory_exponent)):
         if exponent is not None:
-            parts.append(
-                f"{kind} as (n T) to the {exponent:.2f}, {'about linear' if exponent <= _LINEAR[kind] else 'faster than linear'}"
-            )
+            parts.append(f"{kind} as (n T) to the {exponent:.2f}, {'about linear' if exponent <= _LINEAR[kind] else 'faster than linear'}")
     words = f"{spaced(stage.name)}: grows in {listing(parts)}." if parts else f"{spaced(stage.name)}: too few sizes for an exponent."
     if stage.iteration_exponent is not None and stage.iteration_exponent != stage.time_exponent:
         words += f" An iteration: to the {stage.iteration_exponent:.2f}."

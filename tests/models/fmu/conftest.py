@@ -261,19 +261,13 @@ def constants() -> Callable[[str], types.SimpleNamespace]:
 
 
 @pytest.fixture(scope="session")
-def built() -> Callable[..., Path]:
-    """built(scene, version="2.0") -> its FMU. Writing the equations of two fingers takes 16 s, even where the binary is there already."""
-    return cache(build_fmu)
-
-
-@pytest.fixture(scope="session")
-def unpacked(tmp_path_factory: pytest.TempPathFactory, built: Callable[..., Path]) -> Callable[..., str]:
+def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., str]:
     """unpacked(scene, version="2.0") -> folder of its unpacked FMU."""
 
     @cache
     def unpack(scene: Scene, version: str = "2.0") -> str:
         folder = tmp_path_factory.mktemp(scene.name)
-        return fmpy.extract(str(built(scene, version)), unzipdir=str(folder))
+        return fmpy.extract(str(build_fmu(scene, version)), unzipdir=str(folder))
 
     return unpack
 

@@ -17,6 +17,7 @@ from fmpy.validation import validate_fmu
 from scipy.integrate import solve_ivp
 
 from models.catalog import load_scene, scene_names
+from models.fmu import build_fmu
 from models.fmu.reference import Equations, Piece, _leaving, true_motion
 
 _BESIDE = sorted((Path(__file__).parents[2] / "scenes").glob("*.py"))
@@ -167,10 +168,10 @@ def fmutool():
     process.communicate()
 
 
-def test_checkers_find_no_problem(scene, built, fmutool):
+def test_checkers_find_no_problem(scene, fmutool):
     """FMPy's validation and fmutool's, FMI 2.0 and 3.0."""
     for version in VERSIONS:
-        path = built(scene, version)
+        path = build_fmu(scene, version)
         assert validate_fmu(str(path)) == []
         code, said = fmutool(path)
         assert code == 0, said
@@ -180,7 +181,7 @@ def test_checkers_find_no_problem(scene, built, fmutool):
 
 
 @pytest.mark.parametrize(("tool", "version"), [("fmuloader", "2.0"), ("fmuloader", "3.0"), ("libcosimpy", "2.0")])
-def test_other_importers_get_our_numbers(scene, built, drive, agree, tool, version):
+def test_other_importers_get_our_numbers(scene, drive, agree, tool, version):
     """1 s of Co-Simulation, or the scene's horizon, in 100 steps with constant inputs, through contact where the scene has one on the way.
 
     The steps are told to the last bit: the fingers of `two_finger` make an error of rounding as large as themselves within that second.
@@ -195,7 +196,7 @@ def test_other_importers_get_our_numbers(scene, built, drive, agree, tool, versi
     inputs = [[reference, value] for reference, value in zip(ours.vr(ours.names.u), u, strict=True)]
     code = LOADER if tool == "fmuloader" else MASTER
     got = child(
-        code, built(scene, version), scene.name, token, json.dumps(ours.vr(outputs)), json.dumps(inputs), version, json.dumps(steps)
+        code, build_fmu(scene, version), scene.name, token, json.dumps(ours.vr(outputs)), json.dumps(inputs), version, json.dumps(steps)
     )
     agree(scene, f"{tool}, FMI {version}", got, ours.get(*outputs))
 
