@@ -173,7 +173,8 @@ def pinch(gap: float, height: float) -> tuple[float, float, float, float]:
     across, up = BASE - RADIUS - WIDTH / 2 - gap, height
     direction, half = math.atan2(up, across), math.acos(math.hypot(across, up) / (2 * LENGTH))
     outwards = math.copysign(half, up)
-    return (direction + outwards, direction - outwards) * 2
+    first, second = direction + outwards, direction - outwards
+    return first, second, first, second
 
 
 def solver_limits() -> tuple[Limit, ...]:
