@@ -104,7 +104,12 @@ def indicators(subject: Subject, kind: str) -> Finding:
                 except Crowded:
                     break
                 if count:
-                    size = np.maximum(size, np.abs(instance.indicators()))
+                    now = np.abs(instance.indicators())
+                    size = np.maximum(size, now)
+                    if (
+                        (now <= _ZERO * size) & (size > 0)
+                    ).any():  # the look falls on an event, which its indicator announces by being zero
+                        continue
                 mover.update_unannounced()
                 if mover.record.surprises:
                     return failed(
