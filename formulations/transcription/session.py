@@ -11,11 +11,10 @@ from typing import Any, cast
 import numpy as np
 
 from formulations.ipopt import IpoptResult, Start
-from formulations.method import OptionError, Session
+from formulations.method import Method, OptionError, Session
 from formulations.solution import Outcome, Solution
 from formulations.transcription.build import build_model
 from formulations.transcription.contact_laws import ContactLaw, tighten
-from formulations.transcription.method import TranscriptionMethod
 from formulations.transcription.plans import load_first_guess, load_plan, read_plan
 from formulations.transcription.reach import Nearest, Patience, nearest
 from formulations.transcription.residuals import PlanResiduals
@@ -43,7 +42,7 @@ class TranscriptionSession(Session):
 
     contact: ContactLaw
 
-    def __init__(self, method: TranscriptionMethod, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> None:
+    def __init__(self, method: Method, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> None:
         self._method, self._scene, self._options = method, scene, dict(options)
         self._residuals = PlanResiduals(scene)
         self._bench: Workbench | None = None

@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 
 from formulations.ipopt import IpoptProblem, IpoptResult
+from formulations.method import Method
 from formulations.solution import Outcome
 from formulations.transcription.contact_laws import ContactLaw, hold_modes, release_modes, sides, tighten
 from formulations.transcription.friction import pressed_columns
-from formulations.transcription.method import TranscriptionMethod
 from formulations.transcription.plans import load_first_guess, load_plan, read_plan
 from formulations.transcription.session import Ending, TranscriptionSession, cold_barrier
 from formulations.transcription.workbench import Account, Workbench, primal_dual
@@ -54,7 +54,7 @@ _UNDECIDED, _WANTING = 1e-5, 1e-5
 class StrictSession(TranscriptionSession):
     contact = ContactLaw.COMPLEMENTARITY
 
-    def __init__(self, method: TranscriptionMethod, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> None:
+    def __init__(self, method: Method, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> None:
         super().__init__(method, scene, options, opening)
         self._kernel: Kernel = load_kernel(scene)
         self._modes_bench: Workbench | None = None
