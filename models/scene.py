@@ -192,7 +192,8 @@ class Scene:
     """The single source of one scene; see the module docstring.
 
     kinetic_energy T(q, v) [J], potential_energy V(q) [J] (without contacts), forces Q(q, v, u): (nq,) non-conservative
-    generalised forces (inputs, damping) [N, N m]; the equations of motion follow by Lagrange (models.dynamics).
+    generalised forces (inputs, damping) [N, N m]; the equations of motion follow by Lagrange (models.dynamics). quick: whether a quick campaign
+    runs it; False where its first plan that holds takes about a minute.
     """
 
     name: str
@@ -210,6 +211,7 @@ class Scene:
     limits: tuple[Limit, ...] = ()
     answers: tuple[Answer, ...] = ()
     shapes: tuple[Shape, ...] = ()
+    quick: bool = True
 
     def __post_init__(self) -> None:
         from models.scene_checks import check_scene

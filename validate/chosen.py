@@ -92,8 +92,13 @@ def select(settings: Settings) -> tuple[list[Entry | Examined], tuple[str, ...]]
     entries: list[Entry | Examined] = []
     seen: list[str] = []
     left_out: list[tuple[str, str]] = []
+    long: list[str] = []
     for reference in scenes:
         scene = reference.scene
+        if _is_too_long(settings, scene):
+            long.append(scene.name)
+            seen.append(scene.name)
+            continue
         for pipeline in tools.pipelines_for(scene):
             methods = dict.fromkeys(leg.method for leg in pipeline.legs)
             seen += [scene.name, pipeline.name, *methods]
@@ -111,12 +116,17 @@ def select(settings: Settings) -> tuple[list[Entry | Examined], tuple[str, ...]]
                             time_limit=settings.time_limit,
                         )
                         entries.append(_entry(cell, scene, tools))
-    told = _in_words(left_out, len(scenes))
+    told = (*_in_words(left_out, len(scenes) - len(long)), *(f"{name} x every pipeline" for name in long))
     examined, unexamined = _examined(settings, tools, scenes, seen)
     told += unexamined
     if not entries and not examined:
         raise _nothing(settings, seen, told)
     return [*entries, *examined], told
+
+
+def _is_too_long(settings: Settings, scene: Scene) -> bool:
+    """A quick campaign leaves out the scenes that say so themselves, unless they are asked for by name."""
+    return settings.quick and not scene.quick and not settings.scenes
 
 
 def _scenes(settings: Settings) -> list[SceneReference]:
@@ -142,6 +152,7 @@ def _examined(
     """
     from validate.provenance import examination_key
 
+    long = {reference.scene.name for reference in scenes if _is_too_long(settings, reference.scene)}
     examined: list[Examined] = []
     left_out: list[Examination] = []
     for item in tools.examinations(scenes):
@@ -150,7 +161,7 @@ def _examined(
         seen += [name for name in item.names if name not in seen]
         if settings.expression and not matches(settings.expression, item.names):
             continue
-        if settings.quick and not item.quick:
+        if settings.quick and (not item.quick or item.scene in long):
             left_out.append(item)
             continue
         examined.append(Examined(replace(item, key=examination_key(item), time_limit=settings.time_limit)))

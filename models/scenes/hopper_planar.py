@@ -123,6 +123,7 @@ SCENE = Scene(
             source="momentum: (m + m_f) g T",
         ),
     ),
+    quick=False,
     shapes=(
         Shape(name="body", kind="box", x=x, y=z, size=(0.4, 0.2), angle=-pitch),
         Shape(name="leg", kind="line", x=(x + x_f) / 2, y=(z + z_f) / 2, size=(l0,), angle=sp.atan2(_dz, _dx)),

@@ -50,5 +50,6 @@ SCENE = Scene(
         Limit(figure="replay_terminal_position_error", value=0.005, reason="a tenth of the way that the disc is to be moved"),
     ),
     answers=(fingers.stretched_answer(),),
+    quick=False,
     shapes=fingers.shapes(),
 )

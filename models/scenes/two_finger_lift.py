@@ -82,5 +82,6 @@ SCENE = Scene(
             source="2 mu N >= m g: balance of the disc under two level pushes and their friction",
         ),
     ),
+    quick=False,
     shapes=(*fingers.shapes(), Shape(name="table", kind="wall", x=sp.Integer(0), y=-y_t, size=(0.4,))),
 )

@@ -12,10 +12,11 @@ from formulations.method import Leg, Pipeline
 from formulations.mpec import certify_plan
 from formulations.pipeline import STARTS, cells_of, find_pipeline, pipeline_from_json, pipeline_to_json, stage_plan
 from formulations.solution import Attempt, FrontPoint, Outcome, Solution
-from models.catalog import load_scene
+from models.catalog import load_scene, scene_names
 from models.codegen.kernel import load_kernel
 from models.trajectory import Trajectory, uniform_grid
 from validate.campaign import Settings, select
+from validate.chosen import Entry, Examined
 from validate.evidence_records import certificate_record, front_records, start_records
 from validate.sweeps import FRONT, write_sweeps
 from validate.sweeps import STARTS as STARTS_FILE
@@ -72,6 +73,20 @@ def test_a_quick_campaign_says_once_what_it_leaves_out_of_every_scene(tmp_path) 
     assert left_out == tuple(f"every scene x {name}" for name in ("strict", "relaxed+strict", "softplus_gd+strict"))
     _, of_one = select(Settings(out=tmp_path, scenes=("three_cart",), quick=True, expression="softplus and strict"))
     assert of_one == ("three_cart x softplus_gd+strict",)
+
+
+def test_a_quick_campaign_leaves_out_the_long_scenes_unless_they_are_named(tmp_path) -> None:
+    entries, left_out = select(Settings(out=tmp_path, quick=True))
+    scenes = {name: load_scene(name) for name in scene_names()}
+    long = {name for name, scene in scenes.items() if not scene.quick}
+    assert long
+    assert {entry.scene.name for entry in entries if isinstance(entry, Entry)} == set(scenes) - long
+    assert {f"{name} x every pipeline" for name in long} <= set(left_out)
+    assert not {entry.cell.scene for entry in entries if isinstance(entry, Examined)} & long
+    named, _ = select(Settings(out=tmp_path, quick=True, scenes=(min(long),)))
+    assert {entry.scene.name for entry in named if isinstance(entry, Entry)} == {min(long)}
+    every, _ = select(Settings(out=tmp_path))
+    assert {entry.scene.name for entry in every if isinstance(entry, Entry)} == set(scenes)
 
 
 def test_a_certificate_becomes_a_record() -> None:

@@ -24,7 +24,7 @@ _OPTIONS = (
     click.option(
         "--quick",
         is_flag=True,
-        help="Only the pipelines softplus_dc+strict, softplus_gd+relu_gd and free_motion, and FMUs in FMI 2.0; below the table stands what was left out.",
+        help="Only the pipelines softplus_dc+strict, softplus_gd+relu_gd and free_motion, and FMUs in FMI 2.0, without scenes that take minutes; below the table stands what was left out.",
     ),
     click.option("--fresh", is_flag=True, help="Run cells again that are stored."),
     click.option(
