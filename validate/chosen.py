@@ -95,15 +95,13 @@ def select(settings: Settings) -> tuple[list[Entry | Examined], tuple[str, ...]]
     long: list[str] = []
     for reference in scenes:
         scene = reference.scene
-        if _is_too_long(settings, scene):
-            long.append(scene.name)
-            seen.append(scene.name)
-            continue
         for pipeline in tools.pipelines_for(scene):
             methods = dict.fromkeys(leg.method for leg in pipeline.legs)
             seen += [scene.name, pipeline.name, *methods]
             if not settings.expression or matches(settings.expression, (scene.name, pipeline.name, *methods)):
-                if settings.quick and pipeline.name not in tools.quick_names():
+                if _is_too_long(settings, scene):
+                    long.append(scene.name)
+                elif settings.quick and pipeline.name not in tools.quick_names():
                     left_out.append((scene.name, pipeline.name))
                 else:
                     for part in cells_of(pipeline):
@@ -116,6 +114,7 @@ def select(settings: Settings) -> tuple[list[Entry | Examined], tuple[str, ...]]
                             time_limit=settings.time_limit,
                         )
                         entries.append(_entry(cell, scene, tools))
+    long = list(dict.fromkeys(long))
     told = (*_in_words(left_out, len(scenes) - len(long)), *(f"{name} x every pipeline" for name in long))
     examined, unexamined = _examined(settings, tools, scenes, seen)
     told += unexamined
