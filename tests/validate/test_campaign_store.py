@@ -119,7 +119,7 @@ def test_results_have_the_columns_of_the_design(entry):
     design = (
         "scene, pipeline, stage, method, eps, outcome, cost, terminal_error, physics, physics_scaled, defect, discrete_terminal_error, "
         "replay_terminal_error, replay_error, ghost_impulse, missed_impulse, energy_residual, verdict, iterations, build_s, solve_s, "
-        "stage_s, total_s, replay_s"
+        "stage_s, total_s, replay_s, judged, tracked_terminal_error, tracked_replay_error, feedback_effort, growth_rate"
     )
     assert tuple(design.split(", ")) == COLUMNS
     header, row = results_text([_record(entry, "infeasible")]).splitlines()
