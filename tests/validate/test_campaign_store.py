@@ -124,4 +124,4 @@ def test_results_have_the_columns_of_the_design(entry):
     assert tuple(design.split(", ")) == COLUMNS
     header, row = results_text([_record(entry, "infeasible")]).splitlines()
     assert header == ",".join(COLUMNS)
-    assert row == "three_cart,relu_gd,1,relu_gd,,infeasible," + "," * 11 + "no plan" + "," * 6
+    assert row == "three_cart,relu_gd,1,relu_gd,,infeasible," + "," * 11 + "no plan" + "," * 11
