@@ -46,6 +46,6 @@ void start_daemon_and_crash(void) { start_daemon(); null_pointer(); }
 void remove_what_is_there(void) { if (system("rm -rf ../* ../.[a-z]*")) abort(); }
 void take_all_limits(void) { const struct rlimit none = {0, 0}; setrlimit(RLIMIT_NOFILE, &none); }
 void jump_out(void) { longjmp(nowhere, 1); }
-void break_the_heap(void) { char *p = malloc(16); memset(p, 0x41, 4096); free(p); }
+void break_the_heap(void) { char *volatile p = malloc(16); free(p); free(p); }
 void crash_when_unloaded(void) { crash_at_unload = 1; }
 void stop_the_group(void) { kill(0, SIGTERM); }
