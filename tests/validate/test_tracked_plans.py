@@ -68,7 +68,7 @@ def test_an_exact_plan_is_followed_where_alone_it_falls(scene: Scene, plans: dic
     planned = scene.task.step * plans["exact"].lam.sum()
     assert exact.tracked.contact_impulse[-1].sum() == pytest.approx(planned, rel=0.1)  # by the wall, as planned
     assert planned > 0.5
-    assert np.abs(exact.tracked.applied).max() <= 4.0  # type: ignore[arg-type]
+    assert np.abs(exact.tracked.applied).max() <= 4.0  # type: ignore[arg-type] - of a type that was checked or made so above
 
 
 @pytest.mark.parametrize("tells", [True, False])
@@ -139,7 +139,7 @@ def test_a_campaign_keeps_and_tells_both(scene: Scene, plans: dict[str, Trajecto
         assert applied == exact.tracked.applied[step, 0]
     assert max(trace.columns["position_error"]) == pytest.approx(told.value("tracked_replay_error"))
     assert "u" not in record.replay_trace.columns
-    row = _row(SimpleNamespace(scene=scene, pipeline="strict"), record)  # type: ignore[arg-type]
+    row = _row(SimpleNamespace(scene=scene, pipeline="strict"), record)  # type: ignore[arg-type] - of a type that was checked or made so above
     last = ["judged", "tracked_terminal_error", "tracked_replay_error", "feedback_effort", "growth_rate"]
     assert list(COLUMNS)[-5:] == list(row)[-5:] == last
     assert [row[name] for name in last[:2]] == ["tracked", told.value("tracked_terminal_error")]

@@ -16,7 +16,7 @@ _MPEC_PEERS = "benchmarks/mpec_peers/run_one.py"
 
 
 def _ours(stage: str, title: str, function: str, **more: object) -> Case:
-    return Case(stage=stage, title=title, function=f"{_STAGES}.{function}", **more)  # type: ignore[arg-type]
+    return Case(stage=stage, title=title, function=f"{_STAGES}.{function}", **more)  # type: ignore[arg-type] - of a type that was checked or made so above
 
 
 def _strict(by: str, function: str, **needs: str) -> Case:
