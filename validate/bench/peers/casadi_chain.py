@@ -38,7 +38,7 @@ def cold_step(size: Size, folder: Path) -> Work:
 
 
 def _solve(carts: Numbers, schedule: tuple[float, ...]) -> Mapping[str, Any]:
-    import casadi as ca
+    import casadi as ca  # pyright: ignore[reportMissingImports]
 
     n, steps, h = carts.n, carts.steps, carts.step
     q, v, u, lam = (ca.SX.sym(name, rows, steps) for name, rows in (("q", n), ("v", n), ("u", 2), ("lam", n - 1)))
