@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import sympy as sp
 
 from models.errors import SceneError
-from models.scene_values import as_expression, as_number, settle
+from models.scene_values import as_expression, as_number, check_text, settle
 
 # The shapes that are drawn, and how many lengths their size may have.
 _SHAPES = {"box": (2,), "disc": (1,), "line": (1,), "wall": (1, 2)}
@@ -22,6 +22,8 @@ class Limit:
     reason: str
 
     def __post_init__(self) -> None:
+        check_text("limit: figure", self.figure)
+        check_text(f"limit on {self.figure}: reason", self.reason, empty=True)
         settle(self, "value", as_number(f"limit on {self.figure}", self.value))
         if self.value < 0.0:
             raise SceneError(f"limit on {self.figure}: {self.value:g} is below 0, which no figure can be.")
@@ -41,6 +43,8 @@ class Answer:
     measure: str = ""
 
     def __post_init__(self) -> None:
+        check_text("answer: quantity", self.quantity)
+        check_text(f"answer {self.quantity}: source", self.source, empty=True)
         for field in ("value", "tolerance"):
             settle(self, field, as_number(f"answer {self.quantity}: {field}", getattr(self, field)))
         if self.tolerance <= 0.0:
@@ -60,7 +64,8 @@ class Shape:
     angle: sp.Expr = sp.S.Zero
 
     def __post_init__(self) -> None:
-        if self.kind not in _SHAPES:
+        check_text("shape: name", self.name)
+        if not isinstance(self.kind, str) or self.kind not in _SHAPES:
             raise SceneError(f"shape {self.name}: the kind {self.kind!r} is none of {', '.join(_SHAPES)}.")
         for field in ("x", "y", "angle"):
             settle(self, field, as_expression(f"shape {self.name}: {field}", getattr(self, field)))

@@ -9,6 +9,7 @@ import sympy as sp
 
 from models.errors import SceneError
 from models.scene import Scene
+from models.scene_values import check_text
 
 # Words of C, Python and of our own generated code that may not name a quantity.
 _RESERVED = frozenset(
@@ -86,8 +87,10 @@ _RESERVED = frozenset(
 def check_scene(scene: Scene) -> None:
     """Raise SceneError with one sentence naming the scene and the field, if anything contradicts itself."""
     _check_names(scene)
+    _check_words(scene)
     _check_lengths(scene)
     _check_symbols(scene)
+    _check_finite(scene)
     _check_mass(scene)
     _check_contacts(scene)
     _check_frictions(scene)
@@ -115,6 +118,13 @@ def _check_names(scene: Scene) -> None:
             )
         if name in _RESERVED:
             raise _fail(scene, f"the name {name!r} is reserved; choose another.")
+
+
+def _check_words(scene: Scene) -> None:
+    for field in ("title", "source"):
+        check_text(f"scene {scene.name}: {field}", getattr(scene, field))
+    if not isinstance(scene.quick, bool):
+        raise _fail(scene, f"quick says whether a quick campaign runs the scene: True or False, not {scene.quick!r}.")
 
 
 def _check_lengths(scene: Scene) -> None:
@@ -187,6 +197,17 @@ def _start(scene: Scene) -> dict[sp.Symbol, float]:
         values[coordinate.symbol] = scene.task.start[index]
         values[coordinate.velocity] = scene.task.start[scene.nq + index]
     return values
+
+
+def _check_finite(scene: Scene) -> None:
+    """Energy, forces and running cost at the start, inputs at zero or at the bound nearest to it."""
+    inputs = {item.symbol: min(max(0.0, item.lower), item.upper) for item in scene.inputs}
+    fields = [("potential_energy", scene.potential_energy), ("task.running_cost", scene.task.running_cost)]
+    fields += [(f"forces[{coordinate.name}]", force) for coordinate, force in zip(scene.coordinates, scene.forces, strict=True)]
+    for field, expression in fields:
+        value = expression.subs(_start(scene)).subs(inputs).evalf()  # the state first: 0 u / 0 is no 0
+        if value.has(sp.nan, sp.zoo, sp.oo, -sp.oo, sp.I):
+            raise _fail(scene, f"{field} is {value} at the start (inputs at zero), but must be a finite real number there.")
 
 
 def _check_mass(scene: Scene) -> None:

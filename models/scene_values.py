@@ -26,6 +26,12 @@ def check_name(what: str, name: Any) -> None:
         raise SceneError(f"{what}: the name {name!r} is not an identifier; use letters, digits and _, starting with a letter.")
 
 
+def check_text(what: str, text: Any, *, empty: bool = False) -> None:
+    """Words that are shown: a string, with something in it unless `empty`."""
+    if not isinstance(text, str) or not (empty or text.strip()):
+        raise SceneError(f"{what} must be words in quotes, not {text!r}.")
+
+
 def check_unit(what: str, unit: Any) -> None:
     problem = unit_problem(unit)
     if problem:

@@ -1,0 +1,158 @@
+"""A scene file of one's own with one mistake: one sentence that names the file and the field, and exit code 2."""
+
+from pathlib import Path
+
+import pytest
+
+from models.catalog import load_scene
+from models.errors import SceneError
+from validate.cli.group import run
+
+SOUND = '''"""A mass before a wall, rubbing along it."""
+import sympy as sp
+from models.contacts import Friction
+from models.scene import Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
+
+x, vx, y, vy, u = sp.symbols("x vx y vy u", real=True)
+m, k, mu = sp.symbols("m k mu", positive=True)
+SCENE = Scene(
+    name="own",
+    title="a mass before a wall",
+    source="this test",
+    coordinates=(Coordinate(symbol=x, velocity=vx, unit="m"), Coordinate(symbol=y, velocity=vy, unit="m")),
+    inputs=(Input(symbol=u, unit="N", lower=-1.0, upper=1.0),),
+    parameters=(
+        Parameter(symbol=m, value=1.0, unit="kg"), Parameter(symbol=k, value=10.0, unit="N/m"), Parameter(symbol=mu, value=0.5, unit="1")
+    ),
+    kinetic_energy=m * (vx**2 + vy**2) / 2,
+    potential_energy=sp.Integer(0),
+    forces=(u, sp.Integer(0)),
+    contacts=(Contact(name="wall", penetration=x - 1, stiffness=k),),
+    frictions=(Friction(name="wall", slip=vy, coefficient=mu, contact="wall"),),
+    task=Task(start=(0.0, 0.0, 0.0, 0.0), goal=(0.5, None, 0.0, None), running_cost=u**2, step=0.01, steps=10),
+    limits=(Limit(figure="defect", value=1e-6, reason="tolerance"),),
+    shapes=(Shape(name="mass", kind="disc", x=x, y=y, size=(0.1,)),),
+)
+'''
+ENERGY = "kinetic_energy=m * (vx**2 + vy**2) / 2"
+GOAL = "goal=(0.5, None, 0.0, None)"
+# what is wrong: (the text of the sound file, what stands there instead, words of the sentence)
+MISTAKES = {
+    "a definition by itself": ("m, k, mu = sp", "from own import m\nm, k, mu = sp", ["ModuleNotFoundError", "line 7", "own"]),
+    "an energy of the scene itself": ("potential_energy=sp.Integer(0)", "potential_energy=SCENE.kinetic_energy", ["SCENE", "not defined"]),
+    "two contacts of one name": (
+        "contacts=(",
+        'contacts=(Contact(name="wall", penetration=-x - 1, stiffness=k), ',
+        ["lam_wall", "2 times"],
+    ),
+    "two frictions of one name": (
+        "frictions=(",
+        'frictions=(Friction(name="wall", slip=vy, coefficient=mu, contact="wall"), ',
+        ["friction_wall", "2 times"],
+    ),
+    "an asymmetric mass matrix": (
+        ENERGY,
+        "kinetic_energy=sp.Matrix([[vx, vy]]) * sp.Matrix([[m, 1], [0, m]]) * sp.Matrix([vx, vy])",
+        ["kinetic_energy", "not MutableDenseMatrix"],
+    ),
+    "a mass matrix that is not definite": (ENERGY, f"{ENERGY} + 3 * vx * vy", ["mass matrix", "not positive definite", "at y"]),
+    "an energy linear in a velocity": (ENERGY, f"{ENERGY} + vx", ["kinetic_energy contains vx", "not quadratic"]),
+    "a symbol that Python does not know": ("forces=(u,", "forces=(u - c * vx,", ["line 19", "'c' is not defined"]),
+    "a symbol that the scene does not know": (
+        "forces=(u,",
+        "forces=(u - sp.Symbol('c') * vx,",
+        ["forces[x] uses c", "neither a parameter"],
+    ),
+    "a stiffness of an unknown symbol": ("stiffness=k", "stiffness=sp.Symbol('kk')", ["contact wall: stiffness uses kk"]),
+    "a gap without a slope at the start": ("x - 1,", "1 - sp.sqrt(x**2 + y**2),", ["contact wall", "not differentiable at the start"]),
+    "a gap of a velocity": ("x - 1,", "x + vx - 1,", ["contact wall: penetration uses vx"]),
+    "friction of a contact that is not there": (
+        'contacts=(Contact(name="wall", penetration=x - 1, stiffness=k),)',
+        "contacts=()",
+        ["friction wall", "no contact 'wall'", "it has no contacts"],
+    ),
+    "friction that nothing presses": ('coefficient=mu, contact="wall"', "coefficient=mu", ["friction wall", "there is neither"]),
+    "a slip of positions": ("slip=vy", "slip=y", ["friction wall", "not linear in the velocities"]),
+    "a slip squared": ("slip=vy", "slip=vy**2", ["friction wall", "not linear in the velocities"]),
+    "a negative coefficient of friction": ("symbol=mu, value=0.5", "symbol=mu, value=-0.5", ["friction wall", "coefficient"]),
+    "a mass of NaN": ("symbol=m, value=1.0", "symbol=m, value=float('nan')", ["parameter m", "nan"]),
+    "a mass of zero": ("symbol=m, value=1.0", "symbol=m, value=0.0", ["not positive definite", "at x"]),
+    "a mass in words": ("symbol=m, value=1.0", "symbol=m, value='1 kg'", ["parameter m", "'1 kg'"]),
+    "no horizon": ("steps=10", "steps=0", ["task: steps", "at least 1"]),
+    "a time step backwards": ("step=0.01", "step=-0.01", ["task: step", "positive"]),
+    "a time step without end": ("step=0.01", "step=float('inf')", ["task: step", "inf"]),
+    "a goal by name": (GOAL, "goal='upright'", ["task: goal", "'upright'"]),
+    "a goal of too few numbers": (GOAL, "goal=(0.5, 0.0)", ["task.goal has 2", "4 are needed"]),
+    "a goal of NaN": (GOAL, "goal=(float('nan'), None, 0.0, None)", ["task: goal[0]", "nan"]),
+    "a free start": ("start=(0.0, 0.0,", "start=(0.0, None,", ["task: start[1]", "None"]),
+    "bounds the wrong way round": ("lower=-1.0, upper=1.0", "lower=1.0, upper=-1.0", ["input u", "[1, -1]", "empty"]),
+    "a value outside its range": ("symbol=m, value=1.0", "symbol=m, value=1.0, lower=2.0", ["parameter m", "outside its range"]),
+    "a unit that is none": ('unit="kg"', 'unit="kilo"', ["parameter m", "'kilo'"]),
+    "a field that is none": ('title="a', 'titel="", title="a', ["unexpected keyword argument 'titel'"]),
+    "a field that is missing": ('    source="this test",\n', "", ["missing", "'source'"]),
+    "a field twice": ('title="a', 'source="", title="a', ["SyntaxError", "source"]),
+    "an error of syntax": ("forces=(u,", "forces=(u,,", ["SyntaxError", "line 19"]),
+    "an error of indentation": ("SCENE = Scene(", "  SCENE = Scene(", ["IndentationError", "line 8"]),
+    "a module that is not there": ("import sympy as sp", "import sympy as sp\nimport no_such_module", ["no_such_module", "line 3"]),
+    "a name that a module has not": ("import Friction", "import Frictions", ["Frictions", "line 3"]),
+    "a function instead of a scene": ("SCENE = Scene(", "def SCENE():\n  return Scene(", ["must define SCENE", "found function"]),
+    "a function that returns something else": ("SCENE = Scene(", "SCENE = (lambda: 3)()\nOTHER = Scene(", ["found int"]),
+    "another name than the file's": ('name="own"', 'name="other"', ["'other'", "'own'"]),
+    "a title that is a number": ('title="a mass before a wall"', "title=3", ["title", "3"]),
+    "a title of nothing": ('title="a mass before a wall"', 'title=" "', ["title", "words"]),
+    "a source of nothing": ('source="this test"', "source=None", ["source", "None"]),
+    "quick in words": ('name="own",', 'name="own", quick="no",', ["quick", "True or False", "'no'"]),
+    "quick as a number": ('name="own",', 'name="own", quick=1,', ["quick", "True or False"]),
+    "a limit without a reason": ('reason="tolerance"', "reason=None", ["limit on defect: reason", "None"]),
+    "a limit on a number": ('figure="defect"', "figure=3", ["limit: figure", "3"]),
+    "a cost of an unknown": ("running_cost=u**2", "running_cost=u**2 + sp.Symbol('w')", ["running_cost uses w"]),
+    "a cost that is a condition": ("running_cost=u**2", "running_cost=u > 1", ["running_cost", "StrictGreaterThan"]),
+    "a cost without end at the start": ("running_cost=u**2", "running_cost=sp.log(x)", ["task.running_cost", "at the start", "finite"]),
+    "a force without end at the start": ("forces=(u,", "forces=(u + 1 / x,", ["forces[x]", "zoo at the start"]),
+    "a force that is no number at the start": ("forces=(u,", "forces=(u / x,", ["forces[x]", "nan at the start"]),
+    "a force that is not real at the start": ("forces=(u,", "forces=(sp.sqrt(x - 1),", ["forces[x]", "real"]),
+    "a potential of a velocity": ("potential_energy=sp.Integer(0)", "potential_energy=vx", ["potential_energy uses vx"]),
+    "a symbol of two assumptions": ("forces=(u,", "forces=(sp.Symbol('u'),", ["forces[x]", "other assumptions"]),
+    "one symbol for two coordinates": ("symbol=y, velocity=vy", "symbol=x, velocity=vx", ["'x'", "2 times"]),
+    "a contact with a blank in its name": ('name="wall", pen', 'name="the wall", pen', ["'the wall'", "identifier"]),
+    "a contact without a size": ("stiffness=k)", "stiffness=k, nominal=0.0)", ["contact wall: nominal", "positive"]),
+    "a damping that drives": ("stiffness=k)", "stiffness=k, damping=-1.0)", ["contact wall: the damping", "negative"]),
+    "a damping law in words": ("stiffness=k)", "stiffness=k, damping_law='kelvin')", ["contact wall: damping_law", "'kelvin'"]),
+    "a shape that nobody draws": ('kind="disc"', "kind=['disc']", ["shape mass", "box"]),
+    "a file that ends the program": ("import sympy as sp", "import sympy as sp, sys\nsys.exit(0)", ["SystemExit", "line 3"]),
+    "a function that calls itself": ("SCENE =", "def f(n):\n  return f(n + 1)\nf(0)\nSCENE =", ["RecursionError"]),
+    "an error of two lines": ("SCENE = Scene(", "raise ValueError('one\\ntwo')\nSCENE = Scene(", ["ValueError", "line 8"]),
+}
+
+
+def test_without_a_mistake_it_is_a_scene(tmp_path: Path):
+    assert load_scene(written(tmp_path, SOUND)).nf == 1
+
+
+@pytest.mark.parametrize("kind", MISTAKES)
+def test_a_mistake_is_named_with_its_file_and_field(tmp_path: Path, kind: str):
+    sound, instead, words = MISTAKES[kind]
+    assert SOUND.count(sound) >= 1
+    path = written(tmp_path, SOUND.replace(sound, instead, 1))
+    with pytest.raises(SceneError) as caught:
+        load_scene(path)
+    text = str(caught.value)
+    assert text.startswith(f"scene file {path}")
+    assert all(word in text for word in words), text
+
+
+@pytest.mark.parametrize("kind", ["quick in words", "an error of two lines", "an error of syntax", None])
+def test_the_command_says_it_in_one_line_and_ends_with_2(tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str | None):
+    """None: the file is missing."""
+    path = str(tmp_path / "own.py") if kind is None else written(tmp_path, SOUND.replace(*MISTAKES[kind][:2], 1))
+    assert run(["plan", "--scene", path, "--out", str(tmp_path / "runs")]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: ")
+    assert said.count("\n") == 1, said
+    assert path in said
+
+
+def written(folder: Path, text: str) -> str:
+    path = folder / "own.py"
+    path.write_text(text, encoding="utf-8")
+    return str(path)
