@@ -14,6 +14,7 @@ lasts three and a half steps, and throws the pole back a little differently than
 import math
 
 import sympy as sp
+from sympy.simplify.fu import TR8  # products of sines and cosines -> those of sums
 
 from models.scene import Answer, Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
 
@@ -45,7 +46,7 @@ SCENE = Scene(
         Parameter(symbol=k, value=200.0, unit="N/m", lower=1e-6, description="stiffness of the walls"),
         Parameter(symbol=w, value=1.0, unit="m", lower=0.0, description="distance of each wall from the middle"),
     ),
-    kinetic_energy=sp.simplify(m_c * vx**2 / 2 + m_p * (TIP_VELOCITY[0] ** 2 + TIP_VELOCITY[1] ** 2) / 2),
+    kinetic_energy=m_c * vx**2 / 2 + m_p * sp.expand(TR8(sp.expand(TIP_VELOCITY[0] ** 2 + TIP_VELOCITY[1] ** 2))) / 2,
     potential_energy=m_p * g * TIP[1],
     forces=(u, sp.Integer(0)),
     contacts=(
