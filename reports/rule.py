@@ -5,7 +5,7 @@ failures(runs, examinations)           # one sentence each; none: exit code 0
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # the words are shown by --help, which must not cost pydantic
@@ -36,6 +36,25 @@ def failures(runs: Sequence[RunRecord], examinations: Sequence[ExaminationRecord
         found += _scene_failure(scene, [run for run in runs if run.scene.name == scene])
     found += [_examined(record) for record in examinations if not record.passed]
     return tuple(found)
+
+
+def fails(record: RunRecord | ExaminationRecord) -> bool:
+    """Whether a campaign fails because of this cell alone."""
+    passed = getattr(record, "passed", None)  # of an examination
+    return not passed if passed is not None else bool(_cell_failure(record))
+
+
+def failed_keys(records: Iterable[RunRecord | ExaminationRecord]) -> frozenset[str]:
+    """Keys of the cells because of which a campaign of these records fails; of a scene on which nothing holds, all by direct methods."""
+    from reports.examination_record import divided
+
+    runs, examinations = divided(records)
+    failed = {record.key for record in (*runs, *examinations) if fails(record)}
+    for scene in dict.fromkeys(run.scene.name for run in runs):
+        of_scene = [run for run in runs if run.scene.name == scene]
+        if _scene_failure(scene, of_scene):
+            failed |= {run.key for run in of_scene if run.must_hold and run.outcome != "refused"}
+    return frozenset(failed)
 
 
 def _examined(record: ExaminationRecord) -> str:

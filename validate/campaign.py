@@ -8,7 +8,7 @@ Cells are content-addressed: a stored one is used again, unless it crashed, or r
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +18,7 @@ from validate.chosen import CampaignError, Entry, Examined, Settings, select, wi
 from validate.engine import LocalEngine
 from validate.results import write_examinations, write_results
 from validate.store import Store, write_durably
+from validate.stored import CAMPAIGN, only_last_failed, stored_campaign
 from validate.sweeps import write_sweeps
 from validate.tools import load_tools
 
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["CampaignError", "Narrator", "Outcome", "Settings", "run_campaign", "select", "stored_campaign", "with_stored"]
 
 TITLE = "Plans through contact, replayed and scored"
-CAMPAIGN, RESULTS, EXAMINATIONS, VIOLATION = "campaign.json", "results.csv", "examinations.csv", "violation.csv"
+RESULTS, EXAMINATIONS, VIOLATION = "results.csv", "examinations.csv", "violation.csv"
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
     from models.codegen.compiler import find_compiler
     from reports.collected import collected
     from reports.examination_record import divided
-    from reports.rule import failures
+    from reports.rule import fails, failures
     from validate.provenance import gather
     from validate.violation import write_violation
 
@@ -75,6 +76,10 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
     store = Store(settings.out)
     store.prepare()
     entries = with_stored(entries, store, settings)
+    if settings.last_failed:
+        entries = only_last_failed(entries, store)
+    for name, text in settings.files.items():
+        write_durably(settings.out / name, text)
     provenance = gather(settings.command)
     violation = _violation(entries)
     steps = _time_steps(entries, settings.out)
@@ -110,9 +115,12 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
         if item.warning:
             narrator.warns(item.warning)
     try:
-        for record in _run([entry for entry in entries if entry.stored is None], store, provenance, settings, narrator.runs):
-            records[record.key] = record
-            narrator.finished(record)
+        with closing(_run([entry for entry in entries if entry.stored is None], store, provenance, settings, narrator)) as finished:
+            for record in finished:
+                records[record.key] = record
+                narrator.finished(record)
+                if settings.stop_early and fails(record):
+                    break
     finally:
         narrator.ends()
         done, examinations = write()
@@ -141,8 +149,8 @@ def _run(
     store: Store,
     provenance: ProvenanceRecord,
     settings: Settings,
-    watch: Callable[[Sequence[Worker]], None],
-) -> Iterator[RunRecord | ExaminationRecord]:
+    narrator: Narrator,
+) -> Generator[RunRecord | ExaminationRecord, None, None]:
     if not entries:
         return
     from validate.worker import Watchdog, Worker
@@ -153,29 +161,16 @@ def _run(
         def start(cell: Job) -> Worker:
             return Worker(cell, by_key[cell.key].lost(provenance), provenance, store, watchdog)
 
-        engine = LocalEngine(start, settings.jobs, watch)
-        with closing(engine.run([entry.cell for entry in entries])) as finished:
-            for _, record in finished:
-                yield record
-
-
-def stored_campaign(folder: Path) -> tuple[CampaignRecord, tuple[RunRecord | ExaminationRecord, ...]]:
-    """The campaign of a folder and those of its cells that are stored, in order. Raises CampaignError."""
-    from pydantic import ValidationError
-
-    from reports.record import CampaignRecord
-
-    path = folder / CAMPAIGN
-    try:
-        campaign = CampaignRecord.model_validate_json(path.read_bytes())
-    except OSError as error:
-        raise CampaignError(
-            f"{folder}: there is no campaign in this folder ({CAMPAIGN} cannot be read); run one with --out {folder}."
-        ) from error
-    except ValidationError as error:
-        raise CampaignError(
-            f"{path}: it is damaged, or of another version ({error.error_count()} fields do not fit); run the campaign again."
-        ) from error
-    store = Store(folder)
-    found = (store.read(key) for key in campaign.keys)
-    return campaign, tuple(record for record in found if record is not None)
+        engine = LocalEngine(start, settings.jobs, narrator.runs)
+        for tries_left in range(settings.retries, -1, -1):
+            crashed: list[Entry | Examined] = []
+            with closing(engine.run([entry.cell for entry in entries])) as finished:
+                for _, record in finished:
+                    if record.outcome == "crashed" and tries_left:
+                        crashed.append(by_key[record.key])
+                        narrator.warns(f"{by_key[record.key].cell.title} crashed and will be tried again: {record.message}")
+                    else:
+                        yield record
+            if not crashed:
+                return
+            entries = crashed

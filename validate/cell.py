@@ -21,6 +21,7 @@ from formulations.pipeline import pipeline_from_json, pipeline_to_json
 from models.errors import MachineError, TouchstoneError
 from validate.profile import Profile
 from validate.store import PROGRESS
+from validate.variant import Variant, varied
 
 if TYPE_CHECKING:
     from formulations.method import Method, Session
@@ -36,7 +37,8 @@ _JUDGING_SHARE, _JUDGING_MOST = 0.1, 30.0
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """What is to be run. scene: a name or an absolute path of a scene file; tools: a dotted name (validate.tools)."""
+    """What is to be run. scene: a name or an absolute path of a scene file; variant: what a campaign file changes of it; tools: a dotted
+    name (validate.tools)."""
 
     key: str
     scene: str
@@ -44,6 +46,7 @@ class Cell:
     pipeline: Pipeline
     tools: str
     time_limit: float
+    variant: Variant | None = None
 
     @property
     def title(self) -> str:
@@ -58,11 +61,13 @@ class Cell:
             "pipeline": pipeline_to_json(self.pipeline),
             "tools": self.tools,
             "time_limit": self.time_limit,
+            **({} if self.variant is None else {"variant": self.variant.to_json()}),
         }
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Cell:
-        return cls(**{**data, "pipeline": pipeline_from_json(data["pipeline"])})
+        variant = Variant.from_json(data["variant"]) if "variant" in data else None
+        return cls(**{**data, "pipeline": pipeline_from_json(data["pipeline"]), "variant": variant})
 
 
 @dataclass(frozen=True)
@@ -90,6 +95,8 @@ def run_cell(cell: Cell, provenance: ProvenanceRecord, folder: Path, began: floa
     tools = load_tools(cell.tools)
     profile.lap("imports")
     scene = load_scene(cell.scene)
+    if cell.variant is not None:
+        scene = varied(scene, cell.variant)
     profile.lap("scene")
     methods = {leg.method: tools.load_method(leg.method) for leg in cell.pipeline.legs}
     plan = planned_stages(cell.pipeline, methods)

@@ -10,7 +10,7 @@ import difflib
 import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +25,7 @@ from validate.store import Store
 from validate.tools import DEFAULT_TOOLS, Tools, load_tools, tools_source
 
 if TYPE_CHECKING:
+    from formulations.method import Pipeline
     from models.scene import Scene
     from reports.examination_record import ExaminationRecord
     from reports.record import ProvenanceRecord, RunRecord
@@ -41,7 +42,13 @@ class CampaignError(TouchstoneError):
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """What the user asked for. scenes: names or paths; empty for all of the catalog."""
+    """What the user asked for.
+
+    scenes: names or paths; empty for all of the catalog. last_failed: of what is not stored, run only what failed when the folder's campaign
+    last ran, and that in any case; stop_early: at the first failure; retries: of a cell that crashes.
+    Of a campaign file: chosen, instead of `scenes`; pipelines, instead of all of them; examined: scenes whose FMUs are checked; files: texts
+    written into the folder, by name.
+    """
 
     out: Path
     scenes: tuple[str, ...] = ()
@@ -52,6 +59,13 @@ class Settings:
     time_limit: float = 120.0
     tools: str = DEFAULT_TOOLS
     command: str = ""
+    last_failed: bool = False
+    stop_early: bool = False
+    retries: int = 0
+    chosen: tuple[SceneReference, ...] = ()
+    pipelines: tuple[Pipeline, ...] = ()
+    examined: tuple[SceneReference, ...] = ()
+    files: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -88,14 +102,14 @@ class Examined:
 def select(settings: Settings) -> tuple[list[Entry | Examined], tuple[str, ...]]:
     """The cells asked for, in order, and what a quick campaign leaves out, in words. Raises TouchstoneError."""
     tools = load_tools(settings.tools)
-    scenes = _scenes(settings)
+    scenes = list(settings.chosen) or _scenes(settings)
     entries: list[Entry | Examined] = []
     seen: list[str] = []
     left_out: list[tuple[str, str]] = []
     long: list[str] = []
     for reference in scenes:
         scene = reference.scene
-        for pipeline in tools.pipelines_for(scene):
+        for pipeline in settings.pipelines or tools.pipelines_for(scene):
             methods = dict.fromkeys(leg.method for leg in pipeline.legs)
             seen += [scene.name, pipeline.name, *methods]
             if not settings.expression or matches(settings.expression, (scene.name, pipeline.name, *methods)):
@@ -112,11 +126,12 @@ def select(settings: Settings) -> tuple[list[Entry | Examined], tuple[str, ...]]
                             pipeline=part,
                             tools=settings.tools,
                             time_limit=settings.time_limit,
+                            variant=reference.variant,
                         )
                         entries.append(_entry(cell, scene, tools))
     long = list(dict.fromkeys(long))
     told = (*_in_words(left_out, len(scenes) - len(long)), *(f"{name} x every pipeline" for name in long))
-    examined, unexamined = _examined(settings, tools, scenes, seen)
+    examined, unexamined = _examined(settings, tools, settings.examined if settings.chosen else scenes, seen)
     told += unexamined
     if not entries and not examined:
         raise _nothing(settings, seen, told)
@@ -155,7 +170,7 @@ def _examined(
     examined: list[Examined] = []
     left_out: list[Examination] = []
     for item in tools.examinations(scenes):
-        if item.scene is None and settings.scenes:
+        if item.scene is None and (settings.scenes or settings.chosen):
             continue
         seen += [name for name in item.names if name not in seen]
         if settings.expression and not matches(settings.expression, item.names):
@@ -230,16 +245,16 @@ def _usable(store: Store, cell: Cell | Examination, fresh: bool) -> tuple[RunRec
 
 def reasons(entries: Sequence[Entry | Examined], store: Store) -> list[str]:
     """For each cell why it would be run, "" where its record is used; one of which another version is stored says that."""
-    others = {_identity(request) for request in store.requests()}
+    others = {identity(request) for request in store.requests()}
     return [
         "stored for other code, options, libraries or another scene file"
-        if entry.why == NOTHING_STORED and _identity(entry.cell.to_json()) in others
+        if entry.why == NOTHING_STORED and identity(entry.cell.to_json()) in others
         else entry.why
         for entry in entries
     ]
 
 
-def _identity(cell: Mapping[str, Any]) -> tuple[object, ...]:
+def identity(cell: Mapping[str, Any]) -> tuple[object, ...]:
     """What a cell is called, whatever its content."""
     pipeline = cell.get("pipeline")
     if isinstance(pipeline, Mapping):

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from models.scene import Scene
     from reports.examination_record import ExaminationRecord
     from reports.record import FigureRecord, ProvenanceRecord
+    from validate.variant import Variant
     from validate.worker import Lost
 
 # Of an examination's time limit, what is kept for writing down what was found: a twentieth, but no more than 5 s.
@@ -36,10 +37,11 @@ _LOG_LINES = 40
 
 @dataclass(frozen=True)
 class SceneReference:
-    """A scene of the campaign, and what load_scene takes to find it again in a child."""
+    """A scene of the campaign, what load_scene takes to find it again in a child, and what a campaign file changed of it (done in `scene`)."""
 
     where: str
     scene: Scene
+    variant: Variant | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

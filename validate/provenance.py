@@ -37,9 +37,11 @@ _NO_INFLUENCE = (
     "validate/__main__.py",
     "validate/campaign.py",
     "validate/chosen.py",
+    "validate/config/",
     "validate/engine.py",
     "validate/results.py",
     "validate/selection.py",
+    "validate/stored.py",
     "validate/time_steps.py",
 )
 # Parts that decide what examinations find, and nothing of a cell of a scene by a pipeline.

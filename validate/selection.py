@@ -2,8 +2,8 @@
 
     matches("strict and not relaxed", ["three_cart", "softplus_dc+strict", "strict_lcp"])   # True
 
-A word is true if it is part of one of the cell's names (its scene, its pipeline, its methods), upper and lower case alike; words are
-joined with `and`, `or`, `not` and parentheses, as in pytest.
+A word is true if it is part of one of the cell's names (its scene, its pipeline, its methods), upper and lower case alike, and `=word` if it
+is all of one; words are joined with `and`, `or`, `not` and parentheses, as in pytest.
 """
 
 from __future__ import annotations
@@ -65,6 +65,8 @@ class _Parser:
         if word in {"and", "or", ")"}:
             raise self._error(f"a name is missing before {word!r}")
         self._place += 1
+        if word.startswith("="):
+            return word[1:].lower() in self._names
         return any(word.lower() in name for name in self._names)
 
     def _take(self, token: str) -> bool:

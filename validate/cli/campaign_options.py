@@ -1,9 +1,12 @@
-"""The options by which a campaign is chosen: those of `all`, and of `plan`, which says what `all` would do."""
+"""The options by which a campaign is chosen and run: those of `all`, of `plan`, which says what `all` would do, and of `run`, where a file chooses.
+
+Each is a parameter named like the field of validate.chosen.Settings that it fills.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,28 +23,12 @@ def _positive(context: click.Context, parameter: click.Parameter, value: float) 
     return value
 
 
-_OPTIONS = (
+# What a campaign file decides.
+_CHOOSING = (
     click.option(
         "--quick",
         is_flag=True,
         help="Only the pipelines softplus_dc+strict, softplus_gd+relu_gd and free_motion, and FMUs in FMI 2.0, without scenes that take minutes; below the table stands what was left out.",
-    ),
-    click.option("--fresh", is_flag=True, help="Run cells again that are stored."),
-    click.option(
-        "-k",
-        "expression",
-        default="",
-        metavar="EXPR",
-        help="Only cells whose scene, pipeline or method names match: words joined with and, or, not.",
-    ),
-    click.option(
-        "-j",
-        "--jobs",
-        type=click.IntRange(min=1),
-        default=1,
-        show_default=True,
-        metavar="N",
-        help="Cells at a time. With more than one, times are less comparable.",
     ),
     click.option(
         "--scene",
@@ -49,9 +36,6 @@ _OPTIONS = (
         multiple=True,
         metavar="NAME|FILE.py",
         help="Only this scene, by name or by the path of a scene file; may be repeated.",
-    ),
-    click.option(
-        "--out", type=click.Path(path_type=Path), default="runs/all", show_default=True, metavar="DIR", help="The folder of the campaign."
     ),
     click.option(
         "--time-limit",
@@ -62,14 +46,60 @@ _OPTIONS = (
         metavar="SECONDS",
         help="For each cell, all its stages and replays.",
     ),
+)
+_SELECTING = (
+    click.option(
+        "-k",
+        "expression",
+        default="",
+        metavar="EXPR",
+        help="Only cells whose scene, pipeline or method names match: words joined with and, or, not; =NAME means the whole name.",
+    ),
+    click.option("--fresh", is_flag=True, help="Run cells again that are stored."),
+    click.option("--lf", "last_failed", is_flag=True, help="Run what failed when the campaign in DIR last ran, and nothing else."),
+    click.option(
+        "-j",
+        "--jobs",
+        type=click.IntRange(min=1),
+        default=1,
+        show_default=True,
+        metavar="N",
+        help="Cells at a time. With more than one, times are less comparable.",
+    ),
     click.option(
         "--tools", default=DEFAULT_TOOLS, metavar="MODULE:NAME", help="Methods, pipelines and judge from elsewhere (see validate/tools.py)."
     ),
 )
+_ENDING = (
+    click.option("-x", "stop_early", is_flag=True, help="Stop at the first cell that makes the campaign fail."),
+    click.option(
+        "--retry", "retries", type=click.IntRange(min=0), default=0, metavar="N", help="Run a cell that crashes again, up to N times."
+    ),
+)
+_OUT = click.option(
+    "--out", type=click.Path(path_type=Path), default="runs/all", show_default=True, metavar="DIR", help="The folder of the campaign."
+)
+_OUT_OF_FILE = click.option(
+    "--out", type=click.Path(path_type=Path), metavar="DIR", help="The folder of the campaign.  [default: runs/NAME of the file]"
+)
 
 
 def campaign_options(command: _Command) -> _Command:
-    """Adds them all, as the parameters quick, fresh, expression, jobs, scenes, out, time_limit and tools."""
-    for option in reversed(_OPTIONS):
+    """What `plan` takes: everything by which cells are chosen."""
+    return _decorated(command, (*_CHOOSING, *_SELECTING, _OUT))
+
+
+def running_options(command: _Command) -> _Command:
+    """What `all` takes: the same, and when to stop."""
+    return _decorated(command, (*_CHOOSING, *_SELECTING, *_ENDING, _OUT))
+
+
+def file_options(command: _Command) -> _Command:
+    """What `run` takes: what a campaign file does not decide."""
+    return _decorated(command, (*_SELECTING, *_ENDING, _OUT_OF_FILE))
+
+
+def _decorated(command: _Command, options: Iterable[Callable[[Any], Any]]) -> _Command:
+    for option in reversed(tuple(options)):
         command = option(command)
     return command

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from pathlib import Path
+from typing import Any
 
 import click
 
@@ -25,27 +25,18 @@ Exit codes: 0 told; 2 usage, or nothing selected.
 @click.command(epilog=_EPILOG)
 @campaign_options
 @click.option("--json", "as_json", is_flag=True, help="As JSON on stdout.")
-def command(
-    quick: bool,
-    fresh: bool,
-    expression: str,
-    jobs: int,
-    scenes: tuple[str, ...],
-    out: Path,
-    time_limit: float,
-    tools: str,
-    as_json: bool,
-) -> int:
+def command(as_json: bool, **options: Any) -> int:
     """What `all` with the same options would run, what of it is stored already, and why the rest is not. Nothing is run or written."""
     from validate.chosen import Settings, reasons, select, with_stored
     from validate.store import Store
+    from validate.stored import only_last_failed
 
-    settings = Settings(
-        out=out, scenes=scenes, quick=quick, expression=expression, jobs=jobs, fresh=fresh, time_limit=time_limit, tools=tools
-    )
+    settings = Settings(**options)
     entries, left_out = select(settings)
-    store = Store(out)
+    store = Store(settings.out)
     entries = with_stored(entries, store, settings)
+    if settings.last_failed:
+        entries = only_last_failed(entries, store)
     told = list(zip(entries, reasons(entries, store), strict=True))
     stored = sum(entry.stored is not None for entry in entries)
     if as_json:

@@ -1,0 +1,63 @@
+"""The campaign that a folder holds: what it was, and which of its cells failed.
+
+campaign, records = stored_campaign(Path("runs/all"))
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from validate.chosen import CampaignError, Entry, Examined, identity
+from validate.store import Store
+
+if TYPE_CHECKING:
+    from reports.examination_record import ExaminationRecord
+    from reports.record import CampaignRecord, RunRecord
+
+CAMPAIGN = "campaign.json"
+
+
+def stored_campaign(folder: Path) -> tuple[CampaignRecord, tuple[RunRecord | ExaminationRecord, ...]]:
+    """The campaign of a folder and those of its cells that are stored, in order. Raises CampaignError."""
+    from pydantic import ValidationError
+
+    from reports.record import CampaignRecord
+
+    path = folder / CAMPAIGN
+    try:
+        campaign = CampaignRecord.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise CampaignError(
+            f"{folder}: there is no campaign in this folder ({CAMPAIGN} cannot be read); run one with --out {folder}."
+        ) from error
+    except ValidationError as error:
+        raise CampaignError(
+            f"{path}: it is damaged, or of another version ({error.error_count()} fields do not fit); run the campaign again."
+        ) from error
+    store = Store(folder)
+    found = (store.read(key) for key in campaign.keys)
+    return campaign, tuple(record for record in found if record is not None)
+
+
+def only_last_failed(entries: Sequence[Entry | Examined], store: Store) -> list[Entry | Examined]:
+    """Of these cells those that failed when the folder's campaign last ran, to be run anew, and those that are stored, as they are.
+
+    What is neither is left out. Raises CampaignError where there is no campaign, or nothing of this choice failed.
+    """
+    from reports.rule import failed_keys
+
+    _, records = stored_campaign(store.folder)
+    failed = {identity(json.loads(store.request_text(key)).get("cell", {})) for key in failed_keys(records)}
+    again = {entry.cell.key for entry in entries if identity(entry.cell.to_json()) in failed}
+    if not again:
+        raise CampaignError(f"nothing to run: nothing that is selected failed when the campaign in {store.folder} last ran; drop --lf.")
+    why = "it failed the last time"
+    return [
+        replace(entry, stored=None, why=why) if entry.cell.key in again else entry
+        for entry in entries
+        if entry.cell.key in again or entry.stored is not None
+    ]

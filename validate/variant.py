@@ -1,0 +1,94 @@
+"""A scene with some of its numbers changed, as a campaign file asks for it; it has a name of its own.
+
+    varied(load_scene("three_cart"), Variant(name="three_cart_k_300", parameters={"k": 300.0}, goal={"q1": 2.6, "v1": None}))
+
+The changed scene is a scene like any other: its text, numbers included, is part of the key of its cells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+from models.errors import SceneError
+
+if TYPE_CHECKING:
+    from models.scene import Limit, Scene
+
+# Judges the replay by closed forms, which are those of the unchanged scene.
+_BY_ANSWERS = "answer_error"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variant:
+    """What is changed: parameters by name; start and goal by coordinate or velocity (None: that component of the end is free); limits: (value, reason) by figure."""
+
+    name: str
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    steps: int | None = None
+    step: float | None = None
+    start: Mapping[str, float] = field(default_factory=dict)
+    goal: Mapping[str, float | None] = field(default_factory=dict)
+    limits: Mapping[str, tuple[float, str]] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Variant:
+        return cls(**{**data, "limits": {name: (value, reason) for name, (value, reason) in data["limits"].items()}})
+
+
+def state_names(scene: Scene) -> tuple[str, ...]:
+    """(2 nq,) names of the components of a state: positions, then velocities."""
+    return (*(item.name for item in scene.coordinates), *(item.velocity_name for item in scene.coordinates))
+
+
+def varied(scene: Scene, variant: Variant) -> Scene:
+    """The changed scene. Closed forms of the unchanged one, and the limit on them, are left out where motion changes. Raises SceneError."""
+    limits = {limit.figure: limit for limit in scene.limits}
+    moves = variant.parameters or variant.start or variant.goal or variant.steps is not None or variant.step is not None
+    if moves:
+        limits.pop(_BY_ANSWERS, None)
+    task = replace(
+        scene.task,
+        start=_state(scene, "start", scene.task.start, variant.start),
+        goal=_state(scene, "goal", scene.task.goal, variant.goal),
+        steps=scene.task.steps if variant.steps is None else variant.steps,
+        step=scene.task.step if variant.step is None else variant.step,
+    )
+    limits |= {figure: _limit(figure, *limit) for figure, limit in variant.limits.items()}
+    told = ", ".join(in_words(scene, variant))
+    return replace(
+        scene.with_parameters(**variant.parameters),
+        name=variant.name,
+        title=f"{scene.title}; {told}" if told else scene.title,
+        task=task,
+        limits=tuple(limits.values()),
+        answers=() if moves else scene.answers,
+    )
+
+
+def in_words(scene: Scene, variant: Variant) -> list[str]:
+    """Each change but those of limits, as `k = 300 N/m`."""
+    units = {item.name: item.unit for item in scene.parameters}
+    told = [f"{name} = {value:g} {units.get(name, '')}".rstrip() for name, value in variant.parameters.items()]
+    told += [f"start {name} = {value:g}" for name, value in variant.start.items()]
+    told += [f"goal {name} {'free' if value is None else f'= {value:g}'}" for name, value in variant.goal.items()]
+    told += [] if variant.steps is None else [f"{variant.steps} steps"]
+    return told + ([] if variant.step is None else [f"h = {variant.step:g} s"])
+
+
+def _state(scene: Scene, what: str, values: Iterable[float | None], changes: Mapping[str, float | None]) -> tuple[Any, ...]:
+    names = state_names(scene)
+    for name in changes:
+        if name not in names:
+            raise SceneError(f"scene {scene.name}: {what} has no component {name!r}; it has {', '.join(names)}.")
+    return tuple(changes.get(name, value) for name, value in zip(names, values, strict=True))
+
+
+def _limit(figure: str, value: float, reason: str) -> Limit:
+    from models.scene import Limit
+
+    return Limit(figure=figure, value=value, reason=reason)
