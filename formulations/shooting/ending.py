@@ -1,4 +1,4 @@
-"""What every shooting method does with its plan at the end, and with a warm start at the beginning. No PyTorch here."""
+"""What every shooting method does with its plan at the end, and with a warm start at the beginning."""
 
 from __future__ import annotations
 

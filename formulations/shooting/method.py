@@ -1,4 +1,4 @@
-"""What the single shooting methods share: options, refusals, and how a session is opened. PyTorch is imported when one is."""
+"""What the single shooting methods share: options, refusals, and how a session is opened."""
 
 from __future__ import annotations
 

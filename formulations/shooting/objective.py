@@ -3,8 +3,8 @@
     loss = terminal_weight * mean((x_T - x_f)^2) + input_weight * sum of the running cost
 
 The paper prints no loss; terminal_weight = 1, input_weight = 5e-6 and the mean over all positions and velocities reproduce its
-rows. `plan_loss` is this formula on tensors. `Objective` is the same as one PyTorch function of the inputs, in buffers
-that are reused: what a descent calls.
+rows. `Objective` evaluates it in buffers that are reused; compiled.py is the same within loops of compiled code. The formula on PyTorch
+tensors, for a loss of one's own, is `rollout.plan_loss`.
 """
 
 from __future__ import annotations
@@ -13,14 +13,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor
 
-from formulations.shooting.errors import ShootingError
-from formulations.shooting.rollout import FirstDerivativeOnly, RolloutTensors
 from models.codegen.kernel import Kernel
 from models.codegen.workspace import Workspace
 from models.contact_law import ContactLaw
@@ -34,17 +29,10 @@ class Weights:
     running: float = PAPER_INPUT_WEIGHT
 
 
-def plan_loss(plan: RolloutTensors, goal: Tensor, weights: Weights) -> Tensor:
-    """terminal * mean((x_T - goal)^2) + running * cost, with x_T = (q_T, v_T) and goal (2*nq,), NaN where free (no error there)."""
-    error = torch.where(goal.isnan(), 0.0, torch.cat([plan.q[-1], plan.v[-1]]) - goal)
-    return weights.terminal * error.square().mean() + weights.running * plan.cost
-
-
 class Objective:
-    """`loss = objective(u); loss.backward()` with u (steps, nu) float64; facts of the last evaluation stand beside it.
+    """`loss = objective.value(u)`, then `objective.gradient()`, with u (steps, nu); facts of the last evaluation stand beside it.
 
     work: the last rollout; error (2*nq,): x_T - goal, 0 where the end is free; cost: its running cost; evaluate_seconds: wall seconds in compiled code.
-    A loss must be sent backward before the next one is evaluated, because its buffers are reused.
     """
 
     smoothed = False  # whether the gradient is another than that of the last rollout
@@ -66,10 +54,6 @@ class Objective:
         self.error = np.full_like(self.goal, np.nan)
         self.cost = np.nan
         self.evaluate_seconds = 0.0
-        self.evaluations = 0
-
-    def __call__(self, u: Tensor) -> Tensor:
-        return _Loss.apply(u, self)
 
     @property
     def finite(self) -> bool:
@@ -79,7 +63,7 @@ class Objective:
     @property
     def terminal_error(self) -> float:
         """|x_T - goal| over positions and velocities."""
-        return math.hypot(*self.error.tolist())
+        return math.sqrt(_squares(self.error))
 
     def value(self, u: np.ndarray) -> float:
         """The loss at inputs u (steps, nu); infinite if the rollout diverges."""
@@ -87,7 +71,6 @@ class Objective:
         finite = self.work.rollout(u)
         self.cost = self.work.cost() if finite else np.nan
         self.evaluate_seconds += perf_counter() - started
-        self.evaluations += 1
         if not finite:
             self.error[:] = np.nan
             return np.inf
@@ -95,8 +78,7 @@ class Objective:
         np.subtract(self.work.q[-1], self.goal[:nq], out=self.error[:nq])
         np.subtract(self.work.v[-1], self.goal[nq:], out=self.error[nq:])
         self.error[self._free] = 0.0
-        squares = sum(error * error for error in self.error.tolist())  # plain floats: an overflow is an answer here, not a warning
-        return self.weights.terminal * squares / len(self.error) + self.weights.running * self.cost
+        return self.weights.terminal * _squares(self.error) / len(self.error) + self.weights.running * self.cost
 
     def gradient(self) -> np.ndarray:
         """Gradient (steps, nu) of the loss at the inputs evaluated last; the buffer is overwritten by the next call."""
@@ -107,19 +89,9 @@ class Objective:
         return gradient
 
 
-class _Loss(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, u: Tensor, objective: Objective) -> Tensor:
-        ctx.objective = objective
-        value = objective.value(u.detach().numpy())
-        ctx.evaluation = objective.evaluations
-        ctx.save_for_backward(u)
-        return torch.tensor(value, dtype=torch.float64)
-
-    @staticmethod
-    def backward(ctx: Any, *bars: Tensor) -> tuple[Tensor, None]:
-        objective, (u,) = ctx.objective, ctx.saved_tensors
-        if objective.evaluations != ctx.evaluation:
-            raise ShootingError("this loss was evaluated again before its backward(), and its buffers are reused; call backward() first.")
-        gradient = torch.from_numpy(objective.gradient() * float(bars[0]) if objective.finite else np.full(u.shape, np.nan))
-        return (FirstDerivativeOnly.apply(gradient, u) if torch.is_grad_enabled() else gradient), None
+def _squares(error: np.ndarray) -> float:
+    """Sum of squares from the first to the last, as compiled code adds them up; an overflow is an answer here, not a warning."""
+    total = 0.0
+    for entry in error.tolist():
+        total += entry * entry
+    return total

@@ -23,6 +23,7 @@ import torch
 from torch import Tensor
 
 from formulations.shooting.errors import ShootingError
+from formulations.shooting.objective import Weights
 from models.codegen.kernel import Kernel, Rollout, load_kernel
 from models.contact_law import ContactLaw
 from models.scene import Scene
@@ -56,6 +57,12 @@ def rollout(
     for name, tensor in (("u", u), ("start", start)):
         _check(kernel.scene, name, tensor)
     return RolloutTensors(*_Rollout.apply(u, start, kernel, task.step if step is None else step, law, eps))
+
+
+def plan_loss(plan: RolloutTensors, goal: Tensor, weights: Weights) -> Tensor:
+    """terminal * mean((x_T - goal)^2) + running * cost, with x_T = (q_T, v_T) and goal (2*nq,), NaN where free (no error there)."""
+    error = torch.where(goal.isnan(), 0.0, torch.cat([plan.q[-1], plan.v[-1]]) - goal)
+    return weights.terminal * error.square().mean() + weights.running * plan.cost
 
 
 def _check(scene: Scene, name: str, tensor: object) -> None:

@@ -24,7 +24,7 @@ from models.trajectory import Trajectory, uniform_grid
 class ShootingSession(Session):
     """See the module docstring.
 
-    options: filled in and checked by the method; opening: wall and CPU clock when opening began, before PyTorch was imported.
+    options: filled in and checked by the method; opening: wall and CPU clock when opening began.
     """
 
     def __init__(self, method: ShootingMethod, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> None:

@@ -5,66 +5,51 @@ smaller needs ten times the iterations for the same way: a window of fixed lengt
 
     settled      the best loss fell by less than `tolerance` (relative) over the window, or is down to rounding
     runaway      the loss stayed above twice its best over half a window: it climbs instead of descending
+
+The rule itself runs within the compiled loop (`loss_progress` in loss.c); here is what it goes by, for the words at the end.
 """
 
 from __future__ import annotations
 
-from enum import Enum
+from dataclasses import dataclass
+
+import numpy as np
 
 _SHORTEST_WINDOW = 50
 _WINDOW_SHARE = 4
 # A loss this far below the first one has lost all digits that the goal was given in.
 _NOTHING_LEFT = 1e-20
-_RUNAWAY = 2.0
 
 
-class Progress(Enum):
-    DESCENDING = "descending"
-    SETTLED = "settled"
-    RUNAWAY = "runaway"
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Losses:
+    """values (n,): the loss before each iteration, and at the end."""
 
+    values: np.ndarray
 
-class StoppingRule:
-    """Fed with one loss an iteration; see the module docstring."""
+    @property
+    def first(self) -> float:
+        return float(self.values[0])
 
-    def __init__(self, tolerance: float) -> None:
-        self.tolerance = tolerance
-        self.losses: list[float] = []
-        self._best: list[float] = []  # best loss up to each iteration
+    @property
+    def last(self) -> float:
+        return float(self.values[-1])
 
     @property
     def window(self) -> int:
         """Length of the window [iterations]."""
-        return max(_SHORTEST_WINDOW, len(self.losses) // _WINDOW_SHARE)
-
-    @property
-    def is_best(self) -> bool:
-        """Whether the last loss is the best one so far."""
-        return self._best[-1] == self.losses[-1]
+        return max(_SHORTEST_WINDOW, len(self.values) // _WINDOW_SHARE)
 
     @property
     def best(self) -> float:
-        return self._best[-1]
+        return float(self.values.min())
 
     @property
     def exhausted(self) -> bool:
         """Whether the best loss is down to rounding."""
-        return self.best <= _NOTHING_LEFT * self.losses[0]
+        return self.best <= _NOTHING_LEFT * self.first
 
     def decrease(self) -> float:
         """Relative decrease of the best loss over the window."""
-        earlier = self._best[max(0, len(self._best) - 1 - self.window)]
+        earlier = float(self.values[: max(1, len(self.values) - self.window)].min())
         return (earlier - self.best) / earlier if earlier > 0.0 else 0.0
-
-    def add(self, loss: float) -> Progress:
-        """Take the next loss and say how the descent goes."""
-        self.losses.append(loss)
-        self._best.append(min(loss, self._best[-1]) if self._best else loss)
-        if self.exhausted:
-            return Progress.SETTLED
-        if len(self.losses) <= self.window:
-            return Progress.DESCENDING
-        recent = self.losses[-(self.window // 2) :] if self.losses[-1] > _RUNAWAY * self.best else ()
-        if recent and min(recent) > _RUNAWAY * self.best:
-            return Progress.RUNAWAY
-        return Progress.SETTLED if self.decrease() <= self.tolerance else Progress.DESCENDING

@@ -23,7 +23,9 @@ class Workspace:
     """See the module docstring. All arrays are views that the next call overwrites.
 
     u (steps, nu), q, v (steps+1, nq), lam (steps, nc+nf): the last rollout; finite_steps: how many of its steps stayed finite.
-    end_bar (2*nq,): derivative of the loss with respect to the last state, positions first; u_bar, start_bar: gradients.
+    end_bar (2*nq,): derivative of the loss with respect to the last state, positions first; u_bar, start_bar: gradients. start (2*nq,), sharpness (0 for
+    the true law) and functions are what the compiled code is called with; q_bar, v_bar (steps+1, nq) are zero but for their last rows, which a call of
+    `adjoint` fills in.
     """
 
     def __init__(
@@ -31,40 +33,40 @@ class Workspace:
     ):
         scene = kernel.scene
         self.kernel, self.steps, self.step, self.law, self.eps = kernel, steps, step, law, eps
-        self._start = np.array(start, dtype=float)
-        if self._start.shape != (2 * scene.nq,):
-            raise KernelError(f"scene {scene.name}: start has shape {self._start.shape}, but ({2 * scene.nq},) is needed.")
+        self.start = np.array(start, dtype=float)
+        if self.start.shape != (2 * scene.nq,):
+            raise KernelError(f"scene {scene.name}: start has shape {self.start.shape}, but ({2 * scene.nq},) is needed.")
         self.u = np.zeros((steps, scene.nu))
         self.q, self.v = np.zeros((steps + 1, scene.nq)), np.zeros((steps + 1, scene.nq))
         self.lam = np.zeros((steps, scene.nl))
         self.end_bar = np.zeros(2 * scene.nq)
         self.u_bar, self.start_bar = np.zeros((steps, scene.nu)), np.zeros(2 * scene.nq)
         self.finite_steps = 0
-        self._q_bar, self._v_bar = np.zeros_like(self.q), np.zeros_like(self.v)
-        self._functions = kernel.bound_functions()
-        b = 0.0 if law is ContactLaw.RELU else sharpness(eps if eps is not None else 0.0)
+        self.q_bar, self.v_bar = np.zeros_like(self.q), np.zeros_like(self.v)
+        self.functions = kernel.bound_functions()
+        self.sharpness = 0.0 if law is ContactLaw.RELU else sharpness(eps if eps is not None else 0.0)
         p = kernel.parameters.ctypes.data
-        head, states = (steps, step, p, law.value, b), [array.ctypes.data for array in (self.q, self.v, self.lam)]
+        head, states = (steps, step, p, law.value, self.sharpness), [array.ctypes.data for array in (self.q, self.v, self.lam)]
         u = self.u.ctypes.data
-        self._rollout_arguments = (*head, self._start.ctypes.data, u, *states)
-        self._adjoint_arguments = (*head, *states, u, self._q_bar.ctypes.data, self._v_bar.ctypes.data, None)
+        self._rollout_arguments = (*head, self.start.ctypes.data, u, *states)
+        self._adjoint_arguments = (*head, *states, u, self.q_bar.ctypes.data, self.v_bar.ctypes.data, None)
         self._gradients = (self.u_bar.ctypes.data, self.start_bar.ctypes.data)
         self._cost_arguments = (steps, p, *states[:2], u)
 
     def rollout(self, u: np.ndarray) -> bool:
         """Simulate with inputs u (steps, nu); whether every step stayed finite (rows after the last finite one are left over)."""
         np.copyto(self.u, u)
-        self.finite_steps = self._functions.rollout(*self._rollout_arguments)
+        self.finite_steps = self.functions.rollout(*self._rollout_arguments)
         return self.finite_steps == self.steps
 
     def cost(self) -> float:
         """The cost of the last rollout."""
-        return self._functions.cost(*self._cost_arguments)
+        return self.functions.cost(*self._cost_arguments)
 
     def adjoint(self, cost_bar: float = 0.0) -> np.ndarray:
         """u_bar (steps, nu) of a loss whose derivatives are `end_bar` and `cost_bar`, at the last rollout; fills start_bar too."""
         nq = self.kernel.scene.nq
-        self._q_bar[-1], self._v_bar[-1] = self.end_bar[:nq], self.end_bar[nq:]
-        if self._functions.adjoint(*self._adjoint_arguments, cost_bar, *self._gradients):
+        self.q_bar[-1], self.v_bar[-1] = self.end_bar[:nq], self.end_bar[nq:]
+        if self.functions.adjoint(*self._adjoint_arguments, cost_bar, *self._gradients):
             raise KernelError(f"scene {self.kernel.scene.name}: the mass matrix is not positive definite along the rollout.")
         return self.u_bar

@@ -87,7 +87,7 @@ def _profile(figure: SuiteFigure, rows: Iterable[SuiteRow]) -> str:
     here = {row.stage: row for row in rows if row.by == OURS and (row.n, row.steps) == (figure.n, figure.steps)}
     if figure.name in _OF_DESCENT:
         return _profile_of_two(
-            here, "gd_iteration", "gd_kernel", "compiled rollout and adjoint", "the loss in PyTorch, history, stopping rule and step"
+            here, "gd_iteration", "gd_kernel", "compiled rollout and adjoint", "loss, history, stopping rule and step, compiled too"
         )
     if figure.name == "replay_against_fmpy":
         return _profile_of_two(

@@ -15,15 +15,12 @@ _ITERATIONS, _RATE = 100, 1e-9
 
 def gd_iteration(size: Size, folder: Path) -> Work:
     """Loss, gradient, history, stopping rule, step and projection on the bounds, as the methods of single shooting run it."""
-    import torch
-
     from formulations.shooting.descent import Settings, descend
     from formulations.shooting.objective import Objective
     from models.codegen.kernel import load_kernel
     from models.contact_law import ContactLaw
     from validate.bench.measure import cpu_seconds
 
-    torch.set_num_threads(1)
     objective = Objective(load_kernel(scene_of(size)), law=ContactLaw.RELU)
     u, settings = push(size.steps), Settings(learning_rate=_RATE, iterations=_ITERATIONS)
     descend(objective, u, Settings(learning_rate=_RATE, iterations=2), 1e5)
