@@ -231,6 +231,7 @@ class StageRecord(_Model):
     replay_trace: TraceRecord | None = None
     tracked_trace: TraceRecord | None = None
     paper: dict[str, Finite] = {}  # the paper's numbers for this row: cost, stability, physics, time
+    shared_from: str = ""  # the pipeline in whose cell this stage ran, where that was another: its seconds were spent there
 
     def figure(self, name: str) -> FigureRecord | None:
         return next((figure for figure in self.figures if figure.name == name), None)

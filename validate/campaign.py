@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Protocol
 from validate.chosen import CampaignError, Entry, Examined, Settings, select, with_stored
 from validate.engine import LocalEngine
 from validate.results import write_examinations, write_results
+from validate.shared_stages import beginnings_of, must_wait
 from validate.store import Store, write_durably
 from validate.stored import CAMPAIGN, only_last_failed, stored_campaign
 from validate.sweeps import write_sweeps
@@ -89,7 +90,7 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
         from reports.record import CampaignRecord
 
         return CampaignRecord(
-            title=TITLE,
+            title=settings.title or TITLE,
             command=settings.command,
             started=provenance.started,
             quick=settings.quick,
@@ -161,7 +162,10 @@ def _run(
         def start(cell: Job) -> Worker:
             return Worker(cell, by_key[cell.key].lost(provenance), provenance, store, watchdog)
 
-        engine = LocalEngine(start, settings.jobs, narrator.runs)
+        def waits(cell: Job, running: Sequence[Job]) -> bool:
+            return must_wait(beginnings_of(cell), [beginnings_of(other) for other in running], store)
+
+        engine = LocalEngine(start, settings.jobs, narrator.runs, waits)
         for tries_left in range(settings.retries, -1, -1):
             crashed: list[Entry | Examined] = []
             with closing(engine.run([entry.cell for entry in entries])) as finished:

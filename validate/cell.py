@@ -12,24 +12,30 @@ from __future__ import annotations
 import time
 import traceback
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from formulations.method import Pipeline
 from formulations.pipeline import pipeline_from_json, pipeline_to_json
 from models.errors import MachineError, TouchstoneError
+from validate.judging import Solved, certified, first_line, judge_all
 from validate.profile import Profile
+from validate.shared_stages import Beginning, TakenOver, share, take_over
 from validate.store import PROGRESS
 from validate.variant import Variant, varied
 
 if TYPE_CHECKING:
     from formulations.method import Method, Session
-    from formulations.solution import Solution
+    from formulations.solution import Outcome
     from models.scene import Scene
-    from reports.record import ProvenanceRecord, RunRecord, StageRecord
-    from validate.records import Judged, Planned
+    from models.trajectory import Trajectory
+    from reports.record import ProvenanceRecord, RunRecord
+    from validate.records import Planned
     from validate.tools import Tools
+
+# A stage that gave no answer, why, and the sentence.
+Unfinished: TypeAlias = "tuple[Planned, Outcome, str]"
 
 # Of a cell's time limit, what is kept for replaying and scoring: a tenth, but no more than 30 s (the paper's scene needs 2).
 _JUDGING_SHARE, _JUDGING_MOST = 0.1, 30.0
@@ -38,7 +44,7 @@ _JUDGING_SHARE, _JUDGING_MOST = 0.1, 30.0
 @dataclass(frozen=True, kw_only=True)
 class Cell:
     """What is to be run. scene: a name or an absolute path of a scene file; variant: what a campaign file changes of it; tools: a dotted
-    name (validate.tools)."""
+    name (validate.tools); beginnings: those that other cells have too, the longest first."""
 
     key: str
     scene: str
@@ -47,6 +53,7 @@ class Cell:
     tools: str
     time_limit: float
     variant: Variant | None = None
+    beginnings: tuple[Beginning, ...] = ()
 
     @property
     def title(self) -> str:
@@ -61,23 +68,15 @@ class Cell:
             "pipeline": pipeline_to_json(self.pipeline),
             "tools": self.tools,
             "time_limit": self.time_limit,
+            "beginnings": [[item.stages, item.key] for item in self.beginnings],
             **({} if self.variant is None else {"variant": self.variant.to_json()}),
         }
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Cell:
         variant = Variant.from_json(data["variant"]) if "variant" in data else None
-        return cls(**{**data, "pipeline": pipeline_from_json(data["pipeline"]), "variant": variant})
-
-
-@dataclass(frozen=True)
-class _Solved:
-    """A stage that ran: its solution and the wall and CPU seconds it took, opening the method included."""
-
-    planned: Planned
-    solution: Solution
-    wall: float
-    cpu: float
+        beginnings = tuple(Beginning(*item) for item in data["beginnings"])
+        return cls(**{**data, "pipeline": pipeline_from_json(data["pipeline"]), "variant": variant, "beginnings": beginnings})
 
 
 def run_cell(cell: Cell, provenance: ProvenanceRecord, folder: Path, began: float, profile: Profile | None = None) -> RunRecord:
@@ -87,7 +86,7 @@ def run_cell(cell: Cell, provenance: ProvenanceRecord, folder: Path, began: floa
     Raises MachineError where this machine cannot go on; whatever else goes wrong in a method or the judge is in the record.
     """
     from models.catalog import load_scene
-    from validate.records import planned_stages, run_record, stage_record, unfinished_stage
+    from validate.records import planned_stages, run_record, stage_of, stage_record, unfinished_stage
     from validate.scene_record import scene_record
     from validate.tools import load_tools
 
@@ -102,21 +101,27 @@ def run_cell(cell: Cell, provenance: ProvenanceRecord, folder: Path, began: floa
     plan = planned_stages(cell.pipeline, methods)
     deadline = began + cell.time_limit - min(_JUDGING_MOST, _JUDGING_SHARE * cell.time_limit)
     profile.lap("imports")
-    solved, rest = _solve(tools, scene, plan, deadline, folder, profile)
+    rest = _refused(scene, plan)
+    taken = TakenOver() if rest else take_over(cell.beginnings, scene, len(plan), folder)
+    profile.lap("shared")
+    solved: list[Solved] = []
+    if not rest and len(taken.stages) < len(plan):
+        solved, rest = _solve(tools, scene, plan[len(taken.stages) :], taken.plan, deadline, folder, profile)
     _progress(folder, "the certificate")
-    solved = [_certified(tools, scene, item) for item in solved]
+    solved = [certified(tools, scene, item) for item in solved]
     profile.lap("certificate")
     _progress(folder, "the replay")
-    judged = _judge_all(tools, scene, solved, folder, len(plan), profile)
-    stages: list[StageRecord] = []
-    before = 0.0
+    judged = judge_all(tools, scene, solved, folder, len(plan), profile)
+    stages = [stage_of(record, scene.name, cell.pipeline.name) for record in taken.stages]
     for item, verdict in zip(solved, judged, strict=True):
-        stages.append(
-            stage_record(
-                scene, cell.pipeline.name, item.planned, item.solution, wall=item.wall, cpu=item.cpu, before=before, judged=verdict
-            )
+        before = stages[-1].seconds.total if stages else 0.0
+        record = stage_record(
+            scene, cell.pipeline.name, item.planned, item.solution, wall=item.wall, cpu=item.cpu, before=before, judged=verdict
         )
-        before += item.wall
+        stages.append(record)
+    profile.lap("record")
+    share(cell.beginnings, cell.pipeline.name, stages, len(taken.stages), len(plan), folder)
+    profile.lap("shared")
     stages += [unfinished_stage(scene.name, cell.pipeline.name, planned, outcome, message) for planned, outcome, message in rest]
     log = (folder / "log.txt").read_text(encoding="utf-8", errors="replace") if (folder / "log.txt").exists() else ""
     drawn = scene_record(scene)
@@ -132,26 +137,32 @@ def _progress(folder: Path, text: str) -> None:
     (folder / PROGRESS).write_text(text, encoding="utf-8")
 
 
-def _solve(
-    tools: Tools, scene: Scene, plan: tuple[Planned, ...], deadline: float, folder: Path, profile: Profile
-) -> tuple[list[_Solved], list[tuple]]:
-    """Run the stages in order. Returns those that ran, and (planned, outcome, message) of those that did not."""
+def _refused(scene: Scene, plan: tuple[Planned, ...]) -> list[Unfinished]:
+    """Every stage, if one of the methods does not apply to the scene; else none."""
     from formulations.solution import Outcome
 
     for planned in plan:
         reason = planned.method.accepts(scene)
         if reason is not None:
-            return [], [(other, Outcome.REFUSED, f"{planned.name}: {reason}") for other in plan]
+            return [(other, Outcome.REFUSED, f"{planned.name}: {reason}") for other in plan]
+    return []
+
+
+def _solve(
+    tools: Tools, scene: Scene, plan: tuple[Planned, ...], warm_start: Trajectory | None, deadline: float, folder: Path, profile: Profile
+) -> tuple[list[Solved], list[Unfinished]]:
+    """Run these stages in order, the first from a plan. Returns those that ran, and (planned, outcome, message) of those that did not."""
+    from formulations.solution import Outcome
+
     _prepare(tools, scene, plan, folder, profile)
-    solved: list[_Solved] = []
+    solved: list[Solved] = []
     opened = _Opened(scene)
-    warm_start = None
     try:
-        for planned in plan:
+        for place, planned in enumerate(plan):
             left = deadline - time.monotonic()
             if left <= 0:
                 message = "the cell's time was used up before this stage."
-                return solved, [(other, Outcome.TIME_LIMIT, message) for other in plan[planned.index :]]
+                return solved, [(other, Outcome.TIME_LIMIT, message) for other in plan[place:]]
             _progress(folder, f"stage {planned.index + 1} ({_stage_name(planned)})")
             try:
                 item = opened.run(planned, warm_start, left)
@@ -162,10 +173,10 @@ def _solve(
                 profile.lap("solve_rest")
                 outcome = Outcome.FAILED if isinstance(error, TouchstoneError) else Outcome.CRASHED
                 message = (
-                    str(error) if isinstance(error, TouchstoneError) else f"{type(error).__name__} in {planned.name}: {_first_line(error)}"
+                    str(error) if isinstance(error, TouchstoneError) else f"{type(error).__name__} in {planned.name}: {first_line(error)}"
                 )
                 later = f"not begun, because stage {planned.index + 1} ({_stage_name(planned)}) gave no answer."
-                rest = [(other, outcome, message if other is planned else later) for other in plan[planned.index :]]
+                rest = [(other, outcome, message if other is planned else later) for other in plan[place:]]
                 return solved, rest
             spent = item.solution.seconds
             profile.split({name: getattr(spent, name) for name in ("build", "translate", "evaluate", "linear_algebra")}, rest="solve_rest")
@@ -200,10 +211,6 @@ def _stage_name(planned: Planned) -> str:
     return planned.name if planned.eps is None else f"{planned.name}, eps {planned.eps:g}"
 
 
-def _first_line(error: BaseException) -> str:
-    return next(iter(str(error).splitlines()), "") or "no further words."
-
-
 class _Opened:
     """The session that is open: kept from stage to stage while method and options stay the same."""
 
@@ -212,7 +219,7 @@ class _Opened:
         self._session: Session | None = None
         self._open: tuple[Method, dict[str, object]] | None = None
 
-    def run(self, planned: Planned, warm_start: Any, time_limit: float) -> _Solved:
+    def run(self, planned: Planned, warm_start: Any, time_limit: float) -> Solved:
         from formulations.solution import Solution
 
         wall, cpu = time.perf_counter(), time.process_time()
@@ -222,7 +229,7 @@ class _Opened:
             self._session = planned.method.open(self._scene, planned.options)
             self._open = wanted
         solution = self._session.solve(eps=planned.eps, warm_start=warm_start, time_limit=time_limit)
-        solved = _Solved(planned, solution, time.perf_counter() - wall, time.process_time() - cpu)
+        solved = Solved(planned, solution, time.perf_counter() - wall, time.process_time() - cpu)
         if not isinstance(solution, Solution):
             raise TypeError(f"it must hand back a Solution, not {type(solution).__name__}.")
         if solution.trajectory is not None:
@@ -236,55 +243,3 @@ class _Opened:
                 session.close()
             except Exception:  # noqa: BLE001 - what was found is kept even if tidying up fails; the log has the traceback
                 traceback.print_exc()
-
-
-def _certified(tools: Tools, scene: Scene, item: _Solved) -> _Solved:
-    """The stage with the certificate of its plan, where its method claims to solve the exact problem."""
-    if not item.planned.method.exact:
-        return item
-    try:
-        return replace(item, solution=tools.certify(scene, item.solution))
-    except Exception:  # noqa: BLE001 - the plan is kept even if its judge stumbles; it then has no certificate, and the log has the traceback
-        traceback.print_exc()
-        return item
-
-
-def _judge_all(tools: Tools, scene: Scene, solved: list[_Solved], folder: Path, stages: int, profile: Profile) -> list[Judged]:
-    fmu = tools.build_fmu(scene) if any(item.solution.trajectory is not None for item in solved) else None
-    profile.lap("fmu_build")
-    return [_judge(tools, scene, fmu, item, folder, stages, profile) for item in solved]
-
-
-def _judge(tools: Tools, scene: Scene, fmu: Path | None, item: _Solved, folder: Path, stages: int, profile: Profile) -> Judged:
-    from models.trajectory_netcdf import write_netcdf
-    from validate.records import Judged
-
-    trajectory = item.solution.trajectory
-    if trajectory is None or fmu is None:
-        return Judged()
-    ending = "" if item.planned.index == stages - 1 else f"_{item.planned.index + 1}"
-    write_netcdf(folder / f"trajectory{ending}.nc", trajectory, scene)
-    profile.lap("writing")
-    began = time.perf_counter()
-    replay = None
-    try:
-        replay = tools.replay(scene, fmu, trajectory)
-        profile.lap("replay")
-        score = tools.score(scene, trajectory, replay)
-        profile.lap("score")
-        seconds = time.perf_counter() - began
-        tools.write_replay(folder / f"replay{ending}.nc", replay, scene)
-        tracked = getattr(replay, "tracked", None)
-        if tracked is not None:
-            tools.write_replay(folder / f"tracked{ending}.nc", tracked, scene)
-            write_netcdf(folder / f"trajectory{ending}.nc", trajectory, scene, tracked.feedback.gains)
-        profile.lap("writing")
-    except MachineError:
-        raise
-    except Exception as error:  # noqa: BLE001 - the plan is kept even if the judge stumbles; the verdict is then not resolved
-        traceback.print_exc()
-        profile.lap("replay" if replay is None else "score")
-        return Judged(
-            replay=replay, seconds=time.perf_counter() - began, problem=f"the judge ended with {type(error).__name__}: {_first_line(error)}"
-        )
-    return Judged(replay=replay, score=score, seconds=seconds)

@@ -6,10 +6,11 @@ entries = with_stored(entries, store, settings)
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import json
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -21,6 +22,7 @@ from models.errors import TouchstoneError
 from validate.cell import Cell
 from validate.examination import Examination, SceneReference, lost_examination
 from validate.selection import matches
+from validate.shared_stages import Signature, beginnings, common
 from validate.store import Store
 from validate.tools import DEFAULT_TOOLS, Tools, load_tools, tools_source
 
@@ -46,8 +48,8 @@ class Settings:
 
     scenes: names or paths; empty for all of the catalog. last_failed: of what is not stored, run only what failed when the folder's campaign
     last ran, and that in any case; stop_early: at the first failure; retries: of a cell that crashes.
-    Of a campaign file: chosen, instead of `scenes`; pipelines, instead of all of them; examined: scenes whose FMUs are checked; files: texts
-    written into the folder, by name.
+    Of a campaign file: chosen, instead of `scenes`; pipelines, instead of all of them; examined: scenes whose FMUs are checked; title: of the
+    report; files: texts written into the folder, by name.
     """
 
     out: Path
@@ -65,6 +67,7 @@ class Settings:
     chosen: tuple[SceneReference, ...] = ()
     pipelines: tuple[Pipeline, ...] = ()
     examined: tuple[SceneReference, ...] = ()
+    title: str = ""
     files: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -109,7 +112,9 @@ def select(settings: Settings) -> tuple[list[Entry | Examined], tuple[str, ...]]
     long: list[str] = []
     for reference in scenes:
         scene = reference.scene
-        for pipeline in settings.pipelines or tools.pipelines_for(scene):
+        pipelines = settings.pipelines or tools.pipelines_for(scene)
+        shared = common(_plans(pipelines, tools))
+        for pipeline in pipelines:
             methods = dict.fromkeys(leg.method for leg in pipeline.legs)
             seen += [scene.name, pipeline.name, *methods]
             if not settings.expression or matches(settings.expression, (scene.name, pipeline.name, *methods)):
@@ -128,7 +133,7 @@ def select(settings: Settings) -> tuple[list[Entry | Examined], tuple[str, ...]]
                             time_limit=settings.time_limit,
                             variant=reference.variant,
                         )
-                        entries.append(_entry(cell, scene, tools))
+                        entries.append(_entry(cell, scene, tools, shared))
     long = list(dict.fromkeys(long))
     told = (*_in_words(left_out, len(scenes) - len(long)), *(f"{name} x every pipeline" for name in long))
     examined, unexamined = _examined(settings, tools, settings.examined if settings.chosen else scenes, seen)
@@ -196,15 +201,31 @@ def _in_words(cells: Sequence[tuple[str, str]], scenes: int) -> tuple[str, ...]:
     return tuple(dict.fromkeys(f"{'every scene' if times[pipeline] == scenes > 1 else scene} x {pipeline}" for scene, pipeline in cells))
 
 
-def _entry(cell: Cell, scene: Scene, tools: Tools) -> Entry:
-    from validate.provenance import content_key
+def _plans(pipelines: Sequence[Pipeline], tools: Tools) -> Iterator[tuple[Planned, ...]]:
+    """The stages of every pipeline; one that cannot be planned says so where it is asked for."""
+    for pipeline in pipelines:
+        for part in cells_of(pipeline):
+            with contextlib.suppress(TouchstoneError):
+                yield _plan(part, tools)
+
+
+def _plan(pipeline: Pipeline, tools: Tools) -> tuple[Planned, ...]:
     from validate.records import planned_stages
 
-    methods = {leg.method: tools.load_method(leg.method) for leg in cell.pipeline.legs}
-    plan = planned_stages(cell.pipeline, methods)
-    stages = [(planned.name, planned.eps, {name: repr(value) for name, value in planned.options.items()}) for planned in plan]
-    key = content_key(scene, [cell.pipeline.name, cell.pipeline.title, stages], methods, tools_source(cell.tools))
-    return Entry(cell=replace(cell, key=key), scene=scene, plan=plan)
+    return planned_stages(pipeline, {leg.method: tools.load_method(leg.method) for leg in pipeline.legs})
+
+
+def _entry(cell: Cell, scene: Scene, tools: Tools, shared: frozenset[Signature]) -> Entry:
+    from validate.provenance import content_key
+
+    plan, source = _plan(cell.pipeline, tools), tools_source(cell.tools)
+
+    def key_of(stages: Sequence[Planned], *named: str) -> str:
+        asked = [(planned.name, planned.eps, {name: repr(value) for name, value in planned.options.items()}) for planned in stages]
+        return content_key(scene, [*named, asked], {planned.name for planned in stages}, source)
+
+    key = key_of(plan, cell.pipeline.name, cell.pipeline.title)
+    return Entry(cell=replace(cell, key=key, beginnings=beginnings(plan, shared, key_of)), scene=scene, plan=plan)
 
 
 def _nothing(settings: Settings, seen: list[str], left_out: tuple[str, ...]) -> CampaignError:

@@ -32,19 +32,25 @@ class LocalEngine:
     """At most `jobs` children at a time on this machine, started and watched from this one thread.
 
     (From one thread because Linux kills a child when the thread that started it ends.) watch: called with the running workers at
-    each look.
+    each look; must_wait: whether a cell is to be left for later while others run.
     """
 
-    def __init__(self, start: Callable[[Job], Worker], jobs: int, watch: Callable[[Sequence[Worker]], None] = lambda workers: None) -> None:
-        self._start, self._jobs, self._watch = start, jobs, watch
+    def __init__(
+        self,
+        start: Callable[[Job], Worker],
+        jobs: int,
+        watch: Callable[[Sequence[Worker]], None] = lambda workers: None,
+        must_wait: Callable[[Job, Sequence[Job]], bool] = lambda cell, running: False,
+    ) -> None:
+        self._start, self._jobs, self._watch, self._must_wait = start, jobs, watch, must_wait
 
     def run(self, cells: Sequence[Job]) -> Generator[tuple[Job, RunRecord | ExaminationRecord], None, None]:
         waiting = deque(cells)
         running: list[Worker] = []
         try:
             while waiting or running:
-                while waiting and len(running) < self._jobs:
-                    running.append(self._start(waiting.popleft()))
+                while len(running) < self._jobs and (cell := self._next(waiting, running)) is not None:
+                    running.append(self._start(cell))
                 self._watch(running)
                 time.sleep(_LOOK)
                 for worker in tuple(running):
@@ -55,3 +61,12 @@ class LocalEngine:
         finally:
             for worker in running:
                 worker.stop()
+
+    def _next(self, waiting: deque[Job], running: Sequence[Worker]) -> Job | None:
+        """The first cell that may run beside these; taken out."""
+        at_work = [worker.cell for worker in running]
+        for cell in waiting:
+            if not at_work or not self._must_wait(cell, at_work):
+                waiting.remove(cell)
+                return cell
+        return None

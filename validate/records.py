@@ -108,6 +108,11 @@ def stage_record(
     )
 
 
+def stage_of(record: StageRecord, scene: str, pipeline: str) -> StageRecord:
+    """A stage that ran in another pipeline, as one of this."""
+    return record.model_copy(update={"paper": dict(paper_row(scene, pipeline, record.index))})
+
+
 def unfinished_stage(scene: str, pipeline: str, planned: Planned, outcome: Outcome, message: str) -> StageRecord:
     """The record of a stage without an answer: refused, crashed, out of time or never begun."""
     return StageRecord(

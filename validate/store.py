@@ -1,6 +1,7 @@
 """Where finished cells lie: one folder a cell, written aside, made durable, then renamed; no lock, nothing half-written.
 
     DIR/runs/<key>/record.json, trajectory.nc, replay.nc, log.txt, cell.json      DIR/runs/.partial-*   being written
+    DIR/stages/<key>/                      what several of them begin with (validate.shared_stages)
 
 Whatever kills a campaign, a folder under its key is whole. Two campaigns may write into the same DIR.
 """
@@ -64,7 +65,12 @@ class Store:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.runs = folder / "runs"
+        self.runs, self.stages = folder / "runs", folder / "stages"
+
+    @classmethod
+    def of_partial(cls, partial: Path) -> Store:
+        """The store that a cell's unfinished folder lies in."""
+        return cls(partial.parents[1])
 
     def prepare(self) -> None:
         """Create the folder, see that it can be written, and remove what dead campaigns left. Raises StoreError, MachineError."""
@@ -123,8 +129,8 @@ class Store:
         target = self.runs / key
         try:
             for path in sorted(partial.iterdir()):
-                _fsync(path)
-            _fsync(partial)
+                fsync(path)
+            fsync(partial)
             if target.exists():
                 old = partial.with_name(f"{partial.name}-old")
                 os.rename(target, old)
@@ -132,7 +138,7 @@ class Store:
                 shutil.rmtree(old, ignore_errors=True)
             else:
                 os.rename(partial, target)
-            _fsync(self.runs)
+            fsync(self.runs)
         except OSError as error:
             raise disk_error(target, error) from error
         return target
@@ -154,7 +160,8 @@ def _owner_lives(name: str) -> bool:
     return True
 
 
-def _fsync(path: Path) -> None:
+def fsync(path: Path) -> None:
+    """Have a file or folder on the disk before this returns."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -14,6 +14,7 @@ PHASES = {
     "start": ("interpreter", "starting"),
     "imports": ("imports", "starting"),
     "scene": ("reading the scene", "starting"),
+    "shared": ("taking over and handing on stages", "other"),
     "compile": ("compiling the scene", "compiling"),
     "opening": ("opening methods", "starting"),
     "build": ("building models", "modelling"),

@@ -110,7 +110,8 @@ def test_nothing_is_left_behind(misbehaved):
         names = {path.name for path in (out / "runs" / record.key).iterdir()}
         assert names >= KEPT
         assert {Path(name).suffix for name in names - KEPT} <= {".nc"}
-    assert {path.name for path in out.iterdir()} == {"runs", "campaign.json", "results.csv", "violation.csv", "report.html"}
+    assert {path.name for path in out.iterdir()} == {"runs", "stages", "campaign.json", "results.csv", "violation.csv", "report.html"}
+    assert len(list((out / "stages").iterdir())) == 1  # what `soft_alone` is and `broken_chain` begins with
 
 
 def test_crashes_fail_the_campaign_and_honest_endings_do_not(misbehaved):

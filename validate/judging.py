@@ -1,0 +1,87 @@
+"""What is said of the plans of a cell once all of them are found: certificate, replay, score; and the files written with them."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from models.errors import MachineError
+from validate.profile import Profile
+from validate.shared_stages import stage_files
+
+if TYPE_CHECKING:
+    from formulations.solution import Solution
+    from models.scene import Scene
+    from validate.records import Judged, Planned
+    from validate.tools import Tools
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A stage that ran: its solution and the wall and CPU seconds it took, opening the method included."""
+
+    planned: Planned
+    solution: Solution
+    wall: float
+    cpu: float
+
+
+def certified(tools: Tools, scene: Scene, item: Solved) -> Solved:
+    """The stage with the certificate of its plan, where its method claims to solve the exact problem."""
+    if not item.planned.method.exact:
+        return item
+    try:
+        return replace(item, solution=tools.certify(scene, item.solution))
+    except Exception:  # noqa: BLE001 - the plan is kept even if its judge stumbles; it then has no certificate, and the log has the traceback
+        traceback.print_exc()
+        return item
+
+
+def judge_all(tools: Tools, scene: Scene, solved: list[Solved], folder: Path, stages: int, profile: Profile) -> list[Judged]:
+    """Replay and score of every plan, in order; their files are written. stages: of the whole cell."""
+    fmu = tools.build_fmu(scene) if any(item.solution.trajectory is not None for item in solved) else None
+    profile.lap("fmu_build")
+    return [_judge(tools, scene, fmu, item, folder, stages, profile) for item in solved]
+
+
+def _judge(tools: Tools, scene: Scene, fmu: Path | None, item: Solved, folder: Path, stages: int, profile: Profile) -> Judged:
+    from models.trajectory_netcdf import write_netcdf
+    from validate.records import Judged
+
+    trajectory = item.solution.trajectory
+    if trajectory is None or fmu is None:
+        return Judged()
+    names = stage_files(item.planned.index, stages)
+    write_netcdf(folder / names["trajectory"], trajectory, scene)
+    profile.lap("writing")
+    began = time.perf_counter()
+    replay = None
+    try:
+        replay = tools.replay(scene, fmu, trajectory)
+        profile.lap("replay")
+        score = tools.score(scene, trajectory, replay)
+        profile.lap("score")
+        seconds = time.perf_counter() - began
+        tools.write_replay(folder / names["replay"], replay, scene)
+        tracked = getattr(replay, "tracked", None)
+        if tracked is not None:
+            tools.write_replay(folder / names["tracked"], tracked, scene)
+            write_netcdf(folder / names["trajectory"], trajectory, scene, tracked.feedback.gains)
+        profile.lap("writing")
+    except MachineError:
+        raise
+    except Exception as error:  # noqa: BLE001 - the plan is kept even if the judge stumbles; the verdict is then not resolved
+        traceback.print_exc()
+        profile.lap("replay" if replay is None else "score")
+        return Judged(
+            replay=replay, seconds=time.perf_counter() - began, problem=f"the judge ended with {type(error).__name__}: {first_line(error)}"
+        )
+    return Judged(replay=replay, score=score, seconds=seconds)
+
+
+def first_line(error: BaseException) -> str:
+    """The first line of what an error says."""
+    return next(iter(str(error).splitlines()), "") or "no further words."
