@@ -119,7 +119,7 @@ SCENE_FUNCTION double friction_alone(int law, double b, const FrictionStep *step
 /* Coulomb: which forces stay inside their limits is known from f; these stick exactly, if that contradicts nothing. */
 SCENE_FUNCTION void stick_exactly(const FrictionStep *step, double *f)
 {
-    int sticks[NF], n = 0;
+    int sticks[NF] = {0}, n = 0; /* zeros: compilers that unroll the loops below cannot see that only the first n are read */
     double K[NF][NF], x[NF];
     for (int j = 0; j < NF; j++)
         if (fabs(f[j]) < step->limit[j]) sticks[n++] = j;
