@@ -5,6 +5,7 @@
     u    (steps, nu)    inputs, held over each step as `hold` says
     lam  (steps, nl)    contact forces [N] at the *start* of each step: lam[i] belongs to phi(q[i]); behind them the friction
                         forces of the step, which belong to the slip at its end
+    scheme              the time step it is made of (models.schemes): which equations q, v, u, lam solve, and so what its defect is
     missing             which of "v" and "lam" its author did not say; the arrays then hold stand-ins (see `read_csv`)
 
 CSV: one row a node, columns `t`, then the scene's names (`q1 ... v1 ... u1 ... lam_left ...`); the last row has no u and lam.
@@ -23,6 +24,7 @@ import numpy as np
 from models.errors import TrajectoryError
 from models.plan_table import PlanTable
 from models.scene import Scene
+from models.schemes import Scheme
 
 
 class Hold(Enum):
@@ -42,6 +44,7 @@ class Trajectory:
     u: np.ndarray
     lam: np.ndarray
     hold: Hold = Hold.ZERO_ORDER
+    scheme: Scheme = Scheme.SEMI_IMPLICIT_EULER
     missing: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
@@ -64,6 +67,10 @@ class Trajectory:
             shape = getattr(self, field).shape
             if len(shape) != 2 or shape[0] != rows:
                 raise TrajectoryError(f"plan: {field} has shape {shape}; {rows} rows are needed ({nodes} nodes, {nodes - 1} steps).")
+        if self.scheme is not Scheme.SEMI_IMPLICIT_EULER and self.hold is not Hold.ZERO_ORDER:
+            raise TrajectoryError(
+                f"plan: scheme {self.scheme.value} holds its inputs over each step, so hold must be {Hold.ZERO_ORDER.value}."
+            )
         if self.q.shape != self.v.shape:
             raise TrajectoryError(f"plan: q has shape {self.q.shape} but v has {self.v.shape}; they must agree.")
 

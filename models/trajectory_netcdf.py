@@ -15,6 +15,7 @@ import numpy as np
 from models.errors import TrajectoryError
 from models.netcdf import Column, numbers, read_columns, write_columns
 from models.scene import Scene
+from models.schemes import Scheme
 from models.trajectory import Hold, Trajectory
 
 _CONTENT = "touchstone plan"
@@ -63,7 +64,9 @@ def write_netcdf(path: Path, trajectory: Trajectory, scene: Scene, gains: np.nda
             Column(name=name, dimension="step", values=flat[:, index], unit=unit, description="tracking gain")
             for index, (name, unit) in enumerate(_gain_columns(scene))
         ]
-    write_columns(path, columns, {"content": _CONTENT, "scene": scene.name, "hold": trajectory.hold.value})
+    write_columns(
+        path, columns, {"content": _CONTENT, "scene": scene.name, "hold": trajectory.hold.value, "scheme": trajectory.scheme.value}
+    )
 
 
 def read_gains(path: Path, scene: Scene) -> np.ndarray | None:
@@ -89,6 +92,11 @@ def read_netcdf(path: Path, scene: Scene) -> Trajectory:
     except ValueError:
         known = ", ".join(item.value for item in Hold)
         raise TrajectoryError(f"file {path}: hold is {attributes.get('hold')!r}, but must be one of {known}.") from None
+    try:
+        scheme = Scheme(attributes.get("scheme", Scheme.SEMI_IMPLICIT_EULER.value))  # files of earlier versions do not say
+    except ValueError:
+        known = ", ".join(item.value for item in Scheme)
+        raise TrajectoryError(f"file {path}: scheme is {attributes.get('scheme')!r}, but must be one of {known}.") from None
     t = numbers(path, columns, "t", "s")
     arrays = {}
     for field, group in _columns(scene).items():
@@ -96,6 +104,6 @@ def read_netcdf(path: Path, scene: Scene) -> Trajectory:
         stacked = [numbers(path, columns, name, unit, size) for name, unit, _ in group]
         arrays[field] = np.column_stack(stacked) if stacked else np.zeros((size, 0))
     try:
-        return Trajectory(t=t, hold=hold, **arrays)
+        return Trajectory(t=t, hold=hold, scheme=scheme, **arrays)
     except TrajectoryError as error:
         raise TrajectoryError(f"{error} (file {path})") from error

@@ -39,6 +39,7 @@ from pyomo.common.gc_manager import PauseGC
 from pyomo.mpec import Complementarity
 
 from formulations.transcription import equations
+from formulations.transcription.collocation import add_collocation
 from formulations.transcription.contact_laws import ContactLaw, ModelError, relax
 from formulations.transcription.damping import add_springs, damped_softplus
 from formulations.transcription.expressions import SceneExpressions
@@ -47,6 +48,7 @@ from models.catalog import load_scene
 from models.contact_law import sharpness
 from models.dynamics import derive
 from models.scene import Scene
+from models.schemes import Scheme
 
 
 def build_model(
@@ -56,12 +58,16 @@ def build_model(
     eps: float | None = None,
     steps: int | None = None,
     step: float | None = None,
+    scheme: Scheme = Scheme.SEMI_IMPLICIT_EULER,
+    integrate_cost: bool = False,
 ) -> pyo.ConcreteModel:
     """A plain Pyomo model of the scene's task, at the first guess of the paper (start held, u = lam = 0).
 
     scene: a Scene, its name, or the path of its file; contact: how contact is written; steps, step [s]: another grid than the task's.
     eps: with SOFTPLUS needed, 0 < eps < 1. With COMPLEMENTARITY None leaves pyomo.mpec's `Complementarity` untransformed (for solvers and
     transformations of your own); a number applies Pyomo's `mpec.simple_nonlinear` with that bound [N^2].
+    scheme: the time step, semi-implicit Euler or a collocation of higher order (`collocation` says what its block has); integrate_cost: with a
+    collocation, weigh the running cost of the stages as its quadrature does instead of summing that of the nodes.
 
     >>> import pyomo.environ as pyo
     >>> from formulations import ContactLaw, build_model, tighten
@@ -74,7 +80,7 @@ def build_model(
     """
     chosen = load_scene(scene) if isinstance(scene, str) else scene
     model = pyo.ConcreteModel(name=chosen.name)
-    build_block(model, chosen, contact, eps=eps, steps=steps, step=step)
+    build_block(model, chosen, contact, eps=eps, steps=steps, step=step, scheme=scheme, integrate_cost=integrate_cost)
     model.objective_cost = pyo.Objective(expr=model.expression_cost, sense=pyo.minimize)
     return model
 
@@ -87,6 +93,8 @@ def build_block(
     eps: float | None = None,
     steps: int | None = None,
     step: float | None = None,
+    scheme: Scheme = Scheme.SEMI_IMPLICIT_EULER,
+    integrate_cost: bool = False,
 ) -> None:
     """Fill a Block of your own model, as `build_model` does, without an objective: `block.expression_cost` is there to be weighed.
 
@@ -113,7 +121,10 @@ def build_block(
         _add_parameters(block, chosen)
         _add_variables(block, chosen)
         _add_ends(block, chosen)
-        _add_steps(block, chosen, contact, b)
+        if scheme is Scheme.SEMI_IMPLICIT_EULER:
+            _add_steps(block, chosen, contact, b)
+        else:
+            add_collocation(block, chosen, contact, b, scheme, integrate_cost=integrate_cost)
         if contact is ContactLaw.COMPLEMENTARITY and eps is not None and chosen.nl:
             relax(block, eps)
 

@@ -1,7 +1,7 @@
 """The equations of the transcription: one function, one equation. They fetch nothing; whoever calls them brings the quantities.
 
 Semi-implicit Euler with the paper's indices: contact force and damping belong to the *start* of a step, the new position to the
-new velocity. Units: q [m, rad], v [m/s, rad/s], h [s], forces [N, N m], k [N/m], phi [m] (positive in contact), b [1/m].
+new velocity; the equations of stages are those of collocation (models.schemes). Units: q [m, rad], v [m/s, rad/s], h [s], forces [N, N m], k [N/m], phi [m] (positive in contact), b [1/m].
 """
 
 from __future__ import annotations
@@ -35,6 +35,21 @@ def constraint_velocity_step(mass_row: Sequence[Any], v_next: Sequence[Any], v_n
     """
     momentum = sum(mass * (after - before) for mass, after, before in zip(mass_row, v_next, v_now, strict=True) if not _is_zero(mass))
     return momentum == h * force
+
+
+def constraint_position_stage(gained: Any, v_stage: Any, h: Any) -> Any:
+    """sum_j D_ij (Q_j - q[t]) = h V_i   [m, rad],   D = A^-1 of the scheme's tableau"""
+    return gained == h * v_stage
+
+
+def constraint_velocity_stage(mass_row: Sequence[Any], gained: Sequence[Any], force: Any, h: Any) -> Any:
+    """sum_k M_ik(Q_i) sum_j D_ij (V_j - v[t])_k = h (tau(Q_i, V_i, u[t]) + J(Q_i)' lam_i)   [N s, N m s]: no mass matrix is inverted here either"""
+    return sum(mass * change for mass, change in zip(mass_row, gained, strict=True) if not _is_zero(mass)) == h * force
+
+
+def constraint_step_end(x_next: Any, x_now: Any, gained: Any) -> Any:
+    """x[t+1] = x[t] + sum_i (b' A^-1)_i (X_i - x[t]): of the implicit midpoint 2 X - x[t]"""
+    return x_next == x_now + gained
 
 
 def constraint_contact_softplus(lam: Any, phi: Any, k: Any, b: Any) -> Any:

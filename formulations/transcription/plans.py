@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pyomo.environ as pyo
 
+from formulations.transcription.collocation import forces_at_nodes, is_collocated, scheme_of, settle_stages
 from formulations.transcription.contact_laws import settle_separation
 from models.errors import TrajectoryError
 from models.trajectory import Trajectory, uniform_grid
@@ -31,10 +32,14 @@ def load_plan(block: Any, plan: Trajectory) -> None:
     for name, values in arrays.items():
         variable = block.component(f"variable_{name}")
         columns = 0 if variable is None else len(variable) // len(values)
+        if name == "lam" and is_collocated(block):
+            columns //= len(block.set_stages)
         if values.shape[1] != columns:
             raise TrajectoryError(f"warm start: {name} has {values.shape[1]} columns, but model {block.name} has {columns}.")
-        if variable is not None:
+        if variable is not None and not (name == "lam" and is_collocated(block)):
             write_values(variable, values)
+    if is_collocated(block):
+        settle_stages(block)
     settle_separation(block)
 
 
@@ -51,6 +56,8 @@ def load_first_guess(block: Any) -> None:
     for name in ("variable_lam", "variable_friction"):
         if block.component(name) is not None:
             write_values(block.component(name), np.zeros((len(block.component(name)), 1)))
+    if is_collocated(block):
+        settle_stages(block)
     settle_separation(block)
 
 
@@ -60,9 +67,12 @@ def read_plan(block: Any) -> Trajectory:
     arrays = {}
     for name, rows in (("q", steps + 1), ("v", steps + 1), ("u", steps), ("lam", steps), ("friction", steps)):
         variable = block.component(f"variable_{name}")
+        if name == "lam" and is_collocated(block):
+            arrays[name] = forces_at_nodes(block)
+            continue
         arrays[name] = np.zeros((rows, 0)) if variable is None else read_values(variable).reshape(rows, -1)
     arrays["lam"] = np.hstack([arrays["lam"], arrays.pop("friction")])
-    return Trajectory(t=uniform_grid(pyo.value(block.parameter_step), steps), **arrays)
+    return Trajectory(t=uniform_grid(pyo.value(block.parameter_step), steps), scheme=scheme_of(block), **arrays)
 
 
 def read_values(variable: Any) -> np.ndarray:

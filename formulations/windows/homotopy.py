@@ -22,6 +22,7 @@ from formulations.transcription.goal import open_goal
 from formulations.transcription.plans import load_first_guess, load_plan, read_plan
 from formulations.transcription.workbench import Account, Workbench, primal_dual
 from models.scene import Scene
+from models.schemes import Scheme
 from models.trajectory import Trajectory
 
 # From this sharpness on [1/m] a stage takes the multipliers of the one before: earlier the plan still moves too far
@@ -35,14 +36,27 @@ PATIENCE = 200
 
 
 class SoftplusHomotopy:
-    """The softplus model of one scene, built once. ball: radius of the goal, as in `quadratic`."""
+    """The softplus model of one scene, built once. ball: radius of the goal, as in `quadratic`; scheme, integrate_cost: as in `build_model`."""
 
-    def __init__(self, scene: Scene, ball: float, schedule: tuple[float, ...]) -> None:
-        model = build_model(scene, ContactLaw.SOFTPLUS, eps=_eps(schedule[0]))
+    def __init__(
+        self,
+        scene: Scene,
+        ball: float,
+        schedule: tuple[float, ...],
+        *,
+        scheme: Scheme = Scheme.SEMI_IMPLICIT_EULER,
+        integrate_cost: bool = False,
+    ) -> None:
+        model = build_model(scene, ContactLaw.SOFTPLUS, eps=_eps(schedule[0]), scheme=scheme, integrate_cost=integrate_cost)
         self._stiffness = _own_stiffness(scene)
         self._stages = tuple(_stages(scene, schedule, bool(self._stiffness))) if scene.nc else ((schedule[0], 1.0),)
         open_goal(model, ball)
         self._bench = Workbench(model)
+
+    @property
+    def bench(self) -> Workbench:
+        """The model, which holds the last stage's plan."""
+        return self._bench
 
     def run(
         self,

@@ -6,11 +6,13 @@ from functools import cached_property
 
 import numpy as np
 
+from models import collocation
 from models.codegen.kernel import Kernel, KernelError, load_kernel
 from models.contacts import DampingLaw
 from models.dynamics import derive
 from models.goal import goal_state
 from models.scene import Scene
+from models.schemes import Scheme
 from models.trajectory import Trajectory
 from validate.replay.result import Difference, Replay
 from validate.replay.subject import Subject
@@ -141,11 +143,25 @@ class Evidence:
         except KernelError as error:
             raise Unmeasured(str(error)) from error
 
+    @property
+    def collocation_defect(self) -> float:
+        """Largest miss of a plan made by collocation in its own step; infinite where a step has no solution."""
+        self.v  # noqa: B018 - refused where the plan does not say it
+        try:
+            return collocation.defect(self.kernel, self.trajectory)
+        except KernelError as error:
+            raise Unmeasured(str(error)) from error
+
     @cached_property
     def true_motion(self) -> tuple[np.ndarray, np.ndarray]:
         """q, v (nodes, nq): the plan's inputs run through the plan's own time step with the true contact law."""
         plan = self.trajectory
-        if (self.h == self.h[0]).all():
+        if plan.scheme is not Scheme.SEMI_IMPLICIT_EULER:
+            try:
+                q, v, reached = collocation.rollout(self.kernel, plan.scheme, plan.start, plan.u, self.h)
+            except KernelError as error:
+                raise Unmeasured(str(error)) from error
+        elif (self.h == self.h[0]).all():
             rollout = self.kernel.rollout(plan.start, plan.u, float(self.h[0]))
             q, v, reached = rollout.q, rollout.v, rollout.finite_steps
         else:

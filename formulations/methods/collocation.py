@@ -1,0 +1,62 @@
+"""Exact contact on a coarse grid: collocation of order 2 to 5 instead of semi-implicit Euler, contact modes by a softplus homotopy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from formulations.method import Kind, Method, OptionSpec, Session
+from formulations.transcription.method import OPTIONS
+
+if TYPE_CHECKING:
+    from models.scene import Scene
+
+
+class Collocation(Method):
+    name = "collocation"
+    title = "Exact contact by collocation of higher order"
+    kind = Kind.DIRECT
+    needs_eps = False
+    options = (
+        *OPTIONS,
+        OptionSpec(
+            name="scheme",
+            default="radau_iia_2",
+            description="the time step: Radau IIA with two stages (order 3) or three (order 5), or the implicit midpoint (order 2, keeps energy)",
+            choices=("radau_iia_2", "radau_iia_3", "implicit_midpoint"),
+        ),
+        OptionSpec(
+            name="integrate_cost",
+            default=False,
+            description="minimise the scheme's quadrature of the running cost instead of its sum over the starts of the steps, the task's own",
+            choices=(True, False),
+        ),
+        OptionSpec(
+            name="first_sharpness", default=7.0, description="sharpness b of the first softplus stage", unit="1/m", lower=1e-3, upper=700.0
+        ),
+        OptionSpec(
+            name="last_sharpness",
+            default=448.0,
+            description="sharpness from which on the modes of the contacts are read off",
+            unit="1/m",
+            lower=1e-3,
+            upper=700.0,
+        ),
+        OptionSpec(name="sharpness_growth", default=2.0, description="factor between two stages", lower=1.01, upper=1e3),
+        OptionSpec(name="homotopy_tolerance", default=1e-6, description="Ipopt's tol in the softplus stages", lower=1e-12, upper=1e-2),
+    )
+
+    def accepts(self, scene: Scene) -> str | None:
+        if not scene.inputs:
+            return f"scene {scene.name} has no inputs, so there is nothing to plan."
+        from formulations.transcription.collocation import why_not
+
+        return why_not(scene)
+
+    def session(self, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> Session:
+        from formulations.windows.stage_modes import CollocationSession
+
+        return CollocationSession(self, scene, options, opening)
+
+
+METHOD = Collocation()

@@ -1,0 +1,134 @@
+"""A collocation step with the true contact law, in numpy: what a plan that was made of such steps is judged by.
+
+    q_next, v_next = advance(kernel, Scheme.RADAU_IIA_2, q, v, u, h)        # (n, nq) each: n steps at once
+    q, v, made = rollout(kernel, Scheme.RADAU_IIA_2, start, u, h)           # one after the other
+
+The accelerations a_i of the stages solve a_i = M^-1 (tau + J' lam)(Q_i, V_i, u) with V = v + h A a and Q = q + h c v + h^2 A^2 a; Newton's method, its
+Jacobian by differences, which at a kink takes the side it is on. The stages and the law are the transcription's, the code is not.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from models.codegen.kernel import Kernel, KernelError
+from models.schemes import Scheme, tableau
+from models.trajectory import Trajectory
+
+# Newton needs 3 to 5 iterations, a few more where contacts open and close within a step.
+_ITERATIONS = 40
+# A Newton step of the accelerations below this, relative to the largest of them, is rounding.
+_TOLERANCE = 1e-13
+_DIFFERENCE = 1e-7
+
+
+def advance(
+    kernel: Kernel, scheme: Scheme, q: np.ndarray, v: np.ndarray, u: np.ndarray, h: np.ndarray | float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The states (n, nq), (n, nq) one step of h [s] (a number, or (n,)) after q, v (n, nq) with inputs u (n, nu); NaN where there is no solution.
+
+    Raises KernelError for a scene with friction, which no collocation here knows.
+    """
+    scene = kernel.scene
+    if scene.nf:
+        raise KernelError(f"scene {scene.name}: its friction has no collocation step; friction belongs to semi-implicit Euler.")
+    table = tableau(scheme)
+    steps, (n, nq), s = np.broadcast_to(np.asarray(h, dtype=float), len(q)).reshape(-1, 1, 1), q.shape, table.stages
+    squared = table.a @ table.a
+    inputs = np.repeat(np.asarray(u, dtype=float), s, axis=0)
+
+    def states(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        stage_q = q[:, None] + steps * table.c[:, None] * v[:, None] + steps**2 * np.einsum("ij,njk->nik", squared, a)
+        return stage_q.reshape(n * s, nq), (v[:, None] + steps * np.einsum("ij,njk->nik", table.a, a)).reshape(n * s, nq)
+
+    def residual(a: np.ndarray) -> np.ndarray:
+        at_q, at_v = states(a)
+        return (a - kernel.acceleration(at_q, at_v, inputs, kernel.contact_force(at_q, v=at_v)).reshape(n, s, nq)).reshape(n, s * nq)
+
+    first = kernel.acceleration(q, v, u, kernel.contact_force(q, v=v))
+    a = np.repeat(first[:, None], s, axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        a = _newton(residual, a)
+        weights = table.b @ table.a
+        moved = steps[:, 0] * v + steps[:, 0] ** 2 * np.einsum("i,nik->nk", weights, a)
+        return q + moved, v + steps[:, 0] * np.einsum("i,nik->nk", table.b, a)
+
+
+def _newton(residual, a: np.ndarray) -> np.ndarray:
+    """(n, s, nq) roots, row by row; NaN where none was found."""
+    n, shape = len(a), a.shape
+    size = a[0].size
+    for _ in range(_ITERATIONS):
+        value = residual(a)
+        jacobian = np.empty((n, size, size))
+        for column in range(size):
+            moved = a.reshape(n, size).copy()
+            delta = _DIFFERENCE * (1.0 + np.abs(moved[:, column]))
+            moved[:, column] += delta
+            jacobian[:, :, column] = (residual(moved.reshape(shape)) - value) / delta[:, None]
+        broken = ~(np.isfinite(jacobian).all(axis=(1, 2)) & np.isfinite(value).all(axis=1))
+        jacobian[broken], value[broken] = np.eye(size), np.nan
+        step = np.linalg.solve(jacobian, value[..., None])[..., 0].reshape(shape)
+        a = a - step
+        open_rows = np.abs(step).max(axis=(1, 2)) > _TOLERANCE * (1.0 + np.abs(a).max(axis=(1, 2)))
+        if not open_rows.any():  # NaN is not open
+            return a
+    # Rounding of large accelerations keeps a row open; only a step that means something is no solution.
+    a[np.abs(step).max(axis=(1, 2)) > 1e-9 * (1.0 + np.abs(a).max(axis=(1, 2)))] = np.nan
+    return a
+
+
+def rollout(kernel: Kernel, scheme: Scheme, start: np.ndarray, u: np.ndarray, h: np.ndarray | float) -> tuple[np.ndarray, np.ndarray, int]:
+    """q, v (steps + 1, nq) from start (2*nq,) with inputs u (steps, nu), and the number of steps made before a state was not finite."""
+    nq, steps = kernel.scene.nq, len(u)
+    q, v = np.full((steps + 1, nq), np.nan), np.full((steps + 1, nq), np.nan)
+    q[0], v[0] = start[:nq], start[nq:]
+    lengths = np.broadcast_to(np.asarray(h, dtype=float), steps)
+    for step in range(steps):
+        after = advance(kernel, scheme, q[step : step + 1], v[step : step + 1], u[step : step + 1], lengths[step])
+        if not (np.isfinite(after[0]).all() and np.isfinite(after[1]).all()):
+            return q, v, step
+        q[step + 1], v[step + 1] = after[0][0], after[1][0]
+    return q, v, steps
+
+
+def defect(kernel: Kernel, plan: Trajectory) -> float:
+    """Largest miss of a plan in its own collocation step, contact forces by the true law [m, rad, or per second]; infinite where a step has no
+    solution."""
+    q, v = advance(kernel, plan.scheme, plan.q[:-1], plan.v[:-1], plan.u, np.diff(plan.t))
+    miss = np.hstack([q - plan.q[1:], v - plan.v[1:]])
+    return float(np.abs(miss).max()) if np.isfinite(miss).all() else np.inf
+
+
+def switch_error(kernel: Kernel, plan: Trajectory) -> float:
+    """Bound of the velocity error that opening and closing contacts leave, summed over the steps in which one does [m/s, rad/s].
+
+    switch_constant h^2 |phi'| |M^-1 J' k|, phi' as large as at either end of the step: exact to first order in h. A contact that opens and closes
+    within one step, unseen at its ends, is in it where the velocity turns there.
+    """
+    scene, table = kernel.scene, tableau(plan.scheme)
+    if not scene.nc:
+        return 0.0
+    h, k = np.diff(plan.t), kernel.stiffness()
+    phi = kernel.penetration(plan.q)
+    rate = np.diff(phi, axis=0) / h[:, None]
+    closer = np.maximum(np.abs(_rates(kernel, plan.q[:-1], plan.v[:-1])), np.abs(_rates(kernel, plan.q[1:], plan.v[1:])))
+    speed = np.maximum(np.abs(rate), closer)
+    within = np.minimum(np.abs(phi[:-1]), np.abs(phi[1:])) <= speed * h[:, None]
+    turns = _rates(kernel, plan.q[:-1], plan.v[:-1]) * _rates(kernel, plan.q[1:], plan.v[1:]) < 0.0
+    switches = (phi[:-1] * phi[1:] <= 0.0) & (phi[:-1] != phi[1:]) | within & turns & (phi[:-1] < 0.0)
+    total = 0.0
+    still = np.zeros((1, scene.nl))
+    for step, contact in zip(*np.nonzero(switches), strict=True):
+        at = plan.q[step : step + 1], plan.v[step : step + 1], plan.u[step : step + 1]
+        push = still.copy()
+        push[0, contact] = k[contact]
+        response = np.abs(kernel.acceleration(*at, push) - kernel.acceleration(*at, still)).max()
+        total += table.switch_constant * float(h[step]) ** 2 * float(speed[step, contact]) * float(response)
+    return total
+
+
+def _rates(kernel: Kernel, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """(n, nc) phi' = d phi/dq v, by a central difference along v."""
+    reach = 1e-6 / (1.0 + np.abs(v).max(axis=1, keepdims=True))
+    return (kernel.penetration(q + reach * v) - kernel.penetration(q - reach * v)) / (2.0 * reach)

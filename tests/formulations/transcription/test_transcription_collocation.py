@@ -1,0 +1,162 @@
+"""Collocation in a plan's model: order through Pyomo, smooth and true contact, what is refused, and that the replay sees what was assumed."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pyomo.environ as pyo
+import pytest
+
+from formulations import ContactLaw, ModelError, build_model, load_plan, read_plan
+from formulations.catalog import load_method
+from formulations.ipopt import compile_model, load, solve
+from formulations.solution import Outcome
+from models.catalog import load_scene
+from models.codegen.kernel import load_kernel
+from models.collocation import defect, rollout
+from models.errors import TrajectoryError
+from models.fmu import build_fmu
+from models.schemes import Scheme, tableau
+from models.trajectory import Trajectory
+from validate.replay import replay
+from validate.score import score
+
+OSCILLATOR = load_scene(str(Path(__file__).parents[2] / "scenes" / "oscillator.py"))
+CARTS = load_scene("three_cart")
+COLLOCATIONS = (Scheme.IMPLICIT_MIDPOINT, Scheme.RADAU_IIA_2, Scheme.RADAU_IIA_3)
+FORWARD = {Scheme.SEMI_IMPLICIT_EULER: 1} | {scheme: tableau(scheme).order for scheme in COLLOCATIONS}
+
+
+def _coarse(steps: int):
+    return CARTS.with_task(steps=steps, step=5.0 / steps)
+
+
+def _solved(model) -> Trajectory:
+    problem = compile_model(model)
+    result = solve(problem, options={"tol": 1e-12})
+    assert result.solved, result.message
+    load(problem, result)
+    return read_plan(model)
+
+
+@pytest.mark.parametrize("scheme", FORWARD)
+def test_the_model_of_an_oscillator_has_its_order(scheme: Scheme) -> None:
+    """q = cos t: nothing is chosen, the equations alone make the motion."""
+    errors = []
+    for steps in (10, 20):
+        free = OSCILLATOR.with_task(steps=steps, step=2.0 / steps, goal=(None, None))
+        plan = _solved(build_model(free, scheme=scheme))
+        assert plan.scheme is scheme
+        errors.append(np.abs(plan.q[:, 0] - np.cos(plan.t)).max())
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(FORWARD[scheme], abs=0.25)
+
+
+@cache
+def _pushed(steps: int, scheme: Scheme) -> Trajectory:
+    """The carts under given inputs, the same in continuous time on every grid (20 constant pieces), through soft contact."""
+    model = build_model(CARTS.with_task(goal=(None,) * 6), ContactLaw.SOFTPLUS, eps=1e-3, steps=steps, step=2.0 / steps, scheme=scheme)
+    for t in model.set_steps:
+        phase = np.pi * (20 * t // steps) / 10
+        model.variable_u[t, "u1"].fix(8.0 * np.sin(phase))
+        model.variable_u[t, "u3"].fix(-8.0 * np.sin(phase))
+    return _solved(model)
+
+
+@pytest.mark.parametrize("scheme", COLLOCATIONS)
+def test_smooth_contact_keeps_the_order(scheme: Scheme) -> None:
+    truth = _pushed(160, Scheme.RADAU_IIA_3)
+    assert truth.lam.max() > 2.0
+    errors = []
+    for steps in (20, 40):
+        plan = _pushed(steps, scheme)
+        errors.append(np.abs(plan.q - truth.q[:: 160 // steps]).max())
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(tableau(scheme).order, abs=0.35)
+
+
+@pytest.mark.parametrize("scheme", COLLOCATIONS)
+def test_the_method_keeps_the_true_law_at_every_stage(scheme: Scheme) -> None:
+    """Checked by a step written apart from the model: the plan's inputs run through it give the plan."""
+    scene = _coarse(50)
+    kernel = load_kernel(scene)
+    solution = load_method("collocation").open(scene, {"scheme": scheme.value}).solve(eps=None, warm_start=None, time_limit=600.0)
+    assert solution.outcome is Outcome.SOLVED, solution.message
+    assert solution.size == solution.paper_size
+    plan = solution.trajectory
+    assert plan is not None
+    assert plan.lam.max() > 1.0
+    assert defect(kernel, plan) < 1e-9
+    q, _, made = rollout(kernel, plan.scheme, plan.start, plan.u, scene.task.step)
+    assert made == scene.task.steps
+    np.testing.assert_allclose(q, plan.q, atol=1e-8)
+    assert 0.0 < solution.residuals["switch_error"] < 0.1
+    assert solution.residuals["terminal_error"] < 1e-8
+
+
+def test_fifty_steps_of_radau_are_nearer_to_the_replay_than_five_hundred_of_euler() -> None:
+    """The inputs are replayed as the stages had them: held over each step."""
+    scene = _coarse(50)
+    plan = load_method("collocation").open(scene, {}).solve(eps=None, warm_start=None, time_limit=600.0).trajectory
+    assert plan is not None
+    found = score(scene, plan, replay(scene, build_fmu(scene), plan))
+    figures = {figure.name: figure.value for figure in found.figures}
+    assert (figures["replay_error"] or 1.0) < 4e-3  # of the paper's 500 steps: 6.9e-3
+    assert (figures["defect"] or 0.0) < 1e-9
+    assert (figures["law_error"] or 0.0) < 1e-7
+    assert figures["physics"] == 0.0
+
+
+def test_its_replay_error_is_that_of_the_scheme_where_nothing_switches() -> None:
+    """No contact is made on the way: of order 5 nothing is left but the replay's own error, however coarse the grid."""
+    far = CARTS.with_task(steps=20, step=0.05, start=(2.0, 3.0, 4.0, 0.0, 0.0, 0.0), goal=(2.2, 3.0, 3.8, None, None, None))
+    errors = {}
+    for scheme in (Scheme.IMPLICIT_MIDPOINT, Scheme.RADAU_IIA_3):
+        plan = load_method("collocation").open(far, {"scheme": scheme.value}).solve(eps=None, warm_start=None, time_limit=600.0).trajectory
+        assert plan is not None
+        assert plan.lam.max() == 0.0
+        run = replay(far, build_fmu(far), plan)
+        errors[scheme] = float(np.abs(run.q[run.knots] - plan.q).max())
+    assert errors[Scheme.RADAU_IIA_3] < 1e-8 < 1e-6 < errors[Scheme.IMPLICIT_MIDPOINT]
+
+
+def test_the_cost_may_be_integrated() -> None:
+    """wall_pendulum weighs its states: the sum over the starts of the steps is of order one, the quadrature is not."""
+    scene = load_scene("wall_pendulum")
+    models = {
+        integrates: build_model(scene, ContactLaw.SOFTPLUS, eps=1e-9, scheme=Scheme.RADAU_IIA_2, integrate_cost=integrates)
+        for integrates in (False, True)
+    }
+    for model in models.values():
+        for data in model.variable_q.values():
+            data.value = 0.1
+        for data in model.variable_stage_q.values():
+            data.value = 0.2
+        for data in (*model.variable_v.values(), *model.variable_stage_v.values()):
+            data.value = 0.0
+    assert pyo.value(models[False].expression_cost) == pytest.approx(20 * 0.01)
+    assert pyo.value(models[True].expression_cost) == pytest.approx(20 * (0.75 * 0.04 + 0.25 * 0.01))
+
+
+def test_a_plan_of_another_method_is_a_start_and_one_of_another_grid_is_not() -> None:
+    scene = _coarse(50)
+    model = build_model(scene, ContactLaw.SOFTPLUS, eps=1e-5, scheme=Scheme.RADAU_IIA_3)
+    run = load_kernel(scene).rollout(np.array(scene.task.start), np.full((50, 2), 1.0), scene.task.step)
+    plan = Trajectory(t=np.arange(51) * 0.1, q=run.q, v=run.v, u=np.full((50, 2), 1.0), lam=run.lam)
+    load_plan(model, plan)
+    again = read_plan(model)
+    np.testing.assert_array_equal(again.q, plan.q)
+    np.testing.assert_array_equal(again.u, plan.u)
+    first = tableau(Scheme.RADAU_IIA_3).c[0]
+    assert pyo.value(model.variable_stage_q[7, 1, "q1"]) == pytest.approx(plan.q[7, 0] + first * (plan.q[8, 0] - plan.q[7, 0]))
+    shorter = Trajectory(t=plan.t[:-1], q=plan.q[:-1], v=plan.v[:-1], u=plan.u[:-1], lam=plan.lam[:-1])
+    with pytest.raises(TrajectoryError, match="steps"):
+        load_plan(model, shorter)
+
+
+@pytest.mark.parametrize(("name", "word"), [("transport", "friction"), ("push_box", "friction"), ("damped_collision", "damped")])
+def test_what_loses_the_order_is_refused_with_a_reason(name: str, word: str) -> None:
+    with pytest.raises(ModelError, match=word):
+        build_model(name, ContactLaw.SOFTPLUS, eps=1e-3, scheme=Scheme.RADAU_IIA_2)
+    if name != "damped_collision":
+        assert word in str(load_method("collocation").accepts(load_scene(name)))
