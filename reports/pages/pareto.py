@@ -1,0 +1,220 @@
+"""What a plan costs to find against how good it is: CPU time against replay error, and against cost at equal terminal error, scene by scene.
+
+Equal means: within what the scene itself allows. A cost is compared only among plans whose judged replay ends within the scene's limits on the terminal
+error (the scene of a free end has none: there the last state is in the cost), and the front is drawn through those that keep every other limit too.
+A plan that ends farther away has bought its lower cost with the miss; no price of a metre would make the two comparable, so none is invented.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from reports.judged import is_tracked
+from reports.pages.front import unbeaten
+from reports.pages.section import Report, Section
+from reports.plots.axis import Axis
+from reports.plots.figure import Key, Plot
+from reports.record import FigureRecord, SceneRecord
+from reports.rows import Row
+from reports.wording import cost, count, error, listing, seconds, spaced, times
+
+# Below this an error is a rounding error: drawn at the edge, so that it does not squeeze the rest.
+_SMALLEST = 1e-12
+# A stage that took less than a tick of the clock is drawn at a tick.
+_TICK = 1e-3
+# Costs that span more than this are drawn on a logarithmic axis.
+_WIDE = 20.0
+# What is better by less than this, relatively, is not worth a sentence: plans on one grid share its error, and two solves of one problem their cost.
+_SAME_ERROR, _SAME_COST = 0.05, 1e-3
+# Beyond this a ratio of errors says no more than that one of them is nearly none.
+_MANY = 1000.0
+
+Point = tuple[float, float, Row]
+
+
+@dataclass(frozen=True)
+class View:
+    """A plot and the sentence that concludes from its numbers."""
+
+    plot: Plot
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Pareto:
+    """The plots of one scene; failed: (row, why it has no point) of methods that gave no plan to compare; refused: pipelines that do not apply."""
+
+    scene: SceneRecord
+    views: list[View]
+    failed: list[tuple[Row, str]]
+    refused: list[str]
+
+
+def build(report: Report) -> Section | None:
+    found = [_pareto(scene, report.rows_of_scene(scene)) for scene in report.scenes]
+    found = [pareto for pareto in found if pareto.views]
+    return Section("pareto", "CPU time against error and cost", "pareto.html", {"scenes": found}) if found else None
+
+
+def cpu(row: Row) -> float:
+    """CPU seconds of a stage and of those it starts from."""
+    return sum(stage.seconds.stage_cpu for stage in row.chain)
+
+
+def replay_error(row: Row) -> FigureRecord | None:
+    """Of the replay that is judged."""
+    return row.stage.figure("tracked_replay_error" if is_tracked(row.stage) else "replay_error")
+
+
+def arrives(row: Row) -> bool:
+    """Whether its replay ends within the scene's limits on the terminal error; True where there is none."""
+    return all(figure.ok is True for figure in _terminal(row))
+
+
+def _terminal(row: Row) -> list[FigureRecord]:
+    """The limited terminal errors of the judged replay; where the scene limits none of a replay, those on the plan's own grid."""
+    limited = [figure for figure in row.stage.figures if "terminal" in figure.name and figure.limit is not None]
+    name = "tracked_terminal" if is_tracked(row.stage) else "replay_terminal"
+    return [figure for figure in limited if figure.name.startswith(name)] or [
+        figure for figure in limited if not figure.name.startswith(("replay", "tracked"))
+    ]
+
+
+def _pareto(scene: SceneRecord, rows: list[Row]) -> Pareto:
+    ran = [row for row in rows if row.stage.outcome != "refused"]
+    refused = list(dict.fromkeys(row.run.pipeline for row in rows if row.stage.outcome == "refused"))
+    views = [view for view in (_error_view(ran), _cost_view(scene, ran)) if view is not None]
+    failed = [(row, reason) for row in ran if (reason := _why_absent(row))]
+    return Pareto(scene, views if scene.inputs else [], failed, refused)  # without inputs there is nothing to choose from
+
+
+def _why_absent(row: Row) -> str:
+    stage, figure = row.stage, replay_error(row)
+    if figure is None:
+        words = stage.message.split(". ")[0].rstrip(".") if stage.message else ""
+        return f"{spaced(stage.outcome)}, {stage.verdict}" + (f": {words}" if words else "")
+    if figure.value is None:
+        return f"its replay error is not known: {figure.reason}"
+    return ""
+
+
+def _error_view(rows: list[Row]) -> View | None:
+    points = [(max(cpu(row), _TICK), value, row) for row in rows if (value := _told_error(row)) is not None]
+    if not points:
+        return None
+    unit = next(figure.unit for _, _, row in points if (figure := replay_error(row)))
+    axis = Axis.fitted("replay error", unit, [y for _, y, _ in points], log=True, margin=0.06)
+    plot = _plot("CPU time against replay error", axis, points, unbeaten(points), error)
+    said = _concluded(
+        unbeaten([point for point in points if point[2].stage.verdict == "holds"]),
+        lambda y: f"replay error {error(y)}{' ' + unit if unit in ('m', 'rad') else ''}",
+        lambda before, after: f"{_nearer(before / after)} nearer to its replay",
+        _SAME_ERROR,
+    )
+    return View(plot, said or _nothing_holds(len(points)))
+
+
+def _told_error(row: Row) -> float | None:
+    """The replay error, or the replay's own error where that is larger: less cannot be told apart."""
+    figure, replay = replay_error(row), row.stage.replay
+    if figure is None or figure.value is None:
+        return None
+    return max(figure.value, (replay.error_estimate if replay else None) or 0.0, _SMALLEST)
+
+
+def _cost_view(scene: SceneRecord, rows: list[Row]) -> View | None:
+    plans = [row for row in rows if row.stage.cost is not None and replay_error(row) is not None]
+    points = [(max(cpu(row), _TICK), price, row) for row in plans if arrives(row) and (price := row.stage.cost) is not None]
+    off = len(plans) - len(points)
+    if not points:
+        return None
+    known = next((answer for answer in scene.answers if "cost" in answer.name and answer.value is not None), None)
+    prices = [y for _, y, _ in points] + ([known.value] if known and known.value is not None else [])
+    wide = min(prices) > 0 and max(prices) / min(prices) > _WIDE
+    lasting = unbeaten([point for point in points if point[2].stage.verdict == "holds"])
+    plot = _plot(
+        "CPU time against cost at equal terminal error", Axis.fitted("cost", "", prices, log=wide, margin=0.1), points, lasting, cost
+    )
+    if known is not None and known.value is not None:
+        plot.level(known.value, f"{known.name}: {cost(known.value)}")
+    said = _concluded(
+        lasting,
+        lambda y: f"cost {cost(y)}",
+        lambda before, after: f"{100 * (1 - after / before):.2g} % cheaper" if before > 0 else "cheaper",
+        _SAME_COST,
+    )
+    left = f" Not compared, because the replay ends farther from the goal than the scene allows: {count(off, 'plan')}." if off else ""
+    return View(plot, (said or _nothing_holds(len(points))) + left)
+
+
+def _nothing_holds(plans: int) -> str:
+    return f"None of {count(plans, 'plan')} keeps every limit of the scene, so there is none to recommend."
+
+
+def _concluded(front: list[Point], value: Callable[[float], str], gain: Callable[[float, float], str], same: float) -> str:
+    """From the plans that hold and that no other such plan beats, cheapest first: what the first costs, and what each better one costs more."""
+    if not front:
+        return ""
+    steps = [front[0]]
+    for point in front[1:]:
+        if point[1] < steps[-1][1] * (1 - same) or steps[-1][1] <= 0:
+            steps.append(point)
+    (first, least, row), rest = steps[0], steps[1:]
+    said = f"The least CPU time for a plan that holds is {seconds(first)} s, row {row.number} ({row.label}), {value(least)}."
+    if not rest:
+        return f"{said} No other plan that holds is better, whatever time it takes."
+    after, better, second = rest[0]
+    said += (
+        f" The next better one takes {_longer(after / first)}, {seconds(after)} s: row {second.number} ({second.label}), {value(better)}, "
+        f"{gain(least, better)}."
+    )
+    if len(rest) == 1:
+        return f"{said} More time buys nothing further."
+    last, best, third = rest[-1]
+    return (
+        f"{said} The best takes {_longer(last / first)} as the first, {seconds(last)} s: row {third.number} ({third.label}), {value(best)}, "
+        f"{gain(least, best)}."
+    )
+
+
+def _nearer(ratio: float) -> str:
+    return times(ratio) if ratio <= _MANY else f"more than {times(_MANY)}"
+
+
+def _longer(ratio: float) -> str:
+    return f"{times(ratio)} as long" if ratio >= 1.05 else "as long"
+
+
+def _plot(title: str, y_axis: Axis, points: list[Point], front: list[Point], said: Callable[[float], str]) -> Plot:
+    plot = Plot(
+        title,
+        Axis.fitted("CPU time, with the stages before", "s", [x for x, _, _ in points], log=True, margin=0.06),
+        y_axis,
+        width=720,
+        height=400,
+        keys=[
+            Key("direct", "holds", "square"),
+            Key("indirect", "does not hold", "circle"),
+            Key("front", "front: no row is both faster and better"),
+        ],
+    )
+    corners: list[tuple[float, float]] = []
+    for x, y, _ in front:
+        corners += [(x, corners[-1][1] if corners else plot.y.high), (x, y)]
+    if corners:
+        corners.append((plot.x.high, corners[-1][1]))
+        plot.line("front", "front", [x for x, _ in corners], [y for _, y in corners])
+    for x, y, row in points:
+        holds = row.stage.verdict == "holds"
+        quantity = y_axis.quantity
+        missed = row.figure("replay_terminal_error")
+        ends = f", ends {error(missed)} from the goal" if missed is not None else ""
+        tip = f"Row {row.number}, {row.label}, pipeline {row.run.pipeline}, stage {row.stage.index + 1}: {seconds(x)} CPU s, {quantity} {said(y)}{ends}, {row.stage.verdict}"
+        plot.point(x, y, "direct" if holds else "indirect", "square" if holds else "circle", tip, row.anchor)
+    plot.name_points([(x, y, str(row.number)) for x, y, row in points])
+    steps = [f"row {row.number} ({seconds(x)} s, {said(y)})" for x, y, row in front]
+    plot.words = f"{count(len(points), 'row')}" + (
+        f"; on the front, the fastest first: {listing(steps)}." if steps else "; none on a front."
+    )
+    return plot
