@@ -2,8 +2,8 @@
 
     matches("strict and not relaxed", ["three_cart", "softplus_dc+strict", "strict_lcp"])   # True
 
-A word is true if it is part of one of the cell's names (its scene, its pipeline, its methods), upper and lower case alike, and `=word` if it
-is all of one; words are joined with `and`, `or`, `not` and parentheses, as in pytest.
+A word is true if it is part of one of the cell's names (its scene, its pipeline, its methods), upper and lower case alike, and `=word` (or `="some words"`)
+if it is all of one; words are joined with `and`, `or`, `not` and parentheses, as in pytest.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Iterable
 
 from models.errors import TouchstoneError
 
-_TOKEN = re.compile(r"\s*(?:([()])|([^\s()]+))")
+_TOKEN = re.compile(r'\s*(?:([()])|(="[^"]*"|[^\s()]+))')
 
 
 class SelectionError(TouchstoneError):
@@ -66,7 +66,7 @@ class _Parser:
             raise self._error(f"a name is missing before {word!r}")
         self._place += 1
         if word.startswith("="):
-            return word[1:].lower() in self._names
+            return word[1:].strip('"').lower() in self._names
         return any(word.lower() in name for name in self._names)
 
     def _take(self, token: str) -> bool:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import subprocess
 import sys
 from pathlib import Path
 
+import click
 import pytest
 
 from formulations.pipeline import pipeline_names
 from reports.rule import RESULTS, RULE
+from validate.cli.group import _COMMANDS
 from validate.cli.table import short
 
 TOOLS = ("--tools", "campaign_fakes:TOOLS")
@@ -24,10 +27,11 @@ def test_help_shows_examples_and_exit_codes(cli):
     assert overview.returncode == 0
     for word in ("Examples:", "Exit codes:", "130", "all", "list", "report", "replay", "fmu"):
         assert word in overview.stdout
-    for command in ("all", "list", "report", "replay", "fmu"):
-        done = cli(command, "--help")
-        assert done.returncode == 0
-        assert "xample" in done.stdout
+    for name in _COMMANDS:
+        with click.Context(importlib.import_module(f"validate.cli.{name}").command, info_name=name) as context:
+            text = context.get_help()
+        assert "xample" in text, name
+        assert "Exit codes:" in text, name
     words = " ".join(cli("all", "--help").stdout.split())
     assert "A campaign fails (exit code 1) if" in words
     assert all(sentence in words for sentence in (*RULE, *RESULTS))
@@ -51,7 +55,12 @@ def test_list_imports_no_solver():
     ("arguments", "words"),
     [
         (("al",), "did you mean all?"),
-        (("frobnicate",), "there are all, plan, list"),
+        (("frobnicate",), "there are all, plan, run, list"),
+        (("show", "nothing", "--in", "nowhere/at_all"), "there is no campaign in this folder"),
+        (("run",), "give a campaign file"),
+        (("run", "nowhere.toml"), "it cannot be read (No such file"),
+        (("all", *FAKES, "--lf", "--out", "nowhere/at_all"), "there is no campaign in this folder"),
+        (("all", "--retry", "-1"), "-1 is not in the range"),
         (("all", "--quik"), "Did you mean '--quick'?"),
         (("all", "-j", "0"), "0 is not in the range x>=1"),
         (("all", "-j", "two"), "'two' is not a valid integer"),

@@ -14,6 +14,10 @@ Examples:
   python -m validate fmu three_cart -o three_cart.fmu
   python -m validate fmu my_scene.py -o my_scene.fmu --fmi 3 --platform x86_64-linux --platform win64
   python -m validate fmu three_cart --coupled -o three_cart.ssp
+
+\b
+Exit codes: 0 written; 2 usage, or a scene that no FMU can carry; 3 no compiler,
+or it cannot be written.
 """
 )
 @click.argument("scene", metavar="NAME|FILE.py")

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 import click
 
 from models.errors import TouchstoneError
+from validate.cli.table import one_line
 
 PROGRAM = "python -m validate"
 INTERRUPTED = 130
@@ -24,7 +25,9 @@ INTERRUPTED = 130
 _COMMANDS = {
     "all": "Run every scene by every pipeline, replay and score each plan, write the report.",
     "plan": "What `all` would run, what is stored already, and why the rest is not.",
+    "run": "Run a campaign of your own: scenes, changes, sweeps, pipelines and seeds from a TOML file.",
     "list": "Scenes, pipelines and methods.",
+    "show": "One run of a campaign: its stages, verdict, figures, options, log and the command that runs it again.",
     "report": "Rebuild results.csv and report.html of a campaign from its records.",
     "compare": "What differs between two campaigns, regressions first.",
     "replay": "Replay and score anybody's plan, on a scene or on anybody's FMU.",
@@ -102,7 +105,13 @@ def run(arguments: Sequence[str]) -> int:
     except (click.Abort, KeyboardInterrupt):
         return _say("interrupted.", INTERRUPTED)
     except TouchstoneError as error:
-        return _say(str(error), error.exit_code)
+        mistakes = getattr(error, "mistakes", ())
+        if len(mistakes) < 2:
+            return _say(str(error), error.exit_code)
+        code = _say(f"{getattr(error, 'headline', error)}:", error.exit_code)
+        for mistake in mistakes:
+            click.echo(f"  {one_line(mistake)}", err=True)
+        return code
     except BrokenPipeError:  # whoever read our output has enough of it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0

@@ -11,7 +11,16 @@ import click
 from validate.cli.table import one_line, table
 
 
-@click.command(epilog="Example: python -m validate list --json")
+@click.command(
+    epilog="""\b
+Examples:
+  python -m validate list
+  python -m validate list --json
+
+\b
+Exit codes: 0 listed; 2 usage.
+"""
+)
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
 def command(as_json: bool) -> int:
     """Scenes, pipelines, methods and hard cases, with what each is."""

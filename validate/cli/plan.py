@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from validate.cli.campaign_options import campaign_options
 from validate.cli.table import one_line, table
+
+if TYPE_CHECKING:
+    from validate.chosen import Settings
 
 _EPILOG = """\b
 Examples:
@@ -27,11 +30,17 @@ Exit codes: 0 told; 2 usage, or nothing selected.
 @click.option("--json", "as_json", is_flag=True, help="As JSON on stdout.")
 def command(as_json: bool, **options: Any) -> int:
     """What `all` with the same options would run, what of it is stored already, and why the rest is not. Nothing is run or written."""
-    from validate.chosen import Settings, reasons, select, with_stored
+    from validate.chosen import Settings
+
+    return tell_plan(Settings(**options), as_json)
+
+
+def tell_plan(settings: Settings, as_json: bool) -> int:
+    """Print it. Raises TouchstoneError."""
+    from validate.chosen import reasons, select, with_stored
     from validate.store import Store
     from validate.stored import only_last_failed
 
-    settings = Settings(**options)
     entries, left_out = select(settings)
     store = Store(settings.out)
     entries = with_stored(entries, store, settings)

@@ -25,6 +25,10 @@ Examples:
   python -m validate replay plan.csv --scene three_cart
   python -m validate replay plan.csv --scene cart_pole_walls --track
   python -m validate replay plan.csv --fmu robot.fmu --map robot.toml --json
+
+\b
+Exit codes: 0 the plan holds; 1 it does not, or that is not resolved; 2 a mistake
+in plan, map or FMU; 3 this machine cannot.
 """
 )
 @click.argument("plan", type=click.Path(path_type=Path), metavar="PLAN.csv")

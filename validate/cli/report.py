@@ -8,7 +8,16 @@ from pathlib import Path
 import click
 
 
-@click.command(epilog="Example: python -m validate report runs/all")
+@click.command(
+    epilog="""\b
+Examples:
+  python -m validate report runs/all
+  python -m validate report runs/all --json
+
+\b
+Exit codes: 0 rebuilt; 2 a folder that is no campaign; 3 it cannot be written.
+"""
+)
 @click.argument("folder", type=click.Path(path_type=Path), default="runs/all", metavar="[DIR]")
 @click.option("--json", "as_json", is_flag=True, help="The results as JSON on stdout.")
 def command(folder: Path, as_json: bool) -> int:

@@ -9,13 +9,13 @@ See docs/replay.md for all sections.
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from models.errors import TouchstoneError
+from validate.toml_text import TomlError, read_toml
 
 
 class MapError(TouchstoneError):
@@ -92,11 +92,9 @@ class MapFile(_Strict):
 def read_map(path: Path) -> MapFile:
     """Read a map. Raises MapError with the path of every mistake."""
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise MapError(f"map {path}: it cannot be read ({error}).") from error
-    except tomllib.TOMLDecodeError as error:
-        raise MapError(f"map {path}: it is not TOML ({error}).") from error
+        _, data = read_toml(path)
+    except TomlError as error:
+        raise MapError(f"map {path}: {error}.") from error
     try:
         return MapFile.model_validate(data)
     except ValidationError as error:

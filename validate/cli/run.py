@@ -1,0 +1,65 @@
+"""`run`: a campaign of one's own, from a file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from validate.cli.campaign_options import file_options
+
+_EPILOG = """\b
+Examples:
+  python -m validate run stiffness.toml --plan
+  python -m validate run stiffness.toml --out runs/stiffness
+  python -m validate run --schema > campaign.schema.json
+
+\b
+Three files to begin with are in docs/campaigns; docs/campaigns.md says what may
+stand in one. DIR then holds what `all` leaves there, and campaign.toml (the
+file as it was) and resolved.toml (with everything filled in; it runs too).
+What is changed in a scene or an option is part of a cell's key.
+
+\b
+Exit codes: 0 all that must hold holds; 1 something does not; 2 mistakes in the
+file (all of them are told), or nothing selected; 3 this machine cannot; 130
+interrupted.
+"""
+
+
+@click.command(epilog=_EPILOG)
+@click.argument("file", type=click.Path(path_type=Path), required=False, metavar="CAMPAIGN.toml")
+@file_options
+@click.option("--plan", "only_plan", is_flag=True, help="Run nothing: say what would run, what is stored, and why the rest is not.")
+@click.option("--schema", is_flag=True, help="Print the JSON Schema of campaign files, for editors, and end.")
+@click.option("--json", "as_json", is_flag=True, help="The results (or the plan) as JSON on stdout instead of a table.")
+@click.pass_obj
+def command(
+    arguments: tuple[str, ...],
+    file: Path | None,
+    out: Path | None,
+    only_plan: bool,
+    schema: bool,
+    as_json: bool,
+    tools: str,
+    **options: Any,
+) -> int:
+    """Run a campaign of your own: scenes by name or file, with changed and swept numbers, pipelines, eps schedules and seeds."""
+    from validate.config import CampaignFile, read_campaign
+
+    if schema:
+        data = {"$schema": "https://json-schema.org/draft/2020-12/schema", **CampaignFile.model_json_schema()}
+        click.echo(json.dumps(data, indent=1))
+        return 0
+    if file is None:
+        raise click.UsageError("give a campaign file, such as docs/campaigns/stiffness.toml.")
+    from validate.chosen import Settings
+    from validate.cli.plan import tell_plan
+    from validate.cli.running import run_and_tell
+    from validate.provenance import command_line
+
+    campaign = read_campaign(file, tools)
+    settings = Settings(out=out or Path("runs") / file.stem, tools=tools, command=command_line(arguments), **options, **campaign.settings())
+    return tell_plan(settings, as_json) if only_plan else run_and_tell(settings, arguments, as_json)
