@@ -173,6 +173,11 @@ class IpoptProblem:
     def hessianstructure(self) -> tuple[np.ndarray, np.ndarray]:
         return self._hessian_rows, self._hessian_columns
 
+    @property
+    def nonzeros(self) -> int:
+        """Entries of the Jacobian and of the lower triangle of the Hessian, at least 1."""
+        return max(1, len(self._jacobian_rows) + len(self._hessian_rows))
+
     def split_rows(self, rows: np.ndarray) -> tuple[float, np.ndarray]:
         """(minimised objective, constraints (m,)) from `rows_at`."""
         return float(rows[-1]), rows[self._sent]

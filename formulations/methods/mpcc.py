@@ -29,9 +29,16 @@ class Mpcc(Method):
         OptionSpec(
             name="search_share",
             default=0.5,
-            description="part of the time that is left which this search may take",
+            description="part of the work that is left, and of the time, which this search may take",
             lower=0.0,
             upper=1.0,
+        ),
+        OptionSpec(
+            name="work",
+            default=100.0,
+            description="most work of all starts together: Ipopt iterations times nonzeros of its matrices, so that no clock decides",
+            unit="millions",
+            lower=0.0,
         ),
         OptionSpec(
             name="first_sharpness", default=7.0, description="sharpness b of the first softplus stage", unit="1/m", lower=1e-3, upper=700.0

@@ -82,9 +82,9 @@ def nearest(scene: Scene, account: Account, max_iterations: int, sharpest: float
         if scene.nc:
             model.parameter_sharpness.value = b
             problem.refresh()
-        most = min(_ITERATIONS, max(0, max_iterations - account.iterations))
+        most = int(min(_ITERATIONS, max(0, max_iterations - account.iterations), account.iterations_left(problem)))
         result = solve(problem, options={"max_iter": most}, time_limit=account.remaining)
-        account.add(result)
+        account.add(result, problem)
         is_solved = result.outcome is Outcome.SOLVED
         if not np.all(np.isfinite(result.x)):
             break

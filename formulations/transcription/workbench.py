@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from time import perf_counter, process_time
 from typing import Any
@@ -16,13 +17,18 @@ _COLUMNS = ("objective", "inf_pr", "inf_du", "mu")
 
 
 class Account:
-    """Where one stage spends its iterations and seconds. `opened`: wall and CPU seconds spent before the stage that belong to it."""
+    """Where one stage spends its iterations, work and seconds. `opened`: wall and CPU seconds spent before the stage that belong to it.
+
+    work: iterations of Ipopt times nonzeros of the Jacobian and the Hessian, which is what an iteration's time grows with; most_work: of it there
+    may be so much. It is the same whatever else the machine does.
+    """
 
     def __init__(self, time_limit: float, opened: tuple[float, float] = (0.0, 0.0)) -> None:
         self._wall, self._cpu = perf_counter() - opened[0], process_time() - opened[1]
         self._deadline = self._wall + time_limit
         self.build, self.translate, self.evaluate, self.linear_algebra = opened[0], 0.0, 0.0, 0.0
         self.iterations = 0
+        self.work, self.most_work = 0.0, math.inf
         self.solver = ""  # which Ipopt ran
         self.history: dict[str, list[float]] = {name: [] for name in _COLUMNS}
 
@@ -32,11 +38,22 @@ class Account:
         return max(1e-3, self._deadline - perf_counter())
 
     @property
-    def is_over(self) -> bool:
+    def is_late(self) -> bool:
+        """Whether the time is over."""
         return perf_counter() >= self._deadline
 
-    def add(self, result: IpoptResult) -> None:
+    @property
+    def is_over(self) -> bool:
+        """Whether the time or the work is."""
+        return self.is_late or self.work >= self.most_work
+
+    def iterations_left(self, problem: IpoptProblem) -> float:
+        """Iterations of Ipopt on a problem until the work is over."""
+        return max(0, math.ceil((self.most_work - self.work) / problem.nonzeros)) if math.isfinite(self.most_work) else math.inf
+
+    def add(self, result: IpoptResult, problem: IpoptProblem) -> None:
         self.iterations += result.iterations
+        self.work += result.iterations * problem.nonzeros
         self.solver = result.version
         self.evaluate += result.seconds.evaluate
         self.linear_algebra += result.seconds.linear_algebra
@@ -91,9 +108,9 @@ class Workbench:
         options: Ipopt's; max_iter counts for the whole stage. share: part of the remaining time this run may take.
         """
         problem = self.problem(account)
-        left = {**options, "max_iter": max(0, options["max_iter"] - account.iterations)}
+        left = {**options, "max_iter": int(max(0, min(options["max_iter"] - account.iterations, account.iterations_left(problem))))}
         result = solve(problem, options=left, warm_start=start, callback=callback, time_limit=share * account.remaining)
-        account.add(result)
+        account.add(result, problem)
         if np.all(np.isfinite(result.x)):
             load(problem, result)
         return result

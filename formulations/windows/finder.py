@@ -70,8 +70,10 @@ class Finder:
                 break
         if answer is None:
             outcome, message = self._ending
-            if account.is_over:
+            if account.is_late:
                 outcome, message = Outcome.TIME_LIMIT, "no contact modes with a plan were found in the time given."
+            elif account.is_over:
+                outcome, message = Outcome.ITERATION_LIMIT, "no contact modes with a plan were found by the work it may do."
             return Search(answer=None, outcome=outcome, message=message)
         return self._searched(account, problem, answer, stride, far=not is_refined)
 
@@ -223,15 +225,19 @@ class Finder:
         if not self._scene.nc:
             return Search(answer=answer, outcome=Outcome.SOLVED, message=f"There are no contacts; {how}.")
         begin, most = perf_counter(), problem.solves + self._most_windows()
-        end = begin + self._number("search_share") * account.remaining
+        share = self._number("search_share")
+        end, done = begin + share * account.remaining, account.work + share * (account.most_work - account.work)
+
+        def is_over() -> bool:
+            return problem.solves >= most or account.work >= done or perf_counter() >= end
 
         def improve(closed: np.ndarray, near: Answer, below: float) -> Answer | None:
             return problem.solve(closed, near=near, below=below)
 
         found = Found(best=answer, tried=0, complete=False)
         if self._options["search"]:
-            found = search_windows(answer, improve, stride=stride, is_over=lambda: problem.solves >= most or perf_counter() >= end, far=far)
-        is_cut = problem.solves >= most
+            found = search_windows(answer, improve, stride=stride, is_over=is_over, far=far)
+        is_late = perf_counter() >= end
         if not found.complete:  # the plan is to be stationary all the same
             last = problem.solves + self._most_windows()
             pulled = follow_pulls(found.best, improve, is_over=lambda: problem.solves >= last or account.is_over)
@@ -245,10 +251,10 @@ class Finder:
         if not self._options["search"]:
             message = f"Contact modes were read off a softplus plan; {how}."
         elif not found.complete:
-            why = "as many as it may try" if is_cut else "its part of the time was over before all were"
+            why = "its part of the time was over before all were" if is_late else "as many as it may try"
             message = f"With the contact windows fixed {how}; {found.tried} neighbouring windows were tried, {why}: others may be cheaper."
         return Search(
-            answer=found.best, outcome=Outcome.TIME_LIMIT if account.is_over else Outcome.SOLVED, message=message, tried=found.tried
+            answer=found.best, outcome=Outcome.TIME_LIMIT if account.is_late else Outcome.SOLVED, message=message, tried=found.tried
         )
 
     def _most_windows(self) -> int:

@@ -47,10 +47,15 @@ class MultiStart:
         self._seed, self._ball = int(str(options["seed"])), float(str(options["goal_tolerance"]))
 
     def run(self, account: Account, numbers: range, warm_start: Trajectory | None) -> tuple[Search, tuple[Attempt, ...]]:
-        """The best of the starts of these numbers, and what became of each. Starts for which there is no time are not among them."""
+        """The best of the starts of these numbers, and what became of each. Starts for which there is no time are not among them.
+
+        A start may do half of the work that is left, the last one all of it: better some starts that come to their end than none.
+        """
         best: Search | None = None
         attempts: list[Attempt] = []
-        for number in numbers:
+        most = account.most_work
+        for place, number in enumerate(numbers):
+            account.most_work = account.work + (most - account.work) / min(2, len(numbers) - place)
             if best is not None and account.is_over:
                 break
             began = process_time()

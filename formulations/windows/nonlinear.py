@@ -24,7 +24,7 @@ from models.scene import Scene
 from models.trajectory import Trajectory
 
 _BIACTIVE = 1e-6  # [N] force and separation below which a pair touches without pressing; Ipopt keeps them to 1e-8
-_PATIENCE = 100  # most iterations for a neighbour of a plan: it needs 5 to 20
+_PATIENCE = 50  # most iterations for a neighbour of a plan: it needs 5 to 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

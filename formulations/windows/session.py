@@ -47,6 +47,7 @@ class MpccSession(Session):
         if warm_start is not None:
             self._check_grid(warm_start)
         account, self._opening = Account(time_limit, self._opening), (0.0, 0.0)
+        account.most_work = 1e6 * self._number("work")
         first = int(self._number("first_start"))
         search, attempts = self._starts.run(account, range(first, first + int(self._number("starts"))), warm_start)
         return self._solution(account, search, attempts)

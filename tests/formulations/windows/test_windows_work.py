@@ -1,0 +1,95 @@
+"""How much is searched is said in work, not in seconds: the same plan whatever else the machine does."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pyomo.environ as pyo
+import pytest
+
+from formulations.catalog import load_method
+from formulations.solution import Outcome
+from formulations.transcription.workbench import Account, Workbench
+from formulations.windows.finder import Search
+from formulations.windows.multistart import MultiStart
+from models.catalog import load_scene
+from models.codegen.kernel import load_kernel
+
+SCENE = load_scene("cart_pole_walls")
+STARTS = {"seed": 0, "goal_tolerance": 0.0}
+
+
+def _rosenbrock() -> pyo.ConcreteModel:
+    model: Any = pyo.ConcreteModel()
+    model.x, model.y = pyo.Var(initialize=-1.2), pyo.Var(initialize=1.0)
+    model.cost = pyo.Objective(expr=100 * (model.y - model.x**2) ** 2 + (1 - model.x) ** 2)
+    return model
+
+
+def test_ipopt_stops_at_the_work_that_is_left() -> None:
+    """Three nonzeros: the lower triangle of the Hessian."""
+    free, bound = Account(60.0), Account(60.0)
+    Workbench(_rosenbrock()).run(free, {"max_iter": 100})
+    assert free.iterations > 10
+    assert free.work == 3 * free.iterations
+    bound.most_work = 3 * 7 + 1
+    bench = Workbench(_rosenbrock())
+    assert not bound.is_over
+    result = bench.run(bound, {"max_iter": 100})
+    assert bound.iterations == result.iterations == 8
+    assert bound.iterations_left(bench.problem(bound)) == 0
+    assert not bound.is_late
+    assert bench.run(bound, {"max_iter": 100}).iterations == 0
+
+
+class _Finder:
+    """Spends what it is told, start by start, and notes how much it was allowed."""
+
+    def __init__(self, spends: list[float]) -> None:
+        self._spends, self.allowed = spends, []
+
+    def find(self, account: Account, _modes_of: Any, _start: Any) -> Search:
+        self.allowed.append(account.most_work - account.work)
+        account.work += self._spends[len(self.allowed) - 1]
+        answer = SimpleNamespace(cost=10.0 - len(self.allowed), closed=load_kernel(SCENE).penetration(_rest()) > 0.0)
+        return Search(answer=cast(Any, answer), outcome=Outcome.SOLVED, message="")
+
+
+def _rest():
+    import numpy as np
+
+    return np.zeros((3, SCENE.nq))
+
+
+@pytest.mark.parametrize(
+    ("spends", "allowed"),
+    [
+        ([50.0, 25.0, 12.0, 6.5, 6.5], [50.0, 25.0, 12.5, 6.5, 6.5]),
+        ([0.0, 10.0, 50.0, 20.0, 20.0], [50.0, 50.0, 45.0, 20.0, 20.0]),  # what one leaves, or takes beyond, is felt by those after it
+        ([100.0], [50.0]),  # nothing is left: the others are not tried
+    ],
+)
+def test_half_of_the_work_that_is_left_for_each_start(spends: list[float], allowed: list[float]) -> None:
+    finder, account = _Finder(spends), Account(60.0)
+    account.most_work = 100.0
+    starts = MultiStart(SCENE, load_kernel(SCENE), cast(Any, finder), STARTS, {})
+    best, attempts = starts.run(account, range(5, 10), None)
+    assert finder.allowed == allowed
+    assert [attempt.number for attempt in attempts] == list(range(5, 5 + len(allowed)))
+    assert best.answer is not None
+    assert best.answer.cost == 10.0 - len(allowed)
+
+
+def test_the_clock_decides_nothing() -> None:
+    """A search cut by its work finds the same in any time; with more work it looks further."""
+    found = []
+    for work, time_limit in ((1.5, 600.0), (1.5, 60000.0), (0.01, 600.0)):
+        with load_method("mpcc").open(SCENE, {"work": work}) as session:
+            found.append(session.solve(eps=None, warm_start=None, time_limit=time_limit))
+    assert found[0].outcome is Outcome.SOLVED
+    assert (found[0].cost, found[0].iterations, found[0].message) == (found[1].cost, found[1].iterations, found[1].message)
+    assert "as many as it may try" in found[0].message
+    assert found[2].outcome is Outcome.ITERATION_LIMIT
+    assert found[2].trajectory is None
+    assert "by the work it may do" in found[2].message
