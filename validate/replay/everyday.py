@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from validate.replay.compiled.stepping import step_through
 from validate.replay.fmi import CallError, Instance, References, load_instance
 from validate.replay.inputs import HeldInputs
 from validate.replay.package import FmuError, Package
@@ -33,14 +34,22 @@ def _takes_slopes(package: Package) -> bool:
 
 
 def simulate(
-    package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, fineness: int, *, rolls_back: bool = False
+    package: Package,
+    variables: Variables,
+    start: np.ndarray,
+    inputs: HeldInputs,
+    fineness: int,
+    *,
+    rolls_back: bool = False,
+    compiled: bool = True,
 ) -> Run:
     """Step over the plan's grid from start (in the order of Variables.start); outputs and knots are those of the plan's nodes, accumulated stays empty.
 
     fineness: internal steps a plan step; an FMU without the parameter `internal_step` gets fineness/50 calls of doStep a step. Inputs that
     are lines within a step become stairs of `fineness` calls, each at its middle, for an FMU that takes no slopes: wrong by the square of a stair.
     rolls_back: every step is made at half that fineness too, and taken back (validate.replay.rollback); what the two differ by is `Run.local`.
-    Raises RollbackError if the FMU does not restore its state.
+    compiled: by the loop in C where it can be had (validate.replay.compiled), which gives the same numbers. Raises RollbackError if the FMU does not
+    restore its state.
     """
     run = Run()
     try:
@@ -58,12 +67,12 @@ def simulate(
             states = len(variables.q) + len(variables.v)
             parts = fineness if inputs.linear and not slopes else parts
             if not rolls_back:
-                _step_through(fmu, (inputs_of, outputs_of), inputs, parts, slopes, states, run)
+                _step_through(fmu, (inputs_of, outputs_of), inputs, parts, slopes, states, run, compiled=compiled)
                 return run
             parts = parts if variables.internal_step is not None else 2 * ((parts + 1) // 2)
             with Rollback(fmu, outputs_of, states, variables.internal_step, own_step) as rollback:
                 run.local = rollback.differences
-                _step_through(fmu, (inputs_of, outputs_of), inputs, parts, slopes, states, run, rollback)
+                _step_through(fmu, (inputs_of, outputs_of), inputs, parts, slopes, states, run, rollback, compiled=compiled)
         finally:
             fmu.close()
     except CallError as error:
@@ -82,6 +91,8 @@ def _step_through(
     states: int,
     run: Run,
     rollback: Rollback | None = None,
+    *,
+    compiled: bool,
 ) -> None:
     inputs_of, outputs_of = references
     times = inputs.times
@@ -100,6 +111,8 @@ def _step_through(
         return True
 
     if not record(float(times[0])):
+        return
+    if compiled and step_through(fmu, references, inputs, parts, slopes, states, run, rollback):
         return
     for step in range(len(inputs.values)):
         begin, length = float(times[step]), float(times[step + 1] - times[step])

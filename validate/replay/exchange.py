@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from validate.replay.fmi import References, buffer, load_instance
+from validate.replay.fmi import Instance, References, buffer, load_instance
 from validate.replay.package import Package
 from validate.replay.wiring import Variables
 
@@ -48,7 +48,7 @@ class ExchangeModel:
         description = package.description
         self._variables = variables
         self._fmu = load_instance(package, exchange=True)
-        self._states = int(description.numberOfContinuousStates)
+        self.states = int(description.numberOfContinuousStates)
         self.indicators = int(description.numberOfEventIndicators)
         self.accumulated = len(variables.rates)
         self.outputs = len(variables.outputs)
@@ -57,15 +57,25 @@ class ExchangeModel:
         self.wants_steps = bool(
             exchange.needsCompletedIntegratorStep if package.is_three else not exchange.completedIntegratorStepNotNeeded
         )
-        self.nominal = np.ones(self._states)
+        self.nominal = np.ones(self.states)
         self.next_event = math.inf
         # One buffer a purpose, seen by both C and numpy: the right-hand side allocates nothing.
-        self._x, self._x_view = buffer(self._states)
-        self._dx, self._dx_view = buffer(self._states)
+        self._x, self._x_view = buffer(self.states)
+        self._dx, self._dx_view = buffer(self.states)
         self._gaps, self._gaps_view = buffer(self.indicators)
         self._rates = References(variables.rates)
         self._out = References(variables.outputs)
         self._inputs = References(variables.u)
+
+    @property
+    def instance(self) -> Instance:
+        """What its functions are called of."""
+        return self._fmu
+
+    @property
+    def references(self) -> tuple[References, References, References]:
+        """Of what is accumulated, of outputs, of inputs."""
+        return self._rates, self._out, self._inputs
 
     def start(self, time: float, state: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Initialise at `time` [s] with the plan's start, in the order of Variables.start; the states (nx,)."""
@@ -74,10 +84,10 @@ class ExchangeModel:
         fmu.choose(variables.choices)
         fmu.initialise(time, settings, self._inputs, u)
         _, self.next_event = fmu.settle()
-        x, x_view = buffer(self._states)
-        fmu.states(x, self._states)
-        nominal, view = buffer(self._states)
-        fmu.nominals(nominal, self._states)
+        x, x_view = buffer(self.states)
+        fmu.states(x, self.states)
+        nominal, view = buffer(self.states)
+        fmu.nominals(nominal, self.states)
         self.nominal = np.where(np.isfinite(view) & (view > 0), view, 1.0)
         return x_view.copy()
 
@@ -86,10 +96,10 @@ class ExchangeModel:
 
     def rates(self, time: float, y: np.ndarray, rates: np.ndarray) -> None:
         self._move(time, y)
-        self._fmu.derivatives(self._dx, self._states)
-        rates[: self._states] = self._dx_view
+        self._fmu.derivatives(self._dx, self.states)
+        rates[: self.states] = self._dx_view
         if self.accumulated:
-            rates[self._states :] = self._fmu.read(self._rates)
+            rates[self.states :] = self._fmu.read(self._rates)
 
     def indicate(self, time: float, y: np.ndarray, values: np.ndarray) -> None:
         self._move(time, y)
@@ -111,8 +121,8 @@ class ExchangeModel:
         changed, self.next_event = fmu.settle()
         if not changed:
             return y
-        fmu.states(self._x, self._states)
-        return np.concatenate([self._x_view, y[self._states :]])
+        fmu.states(self._x, self.states)
+        return np.concatenate([self._x_view, y[self.states :]])
 
     def jacobian(self, time: float, x: np.ndarray, unknowns: Sequence[int], knowns: Sequence[int]) -> np.ndarray:
         """(unknowns, knowns) directional derivatives at (time, x), by value references."""
@@ -128,5 +138,5 @@ class ExchangeModel:
         self._fmu.close()
 
     def _move(self, time: float, y: np.ndarray) -> None:
-        self._x_view[:] = y[: self._states]
-        self._fmu.move(time, self._x, self._states)
+        self._x_view[:] = y[: self.states]
+        self._fmu.move(time, self._x, self.states)

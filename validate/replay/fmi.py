@@ -10,7 +10,7 @@ import ctypes
 import math
 import os
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -21,7 +21,7 @@ _STATUS = ("ok", "warning", "discard", "error", "fatal", "pending")
 _D, _S, _I, _B = ctypes.c_double, ctypes.c_size_t, ctypes.c_int, ctypes.c_bool
 _P = ctypes.c_void_p
 # Rounds of event iteration before an FMU is given up as never settling.
-_EVENT_ROUNDS = 100
+EVENT_ROUNDS = 100
 
 
 class CallError(Exception):
@@ -37,6 +37,19 @@ def buffer(size: int) -> tuple[Any, np.ndarray]:
     """Doubles for C, and the same memory as an array."""
     memory: Any = (ctypes.c_double * size)()
     return memory, np.frombuffer(memory) if size else np.empty(0)
+
+
+class _EventInfo(ctypes.Structure):
+    """fmi2EventInfo."""
+
+    _fields_ = (
+        ("needs_update", _I),
+        ("ends", _I),
+        ("nominals_changed", _I),
+        ("states_changed", _I),
+        ("has_next", _I),
+        ("next", _D),
+    )
 
 
 class References:
@@ -74,6 +87,27 @@ class Instance:
         else:
             self._do_step = self._bind("DoStep", _D, _D, _I)
 
+    @property
+    def component(self) -> int:
+        """The address that every function is given first."""
+        return int(self._component.value or 0)
+
+    @property
+    def is_three(self) -> bool:
+        return self._three
+
+    def address(self, name: str) -> int | None:
+        """Of a function, named without its prefix; None if the binary does not have it."""
+        try:
+            return ctypes.cast(self._fmu.dll[self._prefix + name], ctypes.c_void_p).value
+        except AttributeError:
+            return None
+
+    def refuse(self, name: str, status: int) -> NoReturn:
+        """Raise CallError for a function, named without its prefix; after a fatal status nothing is called any more."""
+        self._dead = self._dead or status == _FATAL
+        raise CallError(self._prefix + name, status)
+
     def _bind(self, name: str, *types: Any) -> Callable[..., None]:
         full = self._prefix + name
         if full in self._bound:
@@ -88,8 +122,7 @@ class Instance:
         def call(*arguments: Any) -> None:
             status = function(component, *arguments)
             if status > _WARNING or status < _OK:
-                self._dead = self._dead or status == _FATAL
-                raise CallError(full, status)
+                self.refuse(name, status)
 
         self._bound[full] = call
         return call
@@ -181,22 +214,45 @@ class Instance:
     def settle(self) -> tuple[bool, float]:
         """Iterate events until the FMU is content, then go back to continuous time: (whether states changed, time of its next event)."""
         changed = False
-        for _ in range(_EVENT_ROUNDS):
-            again, ends, _, states_changed, has_next, following = (
-                self._fmu.updateDiscreteStates() if self._three else self._fmu.newDiscreteStates()
-            )
+        for _ in range(EVENT_ROUNDS):
+            again, ends, states_changed, has_next, following = self._update()
             changed = changed or states_changed
             if ends:
-                raise FmuError(f"FMU {self._fmu.modelIdentifier}: it asked for the end of the simulation.")
+                raise FmuError(self.ends_sentence)
             if not again:
                 self._bind("EnterContinuousTimeMode")()
                 return changed, following if has_next else math.inf
-        raise FmuError(f"FMU {self._fmu.modelIdentifier}: its event iteration did not end after {_EVENT_ROUNDS} rounds.")
+        raise FmuError(self.unsettled_sentence)
+
+    def _update(self) -> tuple[bool, bool, bool, bool, float]:
+        """One round of event iteration: again, ends, states changed, has a next event, its time."""
+        if self._three:
+            flags, following = (_B * 5)(), _D()
+            places = [ctypes.byref(flags, place) for place in range(5)]
+            self._bind("UpdateDiscreteStates", *[_P] * 6)(*places, ctypes.byref(following))
+            again, ends, _, states_changed, has_next = map(bool, flags)
+            return again, ends, states_changed, has_next, following.value
+        info = _EventInfo()
+        self._bind("NewDiscreteStates", _P)(ctypes.byref(info))
+        return bool(info.needs_update), bool(info.ends), bool(info.states_changed), bool(info.has_next), info.next
+
+    @property
+    def ends_sentence(self) -> str:
+        return f"FMU {self._fmu.modelIdentifier}: it asked for the end of the simulation."
+
+    @property
+    def unsettled_sentence(self) -> str:
+        return f"FMU {self._fmu.modelIdentifier}: its event iteration did not end after {EVENT_ROUNDS} rounds."
+
+    def early_sentence(self, reached: float) -> str:
+        return f"FMU {self._fmu.modelIdentifier}: it returned early at {reached:g} s, which was not allowed."
 
     def step_completed(self) -> bool:
         """Whether it wants an event now."""
-        wants, _ = self._fmu.completedIntegratorStep()
-        return bool(wants)
+        kind = _B if self._three else _I
+        wants, ends = kind(), kind()
+        self._bind("CompletedIntegratorStep", kind, _P, _P)(1, ctypes.byref(wants), ctypes.byref(ends))
+        return bool(wants.value)
 
     # Co-Simulation
 
@@ -224,7 +280,7 @@ class Instance:
         byref = ctypes.byref
         self._do_step(time, step, True, byref(needs_event), byref(ends), byref(early), byref(self._reached))
         if early.value:
-            raise FmuError(f"FMU {self._fmu.modelIdentifier}: it returned early at {self._reached.value:g} s, which was not allowed.")
+            raise FmuError(self.early_sentence(self._reached.value))
 
 
 def load_instance(package: Package, exchange: bool) -> Instance:

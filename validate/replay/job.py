@@ -16,6 +16,7 @@ import numpy as np
 
 from models.trajectory import Hold, Trajectory
 from validate.isolation import Ending, Limits, run_isolated
+from validate.replay.compiled.library import adopt, library_path
 from validate.replay.everyday import everyday_refusal, require_some_method
 from validate.replay.everyday import simulate as simulate_everyday
 from validate.replay.exchange import ExchangeModel
@@ -65,13 +66,15 @@ class Simulated:
 
 
 def simulate(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """request: path, variables, hold, tolerances, fineness, event_budget, rolls_back; arrays: t (nodes,), u (steps, nu), start (n,), and with feedback
-    its fields. Raises FmuError."""
+    """request: path, variables, hold, tolerances, fineness, event_budget, rolls_back, loops (the compiled ones, or None);
+    arrays: t (nodes,), u (steps, nu), start (n,), and with feedback its fields. Raises FmuError."""
     variables = Variables.from_json(request["variables"])
     empty = np.zeros((len(arrays["t"]), 0))
     plan = Trajectory(t=arrays["t"], q=empty, v=empty, u=arrays["u"], lam=empty[1:], hold=Hold(request["hold"]))
     fields = {name.removeprefix(_FEEDBACK): array for name, array in arrays.items() if name.startswith(_FEEDBACK)}
     inputs, start = HeldInputs(plan, Feedback(**fields) if fields else None), arrays["start"]
+    if request.get("loops") is not None:
+        adopt(Path(request["loops"]))
     value: dict[str, Any] = {"refusal": None, "runs": [], "note": ""}
     found: dict[str, np.ndarray] = {}
 
@@ -150,6 +153,8 @@ def run_job(
     if limits is None:
         value, arrays = simulate(request, given)
         return _simulated(value, arrays, "")
+    loops = library_path()  # compiled here, where no limit of the FMU's holds
+    request["loops"] = None if loops is None else str(loops)
     if not _only_once(package):
         return _in_child(package, variables, request, given, limits)
     # One instance a process: every run has a process of its own.

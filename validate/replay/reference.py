@@ -22,7 +22,7 @@ INNER_POINTS = 2
 # A state this many times its nominal (and its start) has left every bound.
 DIVERGENCE = 1e9
 # Internal steps to the next point before the integrator is given up (a step of three_cart takes about 20).
-_STEP_LIMIT = 100_000
+STEP_LIMIT = 100_000
 # The absolute tolerance is this fraction of rtol * nominal, so that small coordinates (penetrations) are resolved too.
 _ABSOLUTE_FRACTION = 0.1
 _TSTOP_RETURN, _ROOT_RETURN = 1, 2
@@ -44,47 +44,65 @@ class Run:
     message: str = ""
 
 
-class _Stop(Exception):  # noqa: N818 - it ends a run, and is no error of the program
+class Stop(Exception):  # noqa: N818 - it ends a run, and is no error of the program
     def __init__(self, outcome: ReplayOutcome, message: str) -> None:
         super().__init__(message)
         self.outcome = outcome
         self.message = message
 
 
-def integrate(model: ContinuousModel, start: np.ndarray, inputs: HeldInputs, rtol: float, event_budget: int) -> Run:
-    """Integrate over the plan's grid from start (2*nq,). Numerical failure is the run's outcome, never an exception."""
+def integrate(
+    model: ContinuousModel, start: np.ndarray, inputs: HeldInputs, rtol: float, event_budget: int, *, compiled: bool = True
+) -> Run:
+    """Integrate over the plan's grid from start (2*nq,). Numerical failure is the run's outcome, never an exception.
+
+    compiled: by the loop in C where it can be had (validate.replay.compiled), which gives the same numbers.
+    """
+    from validate.replay.compiled.integration import compiled_integration
     from validate.replay.fmi import CallError
 
     run = Run()
+    in_c = compiled_integration(model, inputs, rtol, event_budget, run) if compiled else None
+    integration = in_c or Integration(model, inputs, rtol, event_budget, run)
     try:
-        _Integration(model, inputs, rtol, event_budget, run).over_all_steps(start)
-    except _Stop as stop:
+        integration.over_all_steps(start)
+    except Stop as stop:
         run.outcome, run.message = stop.outcome, stop.message
     except CallError as error:
         reached = run.t[-1] if run.t else float(inputs.times[0])
         run.outcome = ReplayOutcome.FATAL if error.fatal else ReplayOutcome.FMU_FAILED
         run.message = f"{error} (after t = {reached:.6g} s)."
+    finally:
+        integration.close()
     return run
 
 
-class _Integration:
+class Integration:
+    """One run in progress. targets (steps, INNER_POINTS + 1): the points recorded within each step of the plan, the last its end [s]; y: the states and
+    what is accumulated at the last of them."""
+
     def __init__(self, model: ContinuousModel, inputs: HeldInputs, rtol: float, event_budget: int, run: Run) -> None:
         self.model, self.inputs, self.rtol, self.event_budget, self.run = model, inputs, rtol, event_budget, run
         self.step = 0
-        self.bound = np.empty(0)
+        self.bound, self.y = np.empty(0), np.empty(0)
         self.solver: Any = None
+        begin, end = inputs.times[:-1], inputs.times[1:]
+        inner = [begin + (end - begin) * point / (INNER_POINTS + 1) for point in range(1, INNER_POINTS + 1)]
+        self.targets = np.column_stack([*inner, end])
+        # Smaller steps than this do not change the time any more.
+        self.min_step = 4e-16 * float(np.abs(inputs.times).max())
+        self.max_step = float(np.ptp(inputs.times))
 
     def over_all_steps(self, start: np.ndarray) -> None:
         times, values = self.inputs.times, self.inputs.values
         x = self.model.start(times[0], start, self.inputs.begin(0, None))
         self.bound = DIVERGENCE * np.maximum(self.model.nominal, np.abs(x))
-        y = np.concatenate([x, np.zeros(self.model.accumulated)])
-        self.record(times[0], y, knot=True)
-        self.renew(times[0], y)
+        self.y = np.concatenate([x, np.zeros(self.model.accumulated)])
+        self.record(times[0], self.y, knot=True)
+        self.renew(times[0], self.y)
         stop = times[self.inputs.stop_after(0)]
         for step in range(len(values)):
             self.step = step
-            begin, end = times[step], times[step + 1]
             feedback = self.inputs.feedback
             if step:
                 self.inputs.begin(step, None if feedback is None else self.run.outputs[-1][: feedback.reference.shape[1]])
@@ -92,15 +110,25 @@ class _Integration:
                 self.run.applied.append(values[step].copy())
             if step and self.inputs.breaks[step]:
                 # Inputs that jump are an event of the FMU; a new slope is not, but the integrator must start afresh as well.
-                y = y if self.inputs.linear and feedback is None else self.model.event(begin, y, values[step])
-                self.solver.init_step(begin, y)
+                self.jump(times[step], values[step], is_event=not self.inputs.linear or feedback is not None)
                 stop = times[self.inputs.stop_after(step)]
-            for point in range(1, INNER_POINTS + 1):
-                y = self.advance(begin + (end - begin) * point / (INNER_POINTS + 1), stop)
-            y = self.advance(end, stop, knot=True)
+            self.over_points(stop)
 
-    def advance(self, target: float, stop: float, knot: bool = False) -> np.ndarray:
-        """Integrate to `target`, through every event before it; record and give the state there."""
+    def jump(self, time: float, values: np.ndarray, is_event: bool) -> None:
+        """Go on afresh from `time` with other inputs, values (nu,), or other slopes."""
+        if is_event:
+            self.y = self.model.event(time, self.y, values)
+        self.solver.init_step(time, self.y)
+
+    def over_points(self, stop: float) -> None:
+        """Integrate over the plan's step in progress, through every event in it, and record its points. stop [s]: beyond which no integration may go."""
+        *inner, end = self.targets[self.step].tolist()
+        for target in inner:
+            self.advance(target, stop)
+        self.advance(end, stop, knot=True)
+
+    def advance(self, target: float, stop: float, knot: bool = False) -> None:
+        """Integrate to `target`, through every event before it, and record it."""
         mode = "onestep" if self.model.wants_steps else "normal"
         while True:
             # An FMU that wants to know each internal step is integrated up to every recorded point, the others past it.
@@ -110,29 +138,41 @@ class _Integration:
             time, y = float(result.t), result.y
             if result.status < 0:
                 self.within_bounds(time, y)
-                raise _Stop(ReplayOutcome.INTEGRATION_FAILED, f"CVODE stopped at t = {time:.6g} s: {result.message}")
+                raise Stop(ReplayOutcome.INTEGRATION_FAILED, f"CVODE stopped at t = {time:.6g} s: {result.message}")
             wanted = self.model.wants_steps and result.status != _ROOT_RETURN and self.model.step_completed(time, y)
             is_due = result.status != _ROOT_RETURN and time >= known
             if result.status == _ROOT_RETURN or wanted or is_due:
                 if result.status == _ROOT_RETURN:
                     self.note(time, result.i_events[-1])
-                y = self.model.event(time, y, None)
-                if abs(target - time) > 1e-13 * max(1.0, abs(target)):
-                    self.record(time, y)
-                    self.renew(time, y)
-                    continue
-                time = target  # the event fell on the point but for rounding
-                self.renew(time, y)
-            elif mode == "onestep" and result.status != _TSTOP_RETURN and time < target:
+                if self.after_event(time, y, target, knot):
+                    return
+                continue
+            if mode == "onestep" and result.status != _TSTOP_RETURN and time < target:
                 continue
             self.record(target, y, knot=knot)
-            return y
+            self.y = y
+            return
+
+    def after_event(self, time: float, y: np.ndarray, target: float, knot: bool) -> bool:
+        """The FMU's event at (time, y), its record, and a new solver from there. Whether it fell on the point `target`, but for rounding."""
+        self.y = self.model.event(time, y, None)
+        falls_on_it = abs(target - time) <= 1e-13 * max(1.0, abs(target))
+        time = target if falls_on_it else time
+        self.record(time, self.y, knot=knot and falls_on_it)
+        self.renew(time, self.y)
+        return falls_on_it
+
+    def close(self) -> None:
+        """Free what the garbage collector does not."""
+
+    def absolute_tolerances(self) -> np.ndarray:
+        """(states and accumulated)."""
+        return _ABSOLUTE_FRACTION * self.rtol * np.concatenate([self.model.nominal, np.ones(self.model.accumulated)])
 
     def renew(self, time: float, y: np.ndarray) -> None:
         """A new solver from (time, y): after an event (sksundae's own list of events would grow for ever otherwise)."""
         from sksundae.cvode import CVODE  # 0.9 s to import
 
-        nominal = np.concatenate([self.model.nominal, np.ones(self.model.accumulated)])
         options: dict[str, Any] = {}
         if self.model.indicators:
             options = {"eventsfn": self.gaps(), "num_events": self.model.indicators}
@@ -140,11 +180,10 @@ class _Integration:
             self.right_hand_side(),
             method="Adams",
             rtol=self.rtol,
-            atol=_ABSOLUTE_FRACTION * self.rtol * nominal,
-            max_num_steps=_STEP_LIMIT,
-            # Smaller steps than this do not change the time any more.
-            min_step=4e-16 * float(np.abs(self.inputs.times).max()),
-            max_step=float(np.ptp(self.inputs.times)),
+            atol=self.absolute_tolerances(),
+            max_num_steps=STEP_LIMIT,
+            min_step=self.min_step,
+            max_step=self.max_step,
             **options,
         )
         self.solver.init_step(time, y)
@@ -158,7 +197,7 @@ class _Integration:
                 model.set_inputs(inputs.values[step] + inputs.slopes[step] * (time - inputs.times[step]))
             model.rates(time, y, yp)
             if not math.isfinite(sum(yp.tolist())):
-                raise _Stop(ReplayOutcome.NOT_A_NUMBER, f"A rate of change was not a finite number at t = {time:.6g} s.")
+                raise Stop(ReplayOutcome.NOT_A_NUMBER, f"A rate of change was not a finite number at t = {time:.6g} s.")
 
         return rates
 
@@ -171,24 +210,24 @@ class _Integration:
         return gaps
 
     def within_bounds(self, time: float, y: np.ndarray) -> None:
-        """Raise _Stop where a state has left every bound, or anything is no finite number."""
+        """Raise Stop where a state has left every bound, or anything is no finite number."""
         if not (np.abs(y[: len(self.bound)]) < self.bound).all():
-            raise _Stop(ReplayOutcome.DIVERGED, f"A state left every bound at t = {time:.6g} s.")
+            raise Stop(ReplayOutcome.DIVERGED, f"A state left every bound at t = {time:.6g} s.")
         if not np.isfinite(y).all():
-            raise _Stop(ReplayOutcome.NOT_A_NUMBER, f"Work or impulse was not a finite number at t = {time:.6g} s.")
+            raise Stop(ReplayOutcome.NOT_A_NUMBER, f"Work or impulse was not a finite number at t = {time:.6g} s.")
 
     def note(self, time: float, crossed: np.ndarray) -> None:
         """Count an event; the sign CVODE gives is that of the indicator's slope."""
         for indicator in np.flatnonzero(crossed):
             self.run.events.append((time, int(indicator), bool(crossed[indicator] < 0)))
         if len(self.run.events) > self.event_budget:
-            raise _Stop(ReplayOutcome.EVENT_BUDGET, f"More than {self.event_budget} contact events by t = {time:.6g} s.")
+            raise Stop(ReplayOutcome.EVENT_BUDGET, f"More than {self.event_budget} contact events by t = {time:.6g} s.")
 
     def record(self, time: float, y: np.ndarray, knot: bool = False) -> None:
         self.within_bounds(time, y)
         outputs = self.model.read(time, y)
         if not np.isfinite(outputs).all():
-            raise _Stop(ReplayOutcome.NOT_A_NUMBER, f"An output was not a finite number at t = {time:.6g} s.")
+            raise Stop(ReplayOutcome.NOT_A_NUMBER, f"An output was not a finite number at t = {time:.6g} s.")
         if knot:
             self.run.knots.append(len(self.run.t))
         self.run.t.append(time)

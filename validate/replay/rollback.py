@@ -17,11 +17,14 @@ from validate.replay.package import Package
 from validate.replay.wiring import Variables
 
 # Outputs after the state is restored and those before it was left are the same within this share of their size.
-_SAME = 1e-9
+SAME = 1e-9
 
 
 class RollbackError(Exception):
     """The FMU says that it restores its state, and does not."""
+
+    def __init__(self) -> None:
+        super().__init__("the state it restores is not the one it saved")
 
 
 def offers_rollback(package: Package, variables: Variables) -> bool:
@@ -36,37 +39,38 @@ def offers_rollback(package: Package, variables: Variables) -> bool:
 
 
 class Rollback:
-    """Makes steps twice. differences: one array (outputs,) a step, fine less coarse. A context, so that what is saved is freed."""
+    """Makes steps twice. differences: one array (outputs,) a step, fine less coarse; fine: the FMU's own step [s], `own_step_of` its reference, if it has
+    one; place: the saved state. A context, so that what is saved is freed."""
 
     def __init__(self, fmu: Instance, outputs: References, states: int, internal_step: int | None, fine: float) -> None:
         """states: how many of the outputs are positions and velocities, and come first; internal_step: the reference of the FMU's own step, which
         is `fine` [s], and twice that in the coarse step; None: the FMU has none to set, and its communication step is halved."""
         self.differences: list[np.ndarray] = []
-        self._fmu, self._outputs, self._states, self._fine = fmu, outputs, states, fine
-        self._own_step = References([] if internal_step is None else [internal_step])
-        self._place = ctypes.c_void_p()
+        self._fmu, self._outputs, self._states, self.fine = fmu, outputs, states, fine
+        self.own_step_of = References([] if internal_step is None else [internal_step])
+        self.place = ctypes.c_void_p()
 
     def __enter__(self) -> Rollback:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        if self._place.value is not None and self._fmu.alive:
-            self._fmu.forget(self._place)
+        if self.place.value is not None and self._fmu.alive:
+            self._fmu.forget(self.place)
 
     def step(self, advance: Callable[[int], None], parts: int, before: np.ndarray) -> None:
         """One step of the plan, by advance(calls of doStep): first in half as many calls and twice the FMU's own step, then in `parts`.
 
         before: the outputs as they are now. Raises RollbackError if they are others once the state is restored.
         """
-        fmu, own, states = self._fmu, self._own_step, self._states
-        fmu.save(self._place)
-        fmu.write(own, [2.0 * self._fine] * own.count)
+        fmu, own, states = self._fmu, self.own_step_of, self._states
+        fmu.save(self.place)
+        fmu.write(own, [2.0 * self.fine] * own.count)
         advance(max(1, parts // 2))
         coarse = fmu.read(self._outputs).copy()
-        fmu.restore(self._place)
+        fmu.restore(self.place)
         away = np.abs(fmu.read(self._outputs)[:states] - before[:states])
-        if not (away <= _SAME * np.abs(before[:states]).max(initial=0.0)).all():
-            raise RollbackError("the state it restores is not the one it saved")
-        fmu.write(own, [self._fine] * own.count)
+        if not (away <= SAME * np.abs(before[:states]).max(initial=0.0)).all():
+            raise RollbackError
+        fmu.write(own, [self.fine] * own.count)
         advance(parts)
         self.differences.append(fmu.read(self._outputs) - coarse)
