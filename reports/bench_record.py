@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, RootModel
 
 from reports.balance_record import BalanceRecord
+from reports.order_record import OrderRecord
 from reports.record import Finite
 from reports.scaling_record import ScalingRecord
 from reports.suite_record import SuiteRecord
@@ -112,7 +113,7 @@ class RigidLimitRecord(_Model):
     cases: tuple[RigidLimitCase, ...]
 
 
-AnyBench = BalanceRecord | CosimRecord | ReplaySpeedRecord | RigidLimitRecord | ScalingRecord | SuiteRecord
+AnyBench = BalanceRecord | CosimRecord | OrderRecord | ReplaySpeedRecord | RigidLimitRecord | ScalingRecord | SuiteRecord
 
 
 class BenchRecord(RootModel[Annotated[AnyBench, Field(discriminator="kind")]]):

@@ -26,6 +26,7 @@ from reports.pages import (
     fmus,
     front,
     matrix,
+    order,
     pareto,
     provenance,
     replay_speed,
@@ -65,6 +66,7 @@ _PAGES = (
     errata,
     suite,
     scaling,
+    order,
     time_spent,
     provenance,
 )

@@ -3,12 +3,14 @@
     q, v, lam = reference_rollout(scene, u, start)
 
 It shares nothing with the compiled kernel but the equations themselves, and is what the kernel's values and gradients are
-tested against. About a thousand times slower: use `formulations.shooting.rollout` to plan.
+tested against. About a thousand times slower: use `formulations.shooting.rollout` to plan. Many plans at once (leading dimensions of u and start)
+cost little more than one, and it runs where the tensors are: it is the rollout on devices that the compiled one does not reach.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import sympy as sp
 import torch
@@ -30,9 +32,9 @@ def reference_rollout(
     law: ContactLaw = ContactLaw.RELU,
     eps: float | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """q, v (steps+1, nq) and lam (steps, nc) from inputs u (steps, nu) and start (2*nq,); step: that of the task unless given.
+    """q, v (.., steps+1, nq) and lam (.., steps, nc) from inputs u (.., steps, nu) and start (.., 2*nq); step: that of the task unless given.
 
-    All is computed in the dtype of start: float64, unless it is to be seen what float32 loses.
+    All is computed in the dtype of start: float64, unless it is to be seen what float32 loses; and on its device.
 
     lam[t] = L(phi(q[t])), v[t+1] = v[t] + h M^-1 (tau + J' lam), q[t+1] = q[t] + h v[t+1].
     """
@@ -42,18 +44,28 @@ def reference_rollout(
     force = _contact_law(law, eps)
     d = derive(scene)
     arguments = (d.q, d.v, d.u, d.lam)
-    dtype = start.dtype
-    penetration, stiffness = _torch_function(scene, d.penetration, d.q, dtype=dtype), _torch_function(scene, d.stiffness, dtype=dtype)()
-    acceleration = _acceleration(scene, arguments, dtype)
-    damped = _damped_forces(scene, law, eps, dtype) if scene.damped else None
-    q, v, lam = [start[: scene.nq]], [start[scene.nq :]], []
-    for inputs in u:
+    kind = {"dtype": start.dtype, "device": start.device}
+    penetration, stiffness = _torch_function(scene, d.penetration, d.q, **kind), _torch_function(scene, d.stiffness, **kind)()
+    acceleration = _acceleration(scene, arguments, **kind)
+    damped = _damped_forces(scene, law, eps, **kind) if scene.damped else None
+    start = start.expand(*torch.broadcast_shapes(u.shape[:-2], start.shape[:-1]), 2 * scene.nq)
+    q, v, lam = [start[..., : scene.nq]], [start[..., scene.nq :]], []
+    for inputs in u.unbind(-2):
         lam.append(force(penetration(q[-1]), stiffness))
         if damped is not None:
             lam[-1] = damped(lam[-1], q[-1], v[-1])
         v.append(v[-1] + h * acceleration(q[-1], v[-1], inputs, lam[-1]))
         q.append(q[-1] + h * v[-1])
-    return torch.stack(q), torch.stack(v), torch.stack(lam) if lam else u.new_zeros((0, scene.nc))
+    return torch.stack(q, -2), torch.stack(v, -2), torch.stack(lam, -2) if lam else start.new_zeros((*start.shape[:-1], 0, scene.nc))
+
+
+def reference_cost(scene: Scene, q: Tensor, v: Tensor, u: Tensor) -> Tensor:
+    """(..): the running cost summed over the steps, and the cost of the last state, of q, v (.., steps+1, nq) and u (.., steps, nu)."""
+    d = derive(scene)
+    kind = {"dtype": q.dtype, "device": q.device}
+    running = _torch_function(scene, sp.Matrix([d.running_cost]), d.q, d.v, d.u, **kind)
+    final = _torch_function(scene, sp.Matrix([d.final_cost]), d.q, d.v, **kind)
+    return running(q[..., :-1, :], v[..., :-1, :], u).sum((-2, -1)) + final(q[..., -1, :], v[..., -1, :]).sum(-1)
 
 
 def _contact_law(law: ContactLaw, eps: float | None) -> Callable[[Tensor, Tensor], Tensor]:
@@ -64,19 +76,19 @@ def _contact_law(law: ContactLaw, eps: float | None) -> Callable[[Tensor, Tensor
     return lambda phi, k: k / b * torch.logaddexp(b * phi, torch.zeros_like(phi))
 
 
-def _damped_forces(scene: Scene, law: ContactLaw, eps: float | None, dtype: torch.dtype) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
+def _damped_forces(scene: Scene, law: ContactLaw, eps: float | None, **kind: Any) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
     """(lam, q, v) -> lam with the forces of the damped contacts (laws and smoothing: models.contacts, models/codegen/damping.h)."""
     d = derive(scene)
     rate = -d.gap_jacobian * sp.Matrix(d.v)
     quantities = (sp.Matrix([d.penetration, d.stiffness, d.damping, rate]), d.q, d.v)
-    evaluate, nc = _torch_function(scene, *quantities, dtype=dtype), scene.nc
-    is_linear = torch.tensor([contact.damping_law is DampingLaw.KELVIN_VOIGT for contact in scene.contacts])
-    is_damped = torch.tensor([contact.is_damped for contact in scene.contacts])
+    evaluate, nc = _torch_function(scene, *quantities, **kind), scene.nc
+    is_linear = torch.tensor([contact.damping_law is DampingLaw.KELVIN_VOIGT for contact in scene.contacts], device=kind["device"])
+    is_damped = torch.tensor([contact.is_damped for contact in scene.contacts], device=kind["device"])
     soft = _contact_law(law, eps)  # k times the smoothed positive part
 
     def forces(lam: Tensor, q: Tensor, v: Tensor) -> Tensor:
-        phi, k, c, r = evaluate(q, v).reshape(4, nc)
-        closed = (phi > 0).to(dtype) if law is ContactLaw.RELU else torch.sigmoid(sharpness(eps if eps is not None else 0.0) * phi)
+        phi, k, c, r = evaluate(q, v).unflatten(-1, (4, nc)).unbind(-2)
+        closed = (phi > 0).to(phi.dtype) if law is ContactLaw.RELU else torch.sigmoid(sharpness(eps if eps is not None else 0.0) * phi)
         kelvin_voigt = soft(phi + closed * c * r / k, k) if law is ContactLaw.SOFTPLUS else closed * soft(phi + c * r / k, k)
         one = torch.ones_like(k)
         return torch.where(is_damped, torch.where(is_linear, kelvin_voigt, soft(phi, k) * soft(1 + c * r, one) / soft(one, one)), lam)
@@ -84,33 +96,41 @@ def _damped_forces(scene: Scene, law: ContactLaw, eps: float | None, dtype: torc
     return forces
 
 
-def _acceleration(scene: Scene, arguments: tuple[Sequence[sp.Symbol], ...], dtype: torch.dtype) -> Callable[..., Tensor]:
+def _acceleration(
+    scene: Scene, arguments: tuple[Sequence[sp.Symbol], ...], dtype: torch.dtype, device: torch.device | str = "cpu"
+) -> Callable[..., Tensor]:
     d = derive(scene)
     if d.acceleration is not None:
-        return _torch_function(scene, d.acceleration, *arguments, dtype=dtype)
+        return _torch_function(scene, d.acceleration, *arguments, dtype=dtype, device=device)
     mass, force = (
-        _torch_function(scene, d.mass_matrix, d.q, dtype=dtype),
-        _torch_function(scene, d.generalised_force, *arguments, dtype=dtype),
+        _torch_function(scene, d.mass_matrix, d.q, dtype=dtype, device=device),
+        _torch_function(scene, d.generalised_force, *arguments, dtype=dtype, device=device),
     )
-    return lambda q, v, u, lam: torch.linalg.solve(mass(q).reshape(scene.nq, scene.nq), force(q, v, u, lam))
+    square = (scene.nq, scene.nq)
+    return lambda q, v, u, lam: torch.linalg.solve(mass(q).unflatten(-1, square), force(q, v, u, lam).unsqueeze(-1)).squeeze(-1)
 
 
 def _torch_function(
-    scene: Scene, expressions: sp.Matrix, *groups: Sequence[sp.Symbol], dtype: torch.dtype = torch.float64
+    scene: Scene,
+    expressions: sp.Matrix,
+    *groups: Sequence[sp.Symbol],
+    dtype: torch.dtype = torch.float64,
+    device: torch.device | str = "cpu",
 ) -> Callable[..., Tensor]:
-    """Entries of a matrix, flattened row by row, as a function of vectors; parameters have the scene's values.
+    """Entries of a matrix, flattened row by row, as a function of vectors (.., n); parameters have the scene's values.
 
     Parameters enter as tensors and constants as floats, because PyTorch's functions take tensors only (`torch.sqrt(2)` fails).
     """
     entries = [sp.sympify(entry).replace(lambda e: e.is_number and not e.is_Number, lambda e: sp.Float(e, 17)) for entry in expressions]
     parameters = [parameter.symbol for parameter in scene.parameters]
     compiled = sp.lambdify([parameters, *(list(group) for group in groups)], entries, modules="torch", cse=True)
-    values = [torch.tensor(parameter.value, dtype=dtype) for parameter in scene.parameters]
+    values = [torch.tensor(parameter.value, dtype=dtype, device=device) for parameter in scene.parameters]
 
     def function(*vectors: Tensor) -> Tensor:
-        results = compiled(values, *(vector.unbind() for vector in vectors))
+        rows = torch.broadcast_shapes(*(vector.shape[:-1] for vector in vectors))
+        results = compiled(values, *(vector.unbind(-1) for vector in vectors))
         if not results:
-            return torch.zeros(0, dtype=dtype)
-        return torch.stack([torch.as_tensor(result, dtype=dtype) for result in results])
+            return torch.zeros(*rows, 0, dtype=dtype, device=device)
+        return torch.stack([torch.as_tensor(result, dtype=dtype, device=device).expand(rows) for result in results], -1)
 
     return function

@@ -40,6 +40,8 @@ _DAMPING_SIGNATURES = {"damped_contact_force": (None, "npndppp"), "contact_push"
 _SIGNATURES = {
     "rollout": (ctypes.c_int, "ndpndppppp"),
     "adjoint": (ctypes.c_int, "ndpndpppppppdpp"),
+    "rollouts": (None, "nndpndppppppp"),
+    "adjoints": (ctypes.c_int, "nndpndppppppppppp"),
     "penetration": (None, "nppp"),
     "contact_force": (None, "npndpp"),
     "stiffness": (None, "pp"),
@@ -84,6 +86,14 @@ class BoundFunctions(NamedTuple):
     cost: Callable[..., float]
 
 
+class BatchFunctions(NamedTuple):
+    """The same for several plans in one call. head: the arguments of both after the number of rows."""
+
+    rollouts: Callable[..., None]
+    adjoints: Callable[..., int]
+    head: tuple[int, float, int, int, float]
+
+
 def load_kernel(scene: Scene) -> Kernel:
     """Compile (or find in the cache) the kernel of a scene. Raises MachineError without a compiler."""
     compiler, sources = find_compiler(), kernel_sources(scene)
@@ -124,6 +134,11 @@ class Kernel:
     def bound_functions(self) -> BoundFunctions:
         """The C functions themselves, for callers that keep their own buffers and addresses (`models.codegen.workspace`)."""
         return BoundFunctions(self._library.kernel_rollout, self._library.kernel_adjoint, self._library.kernel_cost)
+
+    def batch_functions(self, steps: int, step: float, law: ContactLaw, eps: float | None) -> BatchFunctions:
+        """The C functions for several plans in one call (`models.codegen.batch`)."""
+        head = (steps, step, _at(self._p), law.value, _b(law, eps))
+        return BatchFunctions(self._library.kernel_rollouts, self._library.kernel_adjoints, head)
 
     def penetration(self, q: np.ndarray) -> np.ndarray:
         """phi (n, nc) [m] at positions q (n, nq)."""

@@ -5,6 +5,8 @@
  *
  * Arrays are row-major, one row a node or step. Contact law: 0 = ReLU, 1 = softplus with sharpness b.
  * Friction forces f (friction.h) stand behind the contact forces in each row of lam. */
+#include <stddef.h>
+
 #include "scene_model.h"
 #if NF > 0
 #include "friction.h"
@@ -132,6 +134,38 @@ EXPORT int kernel_adjoint(int steps, double h, const double *parameters, int law
         start_bar[NQ + i] = gv[i];
     }
     return 0;
+}
+
+EXPORT double kernel_cost(int n, const double *p, const double *q, const double *v, const double *u);
+
+/* Several plans in one call: row r of start (rows, 2 NQ) and u (rows, steps, NU) gives row r of q, v, lam, of the costs, NAN where the rollout
+ * diverged, and of the numbers of steps that stayed finite. */
+EXPORT void kernel_rollouts(int rows, int steps, double h, const double *parameters, int law, double b, const double *start, const double *u,
+    double *q, double *v, double *lam, double *costs, int *finite)
+{
+    for (int r = 0; r < rows; r++, start += 2 * NQ, u += steps * NU, q += (steps + 1) * NQ, v += (steps + 1) * NQ, lam += steps * NL) {
+        finite[r] = kernel_rollout(steps, h, parameters, law, b, start, u, q, v, lam);
+        costs[r] = finite[r] == steps ? kernel_cost(steps, parameters, q, v, u) : NAN;
+    }
+}
+
+/* Their adjoints, each as kernel_adjoint's; NAN in the rows that diverged. Returns the number of rows done, fewer than all if a mass matrix is
+ * not positive definite. */
+EXPORT int kernel_adjoints(int rows, int steps, double h, const double *parameters, int law, double b, const double *q, const double *v,
+    const double *lam, const double *u, const int *finite, const double *q_bar, const double *v_bar, const double *lam_bar,
+    const double *cost_bars, double *u_bar, double *start_bar)
+{
+    for (int r = 0; r < rows; r++) {
+        const size_t at_nodes = (size_t)r * (steps + 1) * NQ, at_u = (size_t)r * steps * NU, at_lam = (size_t)r * steps * NL;
+        double *inputs_bar = u_bar + at_u, *from_bar = start_bar + r * 2 * NQ;
+        if (finite[r] < steps) {
+            for (int i = 0; i < steps * NU; i++) inputs_bar[i] = NAN;
+            for (int i = 0; i < 2 * NQ; i++) from_bar[i] = NAN;
+        } else if (kernel_adjoint(steps, h, parameters, law, b, q + at_nodes, v + at_nodes, lam + at_lam, u + at_u, q_bar + at_nodes,
+                       v_bar + at_nodes, lam_bar + at_lam, cost_bars[r], inputs_bar, from_bar))
+            return r;
+    }
+    return rows;
 }
 
 EXPORT void kernel_penetration(int n, const double *p, const double *q, double *phi)

@@ -64,6 +64,35 @@ def scaling(exponent: float = 1.0) -> dict:
     return {"kind": "scaling", "stages": [stage("gd_iteration", done, exponent), stage("mpec_step", cut, None)]}
 
 
+def order() -> dict:
+    """Euler's replay error is h, Radau's h^3, both for 1e-3/h CPU s: 1e-3 m takes Euler 1 s, Radau 0.01 s. The finest Radau grid is not solved."""
+
+    def row(scheme: str, steps: int, power: int) -> dict:
+        h, solved = 1.0 / steps, (scheme, steps) != ("radau_iia_2", 1000)
+        found = {
+            "scheme": scheme,
+            "steps": steps,
+            "h": h,
+            "outcome": "solved" if solved else "stalled",
+            "cpu_s": 1e-3 * steps,
+            "iterations": 9,
+        }
+        error = h**power if solved else None
+        switch = h**2 if solved and power == 3 else None
+        return found | {"cost": 1.0 if solved else None, "replay_error": error, "plan_error": error, "switch_error": switch}
+
+    rows = [row(scheme, steps, power) for scheme, power in (("semi_implicit_euler", 1), ("radau_iia_2", 3)) for steps in (10, 100, 1000)]
+    radau = {"scheme": "radau_iia_2", "steps": 10, "cpu_s": 0.01, "replay_error": 1e-3}
+    euler = {"scheme": "semi_implicit_euler", "steps": 1000, "cpu_s": 1.0, "replay_error": 1e-3}
+    answers = [
+        {"target": 1e-3, "best": radau, "euler": euler},
+        {"target": 1e-4, "best": radau | {"steps": 100, "cpu_s": 0.1, "replay_error": 1e-6}, "euler": None},
+        {"target": 1e-7, "best": None, "euler": None},
+    ]
+    scene = {"name": "three_cart", "unit": "m", "horizon": 1.0, "orders": {"semi_implicit_euler": 1.0, "radau_iia_2": None}}
+    return {"kind": "order", "scenes": [scene | {"rows": rows, "answers": answers}]}
+
+
 def rigid_limit(**changes) -> dict:
     """A cost that nears 0.5 from below as 1/sqrt(k): -10 %, -0.91 %, -0.1 %; at k = 1 there is no plan."""
 

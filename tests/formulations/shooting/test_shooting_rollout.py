@@ -11,7 +11,6 @@ from formulations.shooting.errors import ShootingError
 from formulations.shooting.reference import reference_rollout
 from formulations.shooting.rollout import rollout
 from models.catalog import load_scene, scene_names
-from models.codegen.kernel import KernelError
 from models.contact_law import ContactLaw, RelaxationError
 from models.scene import Scene
 
@@ -170,12 +169,16 @@ def test_other_types_and_devices_are_refused_in_words():
         rollout(scene, u.float())
     with pytest.raises(ShootingError, match=r"start is torch\.float32"):
         rollout(scene, u, torch.zeros(6))
-    with pytest.raises(ShootingError, match=r"u is on meta.*pass u\.cpu\(\)"):
-        rollout(scene, u.to("meta"))
+    with pytest.raises(ShootingError, match=r"u is .* on meta, start .* on cpu; pass start\.to"):
+        rollout(scene, u.to("meta"), torch.tensor(scene.task.start, dtype=torch.float64))
+    with pytest.raises(ShootingError, match=r"u is on meta, but a scene with friction.*pass u\.cpu\(\)"):
+        rollout(scene_of("hopper_planar"), torch.zeros(5, scene_of("hopper_planar").nu, device="meta"))
     with pytest.raises(ShootingError, match=r"u is a ndarray"):
         rollout(scene, u.numpy())  # pyright: ignore[reportArgumentType]
-    with pytest.raises(KernelError, match="u has shape"):
+    with pytest.raises(ShootingError, match="last dimensions of u and start are 1 and 6, but 2 inputs and 6"):
         rollout(scene, u[:, :1])
+    with pytest.raises(ShootingError, match="u has 1 dimensions, but needs 2"):
+        rollout(scene, u[0])
     with pytest.raises(RelaxationError, match="eps is 2"):
         rollout(scene, u, law=ContactLaw.SOFTPLUS, eps=2.0)
 

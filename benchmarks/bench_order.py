@@ -1,0 +1,170 @@
+"""Step size and order: which grid gives a plan that its replay confirms to 1e-2, 1e-3, 1e-4 m, and at what CPU time.
+
+    python benchmarks/bench_order.py [-o FILE.json] [--scene SCENE ..] [--limit SECONDS] [--repeats N]
+
+Each scene is planned on ever finer grids with exact contact: by semi-implicit Euler (`mpcc` without its window search) and by collocation of order 2, 3
+and 5 (`collocation`), all from the paper's first guess, all by the same softplus homotopy. The running cost is weighed with the step, so that every grid
+approximates one problem; collocation minimises its quadrature.
+
+    replay error   largest position difference between plan and replay at the plan's nodes [m, rad], by the reference replay
+    plan error     the same between the plan and the finest plan of the highest order: how far from the optimum of the continuous problem
+    switch error   the bound that `collocation` gives for what opening and closing contacts cost [m/s, rad/s]
+
+CPU seconds are those of opening and solving in this process, the least of the repeats (as many as 5 s allow); compiling the scene is not in them.
+The order is the slope of log(replay error) over log(h), by least squares. A report takes the file from DIR/bench/.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from formulations.catalog import load_method
+from formulations.solution import Solution
+from models.catalog import load_scene
+from models.fmu import build_fmu
+from models.scene import Scene
+from models.schemes import Scheme
+from models.trajectory import Trajectory
+from validate.replay import replay
+
+EULER, FINEST = Scheme.SEMI_IMPLICIT_EULER.value, Scheme.RADAU_IIA_3.value
+COLLOCATIONS = (Scheme.IMPLICIT_MIDPOINT.value, Scheme.RADAU_IIA_2.value, FINEST)
+# Steps of the whole horizon: those of Euler, those of collocation; the last of collocation is also the finest plan.
+GRIDS: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {
+    "three_cart": ((50, 100, 200, 500, 1000, 2000), (25, 50, 100, 200, 400)),
+    "two_discs": ((60, 120, 240, 480, 960), (30, 60, 120, 240, 480)),
+    "wall_pendulum": ((10, 20, 40, 80, 160, 320), (5, 10, 20, 40, 80)),
+    "cart_pole_walls": ((50, 100, 200, 400, 800), (25, 50, 100, 200)),
+}
+TARGETS = (1e-2, 1e-3, 1e-4)
+# Repeats stop here [CPU s]: longer solves vary little.
+_ENOUGH = 5.0
+# Relative tolerances of the replay: 1e-9 m or better, far below every error that is told.
+_TOLERANCES = (1e-9, 1e-11)
+
+
+def on_grid(scene: Scene, steps: int) -> Scene:
+    """The same task in so many steps, its running cost weighed with the step."""
+    task = scene.task
+    step = task.horizon / steps
+    return scene.with_task(steps=steps, step=step, running_cost=task.running_cost * (step / task.step))
+
+
+def _solve(scene: Scene, scheme: str, limit: float) -> tuple[Solution, float]:
+    began = process_time()
+    if scheme == EULER:
+        method, options = load_method("mpcc"), {"search": False}
+    else:
+        method, options = load_method("collocation"), {"scheme": scheme, "integrate_cost": True}
+    with method.open(scene, options) as session:
+        solution = session.solve(eps=None, warm_start=None, time_limit=limit)
+    return solution, process_time() - began
+
+
+def _row(scene: Scene, fmu: Path, scheme: str, steps: int, limit: float, repeats: int) -> tuple[dict[str, Any], Trajectory | None]:
+    grid = on_grid(scene, steps)
+    solution, cpu = _solve(grid, scheme, limit)
+    spent = cpu
+    for _ in range(repeats - 1):
+        if spent > _ENOUGH:
+            break
+        again = _solve(grid, scheme, limit)[1]
+        cpu, spent = min(cpu, again), spent + again
+    plan, error = solution.trajectory, None
+    if plan is not None:
+        found = replay(grid, fmu, plan, tolerances=_TOLERANCES, track=False)
+        error = float(np.abs(found.q[found.knots] - plan.q).max()) if found.ok else None
+    row = {
+        "scheme": scheme,
+        "steps": steps,
+        "h": grid.task.step,
+        "outcome": solution.outcome.name.lower(),
+        "cpu_s": cpu,
+        "iterations": solution.iterations,
+        "cost": solution.cost,
+        "replay_error": error,
+        "plan_error": None,
+        "switch_error": solution.residuals.get("switch_error"),
+    }
+    told = "-" if error is None else f"{error:.2e}"
+    print(f"  {scheme:20s} {steps:5d} steps: {row['outcome']}, replay error {told}, {cpu:.2f} CPU s", flush=True)
+    return row, plan
+
+
+def _order(rows: list[dict[str, Any]]) -> float | None:
+    """Slope of log(replay error) over log(h); None with fewer than three grids."""
+    points = [(np.log(row["h"]), np.log(row["replay_error"])) for row in rows if row["outcome"] == "solved" and row["replay_error"]]
+    return float(np.polyfit(*np.array(points).T, 1)[0]) if len(points) >= 3 else None
+
+
+def _answer(rows: list[dict[str, Any]], target: float) -> dict[str, Any]:
+    """The cheapest grid within the target, of all schemes and of Euler alone."""
+    within = [row for row in rows if row["outcome"] == "solved" and row["replay_error"] is not None and row["replay_error"] <= target]
+    best: dict[str, Any] = {"target": target}
+    for name, chosen in (("best", within), ("euler", [row for row in within if row["scheme"] == EULER])):
+        row = min(chosen, key=lambda row: row["cpu_s"], default=None)
+        best[name] = None if row is None else {key: row[key] for key in ("scheme", "steps", "cpu_s", "replay_error")}
+    return best
+
+
+def measure(name: str, limit: float, repeats: int) -> dict[str, Any]:
+    """One scene: all rows, the order of each scheme, and the answers."""
+    scene = load_scene(name)
+    fmu, (euler, collocation) = build_fmu(scene), GRIDS[name]
+    for scheme in (EULER, FINEST):  # imports and compilation
+        _solve(on_grid(scene, min(collocation)), scheme, limit)
+    found = [
+        _row(scene, fmu, scheme, steps, limit, repeats)
+        for scheme, grids in ((EULER, euler), *((scheme, collocation) for scheme in COLLOCATIONS))
+        for steps in grids
+    ]
+    finest = next((plan for row, plan in reversed(found) if row["scheme"] == FINEST and row["outcome"] == "solved"), None)
+    if finest is not None:
+        reference = CubicHermiteSpline(finest.t, finest.q, finest.v)
+        for row, plan in found:
+            if plan is not None and plan is not finest:
+                row["plan_error"] = float(np.abs(plan.q - reference(plan.t)).max())
+    rows = [row for row, _ in found]
+    orders = {scheme: _order([row for row in rows if row["scheme"] == scheme]) for scheme in (EULER, *COLLOCATIONS)}
+    for scheme, order in orders.items():
+        print(f"  {scheme:20s} order {'-' if order is None else f'{order:.2f}'}", flush=True)
+    answers = [_answer(rows, target) for target in TARGETS]
+    for answer in answers:
+        best = answer["best"]
+        told = "no grid" if best is None else f"{best['scheme']}, {best['steps']} steps, {best['cpu_s']:.2f} CPU s"
+        print(f"  within {answer['target']:g}: {told}", flush=True)
+    return {
+        "name": name,
+        "unit": ", ".join(dict.fromkeys(item.unit for item in scene.coordinates)),
+        "horizon": scene.task.horizon,
+        "orders": orders,
+        "rows": rows,
+        "answers": answers,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", action="append", choices=sorted(GRIDS), help="only this scene; may be repeated")
+    parser.add_argument("--limit", type=float, default=300.0, metavar="SECONDS", help="for one solve (default: %(default)s)")
+    parser.add_argument("--repeats", type=int, default=3, help="most solves of one grid (default: %(default)s)")
+    parser.add_argument("-o", "--output", type=Path, help="write all numbers as JSON, after each scene")
+    arguments = parser.parse_args()
+    told = []
+    for name in arguments.scene or GRIDS:
+        print(name, flush=True)
+        told.append(measure(name, arguments.limit, arguments.repeats))
+        if arguments.output is not None:
+            arguments.output.parent.mkdir(parents=True, exist_ok=True)
+            arguments.output.write_text(json.dumps({"kind": "order", "scenes": told}, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
