@@ -14,16 +14,35 @@ _LARGEST_PRODUCT = 4
 
 
 class _Printer(C99CodePrinter):
+    """Of one function. What is multiplied with itself is computed once: it becomes a constant of its own, in `lines`."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.lines: list[str] = []
+        self._factors: dict[str, str] = {}
+
+    def statements(self, head: str, expression: sp.Expr) -> list[str]:
+        """`head expression;`, after the constants it needs."""
+        text = self.doprint(expression)
+        lines, self.lines = self.lines, []
+        return [f"    {line}" for line in (*lines, f"{head} {text};")]
+
+    def _factor(self, base: sp.Expr) -> str:
+        text = self._print(base)
+        if base.is_Atom:
+            return self.parenthesize(base, PRECEDENCE["Atom"])
+        if text not in self._factors:
+            self._factors[text] = f"factor{len(self._factors)}"
+            self.lines.append(f"const double {self._factors[text]} = {text};")
+        return self._factors[text]
+
     def _print_Pow(self, expr: sp.Pow) -> str:  # noqa: N802 - SymPy finds it by this name
         base, exponent = expr.base, expr.exp
         if exponent.is_Integer and 2 <= abs(int(exponent)) <= _LARGEST_PRODUCT:
-            factor = self.parenthesize(base, PRECEDENCE["Atom"])
+            factor = self._factor(base)
             product = "*".join([factor] * abs(int(exponent)))
             return f"({product})" if int(exponent) > 0 else f"(1.0/({product}))"
         return super()._print_Pow(expr)
-
-
-_PRINTER = _Printer()
 
 
 @dataclass(frozen=True)
@@ -74,9 +93,11 @@ def c_function(
         lines += [f"    const double {symbol.name} = {vector.name}[{index}];" for index, symbol in entries]
         if not entries:
             lines.append(f"    (void){vector.name};")
-    lines += [f"    const double {symbol.name} = {_PRINTER.doprint(value)};" for symbol, value in shared]
+    printer = _Printer()
+    for symbol, value in shared:
+        lines += printer.statements(f"const double {symbol.name} =", value)
     if not outputs:
-        lines.append(f"    return {_PRINTER.doprint(reduced[0])};")
+        lines += printer.statements("return", reduced[0])
     position = 0
     for (target, _), column in zip(outputs, columns if outputs else [], strict=True):
         statements = []
@@ -85,7 +106,7 @@ def c_function(
             position += 1
             if operator == "+=" and expression == 0:
                 continue
-            statements.append(f"    {target}[{index}] {operator} {_PRINTER.doprint(expression)};")
+            statements += printer.statements(f"{target}[{index}] {operator}", expression)
         lines += statements or [f"    (void){target};"]
     if tail:
         lines.append(f"    {tail}")

@@ -32,6 +32,16 @@ PAPER = {
     "transport": (4 + 1 + 2 + 1, 2, 2, 0),
     # gap 2 r - |d|; again |d| for the direction, lam / |d|, forces, times 1/m
     "two_discs": (2 + 2 + 1 + 2 + 2 + 2, 2 + 1 + 2 + 4 + 4, 2, 2),
+    # x and y of the finger from the box turned; D with two cosh, two exp, one log; its gradient with two sinh; slip: two relative velocities turned,
+    # omega times the arms, over the sum; gap and slip Jacobians of x, y and turn, times lam and f; drag and drive over m, over m c^2
+    "push_box": (5 + 12 + 12 + 9, 12 + 22 + 1 + 26 + 18, 1 + 1 + 4, 7 + 8 + 8),
+    # leg sqrt(dx^2 + dz^2 + e^2); thrust less damping along it, hip across, spring; body, foot, gravity, over the masses; mu N
+    "hopper_planar": (2 + 2 + 3 + 2 + 2 + 6, 3 + 2 + 2 + 4 + 2 + 1 + 4 + 2 + 1, 3 + 1 + 3, 1),
+    # gaps: tip of a finger four products and five sums, distance; M: inertias, two cosines; forces: sine of a, w^2, moments of lam/d about
+    # two joints; disc; solve: two blocks of two
+    "two_finger": (17 + 5 + 34 + 6, 13 + 13 + 46 + 6, 2 + 16, 10 + 2 + 12 + 7),
+    # the same; table; slips: velocity of the tip across the line of centres, turning; mu N; gravity of links and disc; friction at three bodies
+    "two_finger_lift": (19 + 29 + 57 + 5 + 6, 13 + 30 + 2 + 77 + 13 + 6, 4 + 6 + 16, 10 + 10 + 12 + 2 + 7),
     # tip x + l sin; M: m_c + m_p, l m_p cos, l l m_p; forces; 2 x 2 Cholesky. Sine and cosine are called by each function that needs them
     "cart_pole_walls": (3 + 1 + 4 + 3, 1 + 1 + 2 + 8 + 3, 5, 4 + 2),
     # gaps; M with one cosine; forces with three sines; 2 x 2 Cholesky
@@ -71,6 +81,11 @@ def test_a_chain_costs_a_fixed_number_of_operations_a_cart(n: int):
 def test_every_form_of_arithmetic_is_counted(expression: str, expected: Operations):
     text = f"SCENE_FUNCTION double f(const double *x)\n{{\n    const double a = x[0];\n    return {expression};\n}}\n"
     assert count_operations(text) == {"f": expected}
+
+
+def test_what_is_squared_is_computed_once():
+    """Of two fingers: eight sines and cosines and two roots for both gaps."""
+    assert count_operations(emit_model(load_scene("two_finger")))["scene_penetration"] == Operations(add=17, multiply=13, call=10)
 
 
 def test_adding_to_a_result_is_an_addition():
