@@ -154,13 +154,14 @@ def _run(
 ) -> Generator[RunRecord | ExaminationRecord, None, None]:
     if not entries:
         return
+    from validate.fork_server import fork_server
     from validate.worker import Watchdog, Worker
 
     by_key = {entry.cell.key: entry for entry in entries}
-    with Watchdog() as watchdog:
+    with Watchdog() as watchdog, fork_server(len(entries)) as server:
 
         def start(cell: Job) -> Worker:
-            return Worker(cell, by_key[cell.key].lost(provenance), provenance, store, watchdog)
+            return Worker(cell, by_key[cell.key].lost(provenance), provenance, store, watchdog, server)
 
         def waits(cell: Job, running: Sequence[Job]) -> bool:
             return must_wait(beginnings_of(cell), [beginnings_of(other) for other in running], store)

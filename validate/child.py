@@ -1,4 +1,4 @@
-"""The child process of one cell: `python -m validate.child FOLDER`. FOLDER/cell.json says what to run; FOLDER/record.json is the answer.
+"""The child process of one cell: `python -m validate.child FOLDER`, or a fork of validate.fork_server. FOLDER/cell.json says what to run; FOLDER/record.json is the answer.
 
 The record is written last and whole, so that its presence alone says that the cell came to its end. The process
 dies with its parent, leaves no core file, and does not run anybody's exit handlers: a library that crashes while it is unloaded cannot spoil a
@@ -11,7 +11,9 @@ import json
 import os
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import NoReturn
 
 from validate.isolation.guards import die_with_parent, limit_resources
 from validate.profile import Profile
@@ -61,9 +63,10 @@ def main(folder: Path) -> int:
     return 0
 
 
-if __name__ == "__main__":
+def run(cell: Callable[[Path], int], folder: Path) -> NoReturn:
+    """Run the cell of a folder and end this process; cell: `main`, or what a test has in its place."""
     try:
-        code = main(Path(sys.argv[1]))
+        code = cell(folder)
     except BaseException:  # noqa: BLE001 - whatever it was, it goes to the log, and the parent makes a row of it
         import traceback
 
@@ -72,3 +75,7 @@ if __name__ == "__main__":
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(code)
+
+
+if __name__ == "__main__":
+    run(main, Path(sys.argv[1]))

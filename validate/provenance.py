@@ -39,6 +39,7 @@ _NO_INFLUENCE = (
     "validate/chosen.py",
     "validate/config/",
     "validate/engine.py",
+    "validate/fork_server.py",
     "validate/results.py",
     "validate/selection.py",
     "validate/stored.py",

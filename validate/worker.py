@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from models.errors import MachineError
 from validate import reaper
+from validate.fork_server import ForkServer, ForkServerError
 from validate.isolation.process import ChildProcess, Ended, Watchdog, exit_in_words
 from validate.store import LOG, MACHINE, PROGRESS, RECORD, REQUEST, Store, disk_error, write_durably
 
@@ -56,7 +57,7 @@ class Lost:
 
 
 class Worker:
-    """One running cell; see the module docstring. lost: makes the record of a child that left none.
+    """One running cell; see the module docstring. lost: makes the record of a child that left none; server: forks the child, if there is one.
 
     Starting it raises MachineError if the folder cannot be written.
     """
@@ -68,8 +69,9 @@ class Worker:
         provenance: ProvenanceRecord,
         store: Store,
         watchdog: Watchdog,
+        server: ForkServer | None = None,
     ) -> None:
-        self.cell, self._lost, self._provenance, self._store, self._watchdog = cell, lost, provenance, store, watchdog
+        self.cell, self._lost, self._provenance, self._store, self._watchdog, self._server = cell, lost, provenance, store, watchdog, server
         self._token = uuid.uuid4().hex
         self._ended = Ended(code=0, cpu=0.0, memory=0, strays=0)
         self._folder = store.open_partial(cell.key, self._token).resolve()
@@ -92,6 +94,9 @@ class Worker:
         except OSError as error:
             raise disk_error(self._folder, error) from error
         with log:
+            if self._server is not None:
+                with contextlib.suppress(ForkServerError):
+                    return self._server.start(self._folder, token=self._token, temporary=temporary, log=self._folder / LOG)
             return ChildProcess("validate.child", [str(self._folder)], token=self._token, temporary=temporary, output=log)
 
     def progress(self) -> str:

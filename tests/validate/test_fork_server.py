@@ -1,0 +1,173 @@
+"""Cells that are forked from one clean process: the same session, limits, token, log and end as if each had been started alone."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import sys
+import time
+import uuid
+from pathlib import Path
+
+import pytest
+
+from validate import fork_server as module
+from validate import reaper
+from validate.fork_server import ForkServer, ForkServerError, fork_server
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="fork servers are for Linux")
+
+# A cell without a request: it tells what it is in its log, and does what the folder says.
+_CELL = """
+import json, os, resource, signal, subprocess, sys, tempfile, time
+from pathlib import Path
+from validate.reaper import TOKEN_VARIABLE
+
+def main(folder):
+    from validate.isolation.guards import die_with_parent, limit_resources
+    die_with_parent()
+    limit_resources(file_bytes=12345)
+    told = {
+        "session": os.getsid(0) == os.getpid(), "cwd": os.getcwd(), "temporary": tempfile.gettempdir(), "token": os.environ[TOKEN_VARIABLE],
+        "limit": resource.getrlimit(resource.RLIMIT_FSIZE)[0], "core": resource.getrlimit(resource.RLIMIT_CORE)[0],
+        "stdin": sys.stdin.fileno() == 0 and os.read(0, 1) == b"", "cpu": time.process_time(), "sympy": "sympy" in sys.modules, "torch": "torch" in sys.modules,
+        "open": sorted(os.listdir("/proc/self/fd")), "hash": hash("a"),
+    }
+    print(json.dumps(told))
+    print("to the log", file=sys.stderr)
+    act = folder.name
+    if act.startswith("family"):
+        subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1000)"], start_new_session=True)
+        time.sleep(1000)
+    if act.startswith("crash"):
+        os.kill(os.getpid(), signal.SIGSEGV)
+    if act.startswith("busy"):
+        while time.process_time() < told["cpu"] + 0.3:
+            pass
+    return 7 if act.startswith("seven") else 0
+"""
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    """A server whose cells are _CELL."""
+    package = tmp_path_factory.mktemp("package")
+    (package / "told_cell.py").write_text(_CELL)
+    patch = pytest.MonkeyPatch()
+    patch.setenv("PYTHONPATH", str(package))
+    patch.delenv(reaper.TOKEN_VARIABLE, raising=False)
+    started = ForkServer(modules=(*module.MODULES, "told_cell"), cell="told_cell:main")
+    yield started
+    started.close()
+    patch.undo()
+
+
+def _start(server: ForkServer, tmp_path: Path, name: str):
+    folder = tmp_path / name
+    (folder / "tmp").mkdir(parents=True)
+    token = uuid.uuid4().hex
+    return server.start(folder, token=token, temporary=folder / "tmp", log=folder / "log.txt"), folder, token
+
+
+def _wait(child) -> None:
+    assert child.wait(300.0)
+
+
+def _told(folder: Path) -> dict:
+    import json
+
+    return json.loads((folder / "log.txt").read_text().splitlines()[0])
+
+
+def test_a_child_is_a_process_of_its_own(server, tmp_path):
+    child, folder, token = _start(server, tmp_path, "seven")
+    _wait(child)
+    assert child.has_ended()
+    ended = child.end()
+    told = _told(folder)
+    assert (ended.code, ended.strays) == (7, 0)
+    assert told["session"]
+    assert told["cwd"] == told["temporary"] == str(folder / "tmp")
+    assert told["token"] == token
+    assert (told["limit"], told["core"]) == (12345, 0)
+    assert told["stdin"]
+    assert told["sympy"]
+    assert not told["torch"]
+    assert told["cpu"] < 0.5 * ended.cpu + 0.5
+    assert "to the log" in (folder / "log.txt").read_text()
+    assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] != 12345
+
+
+def test_children_share_nothing_but_what_was_imported(server, tmp_path):
+    told = []
+    for number in range(2):
+        child, folder, _ = _start(server, tmp_path, f"calm{number}")
+        _wait(child)
+        assert child.end().code == 0
+        told.append(_told(folder))
+    assert told[0]["hash"] == told[1]["hash"]
+    assert told[0]["open"] == told[1]["open"]  # no descriptor of one reaches the next
+    assert told[0]["token"] != told[1]["token"]
+
+
+@pytest.mark.parametrize(("act", "code"), [("crash", -signal.SIGSEGV), ("busy", 0)])
+def test_how_it_ended_and_what_it_cost_are_told(server, tmp_path, act, code):
+    child, folder, _ = _start(server, tmp_path, act)
+    _wait(child)
+    ended = child.end()
+    assert ended.code == code
+    assert ended.memory > 10_000_000
+    if act == "busy":
+        assert ended.cpu >= 0.3
+    else:
+        assert "Segmentation fault" in (folder / "log.txt").read_text()
+
+
+def test_a_child_is_found_by_its_token_and_ended_with_its_family(server, tmp_path):
+    child, _, token = _start(server, tmp_path, "family")
+    assert child.pid in reaper.processes_with(token), "from the moment its number is known"
+    while len(reaper.processes_with(token)) < 2:
+        time.sleep(0.05)
+    assert not child.has_ended()
+    ended = child.end()
+    assert ended.code == -signal.SIGKILL
+    assert ended.strays >= 1
+    assert reaper.processes_with(token) == []
+
+
+def test_no_number_is_given_away_before_the_child_is_reaped(server, tmp_path):
+    child, _, _ = _start(server, tmp_path, "calm")
+    _wait(child)
+    assert Path(f"/proc/{child.pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    child.end()
+    assert not Path(f"/proc/{child.pid}").exists()
+
+
+def test_children_die_with_the_server_and_the_server_with_us(tmp_path, monkeypatch):
+    package = tmp_path / "package"
+    package.mkdir()
+    (package / "told_cell.py").write_text(_CELL)
+    monkeypatch.setenv("PYTHONPATH", str(package))
+    monkeypatch.delenv(reaper.TOKEN_VARIABLE, raising=False)
+    server = ForkServer(modules=("validate.child", "told_cell"), cell="told_cell:main")
+    child, _, token = _start(server, tmp_path, "family")
+    os.kill(server.pid, signal.SIGKILL)
+    _wait(child)
+    assert child.end().code == -signal.SIGKILL
+    assert reaper.processes_with(token) == []
+    with pytest.raises(ForkServerError):
+        _start(server, tmp_path, "calm")
+    server.close()
+
+
+def test_where_there_can_be_no_server_there_is_none(monkeypatch):
+    with fork_server(1) as server:
+        assert server is None  # it would cost more than it saves
+    monkeypatch.setenv(reaper.TOKEN_VARIABLE, "x" * 32)
+    with fork_server(100) as server:
+        assert server is None  # a campaign in a cell: its children carry two tokens
+    monkeypatch.delenv(reaper.TOKEN_VARIABLE)
+    monkeypatch.setattr(module.sys, "platform", "win32")
+    with fork_server(100) as server:
+        assert server is None
