@@ -101,7 +101,10 @@ def _row(scene: Scene, fmu: Path, scheme: str, steps: int, limit: float, repeats
 def _order(rows: list[dict[str, Any]]) -> float | None:
     """Slope of log(replay error) over log(h); None with fewer than three grids."""
     points = [(np.log(row["h"]), np.log(row["replay_error"])) for row in rows if row["outcome"] == "solved" and row["replay_error"]]
-    return float(np.polyfit(*np.array(points).T, 1)[0]) if len(points) >= 3 else None
+    if len(points) < 3:
+        return None
+    steps, errors = np.array(points).T
+    return float(np.polyfit(steps, errors, 1)[0])
 
 
 def _answer(rows: list[dict[str, Any]], target: float) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
 from reports.wording import error, listing, power, seconds, small, spaced, times
 
-_STYLES = (("c5", "circle"), ("c1", "square"), ("c4", "diamond"), ("c2", "triangle"), ("c0", "circle"), ("c3", "square"))
+_STYLES = (("c5", "circle"), ("c1", "square"), ("c4", "diamond"), ("c2", "square"), ("c0", "circle"), ("c3", "diamond"))
 _NAMES = {
     "semi_implicit_euler": "semi-implicit Euler",
     "implicit_midpoint": "implicit midpoint",
