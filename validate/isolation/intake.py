@@ -13,30 +13,24 @@ import re
 import stat
 import sys
 import zipfile
+import zlib
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from lzma import LZMAError
 from pathlib import Path, PurePosixPath
 from xml.parsers import expat
 
 from models.errors import MachineError, TouchstoneError
+from validate.isolation.intake_limits import IntakeLimits
 from validate.isolation.xml_reader import HasDoctype, XmlReader
 
 DESCRIPTION = "modelDescription.xml"
 # Texts that are parsed as XML, by us or by FMPy, and are therefore looked into.
 _XML_SUFFIXES = (".xml", ".ssd", ".ssv", ".ssm", ".ssb")
+# What Python raises while it reads a damaged entry.
+_DAMAGED = (NotImplementedError, EOFError, RuntimeError, ValueError, zlib.error, LZMAError)
 _ENDINGS = {"linux": ".so", "darwin": ".dylib", "windows": ".dll"}
-
-
-@dataclass(frozen=True, kw_only=True)
-class IntakeLimits:
-    """Bytes unpacked altogether; entries; unpacked over packed, from a size on where it matters; bytes of one XML text."""
-
-    unpacked: int = 2 * 1024**3
-    entries: int = 20_000
-    ratio: float = 100.0
-    ratio_matters_from: int = 32 * 1024**2
-    xml: int = 64 * 1024**2
 
 
 @dataclass(frozen=True)
@@ -110,7 +104,7 @@ def unpack(intake: Intake, folder: Path) -> None:
             if sum(item.file_size for item in archive.infolist()) != intake.unpacked:
                 raise IntakeError(Problem("zip", f"FMU {intake.path}: the file changed while it was read; try again."))
             archive.extractall(folder)  # reads no more of an entry than its stated size, which was added up
-    except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError) as error:
+    except (zipfile.BadZipFile, *_DAMAGED) as error:
         raise IntakeError(Problem("zip", f"FMU {intake.path}: it cannot be unpacked ({_first(error)}); it is damaged.")) from error
     except OSError as error:
         raise MachineError(f"FMU {intake.path}: it cannot be unpacked to {folder} ({error.strerror or error}).") from error
@@ -153,7 +147,7 @@ class _Examination:
                     yield from self._of_content(archive)
         except zipfile.BadZipFile:
             yield self._problem("zip", "it is not a zip file, as every FMU is (or it is cut off).")
-        except (NotImplementedError, EOFError, RuntimeError, ValueError, UnicodeError) as error:
+        except _DAMAGED as error:
             yield self._problem("zip", f"it is a zip file that cannot be read ({_first(error)}).")
         except OSError as error:
             raise MachineError(f"FMU {self._path}: it cannot be read ({error.strerror or error}).") from error
@@ -180,7 +174,7 @@ class _Examination:
         for name, count in names.items():
             if count > 1:
                 yield self._problem("duplicates", f"the entry {name!r} is there {count} times.")
-        files = {item.filename for item in items if not item.is_dir()}
+        files = {item.filename for item in items if not item.filename.endswith("/")}
         for name in files:
             inside = next((str(parent) for parent in PurePosixPath(name).parents if str(parent) in files), None)
             if inside is not None:

@@ -1,0 +1,73 @@
+"""A campaign's folder with spoilt records, and all that reads one: load, results, `report` and `show`."""
+
+from __future__ import annotations
+
+import json
+import random
+from pathlib import Path
+from typing import Any
+
+from hostile_mutations import spoilt_data, spoilt_text
+
+KEY = "a" * 64
+
+
+def good_record() -> dict[str, Any]:
+    """As little of a record as the schema allows."""
+    provenance = dict.fromkeys(("touchstone", "commit", "python", "platform", "cpu", "compiler", "started", "command"), "x")
+    provenance |= {"cores": 1, "threads": 1, "packages": {}, "seed": 0}
+    scene = {name: [] for name in ("coordinates", "velocities", "inputs", "contacts", "parameters", "start", "goal")}
+    figure = {"name": "physics", "value": 1.0, "unit": "N^2", "meaning": "m", "limit": 2.0, "ok": True}
+    stage = {
+        "index": 0,
+        "method": "m",
+        "method_title": "",
+        "kind": "direct",
+        "eps": 0.5,
+        "outcome": "solved",
+        "advice": "",
+        "figures": [figure],
+    }
+    return {
+        "key": KEY, "scene": {"name": "s", "title": "", "source": "", "step": 0.01, "steps": 2, **scene}, "pipeline": "p", "pipeline_title": "",
+        "stages": [{**stage, "options": {"a": 1}, "cost": 2.0, "verdict": "holds"}], "outcome": "solved", "must_hold": True, "wall_seconds": 1.0,
+        "cpu_seconds": 1.0, "provenance": provenance, "log_tail": "l",
+    }  # fmt: skip
+
+
+def spoilt_campaign(rng: random.Random, folder: Path) -> Path:
+    run = folder / "campaign" / "runs" / KEY
+    run.mkdir(parents=True, exist_ok=True)
+    record = good_record()
+    campaign = {"title": "t", "command": "c", "started": "", "keys": [KEY], "provenance": record["provenance"]}
+    for path, data in (
+        (run / "record.json", record),
+        (folder / "campaign" / "campaign.json", campaign),
+        (run / "cell.json", {"cell": {"key": KEY}}),
+    ):
+        if rng.random() < 0.6:
+            text = spoilt_text(rng, json.dumps(data)) if rng.random() < 0.5 else json.dumps(spoilt_data(rng, data)).encode()
+            path.write_bytes(text)
+        else:
+            path.write_text(json.dumps(data), encoding="utf-8")
+    return folder / "campaign"
+
+
+def read_record(path: Path) -> None:
+    import contextlib
+    import os
+
+    from reports.load import load
+    from validate.cli.show import command
+    from validate.results import results_text
+    from validate.store import Store
+    from validate.stored import stored_campaign
+
+    load(path)
+    list(Store(path).requests())
+    campaign, records = stored_campaign(path)
+    del campaign
+    results_text([record for record in records if hasattr(record, "stages")])
+    with open(os.devnull, "w", encoding="utf-8") as nowhere, contextlib.redirect_stdout(nowhere):
+        for record in records:
+            command.main([record.key, "--in", str(path)], standalone_mode=False)

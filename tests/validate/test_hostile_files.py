@@ -1,0 +1,40 @@
+"""A few hostile files for every reader: each is read or refused in a sentence; benchmarks/fuzz_readers.py tries thousands."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from hostile_inputs import READERS, Reader, tried
+
+EACH = 40
+# Seeds that ended in a traceback before they were mended: a name of no letters in a zip, a deflated entry that is damaged.
+MENDED = {"FMU": (16, 35, 42, 56)}
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", READERS)
+def test_a_hostile_file_is_read_or_refused(name: str, tmp_path: Path):
+    outcomes = {seed: tried(READERS[name], seed, tmp_path) for seed in (*range(EACH), *MENDED.get(name, ()))}
+    assert {seed: outcome for seed, outcome in outcomes.items() if outcome not in ("read", "refused")} == {}
+    assert Counter(outcomes.values())["refused"] > EACH / 4, "most mutations do harm, or nothing was tried"
+
+
+def test_a_fault_is_found(tmp_path: Path):
+    """The judge of this file itself."""
+
+    def fault(path: Path) -> None:
+        raise KeyError(path.name)
+
+    assert "KeyError" in tried(Reader(READERS["plan CSV"].make, fault), 1, tmp_path)
+
+
+def test_a_damaged_netcdf_prints_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+    from models.errors import TrajectoryError
+    from models.netcdf import read_columns
+
+    (tmp_path / "x.nc").write_bytes(b"no NetCDF at all")
+    with pytest.raises(TrajectoryError, match="cannot be read as NetCDF-4"):
+        read_columns(tmp_path / "x.nc")
+    assert capfd.readouterr() == ("", "")
