@@ -6,8 +6,15 @@
     loss = (q[-1] - target).square().mean() + 5e-6 * cost
     loss.backward()
 
+Leading dimensions are plans of their own, so that many starts descend in one loop of the user's own:
+
+    u = torch.randn(64, 500, 2, dtype=torch.float64, requires_grad=True)
+    optimizer = torch.optim.SGD([u], lr=500.0)
+    loss = plan_loss(rollout(scene, u), goal, Weights())    # (64,)
+    loss.sum().backward()
+
 rollout     the simulation as a differentiable PyTorch function, for any loss of one's own
-reference   the same in plain PyTorch, slow and simple: what the compiled one is tested against
+reference   the same in plain PyTorch, slow and simple: what the compiled one is tested against, and what runs on a GPU
 objective   the paper's loss as one fast function, and its gradient
 compiled    the same, its mean over random inputs, and the loop of gradient descent in C (loss.c)
 descent     gradient descent by that loop: options, limits, and the words at its end
