@@ -97,13 +97,14 @@ def problems(path: Path, limits: IntakeLimits | None = None) -> tuple[Problem, .
     return tuple(_Examination(path, limits or IntakeLimits()).problems())
 
 
-def unpack(intake: Intake, folder: Path) -> None:
-    """Unpack an examined file. Raises IntakeError if it is not what was examined, MachineError if the disk refuses."""
+def unpack(intake: Intake, folder: Path, leave_out: tuple[str, ...] = ()) -> None:
+    """Unpack an examined file, but for entries whose names begin with one of `leave_out`. Raises IntakeError if it is not what was examined, MachineError if the disk refuses."""
     try:
         with zipfile.ZipFile(intake.path) as archive:
             if sum(item.file_size for item in archive.infolist()) != intake.unpacked:
                 raise IntakeError(Problem("zip", f"FMU {intake.path}: the file changed while it was read; try again."))
-            archive.extractall(folder)  # reads no more of an entry than its stated size, which was added up
+            members = [item for item in archive.infolist() if not item.filename.startswith(leave_out)]
+            archive.extractall(folder, members)  # reads no more of an entry than its stated size, which was added up
     except (zipfile.BadZipFile, *_DAMAGED) as error:
         raise IntakeError(Problem("zip", f"FMU {intake.path}: it cannot be unpacked ({_first(error)}); it is damaged.")) from error
     except OSError as error:

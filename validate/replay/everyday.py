@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from validate.replay.buffers import References
 from validate.replay.compiled.stepping import step_through
-from validate.replay.fmi import CallError, Instance, References, load_instance
+from validate.replay.fmi import CallError, Instance, load_instance
 from validate.replay.inputs import HeldInputs
 from validate.replay.package import FmuError, Package
 from validate.replay.reference import DIVERGENCE, Run

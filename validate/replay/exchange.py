@@ -8,7 +8,8 @@ from typing import Protocol
 
 import numpy as np
 
-from validate.replay.fmi import Instance, References, buffer, load_instance
+from validate.replay.buffers import References, buffer
+from validate.replay.fmi import Instance, load_instance
 from validate.replay.package import Package
 from validate.replay.wiring import Variables
 

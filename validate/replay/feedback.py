@@ -28,7 +28,7 @@ class Feedback:
 
     def at(self, step: int, state: np.ndarray) -> np.ndarray:
         """(nu,) the input applied from the start of a step on."""
-        return np.clip(self.wanted(step, state), self.lower, self.upper)
+        return np.minimum(np.maximum(self.wanted(step, state), self.lower), self.upper)  # np.clip takes five times as long
 
     def in_units(self, output: tuple[np.ndarray, np.ndarray], inputs: tuple[np.ndarray, np.ndarray]) -> Feedback:
         """The same law in an FMU's units. output: scale, offset (nx,) with plan's value = scale * FMU's + offset; inputs: scale, offset (nu,) with

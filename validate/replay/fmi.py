@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from validate.replay.buffers import References
 from validate.replay.package import FmuError, Package
 
 _OK, _WARNING, _FATAL = 0, 1, 4
@@ -33,12 +34,6 @@ class CallError(Exception):
         self.fatal = status == _FATAL
 
 
-def buffer(size: int) -> tuple[Any, np.ndarray]:
-    """Doubles for C, and the same memory as an array."""
-    memory: Any = (ctypes.c_double * size)()
-    return memory, np.frombuffer(memory) if size else np.empty(0)
-
-
 class _EventInfo(ctypes.Structure):
     """fmi2EventInfo."""
 
@@ -50,15 +45,6 @@ class _EventInfo(ctypes.Structure):
         ("has_next", _I),
         ("next", _D),
     )
-
-
-class References:
-    """Some variables, read or written at once. values: (n,) the memory that C reads and writes."""
-
-    def __init__(self, references: Sequence[int]) -> None:
-        self.count = len(references)
-        self.array = (ctypes.c_uint * self.count)(*references)
-        self.memory, self.values = buffer(self.count)
 
 
 class Instance:

@@ -17,6 +17,7 @@ from itertools import pairwise
 import numpy as np
 
 from models.codegen.kernel import Kernel, KernelError
+from models.contact_law import ContactLaw
 from models.scene import Scene
 from models.trajectory import Trajectory
 from validate.replay.subject import Subject
@@ -59,9 +60,10 @@ def measure_growth(kernel: Kernel, scene: Scene, plan: Trajectory) -> Growth | N
     h = np.diff(plan.t)
     uniform = bool(np.allclose(h, scene.task.step, rtol=1e-9, atol=0.0)) or plan.has_uniform_grid()
     edges = _edges(plan.steps) if uniform else np.arange(plan.steps + 1)
+    of_length = {length: FlowDerivative(kernel, length) for length in set(np.diff(edges).tolist())}
     try:
         blocks = [
-            flow_derivative(kernel, np.concatenate([plan.q[first], plan.v[first]]), plan.u[first:last], float(h[first]))[0]
+            of_length[last - first].at(np.concatenate([plan.q[first], plan.v[first]]), plan.u[first:last], float(h[first]))[0]
             for first, last in pairwise(edges)
         ]
     except KernelError:
@@ -101,15 +103,38 @@ def _edges(steps: int) -> np.ndarray:
 def flow_derivative(kernel: Kernel, state: np.ndarray, u: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
     """Derivatives of the state after len(u) steps of h [s] under the true law, at `state` (2*nq,) and inputs u (n, nu): (2*nq, 2*nq) with respect
     to the state, (2*nq, nu) with respect to a change of all the inputs by the same. Raises KernelError where it does not stay finite."""
-    rollout = kernel.rollout(state, u, h)
-    if rollout.diverged:
-        raise KernelError(f"scene {kernel.scene.name}: the true contact law leads out of every bound from {state.tolist()}.")
-    nq = kernel.scene.nq
-    by_state, by_input = np.empty((2 * nq, 2 * nq)), np.empty((2 * nq, u.shape[1]))
-    bar = np.zeros((2, len(u) + 1, nq))
-    for row in range(2 * nq):
-        bar[row // nq, -1, row % nq] = 1.0
-        u_bar, by_state[row] = kernel.adjoint(rollout, u, bar[0], bar[1])
-        by_input[row] = u_bar.sum(axis=0)
-        bar[row // nq, -1, row % nq] = 0.0
-    return by_state, by_input
+    return FlowDerivative(kernel, len(u)).at(state, u, h)
+
+
+class FlowDerivative:
+    """`flow_derivative` for many states and inputs of `steps` steps, in buffers whose addresses are looked up once."""
+
+    def __init__(self, kernel: Kernel, steps: int) -> None:
+        scene = kernel.scene
+        self._scene, self._steps, self._functions = scene, steps, kernel.bound_functions()
+        nq, nodes = scene.nq, (steps + 1, scene.nq)
+        self._start, self._u = np.empty(2 * nq), np.empty((steps, scene.nu))
+        self._u_bar, self._start_bar, self._bar = np.empty((steps, scene.nu)), np.empty(2 * nq), np.zeros((2, *nodes))
+        self._run = np.empty(nodes), np.empty(nodes), np.empty((steps, scene.nl))
+        self._parameters = kernel.parameters.ctypes.data
+        start, u, *made = (array.ctypes.data for array in (self._start, self._u, *self._run))
+        self._rollout_of = start, u, *made
+        self._adjoint_of = *made, u, self._bar[0].ctypes.data, self._bar[1].ctypes.data, None, 0.0, self._u_bar.ctypes.data
+        self._rows = self._start_bar.ctypes.data
+
+    def at(self, state: np.ndarray, u: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
+        """As `flow_derivative` gives it. Raises KernelError."""
+        scene, nq = self._scene, self._scene.nq
+        self._start[:], self._u[:] = state, u
+        head = (self._steps, h, self._parameters, ContactLaw.RELU.value, 0.0)
+        if self._functions.rollout(*head, *self._rollout_of) < self._steps:
+            raise KernelError(f"scene {scene.name}: the true contact law leads out of every bound from {state.tolist()}.")
+        by_state, by_input = np.empty((2 * nq, 2 * nq)), np.empty((2 * nq, u.shape[1]))
+        for row in range(2 * nq):
+            self._bar[row // nq, -1, row % nq] = 1.0
+            failed = self._functions.adjoint(*head, *self._adjoint_of, self._rows)
+            self._bar[row // nq, -1, row % nq] = 0.0
+            if failed:
+                raise KernelError(f"scene {scene.name}: the mass matrix is not positive definite along the rollout.")
+            by_state[row], by_input[row] = self._start_bar, self._u_bar.sum(axis=0)
+        return by_state, by_input

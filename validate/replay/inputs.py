@@ -27,6 +27,10 @@ class HeldInputs:
         if trajectory.hold is Hold.ZERO_ORDER:
             jumps = trajectory.u[1:] != trajectory.u[:-1]
         self.breaks = np.concatenate([[True], jumps.any(axis=1)]) if feedback is None else np.full(trajectory.steps, True)
+        steps = np.arange(trajectory.steps)
+        # The first break at or after each step, and the end of the plan.
+        following = np.minimum.accumulate(np.where(self.breaks, steps, trajectory.steps)[::-1])[::-1]
+        self._stops = [*following[1:].tolist(), trajectory.steps]
 
     def begin(self, step: int, state: np.ndarray | None) -> np.ndarray:
         """(nu,) the input at the start of a step, with feedback from the state (nx,) there; None: the plan's own start."""
@@ -40,5 +44,4 @@ class HeldInputs:
 
     def stop_after(self, step: int) -> int:
         """The first node after the start of `step` beyond which no integration may go."""
-        later = np.flatnonzero(self.breaks[step + 1 :])
-        return step + 1 + int(later[0]) if later.size else len(self.breaks)
+        return self._stops[step]

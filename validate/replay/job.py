@@ -65,7 +65,9 @@ class Simulated:
     note: str = ""
 
 
-def simulate(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def simulate(
+    request: Mapping[str, Any], arrays: Mapping[str, np.ndarray], package: Package | None = None
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """request: path, variables, hold, tolerances, fineness, event_budget, rolls_back, loops (the compiled ones, or None);
     arrays: t (nodes,), u (steps, nu), start (n,), and with feedback its fields. Raises FmuError."""
     variables = Variables.from_json(request["variables"])
@@ -84,7 +86,7 @@ def simulate(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tu
         for name in _RECORDED:
             found[f"{number}_{name}"] = np.array(getattr(run, name))
 
-    with unpacked(read_package(Path(request["path"]))) as package:
+    with unpacked(package or read_package(Path(request["path"]))) as package:
         value["refusal"] = refusal = everyday_refusal(package, inputs)
         require_some_method(package, refusal)
         began = clock.process_time()
@@ -151,7 +153,7 @@ def run_job(
     if feedback is not None:
         given |= {_FEEDBACK + name: array for name, array in vars(feedback).items()}
     if limits is None:
-        value, arrays = simulate(request, given)
+        value, arrays = simulate(request, given, package)
         return _simulated(value, arrays, "")
     loops = library_path()  # compiled here, where no limit of the FMU's holds
     request["loops"] = None if loops is None else str(loops)

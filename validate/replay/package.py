@@ -21,6 +21,8 @@ from validate.replay.wiring import ENERGIES, INTERNAL_STEP, POWERS, Variables
 
 # The types of a number in FMI 2.0 and 3.0.
 REAL = ("Real", "Float64")
+# What is of no use to an FMU that runs: it is told where its resources lie, and nothing else.
+_NOT_RUN = ("documentation/", "sources/", "terminalsAndIcons/")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,9 +68,12 @@ def read_package(path: Path) -> Package:
 
 @contextmanager
 def unpacked(package: Package) -> Iterator[Package]:
-    """The package unpacked; the folder is removed afterwards."""
+    """The package unpacked, as far as an FMU that runs may look into it; the folder is removed afterwards. One that lies unpacked is given as it is."""
+    if package.folder is not None:
+        yield package
+        return
     with tempfile.TemporaryDirectory(prefix="touchstone-replay-", ignore_cleanup_errors=True) as folder:
-        unpack(package.intake, Path(folder))
+        unpack(package.intake, Path(folder), leave_out=_NOT_RUN)
         yield replace(package, folder=Path(folder))
 
 

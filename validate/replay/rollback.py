@@ -12,7 +12,8 @@ from types import TracebackType
 
 import numpy as np
 
-from validate.replay.fmi import Instance, References
+from validate.replay.buffers import References
+from validate.replay.fmi import Instance
 from validate.replay.package import Package
 from validate.replay.wiring import Variables
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from validate.replay.growth import measure_growth
 from validate.replay.job import Settings, Simulated, run_job
 from validate.replay.linearise import design_foreign
 from validate.replay.outputs import Outputs
-from validate.replay.package import Package, find_variables, read_package
+from validate.replay.package import Package, find_variables, read_package, unpacked
 from validate.replay.reference import Run
 from validate.replay.result import Difference, Event, Replay, ReplayError, ReplayOutcome
 from validate.replay.subject import ForeignModel, Subject
@@ -70,9 +71,22 @@ def replay(
     how the simulation went is `Replay.outcome`.
     """
     trajectory.check_fits(scene)
-    package = read_package(fmu)
-    variables = find_variables(package, scene, names)
     settings = Settings(tolerances=tolerances, fineness=fineness, event_budget=event_budget)
+    with nullcontext(read_package(fmu)) if limits is not None else unpacked(read_package(fmu)) as package:
+        return _replay_twice(scene, package, find_variables(package, scene, names), trajectory, settings, limits, track)
+
+
+def _replay_twice(
+    scene: Scene,
+    package: Package,
+    variables: Variables,
+    trajectory: Trajectory,
+    settings: Settings,
+    limits: Limits | None,
+    track: bool | None,
+) -> Replay:
+    """In the open loop, and with feedback where that is asked for or needed."""
+    event_budget = settings.event_budget
     kernel = load_kernel(scene)
     growth = measure_growth(kernel, scene, trajectory)
     simulated = run_job(package, variables, trajectory, trajectory.start, settings, limits)

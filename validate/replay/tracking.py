@@ -25,7 +25,7 @@ from models.goal import goal_state
 from models.scene import Scene
 from models.trajectory import Trajectory
 from validate.replay.feedback import Feedback
-from validate.replay.growth import flow_derivative, nominals
+from validate.replay.growth import FlowDerivative, nominals
 from validate.replay.subject import Subject
 
 # Small steps in one of the plan's, for A and B.
@@ -42,9 +42,10 @@ def design_feedback(kernel: Kernel, scene: Scene, plan: Trajectory) -> Feedback:
         raise TrackingError(f"scene {scene.name}: it has no inputs, so there is nothing to feed back to.")
     h = np.diff(plan.t) / _SUBSTEPS
     states = np.hstack([plan.q, plan.v])
+    flow = FlowDerivative(kernel, _SUBSTEPS)
     try:
         pairs = [
-            flow_derivative(kernel, state, np.repeat(u[None], _SUBSTEPS, axis=0), float(step))
+            flow.at(state, np.broadcast_to(u, (_SUBSTEPS, scene.nu)), float(step))
             for state, u, step in zip(states, plan.u, h, strict=False)
         ]
     except KernelError as error:

@@ -16,7 +16,8 @@ from typing import Any, NoReturn
 from models.codegen.cache import cached
 from models.codegen.compiler import FLAGS, compile_shared, find_compiler
 from models.errors import MachineError
-from validate.replay.fmi import Instance, References
+from validate.replay.buffers import References
+from validate.replay.fmi import Instance
 from validate.replay.package import FmuError
 
 _SOURCES = ("fmu_calls.h", "integration.c", "stepping.c")

@@ -6,9 +6,10 @@ import ctypes
 
 import numpy as np
 
+from validate.replay.buffers import References
 from validate.replay.compiled import library
 from validate.replay.compiled.library import Fmu, Reason
-from validate.replay.fmi import Instance, References
+from validate.replay.fmi import Instance
 from validate.replay.inputs import HeldInputs
 from validate.replay.package import FmuError
 from validate.replay.reference import DIVERGENCE, Run
