@@ -93,6 +93,8 @@ def _profile(figure: SuiteFigure, rows: Iterable[SuiteRow]) -> str:
         return _profile_of_two(
             here, "cs_replay", "cs_calls", "the calls, with one internal step each", "the other internal steps, in the FMU's own C"
         )
+    if figure.name == "eps_step":
+        return _profile_of_step(here)
     chain = here.get("softplus_chain") if figure.name in _OF_CHAIN else None
     whole = None if chain is None else middle(chain.cpu_s)
     if chain is None or whole is None:
@@ -113,6 +115,21 @@ def _profile_of_two(here: dict[str, SuiteRow], stage: str, part: str, words: str
     if whole is None or known is None:
         return ""
     return f"Of its {error(1e6 * whole)} µs: {words} {error(1e6 * known)} µs; the rest is {rest}."
+
+
+def _profile_of_step(here: dict[str, SuiteRow]) -> str:
+    """What the warm start saved, and what of the cold way is not iterations."""
+    step, cold = here.get("eps_step"), here.get("cold_step")
+    spent, whole = (None if row is None else middle(row.cpu_s) for row in (step, cold))
+    if step is None or cold is None or spent is None or whole is None:
+        return ""
+    once = [middle(here[stage].cpu_s) for stage in _ONCE if stage in here]
+    built = sum(seconds_of for seconds_of in once if seconds_of is not None)
+    told = f"; building and translating are {seconds(built)} s of that" if built else ""
+    return (
+        f"{count(step.iterations, 'iteration')} from the plan before in {seconds(spent)} s, "
+        f"against {cold.iterations} from a cold start in {seconds(whole)} s{told}."
+    )
 
 
 def _factor(row: SuiteRow, ours: float | None) -> str:

@@ -85,6 +85,15 @@ def test_a_missed_iteration_says_what_is_compiled(page, factory):
     assert "Of its 60 µs: compiled rollout and adjoint 30 µs" in text
 
 
+def test_a_missed_step_of_eps_says_what_the_warm_start_saved(page, factory):
+    rows = [row("eps_step", 0.3, iterations=12), row("cold_step", 1.0, iterations=40), row("pyomo_build", 0.1), row("translate", 0.2)]
+    text = page(suite_record(factory, rows, [figure(False, name="eps_step", what="a step of eps")]))
+    assert (
+        "12 iterations from the plan before in 0.30 s, against 40 from a cold start in 1.00 s; building and translating are 0.30 s of that."
+        in text
+    )
+
+
 def test_a_busy_machine_is_said(page, factory):
     assert "was busy" not in page(suite_record(factory, [row("replay", 1.0)]))
 
