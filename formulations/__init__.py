@@ -4,7 +4,7 @@
     model = build_model("three_cart", ContactLaw.SOFTPLUS, eps=1e-3)     # a plain pyomo ConcreteModel
     pyomo.environ.SolverFactory("touchstone_ipopt").solve(model)         # or any other solver; "mpec_ipopt" for complementarity
 
-Pyomo is imported when a model is built, PyTorch when a shooting method runs: importing this package costs neither.
+Pyomo is imported when a model is built, PyTorch when a rollout is asked for as its function: importing this package costs neither.
 """
 
 from __future__ import annotations
