@@ -193,7 +193,8 @@ class Scene:
 
     kinetic_energy T(q, v) [J], potential_energy V(q) [J] (without contacts), forces Q(q, v, u): (nq,) non-conservative
     generalised forces (inputs, damping) [N, N m]; the equations of motion follow by Lagrange (models.dynamics). quick: whether a quick campaign
-    runs it; False where its first plan that holds takes about a minute.
+    runs it; False where its first plan that holds takes about a minute. length [m]: what counts as far here, which relaxed contact is measured in
+    (models.contact_law); the paper's metre unless a scene is much smaller.
     """
 
     name: str
@@ -212,6 +213,7 @@ class Scene:
     answers: tuple[Answer, ...] = ()
     shapes: tuple[Shape, ...] = ()
     quick: bool = True
+    length: float = 1.0
 
     def __post_init__(self) -> None:
         from models.scene_checks import check_scene
@@ -231,6 +233,7 @@ class Scene:
         settle(
             self, "forces", tuple(as_expression(f"scene {self.name}: forces[{index}]", force) for index, force in enumerate(self.forces))
         )
+        settle(self, "length", as_number(f"scene {self.name}: length", self.length))
         for field in ("kinetic_energy", "potential_energy"):
             settle(self, field, as_expression(f"scene {self.name}: {field}", getattr(self, field)))
         check_scene(self)

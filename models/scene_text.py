@@ -31,7 +31,7 @@ def equations_text(scene: Scene) -> str:
             [item.symbol for item in scene.inputs],
             [parameter.symbol for parameter in scene.parameters],
             [scene.kinetic_energy, scene.potential_energy, scene.forces],
-            [scene.contacts, scene.frictions],
+            [scene.contacts, scene.frictions, scene.length],
             [scene.task.running_cost, scene.task.final_cost],
         ]
     )

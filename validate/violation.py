@@ -40,7 +40,10 @@ def measure(scene: Scene) -> tuple[ViolationPoint, ...]:
     path = _through_contact(scene, kernel)
     softplus = tuple(
         ViolationPoint(
-            law="softplus", eps=eps, measured=softplus_violation(kernel, path, eps), closed_form=worst_case_violation(stiffness, eps)
+            law="softplus",
+            eps=eps,
+            measured=softplus_violation(kernel, path, eps),
+            closed_form=worst_case_violation(stiffness, eps, scene.length),
         )
         for eps in SOFTPLUS_EPS
     )
@@ -59,7 +62,7 @@ def softplus_violation(kernel: Kernel, path: Callable[[np.ndarray], np.ndarray],
         lam = kernel.contact_force(q, ContactLaw.SOFTPLUS, eps)[:, 0]
         return lam * (lam - stiffness[0] * kernel.penetration(q)[:, 0])
 
-    width = _WIDTHS / sharpness(eps)
+    width = _WIDTHS / sharpness(eps, kernel.scene.length)
     grid = np.linspace(-width, width, _GRID)
     best = int(np.argmax(violation(grid)))
     return _golden_section(lambda depth: float(violation(np.array([depth]))[0]), grid[max(best - 1, 0)], grid[min(best + 1, _GRID - 1)])

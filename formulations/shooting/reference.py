@@ -41,7 +41,7 @@ def reference_rollout(
     if scene.nf:
         raise SceneError(f"scene {scene.name}: it has friction, which the rollout in plain PyTorch does not write; use the compiled one.")
     h = scene.task.step if step is None else step
-    force = _contact_law(law, eps)
+    force = _contact_law(law, eps, scene.length)
     d = derive(scene)
     arguments = (d.q, d.v, d.u, d.lam)
     kind = {"dtype": start.dtype, "device": start.device}
@@ -68,10 +68,10 @@ def reference_cost(scene: Scene, q: Tensor, v: Tensor, u: Tensor) -> Tensor:
     return running(q[..., :-1, :], v[..., :-1, :], u).sum((-2, -1)) + final(q[..., -1, :], v[..., -1, :]).sum(-1)
 
 
-def _contact_law(law: ContactLaw, eps: float | None) -> Callable[[Tensor, Tensor], Tensor]:
+def _contact_law(law: ContactLaw, eps: float | None, length: float) -> Callable[[Tensor, Tensor], Tensor]:
     if law is ContactLaw.RELU:
         return lambda phi, k: k * torch.relu(phi)
-    b = sharpness(eps if eps is not None else 0.0)
+    b = sharpness(eps if eps is not None else 0.0, length)
     # logaddexp neither overflows nor turns linear (as torch.nn.functional.softplus does beyond 20).
     return lambda phi, k: k / b * torch.logaddexp(b * phi, torch.zeros_like(phi))
 
@@ -84,11 +84,15 @@ def _damped_forces(scene: Scene, law: ContactLaw, eps: float | None, **kind: Any
     evaluate, nc = _torch_function(scene, *quantities, **kind), scene.nc
     is_linear = torch.tensor([contact.damping_law is DampingLaw.KELVIN_VOIGT for contact in scene.contacts], device=kind["device"])
     is_damped = torch.tensor([contact.is_damped for contact in scene.contacts], device=kind["device"])
-    soft = _contact_law(law, eps)  # k times the smoothed positive part
+    soft = _contact_law(law, eps, scene.length)  # k times the smoothed positive part
 
     def forces(lam: Tensor, q: Tensor, v: Tensor) -> Tensor:
         phi, k, c, r = evaluate(q, v).unflatten(-1, (4, nc)).unbind(-2)
-        closed = (phi > 0).to(phi.dtype) if law is ContactLaw.RELU else torch.sigmoid(sharpness(eps if eps is not None else 0.0) * phi)
+        closed = (
+            (phi > 0).to(phi.dtype)
+            if law is ContactLaw.RELU
+            else torch.sigmoid(sharpness(eps if eps is not None else 0.0, scene.length) * phi)
+        )
         kelvin_voigt = soft(phi + closed * c * r / k, k) if law is ContactLaw.SOFTPLUS else closed * soft(phi + c * r / k, k)
         one = torch.ones_like(k)
         return torch.where(is_damped, torch.where(is_linear, kelvin_voigt, soft(phi, k) * soft(1 + c * r, one) / soft(one, one)), lam)

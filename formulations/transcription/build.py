@@ -17,7 +17,8 @@ What a block has, t in 0..T (`set_nodes`) or 0..T-1 (`set_steps`):
 | parameter_scene | parameter | the scene's parameters, mutable |
 | parameter_start_position, _start_velocity, _goal_position, _goal_velocity | coordinate | mutable; goals only where the end is given |
 | parameter_step | | h [s], mutable |
-| parameter_sharpness | | b = abs(ln eps), softplus only, mutable: `tighten` |
+| parameter_sharpness | | b = abs(ln eps)/L [1/m], L the scene's length, softplus only, mutable: `tighten` |
+| parameter_length | | L [m], softplus only |
 | mpec_bound | | eps of relaxed complementarity, mutable: `tighten` |
 | constraint_start_position, _start_velocity, _goal_position, _goal_velocity | coordinate | goals only where the end is given |
 | constraint_position_step, constraint_velocity_step | t in steps, coordinate | semi-implicit Euler |
@@ -115,10 +116,12 @@ def build_block(
     if steps is not None or step is not None:
         task = chosen.task
         chosen = chosen.with_task(steps=task.steps if steps is None else steps, step=task.step if step is None else step)
-    b = sharpness(cast(float, eps)) if contact is ContactLaw.SOFTPLUS else None  # checks eps before anything is built
+    b = sharpness(cast(float, eps), chosen.length) if contact is ContactLaw.SOFTPLUS else None  # checks eps before anything is built
     with PauseGC():
         _add_sets(block, chosen)
         _add_parameters(block, chosen)
+        if b is not None:
+            block.parameter_length = pyo.Param(initialize=chosen.length)
         _add_variables(block, chosen)
         _add_ends(block, chosen)
         if scheme is Scheme.SEMI_IMPLICIT_EULER:

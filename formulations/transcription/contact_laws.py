@@ -60,7 +60,7 @@ def settle_separation(block: Any) -> None:
 def tighten(block: Any, eps: float) -> None:
     """Set the relaxation of a built block: sharpness b = |ln eps| for softplus, the bound eps [N^2] for complementarity (0 allowed)."""
     if hasattr(block, "parameter_sharpness"):
-        block.parameter_sharpness.value = sharpness(eps)
+        block.parameter_sharpness.value = sharpness(eps, pyo.value(block.parameter_length))
     elif hasattr(block, "mpec_bound"):
         block.mpec_bound.value = _checked_bound(block, eps)
     else:

@@ -1,7 +1,7 @@
 """Dry friction in a plan's model. Its forces belong to the slip speed at the end of the step, s = S(q[t]) v[t+1]: only so can a step stick.
 
     variable_friction[t, name]       the friction force f [N]
-    regularised (softplus):          f = -mu N tanh(b s / (2 nominal)), a logistic function of the slip
+    regularised (softplus):          f = -mu N tanh(|ln eps| s / (2 nominal)), a logistic function of the slip
     complementarity:                 s = s_forward - s_backward,  0 <= s_forward  complements  mu N + f >= 0,
                                                                   0 <= s_backward complements  mu N - f >= 0
 
@@ -49,7 +49,7 @@ def add_friction(
 
         def regularised(b: Any, t: int, name: str) -> Any:
             i = place[name]
-            steepness = b.parameter_sharpness / (2.0 * nominal[name])
+            steepness = b.parameter_sharpness / (2.0 * nominal[name] / scene.length)
             return equations.constraint_friction_regularised(force[t][i], limit[t][i], slip[t][i], steepness)
 
         block.constraint_friction_regularised = pyo.Constraint(block.set_steps, block.set_frictions, rule=regularised)

@@ -113,11 +113,13 @@ class PlanResiduals:
     def _relaxed(self, plan: Trajectory, law: ContactLaw, eps: float | None) -> np.ndarray:
         """(steps, nc) the smoothed contact forces at the plan's states; damped ones by models/codegen/damping.h."""
         phi, k = self._penetration(plan.q[:-1]), self._stiffness
-        lam, b = contact_force(phi, k, law, eps), sharpness(eps if eps is not None else 0.0)
+        lam, b = contact_force(phi, k, law, eps, self._scene.length), sharpness(eps if eps is not None else 0.0, self._scene.length)
         for i in self._scene.damped:
             share = self._damping[i] * self._rate(plan.q[:-1], plan.v[:-1])[:, i]
             if self._scene.contacts[i].damping_law is DampingLaw.KELVIN_VOIGT:
-                lam[:, i] = contact_force(phi[:, i] + share / k[i] * np.exp(-np.logaddexp(0.0, -b * phi[:, i])), k[i], law, eps)
+                lam[:, i] = contact_force(
+                    phi[:, i] + share / k[i] * np.exp(-np.logaddexp(0.0, -b * phi[:, i])), k[i], law, eps, self._scene.length
+                )
             else:
                 lam[:, i] *= np.logaddexp(0.0, b * (1.0 + share)) / np.logaddexp(0.0, b)
         return lam

@@ -15,6 +15,7 @@ from formulations.method import Method, OptionError, Session
 from formulations.solution import Outcome, Solution
 from formulations.transcription.build import build_model
 from formulations.transcription.contact_laws import ContactLaw, tighten
+from formulations.transcription.opening import Watch, plan_with_goal_released
 from formulations.transcription.plans import load_first_guess, load_plan, read_plan
 from formulations.transcription.reach import Nearest, Patience, nearest
 from formulations.transcription.residuals import PlanResiduals
@@ -64,6 +65,10 @@ class TranscriptionSession(Session):
         """Ipopt options of a start without a plan."""
         return {}
 
+    def watch(self, warm_start: Trajectory | None) -> Patience:
+        """What stops the first solve of a stage before its limits do."""
+        return Patience()
+
     def takes_duals(self, eps: float | None) -> bool:
         """Whether a stage at eps that follows another of this session starts with its multipliers too."""
         return False
@@ -109,7 +114,7 @@ class TranscriptionSession(Session):
         if self._scene.nl:
             tighten(bench.model, cast(float, eps))
         start = self._start_with_duals(eps, warm_start)
-        result = self.attempt(bench, account, eps, self.ipopt_options(warm_start), start)
+        result = self.attempt(bench, account, eps, self.ipopt_options(warm_start), start, watch=self.watch(warm_start))
         if result.outcome is not Outcome.SOLVED and start is not None and not account.is_over:
             load_plan(bench.model, cast(Trajectory, warm_start))  # multipliers of another eps can mislead: the plan alone, then
             result = self.attempt(bench, account, eps, self.ipopt_options(warm_start))
@@ -127,10 +132,22 @@ class TranscriptionSession(Session):
         start: Start | None = None,
         *,
         share: float = 1.0,
+        watch: Patience | None = None,
     ) -> IpoptResult:
         """Solve; where that leads nowhere, find out whether the goal can be reached at all, and go on from a plan that reaches it."""
-        patience = Patience()
+        patience = watch or Patience()
         result = bench.run(account, options, start, share=share, callback=patience)
+        if isinstance(patience, Watch) and patience.has_lost_goal and not account.is_over:
+            plan = plan_with_goal_released(self._scene, cast(float, eps), account, options)
+            for begin in (plan, None) if plan is not None else (None,):
+                if begin is None:
+                    load_first_guess(bench.model)
+                else:
+                    load_plan(bench.model, begin)
+                patience = Patience()
+                result = bench.run(account, options, share=share, callback=patience)
+                if result.outcome is Outcome.SOLVED or account.is_over:
+                    break
         if account.is_over or not (patience.is_out or result.outcome is Outcome.INFEASIBLE):
             return result
         found = self._nearest_plan(account, self.sharpest(eps))
@@ -224,10 +241,14 @@ class SoftplusSession(TranscriptionSession):
         return {**super().common_options(), **_KEEP_THE_BAND}
 
     def sharpest(self, eps: float | None) -> float:
-        return sharpness(cast(float, eps))
+        return sharpness(cast(float, eps), self._scene.length)
 
     def takes_duals(self, eps: float | None) -> bool:
         return cast(float, eps) <= self.number("duals_from")
+
+    def watch(self, warm_start: Trajectory | None) -> Patience:
+        is_cold = warm_start is None and self._scene.nc > 0 and self._scene.task.has_goal
+        return Watch() if is_cold else Patience()
 
     def certificate(self, plan: Trajectory, eps: float | None) -> dict[str, float]:
         return self._residuals.of(plan, ForceLaw.SOFTPLUS, eps)

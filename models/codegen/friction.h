@@ -5,7 +5,7 @@
  *   v[t+1] = v[t] + h a(q, v, u, lam, f),      s = s0 + h W f,      W = S M^-1 S'
  *
  *   law 0, Coulomb:      f minimises the dissipation f s over |f| <= mu N:  s = 0, or |f| = mu N against s
- *   law 1, regularised:  f = -mu N tanh(b s / (2 nominal)), a logistic function of the slip
+ *   law 1, regularised:  f = -mu N tanh(b L s / (2 nominal)), L the scene's length, a logistic function of the slip
  *
  * Both are the minimiser of a convex function of f (W is positive semidefinite), found by sweeps over the single forces;
  * what sticks is then solved exactly. */
@@ -87,7 +87,7 @@ SCENE_FUNCTION double slip_at_end(const FrictionStep *step, const double *f, int
     return s;
 }
 
-SCENE_FUNCTION double friction_sharpness(double b, int j) { return 0.5 * b / scene_friction_nominals[j]; }
+SCENE_FUNCTION double friction_sharpness(double b, int j) { return 0.5 * b * SCENE_LENGTH / scene_friction_nominals[j]; }
 
 /* The root in [-1, 1] of x + tanh(c (rest + w x)), c, w >= 0: the left side increases, Newton within a bracket. */
 SCENE_FUNCTION double regularised_root(double c, double rest, double w)

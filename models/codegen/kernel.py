@@ -137,7 +137,7 @@ class Kernel:
 
     def batch_functions(self, steps: int, step: float, law: ContactLaw, eps: float | None) -> BatchFunctions:
         """The C functions for several plans in one call (`models.codegen.batch`)."""
-        head = (steps, step, _at(self._p), law.value, _b(law, eps))
+        head = (steps, step, _at(self._p), law.value, _b(law, eps, self.scene.length))
         return BatchFunctions(self._library.kernel_rollouts, self._library.kernel_adjoints, head)
 
     def penetration(self, q: np.ndarray) -> np.ndarray:
@@ -159,7 +159,7 @@ class Kernel:
         """lam (n, nc) [N] at positions q (n, nq) and, for damped contacts, velocities v (n, nq); None is at rest."""
         q = self._array("q", q, self.scene.nq)
         lam = np.empty((len(q), self.scene.nc))
-        head = (len(q), _at(self._p), law.value, _b(law, eps), _at(q))
+        head = (len(q), _at(self._p), law.value, _b(law, eps, self.scene.length), _at(q))
         if self.scene.damped:
             v = self._array("v", np.zeros_like(q) if v is None else v, self.scene.nq, len(q))
             self._library.kernel_damped_contact_force(*head, _at(v), _at(lam))
@@ -212,7 +212,7 @@ class Kernel:
         q, v = np.empty((steps + 1, self.scene.nq)), np.empty((steps + 1, self.scene.nq))
         lam = np.empty((steps, self.scene.nl))
         done = self._library.kernel_rollout(
-            steps, step, _at(self._p), law.value, _b(law, eps), _at(start), _at(u), _at(q), _at(v), _at(lam)
+            steps, step, _at(self._p), law.value, _b(law, eps, self.scene.length), _at(start), _at(u), _at(q), _at(v), _at(lam)
         )  # fmt: skip
         if done < steps:
             q[done + 1 :] = v[done + 1 :] = np.nan
@@ -236,7 +236,7 @@ class Kernel:
         lam_bar = None if lam_bar is None else self._array("lam_bar", lam_bar, self.scene.nl, nodes - 1)
         u_bar, start_bar = np.empty_like(u), np.empty(2 * self.scene.nq)
         failed = self._library.kernel_adjoint(
-            len(u), rollout.step, _at(self._p), rollout.law.value, _b(rollout.law, rollout.eps), _at(rollout.q), _at(rollout.v),
+            len(u), rollout.step, _at(self._p), rollout.law.value, _b(rollout.law, rollout.eps, self.scene.length), _at(rollout.q), _at(rollout.v),
             _at(rollout.lam), _at(u), _at(q_bar), _at(v_bar), None if lam_bar is None else _at(lam_bar), cost_bar, _at(u_bar), _at(start_bar),
         )  # fmt: skip
         if failed:
@@ -284,5 +284,5 @@ def _at(array: np.ndarray) -> int:
     return array.ctypes.data
 
 
-def _b(law: ContactLaw, eps: float | None) -> float:
-    return 0.0 if law is ContactLaw.RELU else sharpness(eps if eps is not None else 0.0)
+def _b(law: ContactLaw, eps: float | None, length: float) -> float:
+    return 0.0 if law is ContactLaw.RELU else sharpness(eps if eps is not None else 0.0, length)

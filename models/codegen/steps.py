@@ -112,7 +112,13 @@ class Steps:
         return Followed(x=x, u=u, lam=lam, finite_steps=done)
 
     def _head(self, n: int, step: float, law: ContactLaw, eps: float | None) -> tuple[int, float, int, int, float]:
-        return n, step, self._p.ctypes.data, law.value, 0.0 if law is ContactLaw.RELU else sharpness(eps if eps is not None else 0.0)
+        return (
+            n,
+            step,
+            self._p.ctypes.data,
+            law.value,
+            0.0 if law is ContactLaw.RELU else sharpness(eps if eps is not None else 0.0, self.scene.length),
+        )
 
     def _array(self, name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
         array = np.ascontiguousarray(value, dtype=np.float64)

@@ -51,5 +51,6 @@ SCENE = Scene(
     ),
     answers=(fingers.stretched_answer(),),
     quick=False,
+    length=fingers.LENGTH,
     shapes=fingers.shapes(),
 )

@@ -83,5 +83,6 @@ SCENE = Scene(
         ),
     ),
     quick=False,
+    length=fingers.LENGTH,
     shapes=(*fingers.shapes(), Shape(name="table", kind="wall", x=sp.Integer(0), y=-y_t, size=(0.4,))),
 )

@@ -34,3 +34,13 @@ def test_worst_case_violation_of_the_paper():
     """PAPER erratum 4: D = (k ln2 / ln eps)^2."""
     for eps, expected in ((1e-3, 9.0619), (1e-5, 3.2623), (1e-7, 1.6644), (1e-9, 1.0069)):
         assert worst_case_violation(K, eps) == pytest.approx(expected, abs=5e-5)
+
+
+def test_eps_is_counted_in_the_length_of_the_scene():
+    """The same eps on a scene a tenth as large reaches a tenth as far: forces and distances shrink alike, and so does what it violates at most."""
+    phi = np.linspace(-0.3, 0.1, 9)
+    large = contact_force(phi, 30.0, ContactLaw.SOFTPLUS, 1e-3)
+    small = contact_force(phi / 10.0, 30.0, ContactLaw.SOFTPLUS, 1e-3, length=0.1)
+    assert small == pytest.approx(large / 10.0, rel=1e-14)
+    assert sharpness(1e-3, 0.1) == pytest.approx(10.0 * sharpness(1e-3), rel=1e-15)
+    assert worst_case_violation(30.0, 1e-3, 0.1) == pytest.approx(worst_case_violation(30.0, 1e-3) / 100.0, rel=1e-14)

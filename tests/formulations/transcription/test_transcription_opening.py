@@ -1,0 +1,68 @@
+"""A cold start whose goal is let go first; and eps counted in the length of the scene, in Pyomo, C and numpy alike."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pyomo.environ as pyo
+import pytest
+
+from formulations import ContactLaw, build_model, load_plan
+from formulations.ipopt import Iteration
+from formulations.transcription.contact_laws import tighten
+from formulations.transcription.opening import Watch, plan_with_goal_released
+from formulations.transcription.residuals import PlanResiduals
+from formulations.transcription.workbench import Account
+from models.catalog import load_scene
+from models.codegen.kernel import load_kernel
+from models.contact_law import ContactLaw as ForceLaw
+from models.trajectory import Trajectory, uniform_grid
+
+EPS = 1e-3
+
+
+def line(inf_du: float) -> Iteration:
+    numbers = dict.fromkeys(("objective", "inf_pr", "mu", "step", "regularization", "alpha_du", "alpha_pr"), 1.0)
+    return Iteration(iteration=1, restoration=False, inf_du=inf_du, trials=1, **numbers)
+
+
+def test_multipliers_that_run_away_stop_a_cold_start():
+    watch = Watch()
+    assert watch(line(1e9))
+    assert not watch.has_lost_goal
+    assert not watch(line(1e13))
+    assert watch.has_lost_goal
+
+
+def test_a_goal_that_is_let_go_is_still_drawn_to():
+    """Three carts, whose cost says nothing of the goal: the plan keeps its dynamics, and ends near the goal but not on it."""
+    scene = load_scene("three_cart")
+    account = Account(60.0)
+    plan = plan_with_goal_released(scene, EPS, account, {"max_iter": 200})
+    assert plan is not None
+    found = PlanResiduals(scene).of(plan, ForceLaw.SOFTPLUS, EPS)
+    assert found["dynamics_defect"] < 1e-8
+    assert found["contact_law"] < 1e-6
+    assert 1e-3 < found["terminal_error"] < 0.35
+    assert account.iterations > 0
+
+
+@pytest.mark.parametrize("length", [1.0, 0.1])
+def test_one_eps_is_one_law_everywhere(length: float):
+    """Softplus contact and regularised friction of two fingers: the compiled motion meets the equations of numpy and of Pyomo."""
+    scene = replace(load_scene("two_finger_lift"), length=length).with_task(steps=6)
+    u = np.random.default_rng(3).uniform(-0.2, 0.2, size=(6, scene.nu))
+    start, h = np.array(scene.task.start), scene.task.step
+    rolled = load_kernel(scene).rollout(start, u, h, ForceLaw.SOFTPLUS, EPS)
+    plan = Trajectory(t=uniform_grid(h, 6), q=rolled.q, v=rolled.v, u=u, lam=rolled.lam)
+    found = PlanResiduals(scene).of(plan, ForceLaw.SOFTPLUS, EPS)
+    assert found["contact_law"] < 1e-12
+    assert found["regularised_friction"] < 1e-12
+    assert found["dynamics_defect"] < 1e-12
+    model = build_model(scene, ContactLaw.SOFTPLUS, eps=0.5)
+    tighten(model, EPS)
+    load_plan(model, plan)
+    for family in ("contact_softplus", "friction_regularised", "velocity_step"):
+        rows = model.component(f"constraint_{family}").values()
+        assert max(abs(pyo.value(row.body) - pyo.value(row.upper)) for row in rows) < 1e-12
