@@ -18,10 +18,11 @@ from validate.chosen import CampaignError, Entry, Examined, Settings, select, wi
 from validate.engine import LocalEngine
 from validate.results import write_examinations, write_results
 from validate.shared_stages import beginnings_of, must_wait
+from validate.standing_report import campaign_text, standing_report
 from validate.store import Store, write_durably
 from validate.stored import CAMPAIGN, only_last_failed, stored_campaign
 from validate.sweeps import write_sweeps
-from validate.tools import load_tools
+from validate.tools import DEFAULT_TOOLS, load_tools
 
 if TYPE_CHECKING:
     from reports.examination_record import ExaminationRecord
@@ -111,6 +112,7 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
         write_sweeps(settings.out, told)
         return told, examinations
 
+    before, ran = campaign_text(settings.out), len(records) < len(entries)
     narrator.begins(len(entries), len(records))
     for item in steps:
         if item.warning:
@@ -125,7 +127,8 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
     finally:
         narrator.ends()
         done, examinations = write()
-    report = load_tools(settings.tools).write_report(settings.out)
+    stands = standing_report(settings.out, before) if settings.tools == DEFAULT_TOOLS and not ran else None
+    report = stands or load_tools(settings.tools).write_report(settings.out)
     return Outcome(records=done, examinations=examinations, failures=failures(done, examinations), left_out=left_out, report=report)
 
 

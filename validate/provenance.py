@@ -42,6 +42,7 @@ _NO_INFLUENCE = (
     "validate/fork_server.py",
     "validate/results.py",
     "validate/selection.py",
+    "validate/standing_report.py",
     "validate/stored.py",
     "validate/time_steps.py",
 )

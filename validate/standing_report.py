@@ -1,0 +1,41 @@
+"""Whether the report of a folder still says what is so: then a campaign that ran nothing need not write it again.
+
+    before = campaign_text(folder)                                  # before campaign.json is written anew
+    report = standing_report(folder, before) or write_report(folder)
+
+It stands if it is younger than every record, benchmark and source of the report, and the campaign differs in nothing but when and how it was
+called.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from validate.isolation.environment import ROOT
+from validate.stored import CAMPAIGN
+
+REPORT = "report.html"
+# What a campaign that ran nothing leaves as it was told: the report says when its results were made.
+_OF_THE_CALL = ("command", "started", "provenance")
+
+
+def campaign_text(folder: Path) -> str:
+    """What a folder's campaign is, apart from the call; empty if there is none that can be read."""
+    try:
+        campaign = json.loads((folder / CAMPAIGN).read_bytes())
+        return json.dumps({name: value for name, value in campaign.items() if name not in _OF_THE_CALL}, sort_keys=True)
+    except (OSError, ValueError, AttributeError):
+        return ""
+
+
+def standing_report(folder: Path, before: str) -> Path | None:
+    """The report of the folder if it stands, else None. before: `campaign_text` when the report was written."""
+    report = folder / REPORT
+    sources = (*folder.glob("runs/*/record.json"), *folder.glob("bench/*.json"), *(ROOT / "reports").rglob("*.*"))
+    try:
+        written = report.stat().st_mtime_ns
+        young = any(path.stat().st_mtime_ns >= written for path in sources if "__pycache__" not in path.parts)
+    except OSError:
+        return None
+    return report if before and not young and campaign_text(folder) == before else None
