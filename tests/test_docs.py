@@ -1,0 +1,85 @@
+"""What the docs print runs as printed: files are written, commands run in order with the exit code that is promised, Python is executed."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import shlex
+import signal
+from pathlib import Path
+
+import pytest
+
+from models.contact_law import worst_case_violation
+from validate.cli.group import run
+
+DOCS = Path(__file__).parents[1] / "docs"
+TEXTS = {name: (DOCS / f"{name}.md").read_text(encoding="utf-8") for name in ("campaigns", "tutorial", "extending", "equations")}
+_BLOCK = re.compile(r"(?:<!-- (?P<mark>\w+)(?:: (?P<word>[\w.]+))? -->\n)?```(?P<language>\w+)\n(?P<text>.*?)```", re.DOTALL)
+
+
+def _words(text: str) -> list[list[str]]:
+    """The arguments of each line `python -m validate ...`."""
+    lines = [shlex.split(line) for line in text.splitlines()]
+    assert all(line[:3] == ["python", "-m", "validate"] for line in lines)
+    return [line[3:] for line in lines]
+
+
+@pytest.fixture
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """An empty folder to work in, importable there and in children; signal handlers are put back."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+    yield tmp_path
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_every_snippet_runs(name: str, elsewhere: Path, capfd: pytest.CaptureFixture[str]):
+    space: dict = {}
+    for block in _BLOCK.finditer(TEXTS[name]):
+        mark, word, text = block["mark"], block["word"], block["text"]
+        if mark == "file":
+            (elsewhere / word).write_text(text, encoding="utf-8")
+        elif block["language"] == "python":
+            exec(compile(text, f"docs/{name}.md", "exec"), space)
+        elif mark == "long":  # that it can be run is what `plan` finds out
+            for words in _words(text):
+                jobs = words.index("-j") if "-j" in words else len(words)
+                assert run(["plan", *words[1:jobs], *words[jobs + 2 :]]) == 0, words
+        else:
+            assert mark == "run", f"docs/{name}.md: a block without a mark: {text}"
+            for words in _words(text):
+                code = run(words)
+                told = capfd.readouterr()
+                assert code == int(word), (words, told)
+                assert "Traceback" not in told.err
+
+
+def test_the_mistakes_are_those_printed(elsewhere: Path, capfd: pytest.CaptureFixture[str]):
+    (wrong,) = re.findall(r"<!-- file: wrong.toml -->\n```toml\n(.*?)```", TEXTS["campaigns"], re.DOTALL)
+    (elsewhere / "wrong.toml").write_text(wrong, encoding="utf-8")
+    run(["run", "wrong.toml"])
+    printed = "".join(f"    {line}\n" for line in capfd.readouterr().err.splitlines())
+    assert printed in TEXTS["campaigns"]
+
+
+@pytest.mark.parametrize("place", sorted(set(re.findall(r"`([a-z_.]+:[a-z_]+)`", TEXTS["equations"]))))
+def test_an_equation_has_its_function(place: str):
+    module, _, name = place.partition(":")
+    assert callable(getattr(importlib.import_module(module), name))
+
+
+def test_the_errata_say_what_the_closed_form_says():
+    told = re.search(r"- ([\d., ]+) N² at ε = 1e-3, 1e-5, 1e-7", TEXTS["equations"])
+    assert told is not None
+    assert [float(number) for number in told[1].split(", ")] == [round(worst_case_violation(30.0, eps), 4) for eps in (1e-3, 1e-5, 1e-7)]
+
+
+@pytest.mark.parametrize("path", sorted(DOCS.glob("*.md")), ids=lambda path: path.name)
+def test_links_of_the_docs_lead_somewhere(path: Path):
+    for target in re.findall(r"\]\(([^)#]+)\)", path.read_text(encoding="utf-8")):
+        assert target.startswith("http") or (DOCS / target).exists(), target
