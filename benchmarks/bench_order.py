@@ -1,6 +1,6 @@
 """Step size and order: which grid gives a plan that its replay confirms to 1e-2, 1e-3, 1e-4 m, and at what CPU time.
 
-    python benchmarks/bench_order.py [-o FILE.json] [--scene SCENE ..] [--limit SECONDS] [--repeats N]
+    python benchmarks/bench_order.py [-o FILE.json] [--scene SCENE ..] [--most STEPS] [--limit SECONDS] [--repeats N]
 
 Each scene is planned on ever finer grids with exact contact: by semi-implicit Euler (`mpcc` without its window search) and by collocation of order 2, 3
 and 5 (`collocation`), all from the paper's first guess, all by the same softplus homotopy. The running cost is weighed with the step, so that every grid
@@ -117,10 +117,10 @@ def _answer(rows: list[dict[str, Any]], target: float) -> dict[str, Any]:
     return best
 
 
-def measure(name: str, limit: float, repeats: int) -> dict[str, Any]:
-    """One scene: all rows, the order of each scheme, and the answers."""
+def measure(name: str, most: int, limit: float, repeats: int) -> dict[str, Any]:
+    """One scene: all rows of grids of at most so many steps, the order of each scheme, and the answers."""
     scene = load_scene(name)
-    fmu, (euler, collocation) = build_fmu(scene), GRIDS[name]
+    fmu, (euler, collocation) = build_fmu(scene), (tuple(steps for steps in grids if steps <= most) for grids in GRIDS[name])
     for scheme in (EULER, FINEST):  # imports and compilation
         _solve(on_grid(scene, min(collocation)), scheme, limit)
     found = [
@@ -156,6 +156,7 @@ def measure(name: str, limit: float, repeats: int) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scene", action="append", choices=sorted(GRIDS), help="only this scene; may be repeated")
+    parser.add_argument("--most", type=int, default=10**6, metavar="STEPS", help="leave out finer grids (default: none)")
     parser.add_argument("--limit", type=float, default=300.0, metavar="SECONDS", help="for one solve (default: %(default)s)")
     parser.add_argument("--repeats", type=int, default=3, help="most solves of one grid (default: %(default)s)")
     parser.add_argument("-o", "--output", type=Path, help="write all numbers as JSON, after each scene")
@@ -163,7 +164,7 @@ def main() -> None:
     told = []
     for name in arguments.scene or GRIDS:
         print(name, flush=True)
-        told.append(measure(name, arguments.limit, arguments.repeats))
+        told.append(measure(name, arguments.most, arguments.limit, arguments.repeats))
         if arguments.output is not None:
             arguments.output.parent.mkdir(parents=True, exist_ok=True)
             arguments.output.write_text(json.dumps({"kind": "order", "scenes": told}, indent=1) + "\n", encoding="utf-8")
