@@ -11,6 +11,8 @@ from __future__ import annotations
 import base64
 import hashlib
 import os
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +46,7 @@ from reports.pages import (
     violation,
 )
 from reports.pages.section import Report, Section
+from reports.parcels import CLOSES, OPENS, Block, Parcels, Token
 
 _HERE = Path(__file__).parent
 _PAGES = (
@@ -70,43 +73,86 @@ _PAGES = (
     time_spent,
     provenance,
 )
+# A page of this many characters is there at once in any browser; what would be longer folds its long parts.
+LARGEST_PLAIN = 2_000_000
+# A section shorter than this stays as it is: unfolding it would cost more than it saves.
+_SMALL = 20_000
+_SCRIPTS = ("report.js", "fold.js", "matrix.js", "tables.js", "player.js")
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A report whose sections are drawn, and not yet put on pages; bodies: markup with tokens of `parcels`."""
+
+    report: Report
+    parcels: Parcels
+    environment: Environment
+    bodies: list[tuple[Section, Token]]
+
+    @property
+    def title(self) -> str:
+        campaign = self.report.stored.campaign
+        return campaign.title if campaign else "Campaign without its record"
+
+    def page(self, sections: list[tuple[Section, str]], blocks: Sequence[Block] = (), about: str = "") -> str:
+        """One page with these sections; the contents name all of them. `about`: what this page is, where there are several."""
+        style, script = _asset("report.css"), "\n".join(_asset(name) for name in _SCRIPTS)
+        campaign = self.report.stored.campaign
+        return self.environment.get_template("page.html").render(
+            title=self.title,
+            about=about,
+            quick=campaign.quick if campaign else False,
+            contents=[section for section, _ in self.bodies],
+            sections=[(section, Markup(text)) for section, text in sections],
+            blocks=blocks,
+            policy=f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; base-uri 'none'; form-action 'none'",
+            style=Markup(style),
+            script=Markup(script),
+        )
 
 
 def write_report(folder: Path) -> Path:
     """Render the records of a campaign's folder to its report.html. Raises ReportError."""
-    page = render(folder)
     target = folder / "report.html"
-    part = folder / f".report.{os.getpid()}.html"
+    write_page(target, render(folder))
+    return target
+
+
+def write_page(target: Path, text: str) -> None:
+    """Write a page, whole or not at all. Raises ReportError."""
+    part = target.with_name(f".{target.stem}.{os.getpid()}.html")
     try:
-        part.write_bytes(page.encode("utf-8", errors="replace"))
+        part.write_bytes(text.encode("utf-8", errors="replace"))
         os.replace(part, target)
     except OSError as problem:
         part.unlink(missing_ok=True)
         raise ReportError(
             f"{target}: the report cannot be written ({problem.strerror}); free the place or choose another folder."
         ) from problem
-    return target
 
 
-def render(folder: Path) -> str:
-    """The page's text. Raises ReportError if there is no such folder."""
+def render(folder: Path, *, largest: int = LARGEST_PLAIN) -> str:
+    """The page's text; parts of it are folded if it is longer than `largest` characters otherwise. Raises ReportError if there is no such folder."""
+    drawn = draw(folder)
+    parcels, bodies = drawn.parcels, [body for _, body in drawn.bodies]
+    texts, blocks = [parcels.inline(body) for body in bodies], []
+    if sum(map(len, texts)) > largest:
+        texts, blocks = parcels.folded(bodies)
+    return drawn.page([(section, text) for (section, _), text in zip(drawn.bodies, texts, strict=True)], blocks)
+
+
+def draw(folder: Path) -> Drawn:
+    """All sections of a campaign's report. Raises ReportError if there is no such folder."""
+    parcels = Parcels()
     report = Report(load(folder))
-    environment = _environment()
+    environment = _environment(parcels)
     sections = [section for page in _PAGES if (section := page.build(report)) is not None]
-    style, script = _asset("report.css"), _asset("report.js") + "\n" + _asset("player.js")
-    campaign = report.stored.campaign
-    return environment.get_template("page.html").render(
-        title=campaign.title if campaign else "Campaign without its record",
-        quick=campaign.quick if campaign else False,
-        sections=[(section, _body(environment, section)) for section in sections],
-        policy=f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; base-uri 'none'; form-action 'none'",
-        style=Markup(style),
-        script=Markup(script),
-    )
+    return Drawn(report, parcels, environment, [(section, _body(environment, parcels, section)) for section in sections])
 
 
-def _body(environment: Environment, section: Section) -> Markup:
-    return Markup(environment.get_template(section.template).render(section=section, **section.values))
+def _body(environment: Environment, parcels: Parcels, section: Section) -> Token:
+    body = environment.get_template(section.template).render(section=section, **section.values)
+    return parcels.keep(section.anchor, body) if section.folds and len(body) > _SMALL else Token(body)
 
 
 def _asset(name: str) -> str:
@@ -118,7 +164,7 @@ def _hash(text: str) -> str:
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
-def _environment() -> Environment:
+def _environment(parcels: Parcels) -> Environment:
     environment = Environment(
         loader=FileSystemLoader(_HERE / "templates"),
         autoescape=True,
@@ -142,13 +188,17 @@ def _environment() -> Environment:
         "product",
         "unit",
         "capital",
+        "exact",
     ):
         environment.filters[name] = getattr(wording, name)
     environment.globals["dash"] = wording.DASH
     environment.globals["windows"] = tolerance.windows_text
+    environment.globals["fold"] = lambda block, caller: parcels.keep(block, caller())
     return environment
 
 
 def _finalized(value: Any) -> Any:
     """Every string that reaches the page without being markup loses its control characters; escaping comes after."""
-    return wording.clean(value) if isinstance(value, str) and not isinstance(value, Markup) else value
+    if isinstance(value, Token) or not isinstance(value, str):
+        return value
+    return Markup(value.replace(OPENS, "").replace(CLOSES, "")) if isinstance(value, Markup) else wording.clean(value)

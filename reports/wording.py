@@ -136,6 +136,11 @@ def times(ratio: float) -> str:
     return f"{ratio:.0f} times" if ratio >= 9.5 else f"{ratio:.1f} times"
 
 
+def exact(value: float) -> str:
+    """A number for a program that reads the page: ten digits; all of them are in results.csv and the records."""
+    return f"{value:.10g}"
+
+
 def plain(value: object) -> str:
     """An option's value."""
     if value is None:

@@ -95,6 +95,16 @@ def _write_report(folder: Path) -> Path:
         raise MachineError(str(error)) from error
 
 
+def _write_pages(folder: Path) -> Path:
+    from reports.load import ReportError
+    from reports.split import write_pages
+
+    try:
+        return write_pages(folder)
+    except ReportError as error:
+        raise MachineError(str(error)) from error
+
+
 @dataclass(frozen=True, kw_only=True)
 class Tools:
     """See the module docstring. `quick` names the pipelines that `--quick` runs."""
@@ -110,6 +120,7 @@ class Tools:
     score: Callable[[Scene, Trajectory, Any], Any] = _score
     write_replay: Callable[[Path, Any, Scene], None] = _write_replay
     write_report: Callable[[Path], Path] = _write_report
+    write_pages: Callable[[Path], Path] = _write_pages
 
     def quick_names(self) -> tuple[str, ...]:
         from formulations.pipeline import QUICK

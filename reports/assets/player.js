@@ -1,12 +1,32 @@
-// The scene player: plan as dashed outline, replay filled, contact forces as bars; the data stand in a JSON element beside it.
+// The scene player: plan as dashed outline, replay filled, contact forces as arrows and bars; the data stand in a JSON element beside it.
 (() => {
+  // Longest arrow, in pixels, and the shortest that is drawn.
+  const [ARROW, SEEN] = [64, 1.5];
+  // A first value and then changes, in grains; one number alone stands for all frames.
+  const sums = (steps, grain, frames) => {
+    let at = 0;
+    return Array.from({ length: frames }, (_, frame) => (at += steps[frame] || 0) * grain);
+  };
+  const unpacked = (data) => {
+    const [begin, end, frames] = data.t;
+    const poses = (track) => track && track.map((axes) => {
+      if (!axes) return null;
+      const [x, y, angle] = axes.map((steps, axis) => sums(steps, data.grain[axis], frames));
+      return x.map((value, frame) => [value, y[frame], angle[frame]]);
+    });
+    const forces = (lists) => lists && lists.map((steps) => steps && sums(steps, data.push, frames));
+    return {
+      ...data, t: Array.from({ length: frames }, (_, frame) => begin + ((end - begin) * frame) / (frames - 1)),
+      plan: poses(data.plan), replay: poses(data.replay), plan_force: forces(data.plan_force), replay_force: forces(data.replay_force),
+    };
+  };
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   // A box reaches little more than half its longer side, a line or a wall of one length half of that, a disc its radius.
   const isLine = (shape) => shape.size.length === 1 && (shape.kind === "line" || shape.kind === "wall");
   const reach = (shape) => Math.max(...shape.size) * (shape.kind === "box" ? 0.75 : isLine(shape) ? 0.5 : 1);
 
   const start = (player) => {
-    const data = JSON.parse(player.querySelector("script").textContent);
+    const data = unpacked(JSON.parse(player.querySelector("script").textContent));
     const canvas = player.querySelector("canvas");
     const slider = player.querySelector("input");
     const button = player.querySelector("button");
@@ -31,6 +51,7 @@
     const room = { width: 880, height: 0 };
     const sharp = Math.min(2, window.devicePixelRatio || 1);
     let scale = 1;
+    let frame = 0;
     const measure = () => {
       room.width = Math.min(880, Math.max(300, canvas.clientWidth));
       scale = Math.min((room.width - 24) / (right - left), 300 / (high - low));
@@ -75,6 +96,61 @@
         pen.fillText(shape.name, px, py + 5);
       }
     };
+    // The point of a shape in metres: its centre or the end of a line.
+    const point = (which, end, [x, y, angle]) => {
+      const long = end * data.shapes[which].size[0];
+      return [x + long * Math.cos(angle), y + long * Math.sin(angle)];
+    };
+    // How far the surface is from that point towards the other body: a radius, or half a side.
+    const surface = (which, end, angle, [dx, dy]) => {
+      const { kind, size } = data.shapes[which];
+      if (end || kind === "line" || kind === "wall") return 0;
+      if (kind !== "box") return size[0];
+      const along = Math.abs(dx * Math.cos(angle) + dy * Math.sin(angle));
+      const across = Math.abs(dy * Math.cos(angle) - dx * Math.sin(angle));
+      return Math.min(size[0] / 2 / Math.max(along, 1e-9), (size[1] || size[0]) / 2 / Math.max(across, 1e-9));
+    };
+    const arrow = (from, [dx, dy], long, colour_) => {
+      const [x, y] = place(...from);
+      const [tx, ty] = [x + dx * long, y - dy * long];
+      const head = Math.min(8, long * 0.6);
+      pen.strokeStyle = pen.fillStyle = colour_;
+      pen.lineWidth = 2.5;
+      pen.setLineDash([]);
+      pen.beginPath();
+      pen.moveTo(x, y);
+      pen.lineTo(tx - dx * head * 0.8, ty + dy * head * 0.8);
+      pen.stroke();
+      pen.beginPath();
+      pen.moveTo(tx, ty);
+      pen.lineTo(tx - dx * head - dy * head * 0.55, ty + dy * head - dx * head * 0.55);
+      pen.lineTo(tx - dx * head + dy * head * 0.55, ty + dy * head + dx * head * 0.55);
+      pen.fill();
+    };
+    // The pair of arrows of a contact: each body is pushed away from the other.
+    const push = (which, track, forces, name) => {
+      const touch = data.touches[which];
+      const values = forces && forces[which];
+      if (!touch || !values || !track) return;
+      const long = (values[frame] / strongest) * ARROW;
+      const [one, other] = touch.shapes;
+      if (!(Math.abs(long) > SEEN) || !track[one] || !track[other]) return;
+      const [first, second] = [track[one][frame], track[other][frame]];
+      const [a, b] = [point(one, touch.ends[0], first), point(other, touch.ends[1], second)];
+      let normal;
+      if (touch.turn !== null) {
+        normal = [Math.cos(second[2] + touch.turn), Math.sin(second[2] + touch.turn)];
+      } else {
+        const far = Math.hypot(a[0] - b[0], a[1] - b[1]) || 1;
+        normal = [(a[0] - b[0]) / far, (a[1] - b[1]) / far];
+      }
+      const deep = surface(one, touch.ends[0], first[2], normal);
+      const spot = [a[0] - normal[0] * deep, a[1] - normal[1] * deep];
+      const size = Math.abs(long);
+      const to = long > 0 ? normal : [-normal[0], -normal[1]];
+      arrow(spot, to, size, colour(name));
+      arrow(spot, [-to[0], -to[1]], size, colour(name));
+    };
     const bar = (which, frame) => {
       const top = room.height - bars + 8 + which * 34;
       const from = Math.min(150, room.width * 0.3);
@@ -92,14 +168,17 @@
       pen.fillStyle = colour("--ink");
       if (values) pen.fillText(`${values[frame].toFixed(2)} N`, room.width - 72, top + 17);
     };
-    let frame = 0;
     const draw = () => {
       pen.setTransform(sharp, 0, 0, sharp, 0, 0);
       pen.clearRect(0, 0, room.width, room.height);
       pen.font = room.width < 500 ? "12px system-ui, sans-serif" : "15px system-ui, sans-serif";
       data.shapes.forEach((shape, which) => { if (data.replay && data.replay[which]) body(shape, data.replay[which][frame], true); });
       data.shapes.forEach((shape, which) => { if (data.plan && data.plan[which]) body(shape, data.plan[which][frame], false); });
-      data.contacts.forEach((_, which) => bar(which, frame));
+      data.contacts.forEach((_, which) => {
+        push(which, data.replay, data.replay_force, "--push");
+        push(which, data.plan, data.plan_force, "--plan");
+        bar(which, frame);
+      });
       output.textContent = `${data.t[frame].toFixed(2)} s`;
       slider.value = frame;
       slider.setAttribute("aria-valuetext", `${data.t[frame].toFixed(2)} seconds`);
@@ -127,15 +206,19 @@
     };
     slider.max = last;
     slider.addEventListener("input", () => { stop(); frame = Number(slider.value); draw(); });
+    // The slider steps by arrows of itself; a click on the picture or space on the slider plays.
     slider.addEventListener("keydown", (event) => { if (event.key === " ") { event.preventDefault(); play(); } });
+    canvas.addEventListener("click", () => { slider.focus(); play(); });
     button.addEventListener("click", play);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
     new ResizeObserver(() => { measure(); draw(); }).observe(canvas.parentElement);
     measure();
     draw();
   };
-  document.querySelectorAll("[data-player]").forEach((player) => {
+  const begin = (root) => root.querySelectorAll("[data-player][hidden]").forEach((player) => {
     player.hidden = false;
     start(player);
   });
+  begin(document);
+  document.addEventListener("unfolded", (event) => begin(event.target));
 })();

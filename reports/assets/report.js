@@ -94,23 +94,22 @@
   const tell = (event) => {
     const point = event.target instanceof Element ? event.target.closest("a, [data-tip]") : null;
     const tip = point && (point.dataset.tip || (point.querySelector("[data-tip]") || { dataset: {} }).dataset.tip);
-    if (tip) point.closest("figure").querySelector("output").textContent = tip;
+    if (tip && point.closest("figure")) point.closest("figure").querySelector("output").textContent = tip;
   };
-  for (const draw of document.querySelectorAll(".fig.wide .draw")) {
-    draw.addEventListener("pointerover", tell);
-    draw.addEventListener("focusin", tell);
-  }
+  document.addEventListener("pointerover", (event) => { if (event.target.closest(".fig.wide .draw")) tell(event); });
+  document.addEventListener("focusin", (event) => { if (event.target.closest(".fig.wide .draw")) tell(event); });
 
-  const open = (wanted) => document.querySelectorAll("details.stage").forEach((item) => { item.open = wanted; });
+  const open = (wanted) => document.querySelectorAll("article.run:not([hidden]) details:is(.whole, .stage)").forEach((item) => { item.open = wanted; });
   document.querySelectorAll("[data-all]").forEach((button) => button.addEventListener("click", () => open(button.dataset.all === "open")));
-  // Paper has no disclosure triangles: everything is opened for print and put back afterwards.
+  // Paper has no disclosure triangles: everything that is not folded is opened for print and put back afterwards.
   let closed = [];
   addEventListener("beforeprint", () => {
-    closed = [...document.querySelectorAll("main details:not([open])")];
+    closed = [...document.querySelectorAll("main details:not([open])")].filter((item) => !item.querySelector(":scope > .parcel[data-part]"));
     closed.forEach((item) => { item.open = true; });
   });
   addEventListener("afterprint", () => closed.forEach((item) => { item.open = false; }));
-  if (matchMedia("(max-width: 60rem)").matches) document.getElementById("contents").open = false;
+  const contents = document.getElementById("contents");
+  if (contents && matchMedia("(max-width: 60rem)").matches) contents.open = false;
 
   const tools = document.querySelector("[data-tools]");
   if (!tools) return;

@@ -21,14 +21,31 @@ class Cell:
     unit: str
 
 
+@dataclass(frozen=True)
+class Holding:
+    """On how many scenes a pipeline's plan holds, of those it was run on."""
+
+    holds: int
+    run: int
+
+
 def build(report: Report) -> Section | None:
     runs = report.stored.runs
     if not runs:
         return None
     cells = {(run.pipeline, run.scene.name): _cell(report, run) for run in runs}
     titles = {run.pipeline: run.pipeline_title for run in runs}
+    holding = {
+        name: Holding(sum(run.verdict == "holds" for run in mine), len(mine))
+        for name in titles
+        if (mine := [cell.run for (pipeline, _), cell in cells.items() if pipeline == name])
+    }
     return Section(
-        "matrix", "Scenes and pipelines", "matrix.html", {"scenes": report.scenes, "titles": titles, "cells": cells, "verdicts": VERDICTS}
+        "matrix",
+        "Scenes and pipelines",
+        "matrix.html",
+        {"scenes": report.scenes, "titles": titles, "cells": cells, "holding": holding, "verdicts": VERDICTS},
+        folds=False,
     )
 
 

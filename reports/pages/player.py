@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import json
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 from markupsafe import Markup
 
 from reports.judged import is_tracked, judged_trace
-from reports.record import RunRecord, StageRecord, TraceRecord
+from reports.record import RunRecord, ShapeRecord, StageRecord, TraceRecord
+from reports.touching import touches
 from reports.traces import at, force
 
-# Frames of a film: smooth at the speed of the clock for a few seconds of motion, and 20 kB a run.
+# Frames of a film: smooth at the speed of the clock for a few seconds of motion.
 _FRAMES = 151
+# Grains of a position over the extent of the whole motion: a quarter of a pixel at the player's full width. Levels of a force: a third of its bar's.
+_GRAINS, _LEVELS = 3600, 1000
+# Grain of an angle [rad]: a bar of 500 pixels ends a quarter of one off.
+_ANGLE = 5e-4
 
 
 @dataclass(frozen=True)
@@ -36,17 +44,26 @@ def film(run: RunRecord) -> Film | None:
     if end <= begin:
         return None
     times = [begin + (end - begin) * place / (_FRAMES - 1) for place in range(_FRAMES)]
+    names, contacts = [shape.name for shape in shapes], [contact.name for contact in run.scene.contacts]
+    planned, replayed = _track(stage.plan_trace, names, times), _track(replay, names, times)
+    pushes, pushed = _forces(stage.plan_trace, contacts, times), _forces(replay, contacts, times)
+    grain = _extent([*(planned or []), *(replayed or [])]) / _GRAINS
+    strongest = max((max(values) for values in [*(pushes or []), *(pushed or [])] if values), default=0.0)
+    push = max(strongest, 1e-9) / _LEVELS
     data = {
-        "t": [round(t, 4) for t in times],
+        "t": [begin, end, _FRAMES],
+        "grain": [grain, grain, _ANGLE],
+        "push": push,
         "shapes": [{"name": shape.name, "kind": shape.kind, "size": list(shape.size)} for shape in shapes],
-        "plan": _track(stage.plan_trace, [shape.name for shape in shapes], times),
-        "replay": _track(replay, [shape.name for shape in shapes], times),
-        "contacts": [contact.name for contact in run.scene.contacts],
-        "plan_force": _forces(stage.plan_trace, [contact.name for contact in run.scene.contacts], times),
-        "replay_force": _forces(replay, [contact.name for contact in run.scene.contacts], times),
+        "plan": _stepped_tracks(planned, grain),
+        "replay": _stepped_tracks(replayed, grain),
+        "contacts": contacts,
+        "touches": [_touch(shapes, (replay, stage.plan_trace), name) for name in contacts],
+        "plan_force": pushes and [values and steps(values, push) for values in pushes],
+        "replay_force": pushed and [values and steps(values, push) for values in pushed],
     }
     how = "replayed with tracking feedback" if is_tracked(stage) else "replayed"
-    words = f"The bodies of {run.scene.name} moving as planned (dashed outline) and as {how} (filled), with the contact forces as bars (above: planned, below: replayed)."
+    words = f"The bodies of {run.scene.name} moving as planned (dashed outline) and as {how} (filled), with the contact forces{' as arrows, and' if any(data['touches']) else ''} as bars (above: planned, below: replayed)."
     return Film(script_json(data), stage, words)
 
 
@@ -60,21 +77,56 @@ def _poses(trace: TraceRecord | None) -> bool:
 
 
 def _track(trace: TraceRecord | None, names: list[str], times: list[float]) -> list[list[list[float]] | None] | None:
+    """Of each shape x, y and angle at the times; None where none is stored."""
     if trace is None or not trace.t:
         return None
     track: list[list[list[float]] | None] = []
     for name in names:
         poses = trace.poses.get(name)
-        if not poses:
-            track.append(None)
-            continue
-        parts = [tuple(pose[axis] for pose in poses) for axis in range(3)]
-        track.append([[round(at(trace.t, part, t), 5) for part in parts] for t in times])
+        track.append([[at(trace.t, [pose[axis] for pose in poses], t) for t in times] for axis in range(3)] if poses else None)
     return track
 
 
+def _touch(shapes: list[ShapeRecord], traces: Sequence[TraceRecord | None], contact: str) -> dict[str, object] | None:
+    """Where the contact's arrows are drawn, from whichever trace tells it."""
+    found = next((touch for trace in traces if (touch := touches(shapes, trace, contact)) is not None), None)
+    if found is None:
+        return None
+    return {
+        "shapes": [found.first, found.second],
+        "ends": [found.first_end, found.second_end],
+        "turn": round(found.turn, 6) if found.flat else None,
+    }
+
+
+def _extent(tracks: list[list[list[float]] | None]) -> float:
+    """The longer side of what the centres cover [m]; 1 if they stand still."""
+    sides = [[value for track in tracks if track for value in track[axis]] for axis in (0, 1)]
+    return max((max(side) - min(side) for side in sides if side), default=0.0) or 1.0
+
+
+def steps(values: Sequence[float], grain: float) -> list[int]:
+    """The first value and then the changes, in grains; the changes of a sum that is rounded, so that errors do not add up. One number if nothing changes."""
+    rounded = [round(value / grain) for value in values]
+    changes = [after - before for before, after in pairwise(rounded)]
+    return [rounded[0], *changes] if any(changes) else rounded[:1]
+
+
+def _stepped_tracks(track: list[list[list[float]] | None] | None, grain: float) -> list[list[list[int]] | None] | None:
+    if track is None:
+        return None
+    return [axes and [steps(values, size) for values, size in zip(axes, (grain, grain, _ANGLE), strict=True)] for axes in track]
+
+
 def _forces(trace: TraceRecord | None, contacts: list[str], times: list[float]) -> list[list[float] | None] | None:
+    """Of each contact the largest force within half a frame of each time: a blow shorter than a frame is seen, not stepped over."""
     if trace is None or not trace.t:
         return None
     columns = [force(trace, name) for name in contacts]
-    return [[round(at(trace.t, values, t), 4) for t in times] if values else None for values in columns]
+    half = (times[1] - times[0]) / 2
+    return [[_peak(trace.t, values, t - half, t + half) for t in times] if values else None for values in columns]
+
+
+def _peak(times: Sequence[float], values: Sequence[float], begin: float, end: float) -> float:
+    inside = values[bisect_left(times, begin) : bisect_right(times, end)]
+    return max([at(times, values, (begin + end) / 2), *inside])

@@ -13,6 +13,9 @@ from reports.pages.starts import Spread, spread
 from reports.record import FigureRecord, RunRecord, StageRecord
 from reports.wording import tail
 
+# So many runs are shown open; of more, a reader wants the list first.
+_FEW = 12
+
 
 @dataclass(frozen=True)
 class StageView:
@@ -46,8 +49,13 @@ def build(report: Report) -> Section | None:
         return None
     views = [_view(report, run) for run in runs]
     many = len(report.scenes) > 1
-    entries = tuple((view.anchor, f"{view.run.pipeline}, {view.run.scene.name}" if many else view.run.pipeline) for view in views)
-    return Section("runs", "Runs", "runs.html", {"views": views}, entries)
+    if many and len(views) > _FEW:
+        # The contents lead to the first run of each scene: hundreds of lines would be none.
+        first = {view.run.scene.name: view.anchor for view in reversed(views)}
+        entries = tuple((first[scene.name], scene.name) for scene in report.scenes)
+    else:
+        entries = tuple((view.anchor, f"{view.run.pipeline}, {view.run.scene.name}" if many else view.run.pipeline) for view in views)
+    return Section("runs", "Runs", "runs.html", {"views": views, "few": len(views) <= _FEW}, entries, folds=False)
 
 
 def _view(report: Report, run: RunRecord) -> RunView:

@@ -34,10 +34,12 @@ class Report:
 
 @dataclass(frozen=True)
 class Section:
-    """`template` in reports/templates gets `values` and the `section` itself; `entries` are lines of the table of contents below it."""
+    """`template` in reports/templates gets `values` and the `section` itself; `entries` are lines of the table of contents below it;
+    folds: a large page may fold it as a whole."""
 
     anchor: str
     title: str
     template: str
     values: dict[str, Any] = field(default_factory=dict)
     entries: tuple[tuple[str, str], ...] = ()
+    folds: bool = True

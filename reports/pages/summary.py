@@ -52,6 +52,7 @@ def build(report: Report) -> Section:
             "missing": stored.missing,
             "provenance": stored.campaign.provenance if stored.campaign else (runs[0].provenance if runs else None),
         },
+        folds=False,
     )
 
 

@@ -19,8 +19,10 @@ from reports.plots.axis import Axis
 from reports.plots.simplify import simplified
 from reports.wording import unit
 
-# Half of what a screen with four device pixels a CSS pixel can show.
-_TOLERANCE = 0.12
+# A quarter of a pixel: no point that is left out lies farther from the line that is drawn, and peaks and jumps are points that stay.
+_TOLERANCE = 0.25
+# Digits of the axes' ends, from which values are read back with four.
+_DIGITS = 7
 # Width of a character of the 12 px font, for keeping labels apart; a little too wide rather than too narrow.
 _CHARACTER, _LINE = 6.6, 14.0
 _SHIFTS = (0, -_LINE, _LINE, -2 * _LINE, 2 * _LINE, -3 * _LINE, 3 * _LINE)
@@ -68,7 +70,7 @@ class Plot:
         points = list(zip(across, down, strict=True))
         if not points:
             return
-        path = "L".join(f"{x:.1f},{y:.1f}" for x, y in simplified(points, _TOLERANCE))
+        path = "L".join(f"{_fifth(x)},{_fifth(y)}" for x, y in simplified(points, _TOLERANCE))
         self._lines.append(f'<path class="ln {escape(style)}" data-n="{escape(name)}" d="M{path}"/>')
 
     def band(self, low: float, high: float, style: str) -> None:
@@ -156,8 +158,8 @@ class Plot:
     def markup(self, hidden: bool = True) -> Markup:
         """The SVG; hidden from assistive technology unless it holds links, because the figure around it says everything in words."""
         axes = {
-            "x": [self.x.low, self.x.high, self._LEFT, self.width - self._RIGHT, self.x.log],
-            "y": [self.y.low, self.y.high, self.height - self._BOTTOM, self._TOP, self.y.log],
+            "x": [_short(self.x.low), _short(self.x.high), self._LEFT, self.width - self._RIGHT, int(self.x.log)],
+            "y": [_short(self.y.low), _short(self.y.high), self.height - self._BOTTOM, self._TOP, int(self.y.log)],
             "q": [self.x.quantity, unit(self.x.unit), unit(self.y.unit)],
         }
         # Last, so that they keep clear of points and names: words of levels, at whichever end has room.
@@ -170,26 +172,47 @@ class Plot:
         inside = "".join([*self._under, *self._grid(), *self._lines, *self._over])
         return Markup(
             f'<svg class="plot" viewBox="0 0 {self.width} {self.height}" width="{self.width}" height="{self.height}" '
-            f'data-axes="{escape(json.dumps(axes))}" focusable="false"{quiet}>{inside}</svg>'
+            f'data-axes="{escape(json.dumps(axes, separators=(",", ":")))}" focusable="false"{quiet}>{inside}</svg>'
         )
 
     def _grid(self) -> list[str]:
         bottom, right = self.height - self._BOTTOM, self.width - self._RIGHT
-        parts: list[str] = []
+        across, up, words = [], [], []
         room = max(3, int((right - self._LEFT) / 62))
-        for value, words in self.x.ticks(room):
-            x = self.px(value)
-            parts.append(f'<path class="grid" d="M{x:.1f},{self._TOP}V{bottom}"/>')
-            parts.append(f'<text class="tick" x="{x:.1f}" y="{bottom + 15}" text-anchor="middle">{escape(words)}</text>')
-        for value, words in self.y.ticks(max(3, int((bottom - self._TOP) / 32))):
+        for value, said in self.x.ticks(room):
+            x = _pixel(self.px(value))
+            up.append(f"M{x},{self._TOP}V{bottom}")
+            words.append(f'<text class="tick" x="{x}" y="{bottom + 15}" text-anchor="middle">{escape(said)}</text>')
+        zero = ""
+        for value, said in self.y.ticks(max(3, int((bottom - self._TOP) / 32))):
             y = self.py(value)
-            style = "grid zero" if value == 0 else "grid"
-            parts.append(f'<path class="{style}" d="M{self._LEFT},{y:.1f}H{right}"/>')
-            parts.append(f'<text class="tick" x="{self._LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{escape(words)}</text>')
-        parts.append(f'<path class="frame" d="M{self._LEFT},{self._TOP}V{bottom}H{right}"/>')
-        parts.append(f'<text class="axis" x="{right}" y="{self.height - 6}" text-anchor="end">{escape(self.x.title)}</text>')
-        parts.append(f'<text class="axis" x="2" y="12">{escape(self.y.title)}</text>')
-        return parts
+            line = f"M{self._LEFT},{_pixel(y)}H{right}"
+            if value == 0:
+                zero = f'<path class="grid zero" d="{line}"/>'
+            else:
+                across.append(line)
+            words.append(f'<text class="tick" x="{self._LEFT - 6}" y="{_pixel(y + 4)}" text-anchor="end">{escape(said)}</text>')
+        return [
+            f'<path class="grid" d="{"".join([*up, *across])}"/>{zero}',
+            *words,
+            f'<path class="frame" d="M{self._LEFT},{self._TOP}V{bottom}H{right}"/>',
+            f'<text class="axis" x="{right}" y="{self.height - 6}" text-anchor="end">{escape(self.x.title)}</text>',
+            f'<text class="axis" x="2" y="12">{escape(self.y.title)}</text>',
+        ]
+
+
+def _pixel(place: float) -> str:
+    """A place to a tenth of a pixel, without a needless zero."""
+    return f"{place:.1f}".removesuffix(".0")
+
+
+def _fifth(place: float) -> str:
+    """A place of a line's point: to a fifth of a pixel, which is finer than what was left out."""
+    return _pixel(round(5 * place) / 5)
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.{_DIGITS}g}")
 
 
 def _overlap(first: tuple[float, float, float, float], second: tuple[float, float, float, float]) -> bool:

@@ -19,8 +19,9 @@ Exit codes: 0 rebuilt; 2 a folder that is no campaign; 3 it cannot be written.
 """
 )
 @click.argument("folder", type=click.Path(path_type=Path), default="runs/all", metavar="[DIR]")
+@click.option("--split", is_flag=True, help="Pages in the folder DIR/report instead of one file.")
 @click.option("--json", "as_json", is_flag=True, help="The results as JSON on stdout.")
-def command(folder: Path, as_json: bool) -> int:
+def command(folder: Path, split: bool, as_json: bool) -> int:
     """Rebuild results.csv, examinations.csv, violation.csv and report.html of the campaign in DIR (runs/all) from its records; no solver is needed."""
     from reports.examination_record import divided
     from validate.campaign import EXAMINATIONS, RESULTS, VIOLATION, stored_campaign
@@ -33,7 +34,7 @@ def command(folder: Path, as_json: bool) -> int:
     write_results(folder / RESULTS, records)
     write_examinations(folder / EXAMINATIONS, examinations)
     write_violation(folder / VIOLATION, campaign.violation)
-    report = DEFAULT.write_report(folder)
+    report = (DEFAULT.write_pages if split else DEFAULT.write_report)(folder)
     missing = len(campaign.keys) - len(stored)
     if missing:
         click.echo(

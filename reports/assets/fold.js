@@ -1,0 +1,101 @@
+// Unfolds the parts that a large page keeps compressed, when they are opened, scrolled to or linked to (reports/parcels.py folds them).
+(() => {
+  const blocks = new Map();
+  // Path texts from numbers of seven bits a byte: how many lines, how many points each, all x, all y as differences in fifths of a pixel.
+  const paths = (bytes) => {
+    let place = 0;
+    const next = () => {
+      let [value, weight] = [0, 1];
+      for (;;) {
+        const byte = bytes[place];
+        place += 1;
+        value += (byte & 127) * weight;
+        if (byte < 128) return value;
+        weight *= 128;
+      }
+    };
+    const signed = () => { const value = next(); return value % 2 ? -(value + 1) / 2 : value / 2; };
+    const counts = Array.from({ length: next() }, next);
+    const sums = () => counts.map((count) => { let sum = 0; return Array.from({ length: count }, () => (sum += signed())); });
+    const [across, down] = [sums(), sums()];
+    return across.map((xs, line) => `M${xs.map((x, point) => `${x / 5},${down[line][point] / 5}`).join("L")}`);
+  };
+  const inflated = async (text) => {
+    const raw = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+    const stream = new Blob([raw]).stream().pipeThrough(new DecompressionStream("deflate"));
+    const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
+    const end = 4 + new DataView(bytes.buffer).getUint32(0, true);
+    const words = JSON.parse(new TextDecoder().decode(bytes.subarray(4, end)));
+    return { ...words, lines: paths(bytes.subarray(end)) };
+  };
+  const block = (name) => {
+    if (!blocks.has(name)) blocks.set(name, inflated(document.querySelector(`script[data-block="${name}"]`).textContent));
+    return blocks.get(name);
+  };
+  const fragment = (text) => {
+    const template = document.createElement("template");
+    template.innerHTML = text;
+    return template.content;
+  };
+  const busy = new Set();
+  const unfold = (place) => {
+    const done = unfolded(place).finally(() => busy.delete(done));
+    busy.add(done);
+    return done;
+  };
+  const unfolded = async (place) => {
+    if (!place.dataset.part) return;
+    const part = Number(place.dataset.part);
+    delete place.dataset.part;
+    const { parts, figures, lines } = await block(place.dataset.block);
+    const content = fragment(parts[part]);
+    for (const spot of content.querySelectorAll("[data-figure]")) {
+      const figure = fragment(figures[Number(spot.dataset.figure)]);
+      figure.querySelectorAll('path[d^="#"]').forEach((path) => path.setAttribute("d", lines[Number(path.getAttribute("d").slice(1))]));
+      spot.replaceWith(figure);
+    }
+    place.removeAttribute("data-holds");
+    place.replaceChildren(content);
+    watch(place);
+    place.dispatchEvent(new Event("unfolded", { bubbles: true }));
+  };
+  const near = new IntersectionObserver((entries) => {
+    entries.filter((entry) => entry.isIntersecting).forEach((entry) => { near.unobserve(entry.target); unfold(entry.target); });
+  }, { rootMargin: "800px 0px" });
+  // A place inside closed details has no size and is seen by the observer when they are opened.
+  const watch = (root) => root.querySelectorAll(".parcel[data-part]").forEach((place) => near.observe(place));
+  watch(document);
+
+  // What unfolds near the place one jumps to moves it: the jump is repeated until it stays. Scrolling on by hand ends that.
+  const REPEATS = 20;
+  const settle = async (target) => {
+    let moved = false;
+    const stop = () => { moved = true; };
+    ["wheel", "pointerdown", "keydown", "touchstart"].forEach((kind) => addEventListener(kind, stop, { once: true }));
+    for (let still = 0, turn = 0; still < 3 && turn < REPEATS && !moved; turn += 1) {
+      const before = target.getBoundingClientRect().top;
+      target.scrollIntoView({ behavior: "instant" });
+      await new Promise((done) => setTimeout(done, 60));
+      await Promise.all(busy);
+      still = Math.abs(target.getBoundingClientRect().top - before) < 2 ? still + 1 : 0;
+    }
+  };
+  // A link may lead into a part that is folded, or closed.
+  const follow = async () => {
+    const anchor = location.hash.slice(1).split("?")[0];
+    if (!/^[\w-]+$/.test(anchor)) return;
+    for (let place = null; (place = document.querySelector(`.parcel[data-holds~="${anchor}"]`)); ) await unfold(place);
+    const target = document.getElementById(anchor);
+    if (!target) return;
+    const whole = target.querySelector(":scope > details.whole");
+    if (whole) whole.open = true;
+    await Promise.all([...target.querySelectorAll(":scope > .parcel[data-part], :scope > details.whole > .parcel[data-part]")].map(unfold));
+    for (let at = target.closest("details"); at; at = at.parentElement.closest("details")) at.open = true;
+    await settle(target);
+  };
+  if (!document.querySelector(".parcel")) return;
+  // A smooth scroll would pass, and unfold, all that lies between.
+  document.documentElement.classList.add("folded");
+  addEventListener("hashchange", follow);
+  follow();
+})();
