@@ -1,0 +1,97 @@
+"""What is run again: --lf, -x, --retry, and the command that `show` prints."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+
+import pytest
+
+from validate.selection import matches
+
+FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")
+CHOICE = "only_good or only_raises or only_exit_seven"
+
+
+@pytest.fixture(scope="module")
+def ran(cli, tmp_path_factory):
+    """One cell that holds and two that fail."""
+    out = tmp_path_factory.mktemp("ran")
+    done = cli("all", *FAKES, "--out", str(out), "-k", CHOICE)
+    assert done.returncode == 1
+    return out
+
+
+def names(out: Path) -> list[str]:
+    return sorted(json.loads(path.read_text())["pipeline"] for path in out.glob("runs/*/record.json"))
+
+
+def test_last_failed_runs_those_and_keeps_the_rest(cli, ran):
+    done = cli("plan", *FAKES, "--out", str(ran), "--lf", "--json")
+    plan = json.loads(done.stdout)
+    why = {cell["cell"].split(" x ")[1]: cell["why"] for cell in plan["cells"]}
+    assert why == {"only_good": "", "only_raises": "it failed the last time", "only_exit_seven": "it failed the last time"}
+    again = cli("all", *FAKES, "--out", str(ran), "--lf", "--json")
+    assert again.stderr.splitlines()[0] == "1 stored, 2 to run"
+    assert {row["pipeline"] for row in json.loads(again.stdout)["results"]} == set(why)
+
+
+def test_last_failed_of_what_did_not_fail(cli, ran):
+    done = cli("all", *FAKES, "--out", str(ran), "--lf", "-k", "only_good")
+    assert done.returncode == 2
+    assert "nothing that is selected failed" in done.stderr
+
+
+def test_stop_at_the_first_failure(cli, tmp_path):
+    done = cli("all", *FAKES, "--out", str(tmp_path), "-k", "only_exit_seven or only_slow or only_raises", "-x")
+    assert done.returncode == 1
+    assert "stopped at the first failure (-x), 1 of 3 cells are stored" in done.stderr
+    assert names(tmp_path) == ["only_exit_seven"]
+    assert "-x" not in done.stdout.splitlines()[-1]
+
+
+def test_a_crash_is_tried_again(cli, tmp_path):
+    done = cli("all", *FAKES, "--out", str(tmp_path), "-k", "only_exit_seven or only_good", "--retry", "2")
+    assert done.returncode == 1
+    assert done.stderr.count("three_cart x only_exit_seven crashed and will be tried again") == 2
+    assert names(tmp_path) == ["only_exit_seven", "only_good"]
+
+
+def test_show_tells_all_of_a_run_and_how_to_run_it_again(cli, ran, tmp_path):
+    done = cli("show", "three_cart x only_good", "--in", str(ran))
+    assert done.returncode == 0, done.stderr
+    for word in ("three_cart x only_good: solved, holds", "terminal_error", "options of stage 1 (good): iterations = 7", "log", str(ran)):
+        assert word in done.stdout
+    again = shlex.split(done.stdout.splitlines()[-1].removeprefix("again: "))
+    assert again[again.index("-k") + 1] == "=three_cart and =only_good"
+    repeated = cli(*again[3:-1], str(tmp_path))
+    assert repeated.returncode == 0, repeated.stderr
+    assert names(tmp_path) == ["only_good"]
+    record = json.loads(cli("show", str(next(tmp_path.glob("runs/*"))), "--json").stdout)
+    assert record["pipeline"] == "only_good"
+
+
+def test_show_of_a_failure_ends_with_1_and_its_log(cli, ran):
+    done = cli("show", "only_raises", "--in", str(ran))
+    assert done.returncode == 1
+    assert "the method's own mistake" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("three_cart", "means 3 runs"), ("only_gud", "did you mean 'three_cart x only_good'?"), ("\x1b[31m", "there is no run")],
+)
+def test_show_of_no_run_or_several(cli, ran, name, words):
+    done = cli("show", name, "--in", str(ran))
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_whole_name():
+    names = ("three_cart", "relaxed+strict", "strict_lcp", "in one leap")
+    assert matches("strict", names)
+    assert not matches("=strict", names)
+    assert matches('=three_cart and ="in one leap"', names)
+    assert not matches('="one leap"', names)
