@@ -16,10 +16,10 @@ import sympy as sp
 import torch
 from torch import Tensor
 
+from formulations.shooting.reference_friction import friction_forces
 from models.contact_law import ContactLaw, sharpness
 from models.contacts import DampingLaw
 from models.dynamics import derive
-from models.errors import SceneError
 from models.scene import Scene
 
 
@@ -32,31 +32,32 @@ def reference_rollout(
     law: ContactLaw = ContactLaw.RELU,
     eps: float | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """q, v (.., steps+1, nq) and lam (.., steps, nc) from inputs u (.., steps, nu) and start (.., 2*nq); step: that of the task unless given.
+    """q, v (.., steps+1, nq) and lam (.., steps, nc + nf), contact and then friction forces, from inputs u (.., steps, nu) and start (.., 2*nq); step: that of the task unless given.
 
     All is computed in the dtype of start: float64, unless it is to be seen what float32 loses; and on its device.
 
     lam[t] = L(phi(q[t])), v[t+1] = v[t] + h M^-1 (tau + J' lam), q[t+1] = q[t] + h v[t+1].
     """
-    if scene.nf:
-        raise SceneError(f"scene {scene.name}: it has friction, which the rollout in plain PyTorch does not write; use the compiled one.")
     h = scene.task.step if step is None else step
     force = _contact_law(law, eps, scene.length)
     d = derive(scene)
-    arguments = (d.q, d.v, d.u, d.lam)
+    arguments = (d.q, d.v, d.u, (*d.lam, *d.f))
     kind = {"dtype": start.dtype, "device": start.device}
     penetration, stiffness = _torch_function(scene, d.penetration, d.q, **kind), _torch_function(scene, d.stiffness, **kind)()
     acceleration = _acceleration(scene, arguments, **kind)
     damped = _damped_forces(scene, law, eps, **kind) if scene.damped else None
+    friction = _friction_forces(scene, law, eps, h, acceleration, **kind) if scene.nf else None
     start = start.expand(*torch.broadcast_shapes(u.shape[:-2], start.shape[:-1]), 2 * scene.nq)
     q, v, lam = [start[..., : scene.nq]], [start[..., scene.nq :]], []
     for inputs in u.unbind(-2):
         lam.append(force(penetration(q[-1]), stiffness))
         if damped is not None:
             lam[-1] = damped(lam[-1], q[-1], v[-1])
+        if friction is not None:
+            lam[-1] = torch.cat([lam[-1], friction(q[-1], v[-1], inputs, lam[-1])], -1)
         v.append(v[-1] + h * acceleration(q[-1], v[-1], inputs, lam[-1]))
         q.append(q[-1] + h * v[-1])
-    return torch.stack(q, -2), torch.stack(v, -2), torch.stack(lam, -2) if lam else start.new_zeros((*start.shape[:-1], 0, scene.nc))
+    return torch.stack(q, -2), torch.stack(v, -2), torch.stack(lam, -2) if lam else start.new_zeros((*start.shape[:-1], 0, scene.nl))
 
 
 def reference_cost(scene: Scene, q: Tensor, v: Tensor, u: Tensor) -> Tensor:
@@ -96,6 +97,30 @@ def _damped_forces(scene: Scene, law: ContactLaw, eps: float | None, **kind: Any
         kelvin_voigt = soft(phi + closed * c * r / k, k) if law is ContactLaw.SOFTPLUS else closed * soft(phi + c * r / k, k)
         one = torch.ones_like(k)
         return torch.where(is_damped, torch.where(is_linear, kelvin_voigt, soft(phi, k) * soft(1 + c * r, one) / soft(one, one)), lam)
+
+    return forces
+
+
+def _friction_forces(
+    scene: Scene, law: ContactLaw, eps: float | None, h: float, acceleration: Callable[..., Tensor], **kind: Any
+) -> Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]:
+    """(q, v, u, lam) -> f (.., nf) [N], of the slips at the end of the step (`reference_friction`)."""
+    d = derive(scene)
+    slip, limit = _torch_function(scene, d.slip, d.q, d.v, **kind), _torch_function(scene, d.friction_limit, d.q, d.lam, **kind)
+    steepness = None
+    if law is ContactLaw.SOFTPLUS:
+        nominal = torch.tensor([friction.nominal for friction in scene.frictions], **kind)
+        steepness = sharpness(eps if eps is not None else 0.0) / (2.0 * nominal)
+    units = torch.eye(scene.nf, **kind)
+
+    def forces(q: Tensor, v: Tensor, u: Tensor, lam: Tensor) -> Tensor:
+        def moved(f: Tensor) -> Tensor:
+            return acceleration(q, v, u, torch.cat([lam, f.expand(*lam.shape[:-1], scene.nf)], -1))
+
+        free = moved(torch.zeros_like(units[0]))
+        s0 = slip(q, v + h * free)
+        hw = h * torch.stack([slip(q, moved(unit) - free) for unit in units], -1)
+        return friction_forces(s0, hw, torch.clamp(limit(q, lam), min=0.0), steepness)
 
     return forces
 
