@@ -230,7 +230,7 @@ class _Examination:
             yield self._problem(
                 "xml", f"{item.filename} has a DOCTYPE, which FMI does not allow (its entities can read files and fill the memory)."
             )
-        except expat.ExpatError as error:
+        except (expat.ExpatError, LookupError) as error:  # a lookup of an encoding that nobody knows
             if is_description:
                 yield self._problem("description", f"{DESCRIPTION} is not well-formed XML ({error}).")
         if is_description:
