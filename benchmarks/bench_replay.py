@@ -1,10 +1,11 @@
 """CPU seconds of the replay against its true error: Co-Simulation by step and integrator, Model Exchange by tolerance, per scene.
 
-    python benchmarks/bench_replay.py [-o FILE.json] [SCENE ...]
+    python benchmarks/bench_replay.py [-o FILE.json | --no-sweep] [SCENE ...]
 
 Scenes: names, or files; without any, three_cart and the two closed-form scenes. `three_cart` is driven by the best exact plan this
 repository finds (pipeline mpcc, cold). True error: largest position difference at the plan's nodes, to a Model Exchange run at rtol 1e-14 - for
 the closed-form scenes also the relative errors of contact time, depth and restitution against their closed forms.
+Against FMPy: the same FMU, plan and step (or rtol) by the loops in C, by those in Python, and by FMPy's `simulate_fmu`, in turn; medians, on stdout.
 The default replay (two tolerances, three steps) is timed as `python -m validate all` runs it, in this process, and in a child as `replay` does.
 CPU time: the smallest of some repetitions, imports and compilation before it. A report takes the file from DIR/bench/: see docs/replay.md.
 """
@@ -23,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from models.catalog import load_scene
-from models.fmu import build_fmu
+from models.fmu import build_fmu, variable_names
 from models.fmu.kinds import INTEGRATORS
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
@@ -41,6 +42,8 @@ _TRUTH = 1e-14
 _TOLERANCES = [10.0**-n for n in range(4, 14)]
 _STEPS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 _REPETITIONS = 3
+# Rounds of the comparison with FMPy; internal steps a step of the plan, and the tolerance of Model Exchange, in it.
+_ROUNDS, _FINENESS, _RTOL = 7, 50, 1e-8
 # The FMU's variable that chooses among them.
 INTEGRATOR = "integrator"
 
@@ -78,10 +81,10 @@ def _positions(run: Run, nq: int) -> np.ndarray:
     return np.array(run.outputs)[run.knots, :nq]
 
 
-def _reference(package: Package, variables: Variables, plan: Trajectory, rtol: float) -> Run:
+def _reference(package: Package, variables: Variables, plan: Trajectory, rtol: float, compiled: bool = True) -> Run:
     model = ExchangeModel(package, variables)
     try:
-        return integrate(model, plan.start, HeldInputs(plan), rtol, 10_000)
+        return integrate(model, plan.start, HeldInputs(plan), rtol, 10_000, compiled=compiled)
     finally:
         model.close()
 
@@ -109,6 +112,64 @@ def _sweep(scene: Scene, plan: Trajectory) -> list[dict[str, Any]]:
                 )
                 row(f"Co-Simulation, {INTEGRATORS[order - 1][0]}", fineness, run, seconds)
     return rows
+
+
+def _by_fmpy(folder: str, description: Any, scene: Scene, plan: Trajectory, interface: str) -> np.ndarray:
+    """(nq,) positions at the end by `fmpy.simulate_fmu`."""
+    import fmpy
+
+    names, step = variable_names(scene), scene.task.step
+    # Two rows a node: FMPy draws lines between rows, and takes two at one time for a jump.
+    inputs = np.zeros(2 * plan.steps, dtype=[("time", float), *((name, float) for name in names.u)])
+    inputs["time"] = np.column_stack([plan.t[:-1], plan.t[1:]]).ravel()
+    for column, name in enumerate(names.u):
+        inputs[name] = np.repeat(plan.u[:, column], 2)
+    start = dict(zip([*names.q, *names.v], plan.start.tolist(), strict=True))
+    result = fmpy.simulate_fmu(
+        folder,
+        fmi_type=interface,
+        start_values=start | ({names.internal_step: step / _FINENESS} if interface == "CoSimulation" else {}),
+        input=inputs,
+        output=list(names.q),
+        output_interval=step,
+        stop_time=float(plan.t[-1]),
+        relative_tolerance=_RTOL,
+        model_description=description,
+    )
+    return np.array([result[name][-1] for name in names.q])
+
+
+def _against_fmpy(scene: Scene, plan: Trajectory) -> dict[str, dict[str, float]]:
+    """Median CPU seconds by method, and the largest difference of the position at the end from the reference at rtol 1e-14."""
+    held, rounds = HeldInputs(plan), range(_ROUNDS)
+    with unpacked(read_package(build_fmu(scene))) as package:
+        variables, folder, description = find_variables(package, scene), str(package.folder), package.description
+        truth = _positions(_reference(package, variables, plan, _TRUTH), scene.nq)[-1]
+
+        def stepped(compiled: bool) -> np.ndarray:
+            return _positions(simulate(package, variables, plan.start, held, _FINENESS, compiled=compiled), scene.nq)[-1]
+
+        def integrated(compiled: bool) -> np.ndarray:
+            return _positions(_reference(package, variables, plan, _RTOL, compiled), scene.nq)[-1]
+
+        methods: dict[str, Callable[[], np.ndarray]] = {
+            "Co-Simulation, loop in C": lambda: stepped(True),
+            "Co-Simulation, loop in Python": lambda: stepped(False),
+            "Co-Simulation, simulate_fmu": lambda: _by_fmpy(folder, description, scene, plan, "CoSimulation"),
+            "Model Exchange, loop in C": lambda: integrated(True),
+            "Model Exchange, loop in Python": lambda: integrated(False),
+            "Model Exchange, simulate_fmu": lambda: _by_fmpy(folder, description, scene, plan, "ModelExchange"),
+        }
+        seconds: dict[str, list[float]] = {name: [] for name in methods}
+        errors = {}
+        for number in (-1, *rounds):  # the first warms up
+            for name, method in methods.items():
+                began = process_time()
+                end = method()
+                errors[name] = float(np.abs(end - truth).max())
+                if number >= 0:
+                    seconds[name].append(process_time() - began)
+    return {name: {"cpu_s": float(np.median(values)), "end_error_m": errors[name]} for name, values in seconds.items()}
 
 
 def _closed_forms(scene: Scene, result: Replay) -> dict[str, float]:
@@ -142,7 +203,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="*", default=_DEFAULT)
     parser.add_argument("-o", "--output", type=Path, help="write all numbers as JSON")
+    parser.add_argument("--no-sweep", action="store_true", help="only the default replay, and the comparison with FMPy")
     arguments = parser.parse_args()
+    if arguments.no_sweep and arguments.output is not None:
+        parser.error("--no-sweep and -o exclude each other: the file is for the page of the sweep")
     told = []
     for name in arguments.scenes:
         scene = load_scene(name)
@@ -161,13 +225,16 @@ def main() -> None:
             "parent_cpu_s_of_a_child": child,
             "self_error_m": None if estimate is None else estimate.position,
             "closed_form_relative_errors": _closed_forms(scene, result),
-            "sweep": _sweep(scene, plan),
+            "sweep": [] if arguments.no_sweep else _sweep(scene, plan),
         }
         told.append(figures)
+        against = _against_fmpy(scene, plan)
         print(
             f"{scene.name}: default replay {here:.3f} CPU s (reference {result.seconds_reference:.3f}, everyday {result.seconds_everyday:.3f}), "
             f"self-error {figures['self_error_m']:.2g} m, closed forms {figures['closed_form_relative_errors']}"
         )
+        for method, item in against.items():
+            print(f"  {method:38}{'':>10} {item['cpu_s']:9.4f} {item['end_error_m']:10.2e}")
         print(f"  {'':38}{'setting':>10} {'CPU s':>9} {'error m':>10}")
         for item in figures["sweep"]:
             error = "-" if item["error_m"] is None else f"{item['error_m']:.2e}"
