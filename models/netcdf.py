@@ -72,14 +72,14 @@ def write_columns(path: Path, columns: Iterable[Column], attributes: Mapping[str
 def read_columns(path: Path) -> tuple[dict[str, Column], dict[str, str | int | float]]:
     """All columns and attributes. Raises TrajectoryError if the file is missing, cut short or no NetCDF-4."""
     import h5netcdf
-    import h5py
+
+    class Reading(h5netcdf.File):
+        _writable = False  # asked of a damaged file when it is closed, before it was set: a traceback on stderr
 
     if not path.is_file():
         raise TrajectoryError(f"file {path}: there is no such file.")
     try:
-        with h5py.File(path, "r") as raw:  # where it cannot be opened, h5netcdf prints a traceback; this is what it does first
-            raw.attrs.get("_nc3_strict")
-        with h5netcdf.File(path, "r") as file:
+        with Reading(path, "r") as file:
             columns = {}
             for name, variable in file.variables.items():
                 if len(variable.dimensions) != 1:
