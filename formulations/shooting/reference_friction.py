@@ -20,9 +20,10 @@ _SETTLED = 1e-15  # change of a force in parts of its limit
 
 def friction_forces(s0: Tensor, hw: Tensor, limit: Tensor, steepness: Tensor | None) -> Tensor:
     """f (.., nf) [N] of one step of many plans, one by one: s0, limit (.., nf), hw (.., nf, nf); steepness (nf,), None for Coulomb's law."""
+    nf = s0.shape[-1]
     rows = [
-        coulomb(*row) if steepness is None else regularised(*row, steepness)
-        for row in zip(*(part.reshape(-1, *part.shape[s0.dim() - 1 :]) for part in (s0, hw, limit)), strict=True)
+        coulomb(s, w, most) if steepness is None else regularised(s, w, most, steepness)
+        for s, w, most in zip(s0.reshape(-1, nf), hw.reshape(-1, nf, nf), limit.reshape(-1, nf), strict=True)
     ]
     return torch.stack(rows).reshape(s0.shape)
 
