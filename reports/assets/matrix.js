@@ -15,7 +15,7 @@
   const rank = (cell) => (cell.dataset.verdict ? RANKS.indexOf(cell.dataset.verdict) : RANKS.length);
   const compare = (column) => {
     const place = columns.indexOf(column);
-    if (place === 0) return (one, two) => one.dataset.name.localeCompare(two.dataset.name);
+    if (place === 0) return (one, two) => (one.dataset.name < two.dataset.name ? -1 : 1);
     if (place === 1) return (one, two) => Number(two.cells[1].dataset.holds) - Number(one.cells[1].dataset.holds);
     const cost = (cell) => (cell.dataset.cost ? Number(cell.dataset.cost) : Infinity);
     return (one, two) => {

@@ -110,12 +110,12 @@
       const across = Math.abs(dy * Math.cos(angle) - dx * Math.sin(angle));
       return Math.min(size[0] / 2 / Math.max(along, 1e-9), (size[1] || size[0]) / 2 / Math.max(across, 1e-9));
     };
-    const arrow = (from, [dx, dy], long, colour_) => {
+    const arrow = (from, [dx, dy], long, wide, ink) => {
       const [x, y] = place(...from);
       const [tx, ty] = [x + dx * long, y - dy * long];
       const head = Math.min(8, long * 0.6);
-      pen.strokeStyle = pen.fillStyle = colour_;
-      pen.lineWidth = 2.5;
+      pen.strokeStyle = pen.fillStyle = ink;
+      pen.lineWidth = wide;
       pen.setLineDash([]);
       pen.beginPath();
       pen.moveTo(x, y);
@@ -128,7 +128,7 @@
       pen.fill();
     };
     // The pair of arrows of a contact: each body is pushed away from the other.
-    const push = (which, track, forces, name) => {
+    const push = (which, track, forces, name, wide) => {
       const touch = data.touches[which];
       const values = forces && forces[which];
       if (!touch || !values || !track) return;
@@ -148,8 +148,8 @@
       const spot = [a[0] - normal[0] * deep, a[1] - normal[1] * deep];
       const size = Math.abs(long);
       const to = long > 0 ? normal : [-normal[0], -normal[1]];
-      arrow(spot, to, size, colour(name));
-      arrow(spot, [-to[0], -to[1]], size, colour(name));
+      arrow(spot, to, size, wide, colour(name));
+      arrow(spot, [-to[0], -to[1]], size, wide, colour(name));
     };
     const bar = (which, frame) => {
       const top = room.height - bars + 8 + which * 34;
@@ -175,8 +175,9 @@
       data.shapes.forEach((shape, which) => { if (data.replay && data.replay[which]) body(shape, data.replay[which][frame], true); });
       data.shapes.forEach((shape, which) => { if (data.plan && data.plan[which]) body(shape, data.plan[which][frame], false); });
       data.contacts.forEach((_, which) => {
-        push(which, data.replay, data.replay_force, "--push");
-        push(which, data.plan, data.plan_force, "--plan");
+        // The plan's arrow is the broad one below: where both agree it shows as a rim.
+        push(which, data.plan, data.plan_force, "--plan", 6);
+        push(which, data.replay, data.replay_force, "--push", 2.5);
         bar(which, frame);
       });
       output.textContent = `${data.t[frame].toFixed(2)} s`;

@@ -55,13 +55,14 @@ class Page:
         return answer["result"].get("value")
 
     def press(self, key: str) -> None:
-        for kind in ("rawKeyDown", "keyUp"):
+        for kind in ("keyDown" if key == "Enter" else "rawKeyDown", "keyUp"):
             self.call(
                 "Input.dispatchKeyEvent",
                 type=kind,
                 key=key,
                 code=key,
-                windowsVirtualKeyCode={"Tab": 9, "ArrowRight": 39, "End": 35}.get(key, 0),
+                windowsVirtualKeyCode={"Tab": 9, "ArrowRight": 39, "End": 35, "Enter": 13, " ": 32}.get(key, 0),
+                **({"text": "\r"} if kind == "keyDown" else {}),
             )
 
     def screenshot(self, path: Path, *, whole: bool = False) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 
-from reports.render import write_report
+from reports.render import render, write_report
 
 # Smallest contrast of text that WCAG 2.1 AA allows; all text of the page is held to the one for small text.
 _CONTRAST = 4.5
@@ -153,3 +155,112 @@ def test_all_is_readable_without_script_and_on_paper(chromium, page_file):
     assert page.messages == []
     pdf = page.call("Page.printToPDF", printBackground=True, preferCSSPageSize=True)["data"]
     assert len(pdf) > 50_000
+
+
+@pytest.fixture(scope="module")
+def folded_file(full_folder, tmp_path_factory):
+    """The same report with everything folded that may be."""
+    path = tmp_path_factory.mktemp("folded") / "report.html"
+    path.write_text(render(full_folder, largest=0), encoding="utf-8")
+    return path
+
+
+_SETTLED = "new Promise((done) => setTimeout(done, 700))"
+_ROWS = "[...document.querySelectorAll('#matrix-table tbody tr')].filter((row) => !row.hidden).map((row) => row.dataset.name)"
+
+
+def test_a_link_into_a_folded_page_unfolds_what_it_leads_to(chromium, folded_file):
+    page = chromium.open(folded_file, fragment="#run-5")
+    page.evaluate(_SETTLED)
+    assert page.evaluate("document.querySelector('#run-5 details.whole').open") is True
+    assert page.evaluate("document.querySelectorAll('#run-5 svg.plot').length") > 8
+    assert page.evaluate("[...document.querySelectorAll('path[d^=\"#\"]')].length") == 0
+    assert page.evaluate("document.querySelector('#run-5 .player').hidden") is False
+    assert abs(page.evaluate("document.getElementById('run-5').getBoundingClientRect().top")) < 40
+    assert page.evaluate("document.querySelectorAll('.parcel[data-part]').length") > 5, "the rest stays folded"
+    assert page.messages == []
+    assert len(page.requests) == 1
+
+
+def test_a_stage_unfolds_when_it_is_opened(chromium, folded_file, page_file):
+    page = chromium.open(folded_file, fragment="#run-5")
+    page.evaluate(_SETTLED)
+    page.evaluate("document.querySelector('#run-5 details.stage summary').click()")
+    page.evaluate(_SETTLED)
+    path = "document.querySelector('#run-5 details.stage path.ln[data-n]').getAttribute('d')"
+    assert page.evaluate(path) == chromium.open(page_file).evaluate(path)
+
+
+def test_the_matrix_is_filtered_and_sorted_and_the_address_says_how(chromium, page_file):
+    page = chromium.open(page_file)
+    before = page.evaluate(_ROWS)
+    page.evaluate("document.querySelector('#matrix-table thead th[data-sort=pipeline] button').focus()")
+    page.press("Enter")
+    assert page.evaluate(_ROWS) == sorted(before)
+    page.press("Enter")
+    assert page.evaluate(_ROWS) == sorted(before, reverse=True)
+    assert page.evaluate("document.querySelector('#matrix-table th[aria-sort]').ariaSort") == "descending"
+    page.evaluate(
+        "(() => { const s = document.getElementById('matrix-verdict'); s.value = 'holds'; s.dispatchEvent(new Event('input')); })()"
+    )
+    held = page.evaluate(_ROWS)
+    assert 0 < len(held) < len(before)
+    assert page.evaluate("location.hash") == "#matrix?verdict=holds&sort=pipeline&order=down"
+    again = chromium.open(page_file, fragment=page.evaluate("location.hash"))
+    assert again.evaluate(_ROWS) == held
+    assert chromium.open(page_file, fragment="#matrix?pipeline=softplus_gd&scene=three").evaluate(_ROWS) == [
+        name for name in before if "softplus_gd" in name
+    ]
+    assert chromium.open(page_file, fragment="#matrix?verdict=<b>&sort=%22]&scene=nowhere").messages == []
+
+
+def test_every_table_is_saved_as_csv(chromium, page_file):
+    """The file's text as the button makes it, numbers as a program reads them."""
+    page = chromium.open(page_file)
+    page.evaluate("document.querySelectorAll('details').forEach((item) => { item.open = true; })")
+    assert page.evaluate("document.querySelectorAll('button.take').length === document.querySelectorAll('table').length") is True
+    page.evaluate(
+        "window.saved = []; URL.createObjectURL = (blob) => { saved.push(blob); return 'blob:none'; };"
+        "HTMLAnchorElement.prototype.click = function () { saved.push(this.download); }; 0"
+    )
+    page.evaluate("document.querySelector('#table1 button.take').click()")
+    text, name = page.evaluate("saved[0].text().then((text) => [text, saved[1]])")
+    rows = list(csv.reader(text.lstrip("\ufeff").splitlines()))
+    assert name.endswith(".csv")
+    assert rows[0][:6] == ["Row", "Stage", "Verdict", "Cost ours", "Cost paper", "Cost relative"]
+    assert {len(row) for row in rows} == {len(rows[0])}
+    first = next(row for row in rows if row[1].startswith("softplus_dc"))
+    assert (float(first[3]), float(first[4])) == (197.863, 197.86)
+
+
+def test_arrows_of_contact_forces_are_drawn(desk):
+    """Where a force acts the picture has pixels of the arrows' colour, before the first contact none."""
+    count = (
+        "(() => { const p = document.querySelector('[data-player]'), s = p.querySelector('input'), c = p.querySelector('canvas');"
+        "s.value = FRAME; s.dispatchEvent(new Event('input')); const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;"
+        "let n = 0; for (let i = 0; i < d.length; i += 4) if (d[i] === 179 && d[i + 1] === 64 && d[i + 2] === 10) n += 1; return n; })()"
+    )
+    counts = [desk.evaluate(count.replace("FRAME", str(frame))) for frame in range(0, 151, 10)]
+    assert counts[0] == 0
+    assert max(counts) > 50
+
+
+@pytest.mark.parametrize(("width", "dark"), [(1400, False), (1400, True), (375, False), (375, True)])
+def test_axe_finds_no_violation(chromium, page_file, folded_file, width, dark):
+    """WCAG 2.0, 2.1 and 2.2, A and AA, by axe-core: the plain page with everything open, and the folded one with a run unfolded."""
+    axe = pytest.importorskip("axe_core_python", reason="axe-core-python is not installed (extra [test])")
+    script = (Path(axe.__path__[0]) / "axe.min.js").read_text(encoding="utf-8")
+    for path, fragment in ((page_file, ""), (folded_file, "#run-5")):
+        page = chromium.open(path, width=width, dark=dark, fragment=fragment)
+        page.evaluate(_SETTLED)
+        if not fragment:
+            # Two runs with all they hold stand for the others: hundreds of plots more are the same markup.
+            page.evaluate("document.querySelectorAll('article.run').forEach((run, place) => { if (place > 1) run.remove(); })")
+            page.evaluate("document.querySelectorAll('details').forEach((item) => { item.open = true; })")
+        page.evaluate(script + ";0")
+        found = page.evaluate(
+            "axe.run(document, {runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa']}).then((result) => "
+            "[result.passes.length, result.violations.map((one) => [one.id, one.nodes.length, one.nodes[0].html.slice(0, 200)])])"
+        )
+        assert found[1] == []
+        assert found[0] > 15, "axe looked"
