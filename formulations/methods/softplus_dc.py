@@ -30,7 +30,7 @@ class SoftplusDC(TranscriptionMethod):
     )
 
     def session(self, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> TranscriptionSession:
-        from formulations.transcription.session import SoftplusSession
+        from formulations.transcription.softplus import SoftplusSession
 
         return SoftplusSession(self, scene, options, opening)
 

@@ -22,8 +22,6 @@ from formulations.transcription.residuals import PlanResiduals
 from formulations.transcription.size import size_on_paper
 from formulations.transcription.workbench import Account, Workbench, primal_dual
 from models.codegen.kernel import load_kernel
-from models.contact_law import ContactLaw as ForceLaw
-from models.contact_law import sharpness
 from models.errors import TrajectoryError
 from models.scene import Scene
 from models.trajectory import Trajectory
@@ -64,6 +62,10 @@ class TranscriptionSession(Session):
     def cold_options(self) -> dict[str, Any]:
         """Ipopt options of a start without a plan."""
         return {}
+
+    def is_plan(self, residuals: Mapping[str, float]) -> bool:
+        """Whether a last iterate that was not solved is worth handing on."""
+        return True
 
     def watch(self, warm_start: Trajectory | None) -> Patience:
         """What stops the first solve of a stage before its limits do."""
@@ -206,6 +208,9 @@ class TranscriptionSession(Session):
         if plan is not None:
             residuals = self.certificate(plan, eps)
             cost = self._residuals.cost(plan)
+            if outcome is not Outcome.SOLVED and not self.is_plan(residuals):
+                plan, cost = None, None
+                message = f"{message} The last iterate does not meet its own equations: it is no plan, and starts none."
             missed = {name: limit for name, limit in self.promises(eps).items() if not residuals.get(name, 0.0) <= limit}
             if outcome is Outcome.SOLVED and missed:
                 worst = ", ".join(f"{name} is {residuals[name]:.3g} (limit {limit:g})" for name, limit in missed.items())
@@ -227,34 +232,6 @@ class TranscriptionSession(Session):
             size=bench.size,
             paper_size=size_on_paper(self._scene, self.contact),
         )
-
-
-# MUMPS permutes the KKT matrix before it orders it, unless told otherwise; where softplus' tiny slopes stand on the diagonal that destroys the band
-# of time steps: 10 carts at T = 500 take 0.04 instead of 1.1 CPU s an iteration, and 7 instead of 31 of them; three carts take the same.
-_KEEP_THE_BAND = {"mumps_permuting_scaling": 0}
-
-
-class SoftplusSession(TranscriptionSession):
-    contact = ContactLaw.SOFTPLUS
-
-    def common_options(self) -> dict[str, Any]:
-        return {**super().common_options(), **_KEEP_THE_BAND}
-
-    def sharpest(self, eps: float | None) -> float:
-        return sharpness(cast(float, eps), self._scene.length)
-
-    def takes_duals(self, eps: float | None) -> bool:
-        return cast(float, eps) <= self.number("duals_from")
-
-    def watch(self, warm_start: Trajectory | None) -> Patience:
-        is_cold = warm_start is None and self._scene.nc > 0 and self._scene.task.has_goal
-        return Watch() if is_cold else Patience()
-
-    def certificate(self, plan: Trajectory, eps: float | None) -> dict[str, float]:
-        return self._residuals.of(plan, ForceLaw.SOFTPLUS, eps)
-
-    def promises(self, eps: float | None) -> dict[str, float]:
-        return {**super().promises(eps), **dict.fromkeys(("contact_law", "regularised_friction"), self.number("plan_tolerance"))}
 
 
 class RelaxedSession(TranscriptionSession):

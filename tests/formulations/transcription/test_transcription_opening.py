@@ -1,4 +1,4 @@
-"""A cold start whose goal is let go first; and eps counted in the length of the scene, in Pyomo, C and numpy alike."""
+"""A cold start whose goal is let go first, stages that end without a plan; and eps counted in the length of the scene, in Pyomo, C and numpy alike."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ import pyomo.environ as pyo
 import pytest
 
 from formulations import ContactLaw, build_model, load_plan
+from formulations.catalog import load_method
 from formulations.ipopt import Iteration
+from formulations.solution import Outcome
+from formulations.transcription import softplus
 from formulations.transcription.contact_laws import tighten
 from formulations.transcription.opening import Watch, plan_with_goal_released
 from formulations.transcription.residuals import PlanResiduals
@@ -46,6 +49,26 @@ def test_a_goal_that_is_let_go_is_still_drawn_to():
     assert found["contact_law"] < 1e-6
     assert 1e-3 < found["terminal_error"] < 0.35
     assert account.iterations > 0
+
+
+def test_what_misses_its_own_time_step_starts_no_other_stage(monkeypatch):
+    """A stage cut off after one iteration, which is taken for broken: it hands nothing on, and a harder one is not tried from the same start."""
+    monkeypatch.setattr(softplus, "_WORK", 0.0)
+    monkeypatch.setattr(softplus, "_FEWEST", 1)
+    monkeypatch.setattr(softplus, "_BROKEN", -1.0)
+    scene = load_scene("three_cart").with_task(steps=200, step=0.025)
+    with load_method("softplus_dc").open(scene) as session:
+        first = session.solve(eps=EPS, warm_start=None, time_limit=60.0)
+        assert first.outcome is Outcome.SOLVED
+        assert first.trajectory is not None
+        cut = session.solve(eps=1e-5, warm_start=first.trajectory, time_limit=60.0)
+        assert (cut.outcome, cut.trajectory, cut.cost) == (Outcome.ITERATION_LIMIT, None, None)
+        assert "it is no plan" in cut.message
+        harder = session.solve(eps=1e-7, warm_start=first.trajectory, time_limit=60.0)
+        assert (harder.outcome, harder.trajectory, harder.iterations) == (Outcome.STALLED, None, 0)
+        assert "Not tried" in harder.message
+        softer = session.solve(eps=5e-4, warm_start=first.trajectory, time_limit=60.0)
+        assert softer.iterations > 0
 
 
 @pytest.mark.parametrize("length", [1.0, 0.1])
