@@ -90,13 +90,12 @@ class Store:
 
     def read(self, key: str) -> RunRecord | ExaminationRecord | None:
         """The stored record of a cell, or None if there is none that can be read."""
-        from pydantic import ValidationError
 
         from reports.examination_record import StoredRecord
 
         try:
             record = StoredRecord.model_validate_json((self.runs / key / RECORD).read_bytes()).root
-        except (OSError, ValidationError):
+        except (OSError, ValueError):  # no record, or a key that is no file name
             return None
         return record if record.key == key else None
 
@@ -104,7 +103,7 @@ class Store:
         """The request a stored cell was run with, as JSON; "{}" if it is not there."""
         try:
             return (self.runs / key / REQUEST).read_text(encoding="utf-8")
-        except OSError:
+        except (OSError, ValueError):
             return "{}"
 
     def requests(self) -> Iterator[dict[str, Any]]:
