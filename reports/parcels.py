@@ -15,7 +15,7 @@ import base64
 import json
 import re
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 from markupsafe import Markup
@@ -65,7 +65,7 @@ class Parcels:
         """The text with each part in its place."""
         return _TOKEN.sub(lambda found: self.inline(self._parts[int(found[1])][1]), text)
 
-    def folded(self, texts: list[str]) -> tuple[list[str], list[Block]]:
+    def folded(self, texts: Sequence[str]) -> tuple[list[str], list[Block]]:
         """The texts with a place for each part, and the blocks that hold the parts."""
         contents: dict[str, _Contents] = {}
         whole = [self._placed(text, contents) for text in texts]

@@ -115,7 +115,8 @@ def steps(values: Sequence[float], grain: float) -> list[int]:
 def _stepped_tracks(track: list[list[list[float]] | None] | None, grain: float) -> list[list[list[int]] | None] | None:
     if track is None:
         return None
-    return [axes and [steps(values, size) for values, size in zip(axes, (grain, grain, _ANGLE), strict=True)] for axes in track]
+    sizes = (grain, grain, _ANGLE)
+    return [[steps(values, size) for values, size in zip(axes, sizes, strict=True)] if axes else None for axes in track]
 
 
 def _forces(trace: TraceRecord | None, contacts: list[str], times: list[float]) -> list[list[float] | None] | None:
