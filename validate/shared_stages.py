@@ -69,9 +69,11 @@ def signature(plan: Sequence[Planned]) -> Signature:
 
 
 def common(plans: Iterable[Sequence[Planned]]) -> frozenset[Signature]:
-    """The beginnings that two or more of these plans have."""
+    """The beginnings that two or more of these plans have, but for those that only plans have which begin alike for longer."""
     found = Counter(signature(plan)[:length] for plan in plans for length in _ends(plan))
-    return frozenset(begin for begin, times in found.items() if times > 1)
+    several = {begin: times for begin, times in found.items() if times > 1}
+    longer = {(begin[:length], times) for begin, times in several.items() for length in range(1, len(begin))}
+    return frozenset(begin for begin, times in several.items() if (begin, times) not in longer)
 
 
 def beginnings(plan: Sequence[Planned], shared: frozenset[Signature], key_of: Callable[[Sequence[Planned]], str]) -> tuple[Beginning, ...]:

@@ -82,10 +82,12 @@ def test_beginnings_end_where_a_session_does():
     ]
     shared = common(plans)
     found = [[(item.stages, item.key) for item in beginnings(plan, shared, _key)] for plan in plans]
-    three = "softplus_gd-softplus_gd-softplus_gd"
     assert found[0] == found[1] == [(3, "softplus_dc-softplus_dc-softplus_dc")]
-    assert found[2] == found[3] == [(3, three), (2, "softplus_gd-softplus_gd"), (1, "softplus_gd")]  # other counts: another session each
+    assert found[2] == found[3] == [(3, "softplus_gd-softplus_gd-softplus_gd")]
     assert found[4] == []
+    plans[4] = plans[2][:2]  # each stage has another count, and with that a session of its own
+    assert [item.stages for item in beginnings(plans[3], common(plans), _key)] == [3, 2]
+    assert [item.stages for item in beginnings(plans[4], common(plans), _key)] == [2]
 
 
 def test_the_same_options_are_needed():
