@@ -40,8 +40,9 @@ def failures(runs: Sequence[RunRecord], examinations: Sequence[ExaminationRecord
 
 def fails(record: RunRecord | ExaminationRecord) -> bool:
     """Whether a campaign fails because of this cell alone."""
-    passed = getattr(record, "passed", None)  # of an examination
-    return not passed if passed is not None else bool(_cell_failure(record))
+    from reports.examination_record import ExaminationRecord
+
+    return not record.passed if isinstance(record, ExaminationRecord) else bool(_cell_failure(record))
 
 
 def failed_keys(records: Iterable[RunRecord | ExaminationRecord]) -> frozenset[str]:
