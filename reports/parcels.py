@@ -18,13 +18,15 @@ import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
 from markupsafe import Markup
+from numpy.typing import NDArray
 
 OPENS, CLOSES = "\x01", "\x02"
 _TOKEN = re.compile(f"{OPENS}(\\d+){CLOSES}")
 _FIGURE = re.compile(r"<figure .*?</figure>", re.DOTALL)
 _LINE = re.compile(r'(?<= d=")M-?[\d.]+,-?[\d.]+(?:L-?[\d.]+,-?[\d.]+)*(?=")')
-_ANCHOR = re.compile(r' id="([^"]+)"')
+_ANCHOR_OR_TOKEN = re.compile(f' id="([^"]+)"|{_TOKEN.pattern}')
 
 
 class Token(Markup):
@@ -55,6 +57,7 @@ class Parcels:
 
     def __init__(self) -> None:
         self._parts: list[tuple[str, str]] = []
+        self._anchors: dict[int, tuple[str, ...]] = {}
 
     def keep(self, block: str, text: str) -> Token:
         """Takes a part, which may hold other parts, and gives the token that stands for it."""
@@ -77,13 +80,22 @@ class Parcels:
     def _place(self, number: int, contents: dict[str, _Contents]) -> str:
         name, text = self._parts[number]
         # The place also says which anchors its part holds, those of parts inside it too: links lead there before it is unfolded.
-        anchors = " ".join(dict.fromkeys(_ANCHOR.findall(self.inline(text))))
+        anchors = " ".join(dict.fromkeys(self._held(number)))
         content = contents.setdefault(name, _Contents())
         content.parts.append("")
         place = len(content.parts) - 1
         content.parts[place] = _FIGURE.sub(lambda found: _figure(found[0], content), self._placed(text, contents))
         block = list(contents).index(name)
         return f'<div class="parcel" data-block="b{block}" data-part="{place}" data-holds="{anchors}"></div>'
+
+    def _held(self, number: int) -> tuple[str, ...]:
+        """The anchors in a part, in order, with those of the parts inside it."""
+        if number not in self._anchors:
+            found: list[str] = []
+            for anchor, inner in _ANCHOR_OR_TOKEN.findall(self._parts[number][1]):
+                found += self._held(int(inner)) if inner else (anchor,)
+            self._anchors[number] = tuple(found)
+        return self._anchors[number]
 
 
 def _figure(text: str, content: _Contents) -> str:
@@ -100,30 +112,21 @@ def _packed(content: _Contents) -> str:
 
 def line_bytes(lines: Iterable[str]) -> bytes:
     """Paths "Mx,yLx,y.." as numbers of seven bits a byte: how many lines, how many points each, all x, all y as differences in fifths of a pixel."""
-    counts, across, down = bytearray(), bytearray(), bytearray()
-    amount = 0
-    for line in lines:
-        points = line[1:].split("L")
-        amount += 1
-        _append(counts, len(points))
-        before_x = before_y = 0
-        for point in points:
-            x, y = (round(5 * float(part)) for part in point.split(","))
-            _append(across, _unsigned(x - before_x))
-            _append(down, _unsigned(y - before_y))
-            before_x, before_y = x, y
-    head = bytearray()
-    _append(head, amount)
-    return bytes(head + counts + across + down)
+    lines = list(lines)
+    counts = np.array([line.count(",") for line in lines], np.int64)
+    text = ",".join(line[1:].replace("L", ",") for line in lines)
+    places = np.rint(5 * np.array(list(map(float, text.split(","))) if lines else [])).astype(np.int64).reshape(-1, 2)
+    # The first point of a line is told from nought, every other from the one before it.
+    changes = np.diff(places, axis=0, prepend=0)
+    begins = (np.cumsum(counts) - counts)[counts > 0]
+    changes[begins] = places[begins]
+    across, down = np.where(changes >= 0, 2 * changes, -2 * changes - 1).T  # 0, -1, 1, -2, 2 .. as 0, 1, 2, 3, 4 ..: small ones stay small
+    return b"".join(_sevens(values) for values in (np.array([len(lines)]), counts, across, down))
 
 
-def _unsigned(value: int) -> int:
-    """0, -1, 1, -2, 2 .. as 0, 1, 2, 3, 4 ..: small differences stay small numbers."""
-    return 2 * value if value >= 0 else -2 * value - 1
-
-
-def _append(target: bytearray, value: int) -> None:
-    while value > 127:
-        target.append(value & 127 | 128)
-        value >>= 7
-    target.append(value)
+def _sevens(values: NDArray[np.int64]) -> bytes:
+    """Each number in bytes of seven bits, the lowest first; the eighth bit says that another follows."""
+    steps = np.arange(0, max(int(values.max(initial=0)).bit_length(), 1), 7)
+    rest = values[:, None] >> steps
+    more = (rest >> 7) > 0
+    return (rest & 127 | more * 128).astype(np.uint8)[(rest > 0) | (steps == 0)].tobytes()

@@ -2,8 +2,8 @@
 
     record = RunRecord.model_validate_json(path.read_text())
 
-Numbers are plain JSON: NaN and infinities are refused when written and when read. Arrays of trajectories do not live here
-but in the NetCDF files beside the record; `thin` copies for plots (at most 1500 points a trace) do.
+Numbers are plain JSON, columns of numbers texts (reports.series): NaN and infinities are refused when written and when read. Arrays of trajectories
+do not live here but in the NetCDF files beside the record; `thin` copies for plots (at most 1500 points a trace) do.
 """
 
 from __future__ import annotations
@@ -12,10 +12,12 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from reports.series import Floats
 from reports.time_step_record import TimeStepRecord
+from reports.trace_record import TraceRecord
 from reports.tracked_record import TrackedRecord
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2  # 1: columns of numbers were lists; they are read as well
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Verdict = Literal["holds", "violates", "not resolved", "no plan"]
@@ -105,19 +107,6 @@ class ReplayRecord(_Model):
     judged: Literal["open", "tracked"] = "open"
     growth_rate: Finite | None = None  # of an error in the open loop [1/s]
     tracked: TrackedRecord | None = None
-
-
-class TraceRecord(_Model):
-    """Thinned arrays of one stage for plots: plan and replay on their own thinned times, at most 1500 of them.
-
-    Columns: coordinates, velocities and inputs by their own names; per contact `lam_<contact>` [N] and `gap_<contact>` [m]
-    (gap = -penetration); per friction its force [N] by its own name; in a replay also `position_error`, the largest over the coordinates against the plan. Each column is
-    as long as `t` or shorter (quantities of steps: one less); what is missing is shown as missing.
-    """
-
-    t: tuple[Finite, ...]
-    columns: dict[str, tuple[Finite, ...]]
-    poses: dict[str, tuple[tuple[Finite, Finite, Finite], ...]] = {}  # shape -> (x, y, angle) per thinned time
 
 
 class SecondsRecord(_Model):
@@ -218,7 +207,7 @@ class StageRecord(_Model):
     bound: BoundRecord | None = None
     size: SizeRecord | None = None
     options: dict[str, str | int | bool | Finite | list[Finite] | None] = {}
-    history: dict[str, tuple[Finite, ...]] = {}
+    history: dict[str, Floats] = {}
     certificate: CertificateRecord | None = None
     starts: tuple[StartRecord, ...] = ()
     front: tuple[FrontPointRecord, ...] = ()

@@ -6,6 +6,7 @@ softplus_dc+strict and softplus_dc+relu_gd share softplus_dc at 1e-3, 1e-5, 1e-7
 from __future__ import annotations
 
 import json
+from collections import Counter
 from dataclasses import dataclass, replace
 
 from reports.judged import judged_figure
@@ -63,24 +64,26 @@ def scenes_of(runs: tuple[RunRecord, ...]) -> list[SceneRecord]:
     return list({run.scene.name: run.scene for run in reversed(runs)}.values())[::-1]
 
 
-def run_anchor(runs: tuple[RunRecord, ...], run: RunRecord) -> str:
-    return f"run-{next(place for place, other in enumerate(runs, 1) if other is run)}"
+def run_anchors(runs: tuple[RunRecord, ...]) -> dict[int, str]:
+    """What links to each run lead to, by its id."""
+    return {id(run): f"run-{place}" for place, run in enumerate(runs, 1)}
 
 
 def rows_of(runs: tuple[RunRecord, ...]) -> list[Row]:
     """All rows in the order of the paper's table: a chain's common stages first, then what is tried after them."""
-    heads = list(dict.fromkeys(_head(run) for run in runs))
+    heads = {head: place for place, head in enumerate(dict.fromkeys(_head(run) for run in runs))}
+    anchors = run_anchors(runs)
     rows: dict[str, Row] = {}
-    for run in sorted(runs, key=lambda run: heads.index(_head(run))):
+    for run in sorted(runs, key=lambda run: heads[_head(run)]):
         identity = [run.scene.name]
         for place, stage in enumerate(run.stages):
             identity.append(json.dumps([stage.method, stage.eps, stage.options], sort_keys=True))
             key = "\n".join(identity)
             if key not in rows:
                 chain = run.stages[: place + 1]
-                rows[key] = Row(len(rows) + 1, run, stage, chain, run_anchor(runs, run))
-    labels = [(row.run.scene.name, row.label) for row in rows.values()]
-    return [replace(row, twin=not row.stage.paper and labels.count((row.run.scene.name, row.label)) > 1) for row in rows.values()]
+                rows[key] = Row(len(rows) + 1, run, stage, chain, anchors[id(run)])
+    labels = Counter((row.run.scene.name, row.label) for row in rows.values())
+    return [replace(row, twin=not row.stage.paper and labels[row.run.scene.name, row.label] > 1) for row in rows.values()]
 
 
 def _head(run: RunRecord) -> tuple[str, str]:

@@ -10,16 +10,20 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
 
 from reports.record import ShapeRecord, TraceRecord
+from reports.series import array_of
 from reports.traces import gap
 
 _SHARE = 1e-3
 # Poses looked at, evenly over the trace: a wrong pair does not fit so many by chance.
 _LOOKS = 40
 
-Point = tuple[float, float]
-Pose = tuple[float, float, float]
+Points = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 @dataclass(frozen=True)
@@ -41,21 +45,31 @@ def touches(shapes: Sequence[ShapeRecord], trace: TraceRecord | None, contact: s
     if trace is None or values is None:
         return None
     places = _places(min(len(values), len(trace.t)))
-    gaps = [values[place] for place in places]
-    span = max(gaps) - min(gaps)
+    gaps = array_of(values)[places]
+    span = float(np.ptp(gaps))
     if span <= 0:
         return None
     poses = [trace.poses.get(shape.name) for shape in shapes]
     if any(one is not None and len(one) <= places[-1] for one in poses):
         return None
-    seen = [[one[place] for place in places] if one else None for one in poses]
+    seen = [array_of(one)[places].T if one else None for one in poses]
+
+    @cache
+    def points(shape: int, end: float) -> Points | None:
+        """Where a point of a shape is at every look, if its poses are known."""
+        poses = seen[shape]
+        if poses is None:
+            return None
+        x, y, angle = poses
+        return x + end * shapes[shape].size[0] * np.cos(angle), y + end * shapes[shape].size[0] * np.sin(angle)
+
     best: tuple[float, Touch] | None = None
     for touch in _candidates(shapes):
-        first, second = seen[touch.first], seen[touch.second]
-        if first is None or second is None:
+        first, second, face = points(touch.first, touch.first_end), points(touch.second, touch.second_end), seen[touch.second]
+        if first is None or second is None or face is None:
             continue
-        rests = [width - _distance(shapes, touch, one, other) for width, one, other in zip(gaps, first, second, strict=True)]
-        spread = max(rests) - min(rests)
+        apart = _distance(touch, first, second, face[2])
+        spread = float(np.ptp(gaps - apart))
         if spread <= _SHARE * span and (best is None or spread < best[0] - 1e-12):
             best = (spread, touch)
     return best[1] if best else None
@@ -87,15 +101,9 @@ def _ends(shape: ShapeRecord) -> tuple[float, ...]:
     return (0.0, -0.5, 0.5) if shape.kind in ("line", "wall") else (0.0,)
 
 
-def _point(shape: ShapeRecord, end: float, pose: Pose) -> Point:
-    x, y, angle = pose
-    return x + end * shape.size[0] * math.cos(angle), y + end * shape.size[0] * math.sin(angle)
-
-
-def _distance(shapes: Sequence[ShapeRecord], touch: Touch, first: Pose, second: Pose) -> float:
-    ax, ay = _point(shapes[touch.first], touch.first_end, first)
-    bx, by = _point(shapes[touch.second], touch.second_end, second)
+def _distance(touch: Touch, first: Points, second: Points, angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Between the points; from a face, whose shape is turned by `angle`, along its normal."""
+    across, up = first[0] - second[0], first[1] - second[1]
     if touch.flat:
-        angle = second[2] + touch.turn
-        return (ax - bx) * math.cos(angle) + (ay - by) * math.sin(angle)
-    return math.hypot(ax - bx, ay - by)
+        return across * np.cos(angle + touch.turn) + up * np.sin(angle + touch.turn)
+    return np.hypot(across, up)

@@ -5,23 +5,27 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 from reports.record import SceneRecord, TraceRecord
+from reports.series import array_of
 
 # A planned force below this is none: a thousandth of the smallest force worth drawing [N].
 _FORCE_OF_CONTACT = 1e-3
 
 
-def column(trace: TraceRecord | None, name: str) -> tuple[float, ...] | None:
+def column(trace: TraceRecord | None, name: str) -> Sequence[float] | None:
     """The column, or None if the trace lacks it."""
     values = trace.columns.get(name) if trace is not None else None
     return values if values else None
 
 
-def force(trace: TraceRecord | None, contact: str) -> tuple[float, ...] | None:
+def force(trace: TraceRecord | None, contact: str) -> Sequence[float] | None:
     return column(trace, f"lam_{contact}") or column(trace, contact)
 
 
-def gap(trace: TraceRecord | None, contact: str) -> tuple[float, ...] | None:
+def gap(trace: TraceRecord | None, contact: str) -> Sequence[float] | None:
     return column(trace, f"gap_{contact}")
 
 
@@ -31,22 +35,16 @@ def contact_phases(trace: TraceRecord | None, contact: str) -> list[tuple[float,
         return []
     gaps, forces = gap(trace, contact), force(trace, contact)
     if gaps is not None:
-        touching = [value <= 0 for value in gaps]
+        touching = array_of(gaps) <= 0
     elif forces is not None:
-        touching = [value > _FORCE_OF_CONTACT for value in forces]
+        touching = array_of(forces) > _FORCE_OF_CONTACT
     else:
         return []
-    phases: list[tuple[float, float]] = []
-    begin: float | None = None
-    for t, touches in zip(trace.t, touching, strict=False):
-        if touches and begin is None:
-            begin = t
-        elif not touches and begin is not None:
-            phases.append((begin, t))
-            begin = None
-    if begin is not None:
-        phases.append((begin, trace.t[min(len(touching), len(trace.t)) - 1]))
-    return phases
+    times = array_of(trace.t)[: len(touching)]
+    changes = np.flatnonzero(np.diff(touching[: len(times)], prepend=False, append=False))
+    # A phase ends at the first time without contact; one that lasts to the end, with the last time.
+    ends = times[np.minimum(changes, len(times) - 1)].tolist() if len(times) else []
+    return list(zip(ends[::2], ends[1::2], strict=True))
 
 
 def at(times: Sequence[float], values: Sequence[float], t: float) -> float:
@@ -62,9 +60,15 @@ def at(times: Sequence[float], values: Sequence[float], t: float) -> float:
     return values[place - 1] + part * (values[place] - values[place - 1])
 
 
+def at_all(times: Sequence[float], values: Sequence[float], wanted: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The values at many times, as by `at`."""
+    length = min(len(times), len(values))
+    return np.interp(wanted, array_of(times)[:length], array_of(values)[:length])
+
+
 def position_error(
     scene: SceneRecord, plan: TraceRecord | None, replay: TraceRecord | None
-) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
+) -> tuple[Sequence[float], Sequence[float]] | None:
     """Times and the largest difference over the coordinates between plan and replay; stored, or computed at the plan's times."""
     stored = column(replay, "position_error")
     if replay is not None and stored is not None:
@@ -75,8 +79,6 @@ def position_error(
     usable = [(planned, replayed) for planned, replayed in pairs if planned is not None and replayed is not None]
     if not usable or not replay.t:
         return None
-    length = min([len(plan.t), *(len(planned) for planned, _ in usable)])
-    errors = tuple(
-        max(abs(planned[place] - at(replay.t, replayed, plan.t[place])) for planned, replayed in usable) for place in range(length)
-    )
-    return plan.t[:length], errors
+    times = array_of(plan.t)[: min([len(plan.t), *(len(planned) for planned, _ in usable)])]
+    errors = [np.abs(array_of(planned)[: len(times)] - at_all(replay.t, replayed, times)) for planned, replayed in usable]
+    return times.tolist(), np.max(errors, axis=0).tolist()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +12,7 @@ from models.dynamics import derive
 from models.scene import Scene
 from models.trajectory import Trajectory
 from reports.record import TraceRecord
+from reports.series import Pose
 
 if TYPE_CHECKING:
     from validate.replay.result import Replay
@@ -55,12 +56,12 @@ def replay_trace(scene: Scene, trajectory: Trajectory, replay: Replay) -> TraceR
     return TraceRecord(t=_numbers(replay.t[keep]), columns=columns, poses=poses(scene, q))
 
 
-def poses(scene: Scene, q: np.ndarray) -> dict[str, tuple[tuple[float, float, float], ...]]:
+def poses(scene: Scene, q: np.ndarray) -> dict[str, Sequence[Pose]]:
     """(x, y, angle) of every shape at positions q (n, nq) [m, m, rad]."""
-    found = {}
+    found: dict[str, Sequence[Pose]] = {}
     for shape in scene.shapes:
         values = _function(scene, [shape.x, shape.y, shape.angle])(q)
-        found[shape.name] = tuple((float(x), float(y), float(angle)) for x, y, angle in values)
+        found[shape.name] = tuple((x, y, angle) for x, y, angle in values.tolist())
     return found
 
 
@@ -82,7 +83,7 @@ def _function(scene: Scene, expressions: list[sp.Expr]) -> Callable[[np.ndarray]
     return evaluate
 
 
-def _columns(scene: Scene, **groups: np.ndarray) -> dict[str, tuple[float, ...]]:
+def _columns(scene: Scene, **groups: np.ndarray) -> dict[str, Sequence[float]]:
     names = {
         "q": [item.name for item in scene.coordinates],
         "v": [item.velocity_name for item in scene.coordinates],
@@ -95,4 +96,4 @@ def _columns(scene: Scene, **groups: np.ndarray) -> dict[str, tuple[float, ...]]
 
 
 def _numbers(array: np.ndarray) -> tuple[float, ...]:
-    return tuple(float(value) for value in array)
+    return tuple(array.tolist())

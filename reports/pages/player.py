@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import json
-from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
+import numpy as np
 from markupsafe import Markup
+from numpy.typing import NDArray
 
 from reports.judged import is_tracked, judged_trace
 from reports.record import RunRecord, ShapeRecord, StageRecord, TraceRecord
+from reports.series import array_of
 from reports.touching import touches
-from reports.traces import at, force
+from reports.traces import at_all, force
 
 # Frames of a film: smooth at the speed of the clock for a few seconds of motion.
 _FRAMES = 151
@@ -43,12 +44,12 @@ def film(run: RunRecord) -> Film | None:
     begin, end = min(trace.t[0] for trace in tracks), max(trace.t[-1] for trace in tracks)
     if end <= begin:
         return None
-    times = [begin + (end - begin) * place / (_FRAMES - 1) for place in range(_FRAMES)]
+    times = begin + (end - begin) * np.arange(_FRAMES) / (_FRAMES - 1)
     names, contacts = [shape.name for shape in shapes], [contact.name for contact in run.scene.contacts]
     planned, replayed = _track(stage.plan_trace, names, times), _track(replay, names, times)
     pushes, pushed = _forces(stage.plan_trace, contacts, times), _forces(replay, contacts, times)
     grain = _extent([*(planned or []), *(replayed or [])]) / _GRAINS
-    strongest = max((max(values) for values in [*(pushes or []), *(pushed or [])] if values), default=0.0)
+    strongest = max((float(values.max()) for values in [*(pushes or []), *(pushed or [])] if values is not None), default=0.0)
     push = max(strongest, 1e-9) / _LEVELS
     data = {
         "t": [begin, end, _FRAMES],
@@ -59,8 +60,8 @@ def film(run: RunRecord) -> Film | None:
         "replay": _stepped_tracks(replayed, grain),
         "contacts": contacts,
         "touches": [_touch(shapes, (replay, stage.plan_trace), name) for name in contacts],
-        "plan_force": pushes and [values and steps(values, push) for values in pushes],
-        "replay_force": pushed and [values and steps(values, push) for values in pushed],
+        "plan_force": _stepped_forces(pushes, push),
+        "replay_force": _stepped_forces(pushed, push),
     }
     how = "replayed with tracking feedback" if is_tracked(stage) else "replayed"
     words = f"The bodies of {run.scene.name} moving as planned (dashed outline) and as {how} (filled), with the contact forces{' as arrows, and' if any(data['touches']) else ''} as bars (above: planned, below: replayed)."
@@ -76,14 +77,14 @@ def _poses(trace: TraceRecord | None) -> bool:
     return trace is not None and bool(trace.t) and any(trace.poses.values())
 
 
-def _track(trace: TraceRecord | None, names: list[str], times: list[float]) -> list[list[list[float]] | None] | None:
-    """Of each shape x, y and angle at the times; None where none is stored."""
+def _track(trace: TraceRecord | None, names: list[str], times: NDArray[np.float64]) -> list[NDArray[np.float64] | None] | None:
+    """Of each shape x, y and angle at the times (3, frames); None where none is stored."""
     if trace is None or not trace.t:
         return None
-    track: list[list[list[float]] | None] = []
+    track: list[NDArray[np.float64] | None] = []
     for name in names:
         poses = trace.poses.get(name)
-        track.append([[at(trace.t, [pose[axis] for pose in poses], t) for t in times] for axis in range(3)] if poses else None)
+        track.append(np.array([at_all(trace.t, axis, times) for axis in array_of(poses).T]) if poses else None)
     return track
 
 
@@ -99,35 +100,44 @@ def _touch(shapes: list[ShapeRecord], traces: Sequence[TraceRecord | None], cont
     }
 
 
-def _extent(tracks: list[list[list[float]] | None]) -> float:
+def _extent(tracks: list[NDArray[np.float64] | None]) -> float:
     """The longer side of what the centres cover [m]; 1 if they stand still."""
-    sides = [[value for track in tracks if track for value in track[axis]] for axis in (0, 1)]
-    return max((max(side) - min(side) for side in sides if side), default=0.0) or 1.0
+    drawn = [track[:2] for track in tracks if track is not None]
+    return float(np.ptp(np.concatenate(drawn, axis=1), axis=1).max()) if drawn else 1.0
 
 
-def steps(values: Sequence[float], grain: float) -> list[int]:
+def steps(values: Sequence[float] | NDArray[np.float64], grain: float) -> list[int]:
     """The first value and then the changes, in grains; the changes of a sum that is rounded, so that errors do not add up. One number if nothing changes."""
-    rounded = [round(value / grain) for value in values]
-    changes = [after - before for before, after in pairwise(rounded)]
-    return [rounded[0], *changes] if any(changes) else rounded[:1]
+    rounded = np.rint(array_of(values) / grain).astype(int)
+    changes = np.diff(rounded)
+    return [int(rounded[0]), *(changes.tolist() if changes.any() else ())]
 
 
-def _stepped_tracks(track: list[list[list[float]] | None] | None, grain: float) -> list[list[list[int]] | None] | None:
+def _stepped_forces(forces: list[NDArray[np.float64] | None] | None, grain: float) -> list[list[int] | None] | None:
+    return None if forces is None else [None if values is None else steps(values, grain) for values in forces]
+
+
+def _stepped_tracks(track: list[NDArray[np.float64] | None] | None, grain: float) -> list[list[list[int]] | None] | None:
     if track is None:
         return None
     sizes = (grain, grain, _ANGLE)
-    return [[steps(values, size) for values, size in zip(axes, sizes, strict=True)] if axes else None for axes in track]
+    return [None if axes is None else [steps(values, size) for values, size in zip(axes, sizes, strict=True)] for axes in track]
 
 
-def _forces(trace: TraceRecord | None, contacts: list[str], times: list[float]) -> list[list[float] | None] | None:
+def _forces(trace: TraceRecord | None, contacts: list[str], times: NDArray[np.float64]) -> list[NDArray[np.float64] | None] | None:
     """Of each contact the largest force within half a frame of each time: a blow shorter than a frame is seen, not stepped over."""
     if trace is None or not trace.t:
         return None
     columns = [force(trace, name) for name in contacts]
     half = (times[1] - times[0]) / 2
-    return [[_peak(trace.t, values, t - half, t + half) for t in times] if values else None for values in columns]
+    return [None if values is None else _peaks(trace.t, values, times, half) for values in columns]
 
 
-def _peak(times: Sequence[float], values: Sequence[float], begin: float, end: float) -> float:
-    inside = values[bisect_left(times, begin) : bisect_right(times, end)]
-    return max([at(times, values, (begin + end) / 2), *inside])
+def _peaks(times: Sequence[float], values: Sequence[float], wanted: NDArray[np.float64], half: float) -> NDArray[np.float64]:
+    """The largest value within `half` of each wanted time."""
+    length = min(len(times), len(values))
+    known, there = array_of(times)[:length], np.append(array_of(values)[:length], -np.inf)
+    begin, end = np.searchsorted(known, wanted - half, "left"), np.searchsorted(known, wanted + half, "right")
+    # Every second of these is from a beginning to its end; where there is nothing between them, reduceat gives what lies at the beginning.
+    inside = np.maximum.reduceat(there, np.column_stack([begin, end]).ravel())[::2]
+    return np.maximum(at_all(times, values, wanted), np.where(begin < end, inside, -np.inf))

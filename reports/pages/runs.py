@@ -59,12 +59,11 @@ def build(report: Report) -> Section | None:
 
 
 def _view(report: Report, run: RunRecord) -> RunView:
-    numbers = {id(row.stage): row.number for row in report.rows}
     last = len(run.stages) - 1
     stages = [
         StageView(
             stage,
-            numbers.get(id(stage)),
+            report.row_number(stage),
             stage_plots(run.scene, stage),
             spread(stage),
             place == last,

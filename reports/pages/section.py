@@ -7,8 +7,8 @@ from functools import cached_property
 from typing import Any
 
 from reports.load import Stored
-from reports.record import RunRecord, SceneRecord
-from reports.rows import Row, rows_of, run_anchor, scenes_of
+from reports.record import RunRecord, SceneRecord, StageRecord
+from reports.rows import Row, rows_of, run_anchors, scenes_of
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,19 @@ class Report:
         return [row for row in self.rows if row.run.scene.name == scene.name]
 
     def anchor(self, run: RunRecord) -> str:
-        return run_anchor(self.stored.runs, run)
+        return self._anchors[id(run)]
+
+    @cached_property
+    def _anchors(self) -> dict[int, str]:
+        return run_anchors(self.stored.runs)
+
+    def row_number(self, stage: StageRecord) -> int | None:
+        """The number of a stage's row; None where its row is told of another run."""
+        return self._numbers.get(id(stage))
+
+    @cached_property
+    def _numbers(self) -> dict[int, int]:
+        return {id(row.stage): row.number for row in self.rows}
 
 
 @dataclass(frozen=True)

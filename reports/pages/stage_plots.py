@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from reports.judged import is_tracked, judged_trace
 from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
 from reports.record import QuantityRecord, SceneRecord, StageRecord, TraceRecord
+from reports.series import array_of, joined
 from reports.traces import column, contact_phases, force, gap, position_error
 from reports.wording import clean, error, number
 
@@ -88,7 +92,7 @@ def _positions(items: list[QuantityRecord], unit: str, x: Axis, plan: TraceRecor
     plot = Plot(
         "Positions: plan dotted, replay solid",
         x,
-        Axis.fitted("position", unit, [value for *_, values in data for value in values], margin=0.1),
+        Axis.fitted("position", unit, joined(*(values for *_, values in data)), margin=0.1),
     )
     for item, style, name, trace, values in data:
         plot.line(f"{item.name} {name}", style, trace.t, values)
@@ -115,7 +119,7 @@ def _contact(
     ]
     if not data:
         return None
-    plot = Plot(title, x, Axis.fitted(quantity, unit, [value for *_, values in data for value in values], zero=True))
+    plot = Plot(title, x, Axis.fitted(quantity, unit, joined(*(values for *_, values in data)), zero=True))
     phases, planned = contact_phases(replay, contact), contact_phases(plan, contact)
     for low, high in phases:
         plot.band(low, high, "touch")
@@ -137,9 +141,9 @@ def _error(scene: SceneRecord, x: Axis, plan: TraceRecord | None, replay: TraceR
         return None
     times, values = found
     unit = "/".join(dict.fromkeys(item.unit for item in scene.coordinates))
-    plot = Plot("Position error: replay against plan", x, Axis.fitted("largest difference", unit, values, zero=True))
+    plot = Plot("Position error: replay against plan", x, Axis.fitted("largest difference", unit, array_of(values), zero=True))
     plot.line("difference", "c5", times, values)
-    worst = max(range(len(values)), key=lambda place: values[place])
+    worst = int(array_of(values).argmax())
     plot.words = f"The largest difference is {error(values[worst])} {unit}, at {number(times[worst], 3)} s; at the end it is {error(values[-1])} {unit}."
     return plot
 
@@ -181,7 +185,7 @@ def _inputs(scene: SceneRecord, x: Axis, plan: TraceRecord | None, tracked: Trac
     units = list(dict.fromkeys(item.unit for item, _ in data))
     applied = {item.name: values for item, _ in data if (values := column(tracked, item.name))}
     title = "Inputs of the plan (dotted) and with feedback" if applied else "Inputs of the plan"
-    every = [value for values in (*(values for _, values in data), *applied.values()) for value in values]
+    every = joined(*(values for _, values in data), *applied.values())
     plot = Plot(title, x, Axis.fitted("input", "/".join(units), every, zero=True))
     for place, (item, values) in enumerate(data):
         style = f"c{place % _MOST_COLOURS}"
@@ -189,7 +193,7 @@ def _inputs(scene: SceneRecord, x: Axis, plan: TraceRecord | None, tracked: Trac
             plot.line(f"{item.name} with feedback", style, tracked.t, applied[item.name])
             style += " ghost"
         plot.line(item.name, style, plan.t, values)
-        peak = max(range(len(values)), key=[abs(value) for value in values].__getitem__)
+        peak = int(np.abs(array_of(values)).argmax())
         plot.label(plan.t[min(peak, len(plan.t) - 1)], values[peak], item.name, f"strong c{place % _MOST_COLOURS}")
     plot.words = " ".join(
         f"{item.name} lies between {number(min(values), 3)} and {number(max(values), 3)} {item.unit}." for item, values in data
@@ -197,7 +201,7 @@ def _inputs(scene: SceneRecord, x: Axis, plan: TraceRecord | None, tracked: Trac
     return plot
 
 
-def _history(name: str, values: tuple[float, ...], iterations: int) -> Plot:
+def _history(name: str, values: Sequence[float], iterations: int) -> Plot:
     """One column of the iteration history, over all iterations if it was thinned; logarithmic where it is positive and spans two powers of ten."""
     name = _HISTORY_WORDS.get(name, clean(name).replace("_", " "))
     stride = max(1.0, iterations / (len(values) - 1))

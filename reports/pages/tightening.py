@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from reports.pages.section import Report, Section
 from reports.paper import TIGHTENING_FIGURES
 from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
 from reports.record import QuantityRecord, SceneRecord, TraceRecord
 from reports.rows import Row
+from reports.series import array_of, joined
 from reports.traces import column, force, gap
 from reports.wording import error, number, small
 
@@ -97,7 +100,7 @@ def _positions(items: Sequence[QuantityRecord], unit: str, lines: list[tuple[str
     plot = Plot(
         "Positions",
         Axis.fitted("time", "s", [t for _, _, trace in lines for t in (trace.t[0], trace.t[-1])], margin=0.0),
-        Axis.fitted("position", unit, [value for *_, values in data for value in values], margin=0.08),
+        Axis.fitted("position", unit, joined(*(values for *_, values in data)), margin=0.08),
         height=300,
     )
     for item, words, style, trace, values in data:
@@ -114,20 +117,20 @@ def _positions(items: Sequence[QuantityRecord], unit: str, lines: list[tuple[str
     return plot
 
 
-def _single(title: str, quantity: str, unit: str, data: list[tuple[str, str, TraceRecord, tuple[float, ...] | None]]) -> Plot | None:
+def _single(title: str, quantity: str, unit: str, data: list[tuple[str, str, TraceRecord, Sequence[float] | None]]) -> Plot | None:
     usable = [(words, style, trace, values) for words, style, trace, values in data if values]
     if not usable:
         return None
     plot = Plot(
         title,
         Axis.fitted("time", "s", [t for _, _, trace, _ in usable for t in (trace.t[0], trace.t[-1])], margin=0.0),
-        Axis.fitted(quantity, unit, [value for *_, values in usable for value in values], zero=True),
+        Axis.fitted(quantity, unit, joined(*(values for *_, values in usable)), zero=True),
     )
     for words, style, trace, values in usable:
         plot.line(words, style, trace.t, values)
     told = []
     for words, style, trace, values in usable:
-        peak = max(range(len(values)), key=lambda place: abs(values[place]))
+        peak = int(np.abs(array_of(values)).argmax())
         told.append(f"{words}: largest size {number(abs(values[peak]), 3)} {unit} at {number(trace.t[min(peak, len(trace.t) - 1)], 3)} s.")
         if quantity == "force":
             plot.label(trace.t[min(peak, len(trace.t) - 1)], values[peak], words, style, anchor="middle")

@@ -9,6 +9,10 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
+from reports.series import array_of
 from reports.wording import number, power, unit
 
 # Steps of a linear axis that a reader can add up in the head.
@@ -29,9 +33,19 @@ class Axis:
     exponent: int = 0
 
     @staticmethod
-    def fitted(quantity: str, unit: str, values: Iterable[float], *, log: bool = False, margin: float = 0.05, zero: bool = False) -> Axis:
+    def fitted(
+        quantity: str,
+        unit: str,
+        values: Iterable[float] | NDArray[np.float64],
+        *,
+        log: bool = False,
+        margin: float = 0.05,
+        zero: bool = False,
+    ) -> Axis:
         """An axis that holds all values; `zero` makes a linear axis begin (or end) at zero."""
         smallest = 1 / _LARGEST if log else -_LARGEST
+        if isinstance(values, np.ndarray) and len(values) and smallest <= values.min() and values.max() <= _LARGEST:
+            values = (float(values.min()), float(values.max()))
         usable = [value for value in values if smallest <= value <= _LARGEST]
         if log:
             low, high = (min(usable), max(usable)) if usable else (1e-3, 1.0)
@@ -69,12 +83,16 @@ class Axis:
             position = (value - self.low) / (self.high - self.low)
         return min(max(position, -0.5), 1.5)
 
-    def pixels(self, values: Sequence[float], start: float, end: float) -> list[float]:
-        """Pixels of many values, `start` at the low end and `end` at the high end: the same as by `fraction`, ten times as fast."""
-        if self.log or not values or min(values) < self.low or max(values) > self.high:
-            return [start + self.fraction(value) * (end - start) for value in values]
-        scale, low = (end - start) / (self.high - self.low), self.low
-        return [start + scale * (value - low) for value in values]
+    def pixels(self, values: Sequence[float] | NDArray[np.float64], start: float, end: float) -> NDArray[np.float64]:
+        """Pixels of many values, `start` at the low end and `end` at the high end: the same as by `fraction`."""
+        array = array_of(values)
+        if self.log:
+            begin = math.log10(self.low)
+            position = (np.log10(np.maximum(array, 1 / _LARGEST)) - begin) / (math.log10(self.high) - begin)
+        else:
+            with np.errstate(over="ignore"):  # what is too far off to be told is at the edge
+                position = (array - self.low) / (self.high - self.low)
+        return start + np.clip(position, -0.5, 1.5) * (end - start)
 
     def ticks(self, most: int = 6) -> list[tuple[float, str]]:
         return self._decades(most) if self.log else self._linear(most)

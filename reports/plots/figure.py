@@ -10,13 +10,16 @@ from the paths (the axes are in data attributes), so no number is stored twice.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
+import numpy as np
 from markupsafe import Markup, escape
+from numpy.typing import NDArray
 
 from reports.plots.axis import Axis
-from reports.plots.simplify import simplified
+from reports.plots.simplify import seen
 from reports.wording import unit
 
 # A quarter of a pixel: no point that is left out lies farther from the line that is drawn, and peaks and jumps are points that stay.
@@ -65,12 +68,12 @@ class Plot:
     def line(self, name: str, style: str, xs: Sequence[float], ys: Sequence[float]) -> None:
         """A line; the shorter of the two sequences decides (quantities of steps are one shorter than those of nodes)."""
         length = min(len(xs), len(ys))
+        if not length:
+            return
         across = self.x.pixels(xs[:length], self._LEFT, self.width - self._RIGHT)
         down = self.y.pixels(ys[:length], self.height - self._BOTTOM, self._TOP)
-        points = list(zip(across, down, strict=True))
-        if not points:
-            return
-        path = "L".join(f"{_fifth(x)},{_fifth(y)}" for x, y in simplified(points, _TOLERANCE))
+        points = seen(across, down, _TOLERANCE)
+        path = "L".join(map("{},{}".format, _fifths(across[points]), _fifths(down[points])))
         self._lines.append(f'<path class="ln {escape(style)}" data-n="{escape(name)}" d="M{path}"/>')
 
     def band(self, low: float, high: float, style: str) -> None:
@@ -206,9 +209,14 @@ def _pixel(place: float) -> str:
     return f"{place:.1f}".removesuffix(".0")
 
 
-def _fifth(place: float) -> str:
-    """A place of a line's point: to a fifth of a pixel, which is finer than what was left out."""
-    return _pixel(round(5 * place) / 5)
+def _fifths(places: NDArray[np.float64]) -> Iterator[str]:
+    """Places of a line's points: to a fifth of a pixel, which is finer than what was left out."""
+    return map(_fifth, np.rint(5 * places).astype(int).tolist())
+
+
+@lru_cache(maxsize=10_000)
+def _fifth(place: int) -> str:
+    return _pixel(place / 5)
 
 
 def _short(value: float) -> float:
