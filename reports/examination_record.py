@@ -1,11 +1,12 @@
 """ExaminationRecord: what is stored of a cell that is no scene x pipeline - a question with an expected answer, and what was found.
 
-record = StoredRecord.model_validate_json(path.read_bytes()).root      # a RunRecord or an ExaminationRecord
+record = record_of(path.read_bytes())      # a RunRecord or an ExaminationRecord
 runs, examinations = divided(records)
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
@@ -89,6 +90,18 @@ class StoredRecord(RootModel):
     """Any record.json of a campaign."""
 
     root: Annotated[Annotated[RunRecord, Tag("run")] | Annotated[ExaminationRecord, Tag("examination")], Discriminator(_which)]
+
+
+# Records that were read, by the digest of their text: a campaign and its report are told from the same files, and reading is most of the price.
+_READ: dict[bytes, RunRecord | ExaminationRecord] = {}
+
+
+def record_of(text: bytes) -> RunRecord | ExaminationRecord:
+    """The record that a record.json holds; the same text is read once. Raises pydantic's ValidationError."""
+    digest = hashlib.sha256(text).digest()
+    if digest not in _READ:
+        _READ[digest] = StoredRecord.model_validate_json(text).root
+    return _READ[digest]
 
 
 def divided(records: Iterable[RunRecord | ExaminationRecord]) -> tuple[tuple[RunRecord, ...], tuple[ExaminationRecord, ...]]:

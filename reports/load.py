@@ -5,6 +5,7 @@ stored = load(Path("runs/all"));  stored.campaign, stored.runs, stored.unreadabl
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -13,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 
 from reports.bench_record import AnyBench, BenchRecord
 from reports.collected import collected
-from reports.examination_record import ExaminationRecord, StoredRecord, divided
+from reports.examination_record import ExaminationRecord, divided, record_of
 from reports.record import SCHEMA_VERSION, CampaignRecord, RunRecord
 from reports.wording import clean
 
@@ -57,19 +58,22 @@ def load(folder: Path) -> Stored:
     if not folder.is_dir():
         raise ReportError(f"{folder}: there is no such folder; give the folder of a campaign (it holds campaign.json and runs/).")
     unreadable: list[Unreadable] = []
-    campaign = _read(folder / "campaign.json", folder, CampaignRecord, unreadable)
+    campaign = _read(folder / "campaign.json", folder, CampaignRecord.model_validate_json, unreadable)
     found: dict[str, RunRecord | ExaminationRecord] = {}
     for path in _record_files(folder):
-        stored = _read(path, folder, StoredRecord, unreadable)
-        if stored is None:
+        run = _read(path, folder, record_of, unreadable)
+        if run is None:
             continue
-        run = stored.root
         if run.key != path.parent.name:
             sentence = f"it says that it is the record of {run.key[:40]!r}, but lies in the folder of another; run the cell again."
             unreadable.append(Unreadable(clean(str(path.relative_to(folder))), clean(sentence)))
             continue
         found[run.key] = run
-    benches = tuple(bench.root for path in _bench_files(folder) if (bench := _read(path, folder, BenchRecord, unreadable)) is not None)
+    benches = tuple(
+        bench.root
+        for path in _bench_files(folder)
+        if (bench := _read(path, folder, BenchRecord.model_validate_json, unreadable)) is not None
+    )
     if campaign is None:
         runs, examinations = divided(found.values())
         runs = sorted(runs, key=lambda run: (run.scene.name, run.pipeline, run.key))
@@ -104,9 +108,9 @@ def _bench_files(folder: Path) -> list[Path]:
     return sorted(path for path in bench.glob("*.json") if not path.name.startswith(".")) if bench.is_dir() else []
 
 
-def _read(path: Path, folder: Path, model: type[_Record], unreadable: list[Unreadable]) -> _Record | None:
+def _read(path: Path, folder: Path, read: Callable[[bytes], _Record], unreadable: list[Unreadable]) -> _Record | None:
     try:
-        return model.model_validate_json(_text(path))
+        return read(_text(path))
     except ReportError as problem:
         sentence = str(problem)
     except OSError as problem:

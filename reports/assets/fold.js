@@ -1,6 +1,7 @@
 // Unfolds the parts that a large page keeps compressed, when they are opened, scrolled to or linked to (reports/parcels.py folds them).
 (() => {
-  const blocks = new Map();
+  // Blocks by name: being inflated, and inflated.
+  const [blocks, ready] = [new Map(), new Map()];
   // Path texts from numbers of seven bits a byte: how many lines, how many points each, all x, all y as differences in fifths of a pixel.
   const paths = (bytes) => {
     let place = 0;
@@ -29,7 +30,10 @@
     return { ...words, lines: paths(bytes.subarray(end)) };
   };
   const block = (name) => {
-    if (!blocks.has(name)) blocks.set(name, inflated(document.querySelector(`script[data-block="${name}"]`).textContent));
+    if (!blocks.has(name)) {
+      const text = document.querySelector(`script[data-block="${name}"]`).textContent;
+      blocks.set(name, inflated(text).then((contents) => { ready.set(name, contents); return contents; }));
+    }
     return blocks.get(name);
   };
   const fragment = (text) => {
@@ -37,17 +41,23 @@
     template.innerHTML = text;
     return template.content;
   };
-  const busy = new Set();
+  const [busy, begun] = [new Set(), new WeakSet()];
   const unfold = (place) => {
     const done = unfolded(place).finally(() => busy.delete(done));
     busy.add(done);
     return done;
   };
   const unfolded = async (place) => {
+    if (!place.dataset.part || begun.has(place)) return;
+    begun.add(place);
+    await block(place.dataset.block);
+    fill(place);
+  };
+  const fill = (place) => {
     if (!place.dataset.part) return;
     const part = Number(place.dataset.part);
     delete place.dataset.part;
-    const { parts, figures, lines } = await block(place.dataset.block);
+    const { parts, figures, lines } = ready.get(place.dataset.block);
     const content = fragment(parts[part]);
     for (const spot of content.querySelectorAll("[data-figure]")) {
       const figure = fragment(figures[Number(spot.dataset.figure)]);
@@ -98,4 +108,15 @@
   document.documentElement.classList.add("folded");
   addEventListener("hashchange", follow);
   follow();
+
+  // Printing waits for nothing: blocks are inflated when the page has nothing else to do, so that every part can be put in its place at once.
+  const idle = window.requestIdleCallback || ((done) => setTimeout(done, 200));
+  const prepare = (names) => {
+    if (names.length) idle(() => block(names[0]).finally(() => prepare(names.slice(1))));
+  };
+  addEventListener("load", () => prepare([...document.querySelectorAll("script[data-block]")].map((item) => item.dataset.block)));
+  addEventListener("beforeprint", () => {
+    const folded = () => [...document.querySelectorAll(".parcel[data-part]")].filter((place) => ready.has(place.dataset.block));
+    for (let places = folded(); places.length; places = folded()) places.forEach(fill);
+  }, { capture: true });
 })();

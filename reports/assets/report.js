@@ -101,7 +101,7 @@
 
   const open = (wanted) => document.querySelectorAll("article.run:not([hidden]) details:is(.whole, .stage)").forEach((item) => { item.open = wanted; });
   document.querySelectorAll("[data-all]").forEach((button) => button.addEventListener("click", () => open(button.dataset.all === "open")));
-  // Paper has no disclosure triangles: everything that is not folded is opened for print and put back afterwards.
+  // Paper has no disclosure triangles: everything is opened for print and put back afterwards (fold.js has put what was folded in its place before).
   let closed = [];
   addEventListener("beforeprint", () => {
     closed = [...document.querySelectorAll("main details:not([open])")].filter((item) => !item.querySelector(":scope > .parcel[data-part]"));

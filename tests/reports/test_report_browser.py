@@ -191,6 +191,25 @@ def test_a_stage_unfolds_when_it_is_opened(chromium, folded_file, page_file):
     assert page.evaluate(path) == chromium.open(page_file).evaluate(path)
 
 
+def test_a_folded_page_is_printed_whole(chromium, folded_file, page_file):
+    """Its parts are inflated when there is nothing else to do, and put in their places at once when it is printed."""
+    page = chromium.open(folded_file)
+    left = page.evaluate("""(async () => {
+      const left = () => document.querySelectorAll(".parcel[data-part]").length;
+      for (let turn = 0; turn < 100 && left(); turn += 1) {
+        await new Promise((done) => setTimeout(done, 50));
+        dispatchEvent(new Event("beforeprint"));
+      }
+      dispatchEvent(new Event("beforeprint"));
+      return left();
+    })()""")
+    assert left == 0
+    assert page.evaluate("document.querySelectorAll('main details:not([open])').length") == 0
+    told = "[...document.querySelectorAll('main > section')].map((item) => item.textContent).join('').replace(/\\s+/g, '').length"
+    assert page.evaluate(told) == chromium.open(page_file).evaluate(told)
+    assert page.messages == []
+
+
 def test_the_matrix_is_filtered_and_sorted_and_the_address_says_how(chromium, page_file):
     page = chromium.open(page_file)
     before = page.evaluate(_ROWS)
