@@ -201,4 +201,6 @@ def _finalized(value: Any) -> Any:
     """Every string that reaches the page without being markup loses its control characters; escaping comes after."""
     if isinstance(value, Token) or not isinstance(value, str):
         return value
-    return Markup(value.replace(OPENS, "").replace(CLOSES, "")) if isinstance(value, Markup) else wording.clean(value)
+    if not isinstance(value, Markup):
+        return wording.clean(value)
+    return Markup(value.replace(OPENS, "").replace(CLOSES, "")) if OPENS in value or CLOSES in value else value

@@ -163,6 +163,8 @@ def spaced(name: str) -> str:
 
 def clean(text: str) -> str:
     """Text of a record without terminal codes and control characters (the template escapes it afterwards)."""
+    if text.isprintable():  # Python counts none of these as such, and knows at once
+        return text
     return _CONTROL.sub("", _TERMINAL.sub("", text.replace("\r\n", "\n").replace("\r", "\n")))
 
 
