@@ -91,10 +91,10 @@ class Store:
     def read(self, key: str) -> RunRecord | ExaminationRecord | None:
         """The stored record of a cell, or None if there is none that can be read."""
 
-        from reports.examination_record import StoredRecord
+        from reports.examination_record import record_of
 
         try:
-            record = StoredRecord.model_validate_json((self.runs / key / RECORD).read_bytes()).root
+            record = record_of((self.runs / key / RECORD).read_bytes())
         except (OSError, ValueError):  # no record, or a key that is no file name
             return None
         return record if record.key == key else None
