@@ -12,15 +12,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from models.codegen.kernel import Kernel, load_kernel
-from models.contact_law import ContactLaw, sharpness, worst_case_violation
-from models.dynamics import derive
-from models.scene import Scene
 from reports.record import ViolationPoint
 from validate.store import write_durably
+
+if TYPE_CHECKING:  # to write what was measured needs no SymPy
+    from models.codegen.kernel import Kernel
+    from models.scene import Scene
 
 SOFTPLUS_EPS = tuple(10.0**-power for power in range(1, 13))
 RELAXED_EPS = tuple(10.0**-power for power in range(1, 9))
@@ -33,6 +34,9 @@ _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 
 def measure(scene: Scene) -> tuple[ViolationPoint, ...]:
     """The points of Fig. 2 for the first contact of a scene; none for a scene without contacts. Raises MachineError."""
+    from models.codegen.kernel import load_kernel
+    from models.contact_law import worst_case_violation
+
     if scene.nc == 0:
         return ()
     kernel = load_kernel(scene)
@@ -55,6 +59,8 @@ def measure(scene: Scene) -> tuple[ViolationPoint, ...]:
 
 def softplus_violation(kernel: Kernel, path: Callable[[np.ndarray], np.ndarray], eps: float) -> float:
     """The largest lam*(lam - k*phi) [N^2] of the compiled softplus law at the first contact along a path through it."""
+    from models.contact_law import ContactLaw, sharpness
+
     stiffness = kernel.stiffness()
 
     def violation(depth: np.ndarray) -> np.ndarray:
@@ -70,6 +76,8 @@ def softplus_violation(kernel: Kernel, path: Callable[[np.ndarray], np.ndarray],
 
 def _through_contact(scene: Scene, kernel: Kernel) -> Callable[[np.ndarray], np.ndarray]:
     """Positions q (n, nq) along the gradient of the first penetration whose penetration is, to first order, the given depth."""
+    from models.dynamics import derive
+
     start = np.array([scene.task.start[: scene.nq]], dtype=float)
     jacobian = derive(scene).function(derive(scene).gap_jacobian, derive(scene).q)
     direction = -jacobian(start[0])[0]
