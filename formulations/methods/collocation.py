@@ -32,13 +32,16 @@ class Collocation(Method):
             choices=(True, False),
         ),
         OptionSpec(
-            name="first_sharpness", default=7.0, description="sharpness b of the first softplus stage", unit="1/m", lower=1e-3, upper=700.0
+            name="first_sharpness",
+            default=7.0,
+            description="sharpness of the first softplus stage, |ln eps|: b times the length that the scene counts it in",
+            lower=1e-3,
+            upper=700.0,
         ),
         OptionSpec(
             name="last_sharpness",
             default=448.0,
             description="sharpness from which on the modes of the contacts are read off",
-            unit="1/m",
             lower=1e-3,
             upper=700.0,
         ),

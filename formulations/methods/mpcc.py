@@ -41,13 +41,16 @@ class Mpcc(Method):
             lower=0.0,
         ),
         OptionSpec(
-            name="first_sharpness", default=7.0, description="sharpness b of the first softplus stage", unit="1/m", lower=1e-3, upper=700.0
+            name="first_sharpness",
+            default=7.0,
+            description="sharpness of the first softplus stage, |ln eps|: b times the length that the scene counts it in",
+            lower=1e-3,
+            upper=700.0,
         ),
         OptionSpec(
             name="last_sharpness",
             default=448.0,
             description="no stage is sharper; modes read off much softer contact often have no plan",
-            unit="1/m",
             lower=1e-3,
             upper=700.0,
         ),

@@ -86,6 +86,7 @@ def _damped_forces(scene: Scene, law: ContactLaw, eps: float | None, **kind: Any
     is_linear = torch.tensor([contact.damping_law is DampingLaw.KELVIN_VOIGT for contact in scene.contacts], device=kind["device"])
     is_damped = torch.tensor([contact.is_damped for contact in scene.contacts], device=kind["device"])
     soft = _contact_law(law, eps, scene.length)  # k times the smoothed positive part
+    pure = _contact_law(law, eps, 1.0)  # of a number, with b L
 
     def forces(lam: Tensor, q: Tensor, v: Tensor) -> Tensor:
         phi, k, c, r = evaluate(q, v).unflatten(-1, (4, nc)).unbind(-2)
@@ -96,7 +97,7 @@ def _damped_forces(scene: Scene, law: ContactLaw, eps: float | None, **kind: Any
         )
         kelvin_voigt = soft(phi + closed * c * r / k, k) if law is ContactLaw.SOFTPLUS else closed * soft(phi + c * r / k, k)
         one = torch.ones_like(k)
-        return torch.where(is_damped, torch.where(is_linear, kelvin_voigt, soft(phi, k) * soft(1 + c * r, one) / soft(one, one)), lam)
+        return torch.where(is_damped, torch.where(is_linear, kelvin_voigt, soft(phi, k) * pure(1 + c * r, one) / pure(one, one)), lam)
 
     return forces
 

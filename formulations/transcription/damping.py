@@ -29,7 +29,7 @@ def damped_softplus(scene: Scene, contact: int, phi: Any, rate: Any, k: Any, c: 
     """The smoothed force of a damped contact [N]."""
     if scene.contacts[contact].damping_law is DampingLaw.KELVIN_VOIGT:
         return equations.expression_kelvin_voigt_softplus(phi, rate, k, c, b)
-    return equations.expression_hunt_crossley_softplus(phi, rate, k, c, b)
+    return equations.expression_hunt_crossley_softplus(phi, rate, k, c, b, scene.length)
 
 
 def add_springs(

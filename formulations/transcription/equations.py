@@ -53,7 +53,7 @@ def constraint_step_end(x_next: Any, x_now: Any, gained: Any) -> Any:
 
 
 def constraint_contact_softplus(lam: Any, phi: Any, k: Any, b: Any) -> Any:
-    """lam[t] = (k / b) log(1 + exp(b phi(q[t])))   [N],   b = |ln eps|   (paper, eq. 5, sign corrected)"""
+    """lam[t] = (k / b) log(1 + exp(b phi(q[t])))   [N],   b = |ln eps| / L   (paper, eq. 5, sign corrected)"""
     return lam == (k / b) * pyo.log(1 + pyo.exp(b * phi))
 
 
@@ -62,9 +62,10 @@ def expression_kelvin_voigt_softplus(phi: Any, rate: Any, k: Any, c: Any, b: Any
     return (k / b) * pyo.log(1 + pyo.exp(b * (phi + c * rate / (k * (1 + pyo.exp(-b * phi))))))
 
 
-def expression_hunt_crossley_softplus(phi: Any, rate: Any, k: Any, c: Any, b: Any) -> Any:
-    """(k / b) log(1 + exp(b phi)) log(1 + exp(b (1 + c r))) / log(1 + exp(b))   [N]; r [m/s] the rate of phi, c [s/m]; b a number in the quotient"""
-    return (k / b) * pyo.log(1 + pyo.exp(b * phi)) * pyo.log(1 + pyo.exp(b * (1 + c * rate))) / pyo.log(1 + pyo.exp(b))
+def expression_hunt_crossley_softplus(phi: Any, rate: Any, k: Any, c: Any, b: Any, length: float) -> Any:
+    """(k / b) log(1 + exp(b phi)) log(1 + exp(b L (1 + c r))) / log(1 + exp(b L))   [N]; r [m/s] the rate of phi, c [s/m]; L the scene's length [m]"""
+    bl = b * length
+    return (k / b) * pyo.log(1 + pyo.exp(b * phi)) * pyo.log(1 + pyo.exp(bl * (1 + c * rate))) / pyo.log(1 + pyo.exp(bl))
 
 
 def expression_kelvin_voigt(spring: Any, touch: Any, c: Any, rate: Any) -> Any:

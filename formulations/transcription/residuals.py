@@ -121,7 +121,8 @@ class PlanResiduals:
                     phi[:, i] + share / k[i] * np.exp(-np.logaddexp(0.0, -b * phi[:, i])), k[i], law, eps, self._scene.length
                 )
             else:
-                lam[:, i] *= np.logaddexp(0.0, b * (1.0 + share)) / np.logaddexp(0.0, b)
+                bl = b * self._scene.length
+                lam[:, i] *= np.logaddexp(0.0, bl * (1.0 + share)) / np.logaddexp(0.0, bl)
         return lam
 
     def _friction_residuals(self, plan: Trajectory, law: ContactLaw, eps: float | None) -> dict[str, float]:

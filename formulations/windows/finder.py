@@ -262,7 +262,7 @@ class Finder:
         return int(self._number("search_windows")) // (1 if self._is_linear else _NONLINEAR)
 
     def _schedule(self) -> tuple[float, ...]:
-        """Sharpness by sharpness, from the first to the last by a constant factor."""
+        """b L by b L, from the first to the last by a constant factor."""
         first, last, growth = (self._number(name) for name in ("first_sharpness", "last_sharpness", "sharpness_growth"))
         count = int(np.floor(np.log(max(last / first, 1.0)) / np.log(growth) + 1e-9)) + 1
         return tuple(first * growth**index for index in range(count))

@@ -1,4 +1,6 @@
-"""Softplus contact that grows sharper, b = 7, 14, .., 448 [1/m]: where the contacts will be, from a cold start.
+"""Softplus contact that grows sharper, b L = 7, 14, .., 448: where the contacts will be, from a cold start.
+
+L is the length that the scene counts eps in, 1 m unless it says otherwise: a scene in other units, or a tenth as large, has the same schedule.
 
 Softplus acts at a distance with k ln 2 / b at the touch. Where that exceeds what the inputs can hold against, the contact begins softer:
 k is a hundredth, a fiftieth, .. of its value, and reaches it with the last stage.
@@ -25,7 +27,7 @@ from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory
 
-# From this sharpness on [1/m] a stage takes the multipliers of the one before: earlier the plan still moves too far
+# From this sharpness b L on a stage takes the multipliers of the one before: earlier the plan still moves too far
 # for them (three carts: 64 iterations in all; 140 from the second stage on, 75 without any).
 _DUALS_FROM = 100.0
 # Largest softplus force of touching bodies, in parts of the strongest input: 3 N of 10 N for the three carts, k = 30 and b = 7.
@@ -36,7 +38,7 @@ PATIENCE = 200
 
 
 class SoftplusHomotopy:
-    """The softplus model of one scene, built once. ball: radius of the goal, as in `quadratic`; scheme, integrate_cost: as in `build_model`."""
+    """The softplus model of one scene, built once. schedule: b L of its stages; ball: radius of the goal, as in `quadratic`; scheme, integrate_cost: as in `build_model`."""
 
     def __init__(
         self,
@@ -107,12 +109,12 @@ def _own_stiffness(scene: Scene) -> dict[str, float]:
 
 
 def _stages(scene: Scene, schedule: tuple[float, ...], may_soften: bool) -> Iterator[tuple[float, float]]:
-    """(sharpness, part of the stiffness) stage by stage."""
+    """(sharpness b L, part of the stiffness) stage by stage."""
     stiffest = max(float(sp.sympify(contact.stiffness).subs(scene.parameter_values)) for contact in scene.contacts)
     strongest = max(max(abs(item.lower), abs(item.upper)) for item in scene.inputs)
     share = 1.0
     for sharpness in schedule:
-        touch = stiffest * np.log(2.0) / sharpness
+        touch = stiffest * scene.length * np.log(2.0) / sharpness
         share = min(1.0, _TOUCH * strongest / touch) if may_soften else 1.0
         yield sharpness, share
     while share < 1.0:

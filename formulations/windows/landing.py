@@ -24,7 +24,7 @@ _FIRST, _CALMER, _BOLDER = (
 )  # damping after the first failure (part of the largest eigenvalue); its factor after failure and success
 _LEAST, _LARGEST = 1e-10, 1e8  # damping below which it is none at all, and above which nothing is left to try
 
-# By softplus: factor between two sharpnesses, the last (eps = exp(-b) must be a number), steps tried at each, and the miss that is enough there.
+# By softplus: factor between two sharpnesses b L, the last (eps = exp(-b L) must be a number), steps tried at each, and the miss that is enough there.
 _SHARPER, _SHARPEST, _EACH, _ON_THE_WAY = 1.25, 700.0, 25, 1e-7
 
 
@@ -75,7 +75,8 @@ def land_by_softplus(
     ball: float,
     sharpness: float,
 ) -> tuple[Rollout, np.ndarray]:
-    """The same by way of softplus contact that grows sharper in small steps, from `sharpness` [1/m], at which u nearly ends where it should.
+    """The same by way of softplus contact that grows sharper in small steps, from `sharpness` (b L, L the scene's length),
+    at which u nearly ends where it should.
 
     A contact that begins or ends on the way bends the path of the true law, and a miss may be smallest at such a bend; softplus has none.
     """

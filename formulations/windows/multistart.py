@@ -29,7 +29,7 @@ from models.codegen.kernel import Kernel
 from models.scene import Scene
 from models.trajectory import Trajectory
 
-_CHAIN = tuple(float(-np.log(eps)) for eps in (1e-3, 1e-5, 1e-7))  # sharpness b = |ln eps|
+_CHAIN = tuple(float(-np.log(eps)) for eps in (1e-3, 1e-5, 1e-7))  # b L = |ln eps|
 
 
 @dataclass(frozen=True, kw_only=True)

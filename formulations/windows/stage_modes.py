@@ -117,7 +117,8 @@ class CollocationSession(Session):
 
         outcome, message = homotopy.run(account, options, start, keep, PATIENCE)
         if not guesses and outcome is not Outcome.SOLVED and not account.is_over:
-            found = nearest(self._scene, account, int(self._number("max_iterations")), self._number("first_sharpness"))
+            sharpest = self._number("first_sharpness") / self._scene.length
+            found = nearest(self._scene, account, int(self._number("max_iterations")), sharpest)
             if found.is_out_of_reach:
                 task = self._scene.task
                 words = f"no plan of {task.steps} steps of {task.step:g} s was found that reaches the goal within the bounds: the nearest misses {found.words}."
@@ -205,7 +206,7 @@ class CollocationSession(Session):
         )
 
     def _schedule(self) -> tuple[float, ...]:
-        """Sharpness by sharpness, from the first to the last by a constant factor."""
+        """b L by b L, from the first to the last by a constant factor."""
         first, last, growth = (self._number(name) for name in ("first_sharpness", "last_sharpness", "sharpness_growth"))
         count = int(np.floor(np.log(max(last / first, 1.0)) / np.log(growth) + 1e-9)) + 1
         return tuple(first * growth**index for index in range(count))

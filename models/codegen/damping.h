@@ -5,7 +5,7 @@
  *
  * Smoothed by s(x) = log(1 + exp(b x)) / b, whose derivative w(x) = 1 / (1 + exp(-b x)) stands for "where x > 0":
  *
- *   1:  lam = k s(phi + w(phi) c r / k)          2:  lam = k s(phi) s(1 + c r) / s(1), b as a pure number in the last two
+ *   1:  lam = k s(phi + w(phi) c r / k)          2:  lam = k s(phi) s(1 + c r) / s(1), b L for b in the last two, L the scene's length
  *
  * Both are never negative, and at rest (r = 0) they are the softplus law of an undamped contact. */
 #ifndef DAMPING_H
@@ -55,10 +55,10 @@ SCENE_FUNCTION Push damped_force(int law, double b, int damping, double k, doubl
         none.phi = slope * (k + b * w * (1.0 - w) * c * rate);
         none.rate = slope * w * c;
     } else {
-        const double depth = soft_part(b, phi) / soft_part(b, 1.0), s = soft_part(b, 1.0 + c * rate);
+        const double bl = b * SCENE_LENGTH, one = soft_part(bl, 1.0), depth = soft_part(b, phi) / one, s = soft_part(bl, 1.0 + c * rate);
         none.value = k * depth * s;
-        none.phi = k * w * s / soft_part(b, 1.0);
-        none.rate = k * depth * soft_switch(b, 1.0 + c * rate) * c;
+        none.phi = k * w * s / one;
+        none.rate = k * depth * soft_switch(bl, 1.0 + c * rate) * c;
     }
     return none;
 }

@@ -77,6 +77,7 @@ def _head(scene: Scene, defaults: bool) -> str:
     if scene.nf:
         nominals = ", ".join(repr(float(friction.nominal)) for friction in scene.frictions)
         lines += [f"static const double scene_friction_nominals[] SCENE_UNUSED = {{{nominals}}};", ""]
+    if scene.nf or scene.damped:
         lines += [f"#define SCENE_LENGTH {scene.length!r}", ""]
     if defaults:
         values = [parameter.value for parameter in scene.parameters] or [0.0]

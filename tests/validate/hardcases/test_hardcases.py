@@ -24,7 +24,7 @@ NAMES = case_names()
 CHEAP: dict[str, dict[str, object]] = {
     "h01_stiffness": {"STIFFNESSES": (1.0, 1e2, 1e4, 1e5, 1e6), "SWEPT": 2},
     "h02_restitution": {"SWEEP": (0.5, 1.2)},
-    "h03_mass_ratio": {"RATIOS": (1e-4, 1e4)},
+    "h03_mass_ratio": {"RATIOS": (1e-4, 1e4), "PLANNED": (1e-2, 1e-1, 1e1)},
     "h07_unstable": {"ITERATIONS": 60},
     "h08_long_horizon": {"LENGTHS": (500, 2000), "MODEL_LENGTHS": (50, 100), "EXPONENT": 100.0},  # seconds are for the campaign
     "h14_creep": {"COEFFICIENTS": (0.05, 0.8), "STEPS": (0.02, 0.01, 0.005)},

@@ -37,8 +37,8 @@ class Changed:
     def __init__(self, method, change):
         self.method, self.change = method, change
 
-    def open(self, scene, options):
-        session = self.method.open(scene, options)
+    def open(self, scene, options=None):
+        session = self.method.open(scene, options or {})
         solve = session.solve
         session.solve = lambda **given: self.change(solve(**given))
         return session
@@ -50,10 +50,15 @@ def changed(monkeypatch, case, change):
     monkeypatch.setattr(case, "load_method", lambda name: Changed(load(name), change))
 
 
+# Of carts that cost and err as they should.
+PLANNED = h03_mass_ratio._Planned(limit=0.026, ratios=[1.0], costs=[240.0], errors=[0.01])
+
+
 def test_a_replay_with_another_stiffness(monkeypatch):
     """A millionth more: the contact time is half of that too short."""
     replayed = h03_mass_ratio.replayed
     monkeypatch.setattr(h03_mass_ratio, "RATIOS", (1e-4,))
+    monkeypatch.setattr(h03_mass_ratio, "planned", lambda: PLANNED)
     monkeypatch.setattr(
         h03_mass_ratio,
         "replayed",
@@ -70,8 +75,26 @@ def test_a_plan_that_loses_momentum_in_contact(monkeypatch):
         return replace(plan, v=plan.v * [[1.0, 1.0 + 1e-9]])
 
     monkeypatch.setattr(h03_mass_ratio, "RATIOS", (1.0,))
+    monkeypatch.setattr(h03_mass_ratio, "planned", lambda: PLANNED)
     monkeypatch.setattr(h03_mass_ratio, "rolled", lossy)
     assert "momentum of the plan's time step" in broken(h03_mass_ratio.measure())
+
+
+@pytest.mark.parametrize("defect", ["warning", "replay", "goal"])
+def test_plans_of_unequal_masses_that_are_warned_of_wrongly_or_do_not_hold(monkeypatch, defect: str):
+    """A limit four times too near; a replay of carts a tenth heavier; a method that gives up where there is a plan."""
+    said, replayed = h03_mass_ratio.step_stability, h03_mass_ratio.replayed
+    monkeypatch.setattr(h03_mass_ratio, "simulated", lambda: h03_mass_ratio._Simulated([0.0], [0.0], [0.0], [0.0]))
+    monkeypatch.setattr(h03_mass_ratio, "RATIOS", (1.0,))
+    monkeypatch.setattr(h03_mass_ratio, "PLANNED", (1e-1,) if defect == "warning" else (1e1,))
+    if defect == "warning":
+        monkeypatch.setattr(h03_mass_ratio, "step_stability", lambda scene: said(scene, 4.0 * scene.task.step))
+    elif defect == "replay":
+        monkeypatch.setattr(h03_mass_ratio, "replayed", lambda scene, plan, like: replayed(scene.with_parameters(m=1.1), plan, like=like))
+    else:
+        changed(monkeypatch, h03_mass_ratio, lambda solution: replace(solution, outcome=Outcome.STALLED, trajectory=None))
+    failed = broken(h03_mass_ratio.measure())
+    assert ("largest replay error" if defect == "replay" else "neither planned nor told") in failed
 
 
 def _k(scene):
@@ -126,10 +149,10 @@ def test_a_length_that_is_hidden_in_the_law_and_an_optimum_that_depends_on_it(mo
         contacts = tuple(replace(contact, penetration=contact.penetration + 1e-6) for contact in scene.contacts)
         return rolled(replace(scene, contacts=contacts), **given)
 
-    metres = h16_units._solved(load_scene("three_cart"), 1.0)
+    metres = h16_units._solved(load_scene("three_cart"))
     assert metres.cost is not None
     dearer = replace(metres, cost=(1.0 + 1e-5) * metres.cost)
-    monkeypatch.setattr(h16_units, "_solved", lambda scene, sharpness: metres if sharpness == 1.0 else dearer)
+    monkeypatch.setattr(h16_units, "_solved", lambda scene: metres if scene.length == 1.0 else dearer)
     monkeypatch.setattr(h16_units, "rolled", shifted)
     failed = broken(h16_units.measure())
     assert "plan's step: difference after rescaling" in failed
