@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from validate.chosen import CampaignError, Entry, Examined, Settings, select, with_stored
-from validate.engine import LocalEngine
+from validate.engine import Running, Site, check_engine, open_engine
 from validate.results import write_examinations, write_results
 from validate.shared_stages import beginnings_of, must_wait
 from validate.standing_report import campaign_text, standing_report
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from reports.examination_record import ExaminationRecord
     from reports.record import CampaignRecord, ProvenanceRecord, RunRecord, ViolationPoint
     from reports.time_step_record import TimeStepRecord
-    from validate.worker import Job, Worker
 
 __all__ = ["CampaignError", "Narrator", "Outcome", "Settings", "run_campaign", "select", "stored_campaign", "with_stored"]
 
@@ -56,7 +55,7 @@ class Narrator(Protocol):
 
     def begins(self, total: int, stored: int) -> None: ...
     def warns(self, sentence: str) -> None: ...
-    def runs(self, workers: Sequence[Worker]) -> None: ...
+    def runs(self, workers: Sequence[Running]) -> None: ...
     def finished(self, record: RunRecord | ExaminationRecord) -> None: ...
     def ends(self) -> None: ...
 
@@ -73,6 +72,7 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
     from validate.provenance import gather
     from validate.violation import write_violation
 
+    check_engine(settings.engine)
     entries, left_out = select(settings)
     find_compiler()  # the compiled time step and the FMU need one: better said now than by every cell
     store = Store(settings.out)
@@ -157,19 +157,16 @@ def _run(
 ) -> Generator[RunRecord | ExaminationRecord, None, None]:
     if not entries:
         return
-    from validate.fork_server import fork_server
-    from validate.worker import Watchdog, Worker
-
     by_key = {entry.cell.key: entry for entry in entries}
-    with Watchdog() as watchdog, fork_server(len(entries)) as server:
-
-        def start(cell: Job) -> Worker:
-            return Worker(cell, by_key[cell.key].lost(provenance), provenance, store, watchdog, server)
-
-        def waits(cell: Job, running: Sequence[Job]) -> bool:
-            return must_wait(beginnings_of(cell), [beginnings_of(other) for other in running], store)
-
-        engine = LocalEngine(start, settings.jobs, narrator.runs, waits)
+    site = Site(
+        store=store,
+        provenance=provenance,
+        lost=lambda cell: by_key[cell.key].lost(provenance),
+        watch=narrator.runs,
+        must_wait=lambda cell, running: must_wait(beginnings_of(cell), [beginnings_of(other) for other in running], store),
+        warn=narrator.warns,
+    )
+    with open_engine(settings.engine, settings.jobs, site, len(entries)) as engine:
         for tries_left in range(settings.retries, -1, -1):
             crashed: list[Entry | Examined] = []
             with closing(engine.run([entry.cell for entry in entries])) as finished:

@@ -1,31 +1,116 @@
 """Engines run the cells of a campaign, each in its own child process, and hand back records as cells finish.
 
-    for cell, record in LocalEngine(start, jobs=2).run(cells): ...
+    with open_engine("local", 2, site, len(cells)) as engine:       # or "dask", "dask:ADDRESS", "dask:FILE.json": validate.dask_engine
+        for cell, record in engine.run(cells): ...
 
-Another engine (a cluster's scheduler) is another class with the same `run`: it needs `start` on the machine where a cell
-runs and nothing else, since a Worker stores what it finished by itself.
+Another engine is another class with the same `run`: it has a Worker run where a cell is to run, and a Worker stores what it finished by itself.
 """
 
 from __future__ import annotations
 
+import importlib.util
+import json
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from models.errors import MachineError, TouchstoneError
 
 if TYPE_CHECKING:
     from reports.examination_record import ExaminationRecord
-    from reports.record import RunRecord
-    from validate.worker import Job, Worker
+    from reports.record import ProvenanceRecord, RunRecord
+    from validate.store import Store
+    from validate.worker import Job, Lost, Worker
 
+LOCAL, DASK = "local", "dask"
 # How often children are looked at [s]: far below the 0.3 s a cell takes to start, and 20 cheap system calls a second.
 _LOOK = 0.05
+
+
+class EngineError(TouchstoneError):
+    """No engine has this name, or its cluster is not described where the name says."""
+
+
+class Running(Protocol):
+    """A cell at work, as it is told of."""
+
+    @property
+    def cell(self) -> Job: ...
+    def progress(self) -> str: ...
 
 
 class Engine(Protocol):
     def run(self, cells: Sequence[Job]) -> Generator[tuple[Job, RunRecord | ExaminationRecord], None, None]:
         """Run all cells; yield each with its record when it has finished. Closing the iterator stops what runs."""
         ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Site:
+    """What an engine has of a campaign. lost: makes the record of a child of a cell that left none; watch: called with what runs at each
+    look; must_wait: whether a cell is to be left for later while others run; warn: told a sentence."""
+
+    store: Store
+    provenance: ProvenanceRecord
+    lost: Callable[[Job], Callable[[Lost], RunRecord | ExaminationRecord]]
+    watch: Callable[[Sequence[Running]], None]
+    must_wait: Callable[[Job, Sequence[Job]], bool]
+    warn: Callable[[str], None]
+
+
+def check_engine(name: str) -> None:
+    """Raises EngineError if there is no such engine, MachineError if what it needs is not installed."""
+    kind, colon, where = name.partition(":")
+    if name == LOCAL:
+        return
+    if kind != DASK or (colon and not where):
+        raise EngineError(f"--engine {name}: there is no such engine; the engines are local, dask, dask:ADDRESS and dask:FILE.json.")
+    if importlib.util.find_spec("distributed") is None:
+        raise MachineError(f"--engine {name} needs the package distributed: pip install 'touchstone-contact[dask]'.")
+    if where.endswith(".json"):
+        _check_scheduler_file(Path(where))
+
+
+def _check_scheduler_file(path: Path) -> None:
+    try:
+        content: Any = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) else "it is no JSON"
+        raise EngineError(f"--engine dask:{path}: the scheduler file cannot be read ({why}); start a scheduler that writes it.") from error
+    if not isinstance(content, dict) or not isinstance(content.get("address"), str):
+        raise EngineError(
+            f"--engine dask:{path}: this is no scheduler file of Dask (it has no `address`); give the one the scheduler wrote."
+        )
+
+
+@contextmanager
+def open_engine(name: str, jobs: int | None, site: Site, cells: int) -> Iterator[Engine]:
+    """The engine of a name. jobs: cells at a time, None for what the engine chooses; cells: how many there are. Raises MachineError."""
+    if name == LOCAL:
+        with _local(jobs or 1, site, cells) as engine:
+            yield engine
+    else:
+        from validate.dask_engine import open_dask
+
+        with open_dask(name.partition(":")[2], jobs, site) as engine:
+            yield engine
+
+
+@contextmanager
+def _local(jobs: int, site: Site, cells: int) -> Iterator[LocalEngine]:
+    from validate.fork_server import fork_server
+    from validate.worker import Watchdog, Worker
+
+    with Watchdog() as watchdog, fork_server(cells) as server:
+
+        def start(cell: Job) -> Worker:
+            return Worker(cell, site.lost(cell), site.provenance, site.store, watchdog, server)
+
+        yield LocalEngine(start, jobs, site.watch, site.must_wait)
 
 
 class LocalEngine:

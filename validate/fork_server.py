@@ -57,7 +57,7 @@ MODULES = (
 _LONGEST = 1000
 _TOKEN = "0" * 32
 # From so many cells on the server has saved the time of its own start.
-_WORTH = 4
+WORTH = 4
 
 
 class ForkServerError(Exception):
@@ -162,7 +162,7 @@ class ForkedChild(ChildProcess):
 def fork_server(cells: int) -> Iterator[ForkServer | None]:
     """A server for so many cells, or None where there can be none, or it would cost more than it saves."""
     try:
-        server = ForkServer() if cells >= _WORTH else None
+        server = ForkServer() if cells >= WORTH else None
     except ForkServerError:
         server = None
     try:

@@ -38,6 +38,8 @@ _NO_INFLUENCE = (
     "validate/campaign.py",
     "validate/chosen.py",
     "validate/config/",
+    "validate/dask_cell.py",
+    "validate/dask_engine.py",
     "validate/engine.py",
     "validate/fork_server.py",
     "validate/results.py",
@@ -137,6 +139,11 @@ def _hash(content: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps({**around, **content}, sort_keys=True, default=repr).encode()).hexdigest()
 
 
+def fingerprint() -> str:
+    """Digest of all that decides numbers here, whatever the cell: two machines that agree on it give a cell the same key."""
+    return _hash({"sources": _source_digests()})
+
+
 @lru_cache(maxsize=1)
 def compiler_text() -> str:
     """Name and version of the C compiler, or the sentence that says there is none."""
@@ -198,16 +205,19 @@ def gather(command: str) -> ProvenanceRecord:
         touchstone=version,
         commit=commit(),
         python=f"{platform.python_implementation()} {platform.python_version()}",
-        platform=platform.platform(),
-        cpu=_cpu(),
-        cores=usable_cores(),
         threads=THREADS,
         packages={name: text for name, text in packages.items() if name != "python"},
         compiler=compiler_text(),
         seed=SEED,
         started=now(),
         command=command,
+        **machine(),
     )
+
+
+def machine() -> dict[str, Any]:
+    """What a record says of the machine: the system, the processor, and how many cores this process may use."""
+    return {"platform": platform.platform(), "cpu": _cpu(), "cores": usable_cores()}
 
 
 def command_line(arguments: Iterable[str]) -> str:

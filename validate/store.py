@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from reports.record import RunRecord
 
 RECORD, LOG, REQUEST, PROGRESS, MACHINE = "record.json", "log.txt", "cell.json", "progress.txt", "machine.txt"
-_PARTIAL = ".partial-"
+_PARTIAL, _OLD = ".partial-", "-old"
 # What the operating system says when a disk will take no more, as opposed to a mistake of ours.
 _DISK_REFUSES = frozenset({errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG, errno.ENOTDIR})
 
@@ -47,7 +47,7 @@ def disk_refuses(error: OSError) -> bool:
 
 def write_durably(path: Path, text: str) -> None:
     """Write a text file so that after this call either the old or the new content is there, whatever happens."""
-    aside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    aside = path.with_name(_aside("file", uuid.uuid4().hex))
     try:
         with open(aside, "w", encoding="utf-8") as file:
             file.write(text)
@@ -86,7 +86,20 @@ class Store:
             raise disk_error(self.folder, error) from error
         for left in self.runs.glob(f"{_PARTIAL}*"):
             if not _owner_lives(left.name):
+                if left.name.endswith(_OLD):
+                    self._put_back(left)
                 shutil.rmtree(left, ignore_errors=True)
+        for aside in self.folder.glob(f"{_PARTIAL}*"):
+            if not _owner_lives(aside.name):
+                with contextlib.suppress(OSError):
+                    aside.unlink()
+
+    def _put_back(self, old: Path) -> None:
+        """A run that was to be replaced when its campaign was killed, and was not."""
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # damaged, or the newer run is there
+            key = json.loads((old / RECORD).read_bytes())["key"]
+            if key == Path(key).name and not key.startswith("."):
+                os.rename(old, self.runs / key)
 
     def read(self, key: str) -> RunRecord | ExaminationRecord | None:
         """The stored record of a cell, or None if there is none that can be read."""
@@ -116,7 +129,7 @@ class Store:
 
     def open_partial(self, key: str, token: str) -> Path:
         """A new folder for a cell that is about to run."""
-        folder = self.runs / f"{_PARTIAL}{key[:12]}-{token}-{os.getpid()}-{socket.gethostname()}"
+        folder = self.runs / _aside(key[:12], token)
         try:
             folder.mkdir()
         except OSError as error:
@@ -125,30 +138,48 @@ class Store:
 
     def commit(self, partial: Path, key: str) -> Path:
         """Make a partial folder durable and give it its name; an older run of the same key is replaced."""
-        target = self.runs / key
+        target, old = self.runs / key, partial.with_name(f"{partial.name}{_OLD}")
         try:
             for path in sorted(partial.iterdir()):
                 fsync(path)
             fsync(partial)
-            if target.exists():
-                old = partial.with_name(f"{partial.name}-old")
-                os.rename(target, old)
-                os.rename(partial, target)
+            while not _renamed(partial, target):
                 shutil.rmtree(old, ignore_errors=True)
-            else:
-                os.rename(partial, target)
+                with contextlib.suppress(FileNotFoundError):  # another campaign replaces it at this moment
+                    os.rename(target, old)
             fsync(self.runs)
         except OSError as error:
+            with contextlib.suppress(OSError):  # the older run, if it is aside and nothing is in its place
+                os.rename(old, target)
+            if target.exists():
+                shutil.rmtree(old, ignore_errors=True)
             raise disk_error(target, error) from error
+        shutil.rmtree(old, ignore_errors=True)
         return target
 
 
+def _renamed(partial: Path, target: Path) -> bool:
+    """Whether the folder has its name now; not if there is a run of that name."""
+    try:
+        os.rename(partial, target)
+    except OSError as error:
+        if error.errno in {errno.ENOTEMPTY, errno.EEXIST}:
+            return False
+        raise
+    return True
+
+
+def _aside(what: str, token: str) -> str:
+    """The name of what is not finished; it says whose it is."""
+    return f"{_PARTIAL}{what}-{token}-{os.getpid()}-{socket.gethostname()}"
+
+
 def _owner_lives(name: str) -> bool:
-    """Whether the process that opened a partial folder may still be at work: a living one here, or any on another machine."""
+    """Whether the process that is at work on something unfinished may still be at work: a living one here, or any on another machine."""
     parts = name.split("-", 4)
     if len(parts) < 5 or not parts[3].isdigit():
         return False
-    if parts[4].removesuffix("-old") != socket.gethostname():
+    if parts[4].removesuffix(_OLD) != socket.gethostname():
         return True
     try:
         os.kill(int(parts[3]), 0)

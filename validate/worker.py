@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 _TAIL_BYTES = 20_000
 _TEMPORARY = "tmp"
+_TOKEN = 32
 
 
 class Job(Protocol):
@@ -57,7 +58,8 @@ class Lost:
 
 
 class Worker:
-    """One running cell; see the module docstring. lost: makes the record of a child that left none; server: forks the child, if there is one.
+    """One running cell; see the module docstring. lost: makes the record of a child that left none; server: forks the child, if there is
+    one; token_begins: at most 16 letters and digits by which a campaign knows its own.
 
     Starting it raises MachineError if the folder cannot be written.
     """
@@ -70,9 +72,10 @@ class Worker:
         store: Store,
         watchdog: Watchdog,
         server: ForkServer | None = None,
+        token_begins: str = "",
     ) -> None:
         self.cell, self._lost, self._provenance, self._store, self._watchdog, self._server = cell, lost, provenance, store, watchdog, server
-        self._token = uuid.uuid4().hex
+        self._token = (token_begins + uuid.uuid4().hex)[:_TOKEN]
         self._ended = Ended(code=0, cpu=0.0, memory=0, strays=0)
         self._folder = store.open_partial(cell.key, self._token).resolve()
         watchdog.tell("start", self._token, str(self._folder))

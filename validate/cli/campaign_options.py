@@ -61,16 +61,21 @@ _SELECTING = (
         "-j",
         "--jobs",
         type=click.IntRange(min=1),
-        default=1,
-        show_default=True,
         metavar="N",
-        help="Cells at a time. With more than one, times are less comparable.",
+        help="Cells at a time. With more than one, times are less comparable.  [default: 1; on a standing Dask cluster, as many as it takes]",
     ),
     click.option(
         "--tools", default=DEFAULT_TOOLS, metavar="MODULE:NAME", help="Methods, pipelines and judge from elsewhere (see validate/tools.py)."
     ),
 )
 _ENDING = (
+    click.option(
+        "--engine",
+        default="local",
+        show_default=True,
+        metavar="local|dask[:ADDRESS|:FILE.json]",
+        help="What runs the cells: child processes here; Dask workers here; a Dask cluster by the address of its scheduler, or by the file it wrote.",
+    ),
     click.option("-x", "stop_early", is_flag=True, help="Stop at the first cell that makes the campaign fail."),
     click.option(
         "--retry", "retries", type=click.IntRange(min=0), default=0, metavar="N", help="Run a cell that crashes again, up to N times."

@@ -15,7 +15,7 @@ from validate.cli.table import one_line
 if TYPE_CHECKING:
     from reports.examination_record import ExaminationRecord
     from reports.record import RunRecord
-    from validate.worker import Worker
+    from validate.engine import Running
 
 
 def narrator() -> PlainNarrator:
@@ -39,7 +39,7 @@ class PlainNarrator:
         """What the user should know before anything runs."""
         self._line(f"warning: {one_line(sentence)}")
 
-    def runs(self, workers: Sequence[Worker]) -> None:
+    def runs(self, workers: Sequence[Running]) -> None:
         """Called many times a second with the running workers."""
 
     def finished(self, record: RunRecord | ExaminationRecord) -> None:
@@ -74,7 +74,7 @@ class BarNarrator(PlainNarrator):
         self._progress.start()
         self._said = 0.0
 
-    def runs(self, workers: Sequence[Worker]) -> None:
+    def runs(self, workers: Sequence[Running]) -> None:
         if time.monotonic() - self._said > 0.25:  # no faster than an eye reads
             self._said = time.monotonic()
             text = "; ".join(f"{worker.cell.title}: {worker.progress()}" for worker in workers)

@@ -1,0 +1,135 @@
+"""Campaigns whose process is killed at random moments, and what must be true of their folder at any moment, and in the end."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from validate.reaper import TOKEN_VARIABLE
+
+HERE = Path(__file__).parent
+# Cells that end well, badly, slowly, in a crash that is run anew by every resumption, and with processes left over; most of them share stages.
+CELLS = "good or soft_alone or slow or infeasible or raises or litter or chain"
+# What is written over whenever the same cell is run again.
+_RUN_AGAIN = frozenset({"crashed"})
+_PATIENCE = 60.0
+
+
+@dataclass
+class Kills:
+    """What was seen. kills: that hit a campaign at work; kept: finished cells that were found again, unchanged, after a kill."""
+
+    kills: int = 0
+    campaigns: int = 0
+    kept: int = 0
+    moments: list[float] = field(default_factory=list)
+    faults: list[str] = field(default_factory=list)
+
+
+def environment(cache: Path) -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": str(HERE), "TOUCHSTONE_CACHE": str(cache), "NO_COLOR": "1"}
+
+
+def start(out: Path, cache: Path, cells: str, *more: str) -> subprocess.Popen[bytes]:
+    chosen = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart", "-k", cells)
+    command = [sys.executable, "-m", "validate", "all", *chosen, "--out", str(out), *more]
+    with open(out.with_suffix(".log"), "ab") as log:
+        return subprocess.Popen(command, stdout=log, stderr=log, stdin=subprocess.DEVNULL, env=environment(cache), start_new_session=True)
+
+
+def untimed(out: Path) -> list[dict[str, str]]:
+    """results.csv without its columns of times."""
+    rows = csv.DictReader((out / "results.csv").read_text(encoding="utf-8").splitlines())
+    return [{name: value for name, value in row.items() if not name.endswith("_s")} for row in rows]
+
+
+def finished(out: Path) -> dict[str, bytes]:
+    """The records that stand under their key, by key."""
+    return {path.parent.name: path.read_bytes() for path in (out / "runs").glob("[!.]*/record.json")}
+
+
+def unfinished(out: Path) -> list[str]:
+    """Files and folders that a campaign writes before they have their names."""
+    return [str(path.relative_to(out)) for path in out.rglob(".*")]
+
+
+def processes(out: Path) -> list[str]:
+    """Living processes that belong to cells of this folder, or were started by them."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            shown = (entry / "environ").read_bytes()
+            if TOKEN_VARIABLE.encode() in shown and str(out).encode() in shown:  # TMPDIR lies in the folder
+                found.append((entry / "cmdline").read_bytes().decode(errors="replace"))
+    return found
+
+
+def kill_and_resume(folder: Path, cache: Path, kills: int, seed: int, *more: str, cells: str = CELLS) -> Kills:
+    """Run campaigns in `folder`, killed with signal 9 at moments drawn uniformly over the time that a whole one takes, until so many were.
+
+    A campaign that was killed is resumed in the same folder until it comes to its end, and is then compared with one that nobody killed.
+    """
+    draw, seen = random.Random(seed), Kills()
+    began = time.monotonic()
+    start(folder / "whole", cache, cells, *more).wait()
+    duration = time.monotonic() - began
+    expected = untimed(folder / "whole")
+    while seen.kills < kills:
+        seen.campaigns += 1
+        out = folder / f"killed{seen.campaigns}"
+        while True:
+            before = finished(out)
+            process, moment = start(out, cache, cells, *more), draw.uniform(0.0, duration)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(moment if seen.kills < kills else None)
+            ended = process.poll() is not None
+            if not ended:
+                process.send_signal(signal.SIGKILL)
+                process.wait()
+                seen.kills += 1
+                seen.moments.append(moment)
+            _look(out, before, seen)
+            if ended:
+                break
+        if untimed(out) != expected:
+            seen.faults.append(f"campaign {seen.campaigns}: results.csv is not that of a campaign that nobody killed")
+        if left := unfinished(out):
+            seen.faults.append(f"campaign {seen.campaigns}: left behind {left}")
+        if set(finished(out)) != set(finished(folder / "whole")):
+            seen.faults.append(f"campaign {seen.campaigns}: other cells are stored")
+    return seen
+
+
+def _look(out: Path, before: dict[str, bytes], seen: Kills) -> None:
+    from reports.examination_record import StoredRecord
+
+    until = time.monotonic() + _PATIENCE
+    while (left := processes(out)) and time.monotonic() < until:
+        time.sleep(0.05)
+    if left:
+        seen.faults.append(f"after kill {seen.kills}: processes live: {left}")
+    now = finished(out)
+    for key, content in now.items():
+        try:
+            record = StoredRecord.model_validate_json(content).root
+        except ValueError as error:
+            seen.faults.append(f"after kill {seen.kills}: the record of {key} is damaged: {error}")
+            continue
+        if record.key != key:
+            seen.faults.append(f"after kill {seen.kills}: {key} holds the record of another cell")
+    for key, content in before.items():
+        outcomes = {stage.outcome for stage in getattr(StoredRecord.model_validate_json(content).root, "stages", ())}
+        if outcomes & _RUN_AGAIN:
+            continue
+        if now.get(key) == content:
+            seen.kept += 1
+        else:
+            seen.faults.append(f"after kill {seen.kills}: the finished cell {key} is {'another' if key in now else 'lost'}")

@@ -1,0 +1,226 @@
+"""Disks that refuse: at each thing the store asks of the system, one after the other; and campaigns that write into one folder at once."""
+
+from __future__ import annotations
+
+import builtins
+import errno
+import itertools
+import json
+import os
+import shutil
+import threading
+import uuid
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from models.errors import MachineError
+from reports.record import RunRecord
+from validate import store as store_module
+from validate.campaign import Settings, run_campaign, select
+from validate.cli.narrator import PlainNarrator
+from validate.provenance import gather
+from validate.records import run_record, unfinished_stage
+from validate.scene_record import scene_record
+from validate.store import RECORD, Store, write_durably
+
+FAKES = {"tools": "campaign_fakes:TOOLS", "scenes": ("three_cart",), "expression": "only_good or only_refuses"}
+_ASKED = ("rename", "replace", "fsync", "mkdir", "open")
+
+
+class Disk:
+    """Counts what is asked of the system, and refuses the request of one number."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, below: Path) -> None:
+        self._below, self._open = str(below), builtins.open
+        self.asked, self.refused_at, self.error = 0, -1, errno.ENOSPC
+        for name in _ASKED:
+            monkeypatch.setattr(os, name, self._refusing(name, getattr(os, name)))
+        monkeypatch.setattr(store_module, "open", self._file, raising=False)
+
+    def refuse(self, number: int, error: int) -> None:
+        self.asked, self.refused_at, self.error = 0, number, error
+
+    def _count(self, what: str) -> None:
+        self.asked += 1
+        if self.asked == self.refused_at:
+            raise OSError(self.error, os.strerror(self.error), what)
+
+    def _refusing(self, name: str, function: Callable) -> Callable:
+        def asked(first, *rest, **named):
+            if name == "fsync" or str(first).startswith(self._below):
+                self._count(name)
+            return function(first, *rest, **named)
+
+        return asked
+
+    def _file(self, path, *arguments, **named):
+        """A file whose writing is refused, half done."""
+        file = self._open(path, *arguments, **named)
+        write = file.write
+
+        def refusing(text: str) -> int:
+            try:
+                self._count("write")
+            except OSError:
+                write(text[: len(text) // 2])
+                raise
+            return write(text)
+
+        file.write = refusing
+        return file
+
+
+@pytest.fixture
+def disk(monkeypatch, tmp_path) -> Disk:
+    return Disk(monkeypatch, tmp_path)
+
+
+@pytest.fixture(scope="module")
+def record() -> Callable[[str], RunRecord]:
+    """record("the message") is one of three_cart x relu_gd."""
+    (entry,), _ = select(Settings(out=Path(), scenes=("three_cart",), expression="relu_gd and not softplus and not relaxed"))
+
+    def made(message: str) -> RunRecord:
+        from formulations.solution import Outcome
+
+        stages = [unfinished_stage("three_cart", "relu_gd", planned, Outcome.INFEASIBLE, message) for planned in entry.plan]
+        return run_record(entry.cell, scene_record(entry.scene), stages, gather("test"), wall=1.0, cpu=1.0, log="")
+
+    return made
+
+
+def _put(store: Store, record: RunRecord) -> None:
+    """As a Worker does it."""
+    partial = store.open_partial(record.key, uuid.uuid4().hex)
+    try:
+        write_durably(partial / RECORD, record.model_dump_json())
+        write_durably(partial / "log.txt", "")
+        store.commit(partial, record.key)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def _refusals(disk: Disk, act: Callable[[], object]) -> Iterator[int]:
+    """Do it with each of its requests refused in turn, by a full disk and by one that can only be read; the last time nothing is refused."""
+    for error in (errno.ENOSPC, errno.EROFS):
+        for number in itertools.count(1):
+            disk.refuse(number, error)
+            refused = _refused(act)
+            if disk.asked < number:
+                assert refused is None
+                break
+            if refused is not None:  # else it could do without
+                assert refused.exit_code == 3
+                assert "\n" not in str(refused)
+                assert ("the disk is full" if error == errno.ENOSPC else "read-only") in str(refused)
+            yield number
+
+
+def _refused(act: Callable[[], object]) -> MachineError | None:
+    try:
+        act()
+    except MachineError as error:
+        return error
+    return None
+
+
+def test_an_older_run_outlives_every_refusal(tmp_path, disk, record):
+    store, old, new = Store(tmp_path), record("old"), record("new")
+    store.prepare()
+    _put(store, old)
+    requests = 0
+    for _ in _refusals(disk, lambda: _put(store, new)):
+        requests += 1
+        assert store.read(old.key) in (old, new)
+        disk.refuse(-1, 0)
+        _put(store, old)
+        names = [path.name for path in (tmp_path / "runs").iterdir()]
+        assert [name for name in names if not name.endswith("-old")] == [old.key]  # that removing was refused is left to the next campaign
+    assert requests >= 2 * 10
+    assert store.read(old.key) == new
+
+
+def test_a_text_is_the_old_one_or_the_new_one_whatever_is_refused(tmp_path, disk):
+    path = tmp_path / "results.csv"
+    write_durably(path, "old")
+    for _ in _refusals(disk, lambda: write_durably(path, "new")):
+        assert path.read_text() in ("old", "new")
+        disk.refuse(-1, 0)
+        write_durably(path, "old")
+        assert [item.name for item in tmp_path.iterdir()] == ["results.csv"]
+
+
+def test_a_campaign_that_is_refused_anything_loses_nothing(cli, tmp_path, disk):
+    """Everything is stored; each request of writing the campaign's own files is refused in turn."""
+    settings = Settings(out=tmp_path / "out", **FAKES)
+    words = ("--tools", settings.tools, "--scene", *settings.scenes, "-k", settings.expression)
+    assert cli("all", *words, "--out", str(settings.out)).returncode == 0
+    results = (settings.out / "results.csv").read_bytes()
+    records = {path: path.read_bytes() for path in settings.out.glob("runs/*/record.json")}
+    assert len(records) == 2
+    for _ in _refusals(disk, lambda: run_campaign(settings, PlainNarrator())):
+        assert (settings.out / "results.csv").read_bytes() == results
+        assert {path: path.read_bytes() for path in settings.out.glob("runs/*/record.json")} == records
+        assert [path for path in settings.out.rglob(".*") if path.is_file()] == []
+
+
+def test_a_run_that_was_to_be_replaced_when_the_campaign_was_killed_is_put_back(tmp_path, record):
+    store, old = Store(tmp_path), record("old")
+    store.prepare()
+    _put(store, old)
+    gone = f".partial-{old.key[:12]}-token-{2**22 + 1}-{store_module.socket.gethostname()}"
+    (tmp_path / "runs" / old.key).rename(tmp_path / "runs" / f"{gone}-old")
+    (tmp_path / "runs" / gone).mkdir()
+    assert store.read(old.key) is None
+    store.prepare()
+    assert store.read(old.key) == old
+    assert [path.name for path in (tmp_path / "runs").iterdir()] == [old.key]
+
+
+@pytest.mark.parametrize("key", ["../escaped", "..", ".partial-x", 7, None])
+def test_what_is_put_back_stays_in_the_store(tmp_path, key):
+    runs = tmp_path / "out" / "runs"
+    left = runs / f".partial-k-t-{2**22 + 1}-{store_module.socket.gethostname()}-old"
+    left.mkdir(parents=True)
+    (left / RECORD).write_text(json.dumps({"key": key}))
+    Store(tmp_path / "out").prepare()
+    assert list(runs.iterdir()) == []
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_files_of_dead_campaigns_go_and_those_of_the_living_stay(tmp_path):
+    host = store_module.socket.gethostname()
+    dead, living = f".partial-file-t-{2**22 + 1}-{host}", f".partial-file-t-{os.getpid()}-{host}"
+    for name in (dead, living):
+        (tmp_path / name).write_text("half a tab")
+    Store(tmp_path).prepare()
+    assert {path.name for path in tmp_path.iterdir()} == {"runs", living}
+
+
+def test_many_may_store_the_same_cell_at_once(tmp_path, record):
+    """Four threads stand for four campaigns; a fifth reads what is there."""
+    store, runs = Store(tmp_path), [record(f"of campaign {number}") for number in range(4)]
+    store.prepare()
+    problems: list[BaseException] = []
+    ready = threading.Barrier(len(runs))
+
+    def campaign(number: int) -> None:
+        ready.wait()
+        try:
+            for turn in range(25):
+                partial = store.open_partial(runs[number].key, f"token{number}x{turn}")
+                (partial / RECORD).write_text(runs[number].model_dump_json())
+                store.commit(partial, runs[number].key)
+        except BaseException as error:  # noqa: BLE001 - told below, in the thread of the test
+            problems.append(error)
+
+    threads = [threading.Thread(target=campaign, args=(number,)) for number in range(len(runs))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert problems == []
+    assert store.read(runs[0].key) in runs
+    assert [path.name for path in (tmp_path / "runs").iterdir()] == [runs[0].key]

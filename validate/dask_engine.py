@@ -1,0 +1,238 @@
+"""The engine that runs cells on the workers of a Dask cluster: one of this machine's processes, or one that stands somewhere.
+
+    with open_dask("", 2, site) as engine: ...                      # two worker processes here, which end with the campaign
+    with open_dask("tcp://10.0.0.1:8786", None, site) as engine: ...      # or the path of a scheduler file, FILE.json
+
+A cell whose worker is lost is run again by Dask's scheduler, as often as its `allowed-failures` says (3 times); then it has crashed. What is left of
+a worker that went without a trace is removed when the campaign ends.
+"""
+
+from __future__ import annotations
+
+import concurrent.futures
+import contextlib
+import json
+import logging
+import multiprocessing.resource_tracker
+import shutil
+import signal
+import tempfile
+import time
+import uuid
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from models.errors import MachineError
+from validate.dask_cell import run_on_worker
+from validate.engine import Site
+from validate.fork_server import WORTH
+from validate.isolation.process import Watchdog
+from validate.store import LOG, PROGRESS, RECORD, REQUEST, Store, write_durably
+
+if TYPE_CHECKING:
+    from reports.examination_record import ExaminationRecord
+    from reports.record import RunRecord
+    from validate.worker import Job
+
+# Pause between two looks at what is not a cell's end [s]; a cell that ends is seen at once.
+_LOOK = 0.5
+# How long a scheduler may take to answer, how soon it is said that it has no workers, and how long these may take to tidy up [s].
+_CONNECT, _NO_WORKERS, _TIDY = "10 s", 5.0, 10.0
+
+
+@contextmanager
+def open_dask(where: str, jobs: int | None, site: Site) -> Iterator[DaskEngine]:
+    """The engine of a cluster. where: address or scheduler file, "" for worker processes here; jobs: that many of them, or cells at a time.
+
+    Raises MachineError where there is no cluster.
+    """
+    token = uuid.uuid4().hex[:16]
+    with contextlib.ExitStack() as open_now:
+        watchdog = open_now.enter_context(Watchdog())
+        mark = site.store.open_partial("campaign", token + uuid.uuid4().hex[:16]).resolve()
+        open_now.callback(shutil.rmtree, mark, ignore_errors=True)
+        watchdog.tell("start", uuid.uuid4().hex, str(mark))
+        client = open_now.enter_context(_remote(where) if where else _here(jobs or 1, watchdog))
+        yield DaskEngine(client, site, jobs if where else None, token, mark)
+
+
+@contextmanager
+def _remote(where: str) -> Iterator[Any]:
+    from distributed import Client  # pyright: ignore[reportMissingImports]
+
+    named: dict[str, Any] = {"scheduler_file": where} if where.endswith(".json") else {"address": where}
+    try:
+        client = Client(**named, timeout=_CONNECT, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise MachineError(
+            f"--engine dask:{where}: no Dask scheduler answers there ({str(error).splitlines()[0]}); start one, or correct the address."
+        ) from error
+    with client:
+        yield client
+
+
+@contextmanager
+def _here(workers: int, watchdog: Watchdog) -> Iterator[Any]:
+    """A client of a cluster of worker processes on this machine; its files are removed even if we are killed."""
+    from distributed import Client, LocalCluster  # pyright: ignore[reportMissingImports]
+
+    folder = Path(tempfile.mkdtemp(prefix=".partial-dask-"))
+    watchdog.tell("start", uuid.uuid4().hex, str(folder))
+    try:
+        with _terminal_blocked():
+            cluster = LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                memory_limit=0,  # that of the cells is not the workers'
+                dashboard_address=None,
+                silence_logs=logging.CRITICAL,  # what they say, records say
+                local_directory=str(folder),
+            )
+        with cluster, Client(cluster, set_as_default=False) as client:
+            yield client
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def _terminal_blocked() -> Iterator[None]:
+    """Threads started meanwhile, and the processes that these ever start, do not hear Ctrl-C and a closed terminal: those are for us."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    multiprocessing.resource_tracker.ensure_running()  # it would lift the mask when it is started later
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class _Submitted:
+    """A cell that Dask has. begun: its unfinished folder, once there is one."""
+
+    def __init__(self, cell: Job) -> None:
+        self.cell, self.since = cell, time.monotonic()
+        self.begun: Path | None = None
+
+    def progress(self) -> str:
+        """Where the cell is, in words."""
+        try:
+            return (self.begun / PROGRESS).read_text(encoding="utf-8") if self.begun else "waiting for a worker"
+        except OSError:
+            return "its start"
+
+
+class DaskEngine:
+    """See the module docstring. jobs: at most so many cells are given to Dask at a time; token: what the unfinished folders of this
+    campaign's cells are known by; mark: the folder by which a worker sees that it has the campaign's folder before it."""
+
+    def __init__(self, client: Any, site: Site, jobs: int | None, token: str, mark: Path) -> None:
+        from validate.provenance import fingerprint
+
+        self._client, self._site, self._jobs, self._token = client, site, jobs, token
+        self._store = Store(site.store.folder.resolve())
+        self._request = {
+            "provenance": site.provenance.model_dump(mode="json"),
+            "folder": str(self._store.folder),
+            "mark": mark.name,
+            "token": token,
+            "fingerprint": fingerprint(),
+        }
+        self._said = False
+
+    def run(self, cells: Sequence[Job]) -> Generator[tuple[Job, RunRecord | ExaminationRecord], None, None]:
+        waiting = list(cells)
+        running: dict[concurrent.futures.Future[dict[str, str]], _Submitted] = {}
+        executor = self._client.get_executor(pure=False)
+        self._request["many"] = len(cells) >= WORTH * max(1, sum(self._client.nthreads().values()))
+        try:
+            while waiting or running:
+                self._submit(waiting, running, executor)
+                self._look(tuple(running.values()))
+                done, _ = concurrent.futures.wait(running, timeout=_LOOK, return_when=concurrent.futures.FIRST_COMPLETED)
+                for future in done:
+                    submitted = running[future]
+                    record = self._record(submitted, future)
+                    del running[future]
+                    yield submitted.cell, record
+        finally:
+            for future in running:
+                future.cancel()
+            executor.shutdown(wait=False)
+            self._tidy()
+
+    def _submit(self, waiting: list[Job], running: dict[Any, _Submitted], executor: concurrent.futures.Executor) -> None:
+        """Give Dask all that may run beside what it has: a cluster grows by what waits for it."""
+        at_work = [submitted.cell for submitted in running.values()]
+        for cell in tuple(waiting):
+            if self._jobs is not None and len(at_work) >= self._jobs:
+                return
+            if not at_work or not self._site.must_wait(cell, at_work):
+                waiting.remove(cell)
+                running[executor.submit(run_on_worker, {**self._request, "cell": cell.to_json()})] = _Submitted(cell)
+                at_work.append(cell)
+
+    def _look(self, submitted: Sequence[_Submitted]) -> None:
+        folders = {path.name.split("-")[1]: path for path in self._unfinished()}
+        for item in submitted:
+            item.begun = folders.get(item.cell.key[:12])
+        self._site.watch([item for item in submitted if item.begun])
+        if folders:
+            self._said = True
+        elif not self._said and any(time.monotonic() - item.since > _NO_WORKERS for item in submitted):
+            self._said = True
+            if not self._client.nthreads():
+                self._site.warn(
+                    f"the Dask cluster at {self._client.scheduler.address} has no workers yet; {len(submitted)} cells wait for one"
+                )
+
+    def _unfinished(self) -> list[Path]:
+        """Folders of this campaign's cells that are being written."""
+        return [path for path in self._store.runs.glob(f".partial-*-{self._token}*") if path.name != self._request["mark"]]
+
+    def _record(self, submitted: _Submitted, future: concurrent.futures.Future[dict[str, str]]) -> RunRecord | ExaminationRecord:
+        from distributed import KilledWorker  # pyright: ignore[reportMissingImports]
+
+        from reports.examination_record import StoredRecord
+
+        try:
+            answer = future.result()
+        except concurrent.futures.CancelledError as error:
+            raise MachineError("the Dask scheduler is gone; what finished is stored, and the same command goes on from there.") from error
+        except KilledWorker as error:
+            return self._crashed(submitted, f"{error.allowed_failures + 1} workers of the Dask cluster were lost while they ran it.")
+        except Exception as error:
+            told = (str(error).splitlines() or [""])[0]
+            raise MachineError(
+                f"a Dask worker could not run {submitted.cell.title} ({type(error).__name__}: {told}); "
+                "install the same touchstone-contact where the workers run."
+            ) from error
+        if "machine" in answer:
+            raise MachineError(answer["machine"])
+        return StoredRecord.model_validate_json(answer["record"]).root
+
+    def _crashed(self, submitted: _Submitted, message: str) -> RunRecord | ExaminationRecord:
+        """The record of a cell that took its workers with it, stored."""
+        from validate.worker import Lost
+
+        cell = submitted.cell
+        wall = time.monotonic() - submitted.since
+        record = self._site.lost(cell)(Lost(outcome="crashed", message=message, wall=wall, cpu=0.0, log=""))
+        folder = self._store.open_partial(cell.key, self._token + uuid.uuid4().hex[:16])
+        write_durably(folder / REQUEST, json.dumps({"cell": cell.to_json(), "provenance": self._request["provenance"]}, indent=1))
+        write_durably(folder / LOG, "")
+        write_durably(folder / RECORD, record.model_dump_json(indent=1))
+        self._store.commit(folder, record.key)
+        return record
+
+    def _tidy(self) -> None:
+        """Wait until workers have left nothing of what was stopped, then remove what those left that are gone."""
+        until = time.monotonic() + _TIDY
+        while self._unfinished() and time.monotonic() < until:
+            time.sleep(0.05)
+        for folder in self._unfinished():
+            shutil.rmtree(folder, ignore_errors=True)
