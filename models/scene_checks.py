@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import keyword
 from collections import Counter
 from collections.abc import Iterable
 
@@ -9,79 +10,35 @@ import sympy as sp
 
 from models.errors import SceneError
 from models.scene import Scene
+from models.scene_functions import function_problem
 from models.scene_values import check_text
 
 # Words of C, Python and of our own generated code that may not name a quantity.
-_RESERVED = frozenset(
-    [
+_RESERVED = frozenset(keyword.kwlist) | {
+    *(
         "t",
         "time",
         "h",
+        "bar",
         "auto",
-        "break",
         "case",
         "char",
         "const",
-        "continue",
         "default",
         "do",
         "double",
-        "else",
         "enum",
         "extern",
         "float",
-        "for",
         "goto",
-        "if",
         "inline",
         "int",
-        "long",
-        "register",
-        "restrict",
-        "return",
-        "short",
-        "signed",
-        "sizeof",
-        "static",
-        "struct",
-        "switch",
-        "typedef",
-        "union",
-        "unsigned",
-        "void",
-        "volatile",
-        "while",
-        "and",
-        "as",
-        "assert",
-        "async",
-        "await",
-        "class",
-        "def",
-        "del",
-        "elif",
-        "except",
-        "finally",
-        "from",
-        "global",
-        "import",
-        "in",
-        "is",
-        "lambda",
-        "None",
-        "nonlocal",
-        "not",
-        "or",
-        "pass",
-        "raise",
-        "try",
-        "with",
-        "yield",
-        "True",
-        "False",
-        "bar",
-    ]
-)
+    ),
+    *("long", "register", "restrict", "short", "signed", "sizeof", "static", "struct", "switch", "typedef", "union", "unsigned", "void"),
+    "volatile",
+}
+# Numbers in a plan: 8 GB.
+_MOST_NUMBERS = 10**9
 
 
 def check_scene(scene: Scene) -> None:
@@ -89,7 +46,11 @@ def check_scene(scene: Scene) -> None:
     _check_names(scene)
     _check_words(scene)
     _check_lengths(scene)
+    _check_steps(scene)
     _check_symbols(scene)
+    problem = function_problem(scene)
+    if problem is not None:
+        raise _fail(scene, problem)
     _check_finite(scene)
     _check_mass(scene)
     _check_contacts(scene)
@@ -148,6 +109,17 @@ def _check_lengths(scene: Scene) -> None:
                 f"task.start has {coordinate.velocity_name} = {velocity:g}, outside its bounds "
                 f"[{coordinate.velocity_lower:g}, {coordinate.velocity_upper:g}].",
             )
+
+
+def _check_steps(scene: Scene) -> None:
+    """A plan alone must fit into memory; methods need hundreds of times as much."""
+    each = 1 + 2 * scene.nq + scene.nu + scene.nl
+    if scene.task.steps * each > _MOST_NUMBERS:
+        raise _fail(
+            scene,
+            f"task.steps is {scene.task.steps}: a plan would hold {scene.task.steps * each:.3g} numbers of 8 bytes, more than a machine's memory; "
+            f"{each} a step allow {_MOST_NUMBERS // each} steps at most.",
+        )
 
 
 def _check_symbols(scene: Scene) -> None:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from formulations.pipeline import cells_of
-from models.catalog import load_scene, scene_names
+from models.catalog import load_scene, scene_names, scene_path
 from models.errors import TouchstoneError
 from validate.cell import Cell
 from validate.examination import Examination, SceneReference, lost_examination
@@ -47,8 +47,7 @@ class Settings:
     """What the user asked for.
 
     scenes: names or paths; empty for all of the catalog. last_failed: of what is not stored, run only what failed when the folder's campaign
-    last ran, and that in any case; stop_early: at the first failure; retries: of a cell that crashes; engine: which runs the cells
-    (validate.engine); jobs: cells at a time, None for what the engine chooses.
+    last ran, and that in any case; stop_early: at the first failure; retries: of a cell that crashes.
     Of a campaign file: chosen, instead of `scenes`; pipelines, instead of all of them; examined: scenes whose FMUs are checked; title: of the
     report; files: texts written into the folder, by name.
     """
@@ -57,8 +56,7 @@ class Settings:
     scenes: tuple[str, ...] = ()
     quick: bool = False
     expression: str = ""
-    jobs: int | None = None
-    engine: str = "local"
+    jobs: int = 1
     fresh: bool = False
     time_limit: float = 120.0
     tools: str = DEFAULT_TOOLS
@@ -156,7 +154,7 @@ def _scenes(settings: Settings) -> list[SceneReference]:
     scenes: list[SceneReference] = []
     for reference in dict.fromkeys(settings.scenes or scene_names()):
         scene = load_scene(reference)
-        check_limits(scene)
+        check_limits(scene, scene_path(reference))
         if any(other.scene.name == scene.name and other.scene is not scene for other in scenes):
             raise CampaignError(f"--scene {reference}: another scene of this campaign is named {scene.name!r} too; rename one of them.")
         where = str(Path(reference).resolve()) if reference.endswith(".py") else reference

@@ -237,7 +237,30 @@ def test_a_scene_file_cannot_end_the_program(tmp_path: Path):
         load_scene(scene_file(tmp_path, "import sys\nsys.exit(0)\n"))
 
 
-@pytest.mark.parametrize(("force", "word"), [(sp.gamma(x + 2), "polygamma"), (sp.Function("f")(vx), "f")])
-def test_an_equation_without_a_form_in_c_is_the_scene_s_mistake(force: sp.Expr, word: str):
-    with pytest.raises(SceneError, match=f"scene small: .* contain {word}, which has no form in C"):
-        emit_model(small_scene(forces=(force,)))
+@pytest.mark.parametrize(
+    ("force", "words"),
+    [
+        (sp.gamma(x + 2), "gamma, whose derivative contains polygamma"),
+        (sp.sin(sp.LambertW(x + 2)), "LambertW"),
+        (sp.Function("f")(vx), "f"),
+    ],
+)
+def test_an_equation_without_a_form_in_c_is_the_scene_s_mistake(force: sp.Expr, words: str):
+    with pytest.raises(SceneError, match=rf"scene small: forces\[x\] contains {words}, which has no form in C"):
+        small_scene(forces=(force,))
+    with pytest.raises(SceneError, match=f"task.final_cost contains {words}"):
+        small_scene(task=replace(small_scene().task, final_cost=force))
+
+
+def test_a_jump_is_said_where_it_is_differentiated():
+    with pytest.raises(SceneError, match=r"scene small: .* contain DiracDelta, which has no form in C"):
+        emit_model(small_scene(forces=(sp.sign(vx),)))
+
+
+def test_a_plan_must_fit_into_memory():
+    """Five numbers a step: time, position, velocity, input, contact force."""
+    scene = small_scene()
+    each = 1 + 2 * scene.nq + scene.nu + scene.nl
+    assert scene.with_task(steps=10**9 // each).task.steps == 10**9 // each
+    with pytest.raises(SceneError, match=r"task.steps is 1000000000000: .* at most"):
+        scene.with_task(steps=10**12)

@@ -121,6 +121,9 @@ MISTAKES = {
     "a shape that nobody draws": ('kind="disc"', "kind=['disc']", ["shape mass", "box"]),
     "a file that ends the program": ("import sympy as sp", "import sympy as sp, sys\nsys.exit(0)", ["SystemExit", "line 3"]),
     "a function that calls itself": ("SCENE =", "def f(n):\n  return f(n + 1)\nf(0)\nSCENE =", ["RecursionError"]),
+    "a force without a form in C": ("forces=(u,", "forces=(u * sp.gamma(x + 2),", ["forces[x] contains gamma", "no form in C"]),
+    "a slip without a form in C": ("slip=vy", "slip=vy * sp.LambertW(x + 2)", ["friction wall: slip contains LambertW"]),
+    "steps beyond any memory": ("steps=10", "steps=10**12", ["task.steps is 1000000000000", "8 bytes", "steps at most"]),
     "an error of two lines": ("SCENE = Scene(", "raise ValueError('one\\ntwo')\nSCENE = Scene(", ["ValueError", "line 8"]),
 }
 
@@ -141,7 +144,19 @@ def test_a_mistake_is_named_with_its_file_and_field(tmp_path: Path, kind: str):
     assert all(word in text for word in words), text
 
 
-@pytest.mark.parametrize("kind", ["quick in words", "an error of two lines", "an error of syntax", None])
+# Not of the scene alone: which figures there are, the score knows.
+UNKNOWN_FIGURE = ('figure="defect"', 'figure="defekt"')
+
+
+def test_a_limit_on_an_unknown_figure_is_named_with_its_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    path = written(tmp_path, SOUND.replace(*UNKNOWN_FIGURE, 1))
+    assert run(["plan", "--scene", path, "--out", str(tmp_path / "runs")]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"error: scene file {path}: scene own: there is a limit on 'defekt', but the figures are ")
+    assert said.count("\n") == 1, said
+
+
+@pytest.mark.parametrize("kind", ["quick in words", "an error of two lines", "an error of syntax", "a force without a form in C", None])
 def test_the_command_says_it_in_one_line_and_ends_with_2(tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str | None):
     """None: the file is missing."""
     path = str(tmp_path / "own.py") if kind is None else written(tmp_path, SOUND.replace(*MISTAKES[kind][:2], 1))

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from models.catalog import load_scene, scene_names
+from models.catalog import load_scene, scene_names, scene_path
 from models.errors import TouchstoneError
 from validate.config.mistakes import hint
 from validate.config.schema import FREE, SceneEntry
@@ -34,7 +34,7 @@ def references(entries: Sequence[SceneEntry], folder: Path) -> tuple[list[SceneR
         path = str(folder / entry.scene) if entry.scene.endswith(".py") else entry.scene
         try:
             scene = load_scene(path)
-            _check_limits(scene)
+            _check_limits(scene, scene_path(path))
         except (TouchstoneError, OSError, ValueError) as error:
             mistakes.append(f"{where}.scene: {error}")
             continue
@@ -54,10 +54,10 @@ def references(entries: Sequence[SceneEntry], folder: Path) -> tuple[list[SceneR
     return found, list(bases.values()), mistakes
 
 
-def _check_limits(scene: Scene) -> None:
+def _check_limits(scene: Scene, file: Path) -> None:
     from validate.score import check_limits
 
-    check_limits(scene)
+    check_limits(scene, file)
 
 
 def _mistakes(entry: SceneEntry, scene: Scene) -> Iterator[str]:

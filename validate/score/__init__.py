@@ -9,6 +9,7 @@ The judge knows no method: it sees a plan and what the plan's inputs do.
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 
@@ -31,16 +32,17 @@ def figure_names() -> tuple[str, ...]:
     return (*(entry.name for entry in TABLE), EFFORT)
 
 
-def check_limits(scene: Subject) -> None:
-    """Raise SceneError for a limit on a figure, or an answer by a measure, that does not exist."""
+def check_limits(scene: Subject, file: Path | None = None) -> None:
+    """Raise SceneError for a limit on a figure, or an answer by a measure, that does not exist. file: the scene's, which the sentence then names."""
+    where = f"scene {scene.name}" if file is None else f"scene file {file}: scene {scene.name}"
     for answer in scene.answers:
         if answer.measure and answer.measure not in MEASURES:
             raise SceneError(
-                f"scene {scene.name}: answer {answer.quantity!r} is measured by {answer.measure!r}, but the measures are {', '.join(MEASURES)}."
+                f"{where}: answer {answer.quantity!r} is measured by {answer.measure!r}, but the measures are {', '.join(MEASURES)}."
             )
     for limit in scene.limits:
         if limit.figure not in figure_names():
-            raise SceneError(f"scene {scene.name}: there is a limit on {limit.figure!r}, but the figures are {', '.join(figure_names())}.")
+            raise SceneError(f"{where}: there is a limit on {limit.figure!r}, but the figures are {', '.join(figure_names())}.")
 
 
 def score(scene: Subject, trajectory: Trajectory | None, replay: Replay | None) -> Score:
