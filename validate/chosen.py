@@ -47,7 +47,8 @@ class Settings:
     """What the user asked for.
 
     scenes: names or paths; empty for all of the catalog. last_failed: of what is not stored, run only what failed when the folder's campaign
-    last ran, and that in any case; stop_early: at the first failure; retries: of a cell that crashes.
+    last ran, and that in any case; stop_early: at the first failure; retries: of a cell that crashes; engine: which runs the cells
+    (validate.engine); jobs: cells at a time, None for what the engine chooses.
     Of a campaign file: chosen, instead of `scenes`; pipelines, instead of all of them; examined: scenes whose FMUs are checked; title: of the
     report; files: texts written into the folder, by name.
     """
@@ -56,7 +57,8 @@ class Settings:
     scenes: tuple[str, ...] = ()
     quick: bool = False
     expression: str = ""
-    jobs: int = 1
+    jobs: int | None = None
+    engine: str = "local"
     fresh: bool = False
     time_limit: float = 120.0
     tools: str = DEFAULT_TOOLS
