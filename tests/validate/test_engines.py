@@ -1,0 +1,215 @@
+"""What holds of every engine: the same rows, the same endings, nothing left behind. `dask` is a LocalCluster, `standing` a cluster by its scheduler file."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from killed_campaigns import finished, processes, unfinished, untimed
+
+from models.errors import MachineError
+from reports.record import RunRecord
+from validate.engine import EngineError, check_engine
+
+FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")
+# Chains that share their beginning, cells that end well, give up, raise and die.
+CELLS = (*FAKES, "-k", "soft or only_good or only_segfault or only_infeasible", "-j", "2")
+NEEDS_DASK = pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="distributed is not installed (the extra `dask`)")
+DASK = pytest.param("dask", marks=NEEDS_DASK)
+ENGINES = ["local", DASK]
+
+
+def _come(condition) -> None:
+    """Wait for something that comes; the patience only ends a test that has failed."""
+    for _ in range(1200):
+        if condition():
+            return
+        time.sleep(0.1)
+    raise AssertionError("it never came")
+
+
+@pytest.fixture(scope="module")
+def standing(cli_environment, tmp_path_factory) -> str:
+    """A scheduler and two worker processes; the engine's name for them."""
+    folder = tmp_path_factory.mktemp("cluster")
+    path = folder / "scheduler.json"
+    scheduler = ["dask_scheduler", "--scheduler-file", str(path), "--port", "0", "--no-dashboard", "--host", "127.0.0.1"]
+    workers = ["dask_worker", "--scheduler-file", str(path), "--nworkers", "2", "--nthreads", "1", "--memory-limit", "0", "--no-dashboard"]
+    started = []
+    try:
+        for words in (scheduler, [*workers, "--local-directory", str(folder)]):
+            with open(folder / f"{words[0]}.log", "wb") as log:
+                started.append(
+                    subprocess.Popen(
+                        [sys.executable, "-m", f"distributed.cli.{words[0]}", *words[1:]], stdout=log, stderr=log, env=cli_environment
+                    )
+                )
+            _come(path.exists)
+        yield f"dask:{path}"
+    finally:
+        for process in reversed(started):
+            process.terminate()
+            process.wait()
+
+
+@pytest.fixture
+def engine(request: pytest.FixtureRequest) -> str:
+    return request.getfixturevalue("standing") if request.param == "standing" else request.param
+
+
+@pytest.fixture(scope="module")
+def expected(cli, tmp_path_factory) -> Path:
+    """The folder of a campaign by the local engine."""
+    out = tmp_path_factory.mktemp("expected") / "out"
+    done = cli("all", *CELLS, "--out", str(out))
+    assert done.returncode == 1, done.stderr
+    return out
+
+
+def _records(out: Path) -> dict[str, RunRecord]:
+    records = [RunRecord.model_validate_json(content) for content in finished(out).values()]
+    return {record.pipeline: record for record in records}
+
+
+@pytest.mark.parametrize("engine", [pytest.param("standing", marks=NEEDS_DASK)], indirect=True)
+def test_the_rows_are_those_of_the_local_engine(cli, engine, expected, tmp_path):
+    done = cli("all", *CELLS, "--out", str(tmp_path / "out"), "--engine", engine)
+    assert done.returncode == 1, done.stderr
+    assert untimed(tmp_path / "out") == untimed(expected)
+    assert set(finished(tmp_path / "out")) == set(finished(expected))
+    assert unfinished(tmp_path / "out") == []
+    theirs, ours = _records(expected), _records(tmp_path / "out")
+    assert {name: record.message for name, record in ours.items()} == {name: record.message for name, record in theirs.items()}
+    assert ours["only_good"].provenance.cpu == theirs["only_good"].provenance.cpu
+    shared = [stage.shared_from for record in ours.values() for stage in record.stages if stage.shared_from]
+    assert len(shared) == len([stage for record in theirs.values() for stage in record.stages if stage.shared_from]) > 0
+
+
+@pytest.mark.parametrize("engine", [DASK], indirect=True)
+def test_the_numbers_of_a_real_cell_are_those_of_the_local_engine(cli, engine, tmp_path):
+    cell = ("--scene", "bouncing_mass", "-k", "free_motion")
+    for name in ("local", engine):
+        done = cli("all", *cell, "--out", str(tmp_path / name), "--engine", name)
+        assert done.returncode == 0, done.stderr
+    rows = untimed(tmp_path / "local")
+    assert rows == untimed(tmp_path / engine)
+    assert rows[0]["verdict"] == "holds"
+
+
+@pytest.mark.parametrize("engine", ENGINES, indirect=True)
+def test_ctrl_c_stops_what_runs_and_says_how_to_go_on(start_cli, engine, tmp_path):
+    arguments = ("all", *FAKES, "-k", "only_good or only_family", "--engine", engine, "--out", str(tmp_path))
+    process = start_cli(*arguments)
+    _come(lambda: len(processes(tmp_path)) >= 3 and len(finished(tmp_path)) == 1)  # the cell and both its children
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: everything in the foreground hears it
+    _, told = process.communicate()
+    assert process.returncode == 130, told
+    assert "interrupted: 1 of 2 cells are stored" in told
+    assert (
+        f"resume with: python -m validate {' '.join(arguments).replace('only_good or only_family', repr('only_good or only_family'))}"
+        in told
+    )
+    assert "Traceback" not in told
+    assert processes(tmp_path) == []
+    assert unfinished(tmp_path) == []
+
+
+@pytest.mark.parametrize("engine", ["local"], indirect=True)
+def test_a_crash_is_tried_again_and_ends_the_campaign_at_once_where_wanted(cli, engine, tmp_path):
+    done = cli(
+        "all", *FAKES, "-k", "only_segfault or only_hang", "-j", "2", "-x", "--retry", "1", "--engine", engine, "--out", str(tmp_path)
+    )
+    assert done.returncode == 1
+    assert done.stderr.count("only_segfault crashed and will be tried again") == 1
+    assert _records(tmp_path)["only_segfault"].outcome == "crashed"
+
+
+@NEEDS_DASK
+@pytest.mark.parametrize("losses", [1])
+def test_a_lost_worker_is_replaced_as_often_as_dask_allows(cli, tmp_path, losses):
+    """Two losses are one more than is allowed here: the cell has crashed, and the other is none the worse."""
+    counts, out = tmp_path / "counts", tmp_path / "out"
+    counts.mkdir()
+    asked = {"COUNTS": str(counts), "KILL": "one", "KILLS": str(losses), "ONLY": "begin+one begin+two"}
+    asked["DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES"] = "1"
+    done = cli("all", "--tools", "shared_stages_fakes:SHARING", "--scene", "three_cart", "--engine", "dask", "--out", str(out), **asked)
+    records = _records(out)
+    assert records["begin+two"].outcome == "solved"
+    assert len(list(counts.glob("one-*"))) == 2
+    if losses == 1:
+        assert done.returncode == 0, done.stderr
+        assert records["begin+one"].outcome == "solved"
+    else:
+        assert done.returncode == 1
+        assert records["begin+one"].outcome == "crashed"
+        assert records["begin+one"].message == "2 workers of the Dask cluster were lost while they ran it."
+    assert unfinished(out) == []
+    assert processes(out) == []
+
+
+@NEEDS_DASK
+def test_a_worker_that_sees_another_folder_or_has_other_sources_says_so(tmp_path, monkeypatch):
+    from validate import dask_cell
+    from validate.provenance import fingerprint
+
+    monkeypatch.setattr(dask_cell, "_wanted", lambda: lambda: True)
+    monkeypatch.setattr(dask_cell, "_PATIENCE", 0.0)
+    request = {"folder": str(tmp_path), "mark": ".partial-campaign-x", "fingerprint": fingerprint(), "cell": {}, "provenance": {}}
+    told = dask_cell.run_on_worker(request)["machine"]
+    assert f"the campaign's folder {tmp_path} is not seen here" in told
+    assert "said by the Dask worker on" in told
+    (tmp_path / "runs" / request["mark"]).mkdir(parents=True)
+    told = dask_cell.run_on_worker({**request, "fingerprint": "another"})["machine"]
+    assert "the sources, libraries or compiler here are not those of the campaign" in told
+
+
+@NEEDS_DASK
+def test_a_cluster_that_is_not_there_is_one_sentence(cli, tmp_path):
+    done = cli(
+        "all",
+        *FAKES,
+        "-k",
+        "only_good",
+        "--engine",
+        "dask:tcp://127.0.0.1:9",
+        "--out",
+        str(tmp_path / "out"),
+        DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT="1 s",
+    )
+    assert done.returncode == 3
+    (sentence,) = [line for line in done.stderr.splitlines() if line.startswith("error:")]
+    assert "no Dask scheduler answers there" in sentence
+    assert "Traceback" not in done.stderr
+    assert unfinished(tmp_path / "out") == []
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("slurm", "there is no such engine; the engines are local, dask, dask:ADDRESS and dask:FILE.json"),
+        ("dask:", "there is no such engine"),
+        ("local:2", "there is no such engine"),
+        pytest.param("dask:no.json", "the scheduler file cannot be read (No such file or directory)", marks=NEEDS_DASK),
+        pytest.param("dask:empty.json", "it is no JSON", marks=NEEDS_DASK),
+        pytest.param("dask:other.json", "it has no `address`", marks=NEEDS_DASK),
+    ],
+)
+def test_a_wrong_engine_is_said_before_anything_runs(tmp_path, monkeypatch, name, words):
+    monkeypatch.chdir(tmp_path)
+    Path("empty.json").write_text("")
+    Path("other.json").write_text("[]")
+    with pytest.raises(EngineError, match=re.escape(words)):
+        check_engine(name)
+
+
+def test_without_dask_it_is_said_how_to_get_it(monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(MachineError, match=re.escape("pip install 'touchstone-contact[dask]'")):
+        check_engine("dask")
