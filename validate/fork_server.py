@@ -23,7 +23,6 @@ import importlib
 import json
 import os
 import select
-import signal
 import subprocess
 import sys
 import tempfile
@@ -31,10 +30,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from validate import reaper
 from validate.isolation.environment import PARENT_VARIABLE, child_environment
 from validate.isolation.guards import die_with_parent
-from validate.isolation.process import ChildProcess, Ended, _started
+from validate.isolation.process import ChildProcess, Ended, end_family
 from validate.reaper import TOKEN_VARIABLE
 
 # What most cells import; not torch, which only some need and which takes longer than all of these.
@@ -136,7 +134,8 @@ class ForkedChild(ChildProcess):
 
     def end(self) -> Ended:
         """End the child and all it started, wherever they went."""
-        strays = self.end_family()
+        self.look()
+        strays = end_family(self.token, self.pid, self._family)
         select.select([self._handle], [], [])
         os.close(self._handle)
         try:
@@ -144,18 +143,6 @@ class ForkedChild(ChildProcess):
         except ForkServerError:  # then they died with it
             told = {"status": -9, "cpu": 0.0, "memory": 0}
         return Ended(code=told["status"], cpu=told["cpu"], memory=told["memory"], strays=strays)
-
-    def end_family(self) -> int:
-        """How many processes were left beside the child; none lives any more."""
-        self.look()
-        strays = {process for process in reaper.processes_with(self.token) if process != self.pid}
-        reaper.end_all(self.token, self.pid)
-        for number, began in self._family.items():
-            if began and _started(number) == began:
-                strays.add(number)
-                with contextlib.suppress(ProcessLookupError, PermissionError):
-                    os.kill(number, signal.SIGKILL)
-        return len(strays)
 
 
 @contextlib.contextmanager

@@ -15,7 +15,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -26,6 +26,8 @@ from validate.isolation.environment import child_environment
 
 # Pause between two looks where the system cannot tell us the end of a process [s].
 _LOOK = 0.01
+# How often, and how long apart [s], we look whether what was killed is gone: 10 s, on the busiest machine.
+_ROUNDS, _PAUSE = 1000, 0.01
 
 
 class Watchdog:
@@ -150,18 +152,31 @@ class ChildProcess:
     def end(self) -> Ended:
         """End the child and all it started, wherever they went."""
         self.look()
-        strays = {process for process in reaper.processes_with(self.token) if process != self.pid}
-        reaper.end_all(self.token, self.pid)
-        for number, started in self._family.items():
-            if started and _started(number) == started:
-                strays.add(number)
-                with contextlib.suppress(ProcessLookupError, PermissionError):
-                    os.kill(number, signal.SIGKILL)
+        strays = end_family(self.token, self.pid, self._family)
         if self._process.returncode is not None or not hasattr(os, "wait4"):
-            return Ended(code=self._process.wait(), cpu=0.0, memory=0, strays=len(strays))
+            return Ended(code=self._process.wait(), cpu=0.0, memory=0, strays=strays)
         _, status, usage = os.wait4(self.pid, 0)
         self._process.returncode = os.waitstatus_to_exitcode(status)
-        return Ended(code=self._process.returncode, cpu=usage.ru_utime + usage.ru_stime, memory=_bytes(usage), strays=len(strays))
+        return Ended(code=self._process.returncode, cpu=usage.ru_utime + usage.ru_stime, memory=_bytes(usage), strays=strays)
+
+
+def end_family(token: str, child: int, family: Mapping[int, str]) -> int:
+    """End a child and all it started; how many were left beside it. family: when each of its descendants was started (`ChildProcess.look`).
+
+    Returns when none of them lives any more: a killed process goes on for as long as a busy machine lets it wait for its end.
+    """
+    strays = {process for process in reaper.processes_with(token) if process != child}
+    reaper.end_all(token, child)
+    for _ in range(_ROUNDS):
+        living = [number for number, began in family.items() if began and number != child and _started(number) == began]
+        strays.update(living)
+        if not living:
+            break
+        for number in living:
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.kill(number, signal.SIGKILL)
+        time.sleep(_PAUSE)
+    return len(strays)
 
 
 def _descendants(parent: int) -> list[int]:
