@@ -37,8 +37,9 @@ if TYPE_CHECKING:
 # A stage that gave no answer, why, and the sentence.
 Unfinished: TypeAlias = "tuple[Planned, Outcome, str]"
 
-# Of a cell's time limit, what is kept for replaying and scoring: a tenth, but no more than 30 s (the paper's scene needs 2).
-_JUDGING_SHARE, _JUDGING_MOST = 0.1, 30.0
+# Of a cell's time limit, what is kept for certificates, replaying and scoring: a quarter, but no more than 60 s. The paper's scene needs 2 s;
+# the certificate of two fingers takes 25 CPU s.
+_JUDGING_SHARE, _JUDGING_MOST = 0.25, 60.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -60,7 +60,7 @@ class Settings:
     jobs: int | None = None
     engine: str = "local"
     fresh: bool = False
-    time_limit: float = 120.0
+    time_limit: float = 240.0
     tools: str = DEFAULT_TOOLS
     command: str = ""
     last_failed: bool = False

@@ -202,7 +202,7 @@ def test_a_cell_knows_how_it_was_run(misbehaved):
     out, _ = misbehaved
     record = _records(out)["only_good"]
     request = json.loads((out / "runs" / record.key / "cell.json").read_text())
-    assert request["cell"]["time_limit"] == 120.0
+    assert request["cell"]["time_limit"] == 240.0
     assert record.provenance.threads == 1
     assert record.provenance.command.startswith("python -m validate all --tools")
     assert record.provenance.packages["numpy"]

@@ -40,7 +40,7 @@ _CHOOSING = (
     click.option(
         "--time-limit",
         type=float,
-        default=120.0,
+        default=240.0,
         callback=_positive,
         show_default=True,
         metavar="SECONDS",

@@ -117,5 +117,5 @@ class CampaignFile(_Strict):
     seeds: list[Annotated[int, Field(ge=0)]] = Field(
         default=[], max_length=1000, description="Each pipeline that draws at random is run once for each of them."
     )
-    time_limit: float = Field(default=120.0, gt=0.0, description="Seconds for each cell, all its stages and replays.")
+    time_limit: float = Field(default=240.0, gt=0.0, description="Seconds for each cell, all its stages and replays.")
     examinations: bool = Field(default=False, description="Whether the FMUs of the unchanged scenes are checked too.")
