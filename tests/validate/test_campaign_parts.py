@@ -63,6 +63,15 @@ def test_a_campaign_runs_the_parts_as_cells_of_their_own(tmp_path) -> None:
     assert entries[1].cell.title == "three_cart x mpcc_multistart (2 of 4)"
 
 
+def test_the_table_of_a_rebuilt_report_is_that_of_its_campaign(cli, tmp_path) -> None:
+    done = cli("all", "--scene", "bouncing_mass", "-k", "mpcc_multistart", "--out", str(tmp_path))
+    assert "[4/4]" in done.stdout + done.stderr, done
+    table = (tmp_path / "results.csv").read_bytes()
+    assert table.count(b"bouncing_mass,mpcc_multistart") == 1
+    assert cli("report", str(tmp_path)).returncode == 0
+    assert (tmp_path / "results.csv").read_bytes() == table
+
+
 def test_a_quick_campaign_says_once_what_it_leaves_out_of_every_scene(tmp_path) -> None:
     entries, left_out = select(
         Settings(out=tmp_path, scenes=("three_cart", "bouncing_mass"), quick=True, expression="strict or free_motion")

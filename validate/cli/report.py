@@ -23,6 +23,7 @@ Exit codes: 0 rebuilt; 2 a folder that is no campaign; 3 it cannot be written.
 @click.option("--json", "as_json", is_flag=True, help="The results as JSON on stdout.")
 def command(folder: Path, split: bool, as_json: bool) -> int:
     """Rebuild results.csv, examinations.csv, violation.csv and report.html of the campaign in DIR (runs/all) from its records; no solver is needed."""
+    from reports.collected import collected
     from reports.examination_record import divided
     from validate.campaign import EXAMINATIONS, RESULTS, VIOLATION, stored_campaign
     from validate.results import examination_rows, rows, write_examinations, write_results
@@ -30,7 +31,8 @@ def command(folder: Path, split: bool, as_json: bool) -> int:
     from validate.violation import write_violation
 
     campaign, stored = stored_campaign(folder)
-    records, examinations = divided(stored)
+    parts, examinations = divided(stored)
+    records = collected(parts)  # a pipeline that ran in parts is one row, as in the campaign's own table
     write_results(folder / RESULTS, records)
     write_examinations(folder / EXAMINATIONS, examinations)
     write_violation(folder / VIOLATION, campaign.violation)
