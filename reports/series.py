@@ -56,7 +56,9 @@ class Column(Sequence[_Item]):
         return np.array(self._array, dtype, copy=True) if copy else np.asarray(self._array, dtype)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Sequence) and not isinstance(other, str) and len(self) == len(other) and list(self) == list(other)
+        if not isinstance(other, Sequence) or isinstance(other, str):
+            return NotImplemented
+        return len(self) == len(other) and list(self) == list(other)
 
     def __hash__(self) -> int:
         return hash(self._array.tobytes())

@@ -30,6 +30,14 @@ def test_columns_and_poses_come_back_to_the_bit(numbers, poses):
     assert TraceRecord.model_validate_json(listed) == trace
 
 
+def test_columns_may_be_compared_with_anything():
+    column = TraceRecord(t=(), columns={"q": (1.0, 2.0)}, poses={}).columns["q"]
+    assert column == [1.0, 2.0] == column
+    assert column == pytest.approx([1.0, 2.0 + 1e-9])
+    assert column != pytest.approx([1.0, 2.1])
+    assert column not in ("12", 3, [1.0])
+
+
 def _text(*numbers: float) -> str:
     return base64.b64encode(struct.pack(f"<{len(numbers)}d", *numbers)).decode()
 

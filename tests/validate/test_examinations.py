@@ -57,7 +57,7 @@ def test_each_answer_is_the_right_record(asked, says: str, outcome: str, passed:
     assert record.scene == "three_cart"
     assert record.wall_seconds > 0
     if outcome == "answered":
-        assert 0 < record.figures[0].value < 120
+        assert 0 < record.figures[0].value < Settings(out=Path()).time_limit
 
 
 def test_what_fails_is_told_and_the_rest_is_not_disturbed(asked):
