@@ -15,11 +15,10 @@ from pydantic import BaseModel, ValidationError
 from reports.bench_record import AnyBench, BenchRecord
 from reports.collected import collected
 from reports.examination_record import ExaminationRecord, divided, record_of
+from reports.files import LARGEST_BYTES, bench_files, record_files
 from reports.record import SCHEMA_VERSION, CampaignRecord, RunRecord
 from reports.wording import clean
 
-# A record holds thinned traces only: 64 MB is ten times the largest thinkable one, and what is larger is not a record.
-_LARGEST_BYTES = 64 * 1024 * 1024
 _Record = TypeVar("_Record", bound=BaseModel)
 
 
@@ -60,7 +59,7 @@ def load(folder: Path) -> Stored:
     unreadable: list[Unreadable] = []
     campaign = _read(folder / "campaign.json", folder, CampaignRecord.model_validate_json, unreadable)
     found: dict[str, RunRecord | ExaminationRecord] = {}
-    for path in _record_files(folder):
+    for path in record_files(folder):
         run = _read(path, folder, record_of, unreadable)
         if run is None:
             continue
@@ -71,7 +70,7 @@ def load(folder: Path) -> Stored:
         found[run.key] = run
     benches = tuple(
         bench.root
-        for path in _bench_files(folder)
+        for path in bench_files(folder)
         if (bench := _read(path, folder, BenchRecord.model_validate_json, unreadable)) is not None
     )
     if campaign is None:
@@ -94,20 +93,6 @@ def load(folder: Path) -> Stored:
     )
 
 
-def _record_files(folder: Path) -> list[Path]:
-    runs = folder / "runs"
-    if not runs.is_dir():
-        return []
-    # Folders whose name begins with a dot or ends in .tmp are runs that are being written.
-    folders = sorted(path for path in runs.iterdir() if path.is_dir() and not path.name.startswith(".") and path.suffix != ".tmp")
-    return [path / "record.json" for path in folders]
-
-
-def _bench_files(folder: Path) -> list[Path]:
-    bench = folder / "bench"
-    return sorted(path for path in bench.glob("*.json") if not path.name.startswith(".")) if bench.is_dir() else []
-
-
 def _read(path: Path, folder: Path, read: Callable[[bytes], _Record], unreadable: list[Unreadable]) -> _Record | None:
     try:
         return read(_text(path))
@@ -124,8 +109,8 @@ def _read(path: Path, folder: Path, read: Callable[[bytes], _Record], unreadable
 def _text(path: Path) -> bytes:
     if not path.is_file():
         raise ReportError("it is not there; the run was interrupted or the file was removed: run the campaign again to fill it.")
-    if path.stat().st_size > _LARGEST_BYTES:
-        raise ReportError(f"it is larger than {_LARGEST_BYTES // 1024 // 1024} MB, so it is not a record of this program.")
+    if path.stat().st_size > LARGEST_BYTES:
+        raise ReportError(f"it is larger than {LARGEST_BYTES // 1024 // 1024} MB, so it is not a record of this program.")
     return path.read_bytes()
 
 

@@ -9,8 +9,11 @@ allows exactly the style and the script that are inside it, by their hashes.
 from __future__ import annotations
 
 import base64
+import contextlib
 import hashlib
 import os
+import socket
+import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +23,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from reports import wording
+from reports.kept import kept
 from reports.load import ReportError, load
 from reports.pages import (
     balance,
@@ -112,20 +116,24 @@ class Drawn:
 
 
 def write_report(folder: Path) -> Path:
-    """Render the records of a campaign's folder to its report.html. Raises ReportError."""
+    """Render the records of a campaign's folder to its report.html; the text of before is used again if nothing changed. Raises ReportError."""
     target = folder / "report.html"
-    write_page(target, render(folder))
+    write_page(target, kept(folder, "report", lambda: render(folder)))
     return target
 
 
 def write_page(target: Path, text: str) -> None:
-    """Write a page, whole or not at all. Raises ReportError."""
-    part = target.with_name(f".{target.stem}.{os.getpid()}.html")
+    """Write a page, whole or not at all. Raises ReportError.
+
+    What is not finished says whose it is, as in all of a campaign's folder, so that it is removed there if we are killed.
+    """
+    part = target.with_name(f".partial-page-{uuid.uuid4().hex}-{os.getpid()}-{socket.gethostname()}")
     try:
         part.write_bytes(text.encode("utf-8", errors="replace"))
         os.replace(part, target)
     except OSError as problem:
-        part.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            part.unlink()
         raise ReportError(
             f"{target}: the report cannot be written ({problem.strerror}); free the place or choose another folder."
         ) from problem

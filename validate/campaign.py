@@ -18,7 +18,7 @@ from validate.chosen import CampaignError, Entry, Examined, Settings, select, wi
 from validate.engine import Running, Site, check_engine, open_engine
 from validate.results import write_examinations, write_results
 from validate.shared_stages import beginnings_of, must_wait
-from validate.standing_report import campaign_text, standing_report
+from validate.standing_report import campaign_text, of_content, standing_report
 from validate.store import Store, write_durably
 from validate.stored import CAMPAIGN, only_last_failed, stored_campaign
 from validate.sweeps import write_sweeps
@@ -104,7 +104,9 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
 
     def write() -> tuple[tuple[RunRecord, ...], tuple[ExaminationRecord, ...]]:
         done, examinations = divided(records[entry.cell.key] for entry in entries if entry.cell.key in records)
-        write_durably(settings.out / CAMPAIGN, campaign().model_dump_json(indent=1))
+        text = campaign().model_dump_json(indent=1)
+        if ran or not before or of_content(text) != before:  # else it says as before when and how these results were made
+            write_durably(settings.out / CAMPAIGN, text)
         told = collected(done)
         write_results(settings.out / RESULTS, told)
         write_examinations(settings.out / EXAMINATIONS, examinations)

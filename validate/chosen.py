@@ -119,7 +119,9 @@ def select(settings: Settings) -> tuple[list[Entry | Examined], tuple[str, ...]]
         for pipeline in pipelines:
             methods = dict.fromkeys(leg.method for leg in pipeline.legs)
             seen += [scene.name, pipeline.name, *methods]
-            if not settings.expression or matches(settings.expression, (scene.name, pipeline.name, *methods)):
+            if not settings.expression or matches(
+                settings.expression, (scene.name, pipeline.name, *methods), f"{scene.name} x {pipeline.name}"
+            ):
                 if _is_too_long(settings, scene):
                     long.append(scene.name)
                 elif settings.quick and pipeline.name not in tools.quick_names():
@@ -180,7 +182,7 @@ def _examined(
         if item.scene is None and (settings.scenes or settings.chosen):
             continue
         seen += [name for name in item.names if name not in seen]
-        if settings.expression and not matches(settings.expression, item.names):
+        if settings.expression and not matches(settings.expression, item.names, item.title):
             continue
         if settings.quick and (not item.quick or item.scene in long):
             left_out.append(item)

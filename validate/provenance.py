@@ -55,6 +55,19 @@ _OF_EXAMINATIONS = (
     "validate/fmu_check/",
     "validate/cosim/",
     "validate/hardcases/",
+    "reports/examination_record.py",
+    "reports/chart_record.py",
+)
+# Parts of the room of reports that decide what is in a record: its form, how columns are written, and the paper's numbers beside ours.
+_RECORDS = (
+    "record",
+    "series",
+    "trace_record",
+    "tracked_record",
+    "time_step_record",
+    "paper",
+    "examination_record",
+    "chart_record",
 )
 # Scenes and methods count one by one: a cell depends on its own.
 _ONE_BY_ONE = ("models/scenes", "formulations/methods")
@@ -69,14 +82,14 @@ def _source_digests() -> dict[str, str]:
             name = path.relative_to(ROOT).as_posix()
             if path.suffix in _SOURCE_SUFFIXES and "__pycache__" not in path.parts and not name.startswith(_NO_INFLUENCE):
                 digests[name] = hashlib.sha256(path.read_bytes()).hexdigest()
-    for name in ("reports/record.py", "reports/examination_record.py"):
+    for name in (f"reports/{module}.py" for module in _RECORDS):
         digests[name] = hashlib.sha256((ROOT / name).read_bytes()).hexdigest()
     return digests
 
 
 def source_digests(methods: Iterable[str]) -> dict[str, str]:
     """Digest of each of our files that a cell of these methods depends on."""
-    return {name: digest for name, digest in _digests_with(methods).items() if not name.startswith((*_OF_EXAMINATIONS, "reports/exam"))}
+    return {name: digest for name, digest in _digests_with(methods).items() if not name.startswith(_OF_EXAMINATIONS)}
 
 
 def _digests_with(methods: Iterable[str]) -> dict[str, str]:
@@ -115,7 +128,7 @@ def content_key(scene: Scene, stages: Any, methods: Iterable[str], extra: str = 
 def examination_key(examination: Examination) -> str:
     """The key of an examination: sha256 over what it asks, of what, and the sources that answer."""
     digests = _digests_with(examination.methods)
-    wanted = ("validate/examination.py", "reports/examination_record.py", *examination.sources)
+    wanted = ("validate/examination.py", "reports/", *examination.sources)
     asked = (examination.kind, examination.name, examination.expected, examination.function)
     return _hash(
         {

@@ -3,7 +3,7 @@
     matches("strict and not relaxed", ["three_cart", "softplus_dc+strict", "strict_lcp"])   # True
 
 A word is true if it is part of one of the cell's names (its scene, its pipeline, its methods), upper and lower case alike, and `=word` (or `="some words"`)
-if it is all of one; words are joined with `and`, `or`, `not` and parentheses, as in pytest.
+if it is all of one, or all of what the cell is called (`="three_cart x strict"`); words are joined with `and`, `or`, `not` and parentheses, as in pytest.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ class SelectionError(TouchstoneError):
     """An expression that cannot be read."""
 
 
-def matches(expression: str, names: Iterable[str]) -> bool:
-    """Whether the expression is true of these names. Raises SelectionError."""
-    return _Parser(expression, tuple(name.lower() for name in names)).result()
+def matches(expression: str, names: Iterable[str], title: str = "") -> bool:
+    """Whether the expression is true of a cell of these names and this title. Raises SelectionError."""
+    return _Parser(expression, tuple(name.lower() for name in names), title.lower()).result()
 
 
 class _Parser:
     """Recursive descent over: either = both ("or" both)*; both = item ("and" item)*; item = "not" item | "(" either ")" | word."""
 
-    def __init__(self, expression: str, names: tuple[str, ...]) -> None:
-        self._expression, self._names = expression, names
+    def __init__(self, expression: str, names: tuple[str, ...], title: str) -> None:
+        self._expression, self._names, self._whole = expression, names, (*names, title)
         self._tokens = [mark or word for mark, word in _TOKEN.findall(expression)]
         self._place = 0
 
@@ -66,7 +66,7 @@ class _Parser:
             raise self._error(f"a name is missing before {word!r}")
         self._place += 1
         if word.startswith("="):
-            return word[1:].strip('"').lower() in self._names
+            return word[1:].strip('"').lower() in self._whole
         return any(word.lower() in name for name in self._names)
 
     def _take(self, token: str) -> bool:

@@ -1,6 +1,6 @@
 """Whether the report of a folder still says what is so: then a campaign that ran nothing need not write it again.
 
-    before = campaign_text(folder)                                  # before campaign.json is written anew
+    before = campaign_text(folder)                                  # before campaign.json is written anew, if its content is another
     report = standing_report(folder, before) or write_report(folder)
 
 It stands if it is younger than every record, benchmark and source of the report, and the campaign differs in nothing but when and how it was
@@ -23,10 +23,14 @@ _OF_THE_CALL = ("command", "started", "provenance")
 def campaign_text(folder: Path) -> str:
     """What a folder's campaign is, apart from the call; empty if there is none that can be read."""
     try:
-        campaign = json.loads((folder / CAMPAIGN).read_bytes())
-        return json.dumps({name: value for name, value in campaign.items() if name not in _OF_THE_CALL}, sort_keys=True)
+        return of_content((folder / CAMPAIGN).read_bytes())
     except (OSError, ValueError, AttributeError):
         return ""
+
+
+def of_content(campaign: str | bytes) -> str:
+    """Of the text of a campaign.json, what is not of the call. Raises ValueError, AttributeError for what is no campaign."""
+    return json.dumps({name: value for name, value in json.loads(campaign).items() if name not in _OF_THE_CALL}, sort_keys=True)
 
 
 def standing_report(folder: Path, before: str) -> Path | None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import dataclass
 
+from reports.again import again
 from reports.judged import is_tracked, judged_figure
 from reports.pages.player import Film, film
 from reports.pages.section import Report, Section
@@ -72,26 +72,4 @@ def _view(report: Report, run: RunRecord) -> RunView:
         )
         for place, stage in enumerate(run.stages)
     ]
-    return RunView(run, report.anchor(run), stages, film(run), tail(run.log_tail), again(report, run))
-
-
-def again(report: Report, run: RunRecord) -> str:
-    """The command that runs this cell again, and no other cell of the campaign."""
-    try:
-        recorded = shlex.split(run.provenance.command)
-    except ValueError:
-        return run.provenance.command
-    if recorded[1:4] != ["-m", "validate", "all"]:
-        return run.provenance.command
-    words = [run.pipeline, run.scene.name]
-    # A word of -k is true of every cell with a name that contains it: the others are named to be left out.
-    for other in dict.fromkeys(
-        other.pipeline for other in report.stored.runs if other.pipeline != run.pipeline and _contains(other, run.pipeline)
-    ):
-        words.append(f"not {other}")
-    # Into a folder of its own, because a campaign of one cell would take the place of the whole one.
-    return shlex.join([*recorded[:4], "-k", " and ".join(words), "--fresh", "--out", "runs/again"])
-
-
-def _contains(run: RunRecord, word: str) -> bool:
-    return any(word in name for name in (run.pipeline, *(stage.method for stage in run.stages)))
+    return RunView(run, report.anchor(run), stages, film(run), tail(run.log_tail), again(run))

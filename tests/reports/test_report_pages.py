@@ -6,9 +6,9 @@ import shlex
 
 import pytest
 
+from reports.again import again
 from reports.load import load
 from reports.pages import front, table1, tightening
-from reports.pages.runs import again
 from reports.pages.section import Report
 from reports.paper import TABLE_1
 from reports.rows import lacking
@@ -41,7 +41,7 @@ def test_the_same_methods_with_other_options_are_other_rows_and_another_sweep(fa
     assert len({row.label for row in report.rows}) == len(report.rows), "labels tell rows apart"
     section = tightening.build(report)
     assert section is not None
-    sweeps = section.values["sweeps"]
+    ((_, sweeps),) = section.values["scenes"]
     assert [sweep.title.split(":")[0] for sweep in sweeps[:3]] == ["Fig. 4", "Fig. 5", "Fig. 6"]
     assert sweeps[3].title.endswith("(gd_converged)")
     assert all(len(sweep.keys) == 3 for sweep in sweeps)
@@ -60,16 +60,32 @@ def test_the_front_is_unbeaten(factory, tmp_path):
 def test_the_command_runs_this_cell_again_and_no_other(factory, tmp_path, converged):
     report = report_of(factory, tmp_path / "all", [*factory.runs(), converged])
     for run in report.stored.runs:
-        words = shlex.split(again(report, run))
+        words = shlex.split(again(run))
         expression = words[words.index("-k") + 1]
         names = {other.pipeline: ["three_cart", other.pipeline, *(stage.method for stage in other.stages)] for other in report.stored.runs}
-        assert [pipeline for pipeline, own in names.items() if matches(expression, own)] == [run.pipeline]
+        chosen = [pipeline for pipeline, own in names.items() if matches(expression, own, f"three_cart x {pipeline}")]
+        assert chosen == [run.pipeline]
 
 
-def test_a_recorded_command_of_another_kind_is_repeated_as_it_is(factory, tmp_path):
-    own = factory.provenance(command="python -m validate run mine.toml")
-    report = report_of(factory, tmp_path / "all", [factory.run("strict", None, "strict_lcp", provenance=own)])
-    assert again(report, report.stored.runs[0]) == own.command
+@pytest.mark.parametrize(
+    ("recorded", "kept"),
+    [
+        ("all --quick -k strict -j 2 --out runs/all.toml", "all"),
+        ("all --scene my/own.py --time-limit=9 --lf", "all --scene my/own.py --time-limit=9"),
+        ("run -x mine.toml --retry 2", "run mine.toml"),
+    ],
+)
+def test_the_command_keeps_what_says_which_cells_there_are(factory, recorded, kept):
+    own = factory.provenance(command=f"python -m validate {recorded}")
+    run = factory.run("strict", None, "strict_lcp", provenance=own)
+    assert again(run) == f"""python -m validate {kept} -k '="three_cart x strict"' --fresh --out runs/again"""
+    odd = run.model_copy(update={"pipeline": "in (one) leap"})
+    assert matches(shlex.split(again(odd))[-4], [], "three_cart x in (one) leap")
+
+
+@pytest.mark.parametrize("command", ["python -m validate bench", "make 'half", ""])
+def test_a_recorded_command_of_another_kind_is_repeated_as_it_is(factory, command):
+    assert again(factory.run("strict", None, "strict_lcp", provenance=factory.provenance(command=command))) == command
 
 
 def test_a_cost_below_the_best_exact_one_is_never_told_without_its_error(factory, tmp_path):

@@ -1,5 +1,6 @@
 """Scenes, plans and solutions as the report reads them."""
 
+import ast
 import math
 from xml.etree import ElementTree
 
@@ -12,6 +13,8 @@ from models.scene import Contact
 from models.scene_text import scene_text
 from models.trajectory import Trajectory, uniform_grid
 from reports.mathml import safe_mathml
+from validate import provenance
+from validate.isolation.environment import ROOT
 from validate.provenance import content_key, source_digests
 from validate.records import _history, _plain, finite
 from validate.scene_record import presentation, scene_record
@@ -105,3 +108,25 @@ def test_sources_of_other_methods_and_scenes_do_not_count():
     assert "validate/cell.py" in digests
     assert [name for name in digests if name.startswith(("models/scenes/", "validate/cli/"))] == []
     assert [name for name in digests if name.startswith("formulations/methods/")] == ["formulations/methods/softplus_gd.py"]
+
+
+def _imported_reports(name: str) -> set[str]:
+    """Modules of the room of reports that a file of ours imports when it runs."""
+    tree = ast.parse((ROOT / name).read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            node.body = [ast.Pass()]
+    found = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module}
+    return {f"{module.replace('.', '/')}.py" for module in found if module.startswith("reports.")}
+
+
+def test_whatever_writes_records_is_part_of_their_keys():
+    """Of the files that count, each imports of the room of reports only what counts too, or what tells of records that are written already."""
+    counted = provenance._source_digests()
+    telling = {"reports/load.py", "reports/render.py", "reports/split.py"}
+    imported = {name: _imported_reports(name) for name in counted if name.endswith(".py")}
+    assert "reports/series.py" in imported["reports/trace_record.py"]
+    assert {name: missing for name, modules in imported.items() if (missing := modules - set(counted) - telling)} == {}
+    # a cell's record holds columns of numbers and the paper's figures
+    assert {"reports/series.py", "reports/trace_record.py", "reports/paper.py"} <= set(source_digests(["strict_lcp"]))
+    assert "reports/chart_record.py" not in source_digests(["strict_lcp"])

@@ -64,7 +64,7 @@ def test_show_tells_all_of_a_run_and_how_to_run_it_again(cli, ran, tmp_path):
     for word in ("three_cart x only_good: solved, holds", "terminal_error", "options of stage 1 (good): iterations = 7", "log", str(ran)):
         assert word in done.stdout
     again = shlex.split(done.stdout.splitlines()[-1].removeprefix("again: "))
-    assert again[again.index("-k") + 1] == "=three_cart and =only_good"
+    assert again[again.index("-k") + 1] == '="three_cart x only_good"'
     repeated = cli(*again[3:-1], str(tmp_path))
     assert repeated.returncode == 0, repeated.stderr
     assert names(tmp_path) == ["only_good"]
@@ -95,3 +95,6 @@ def test_a_whole_name():
     assert not matches("=strict", names)
     assert matches('=three_cart and ="in one leap"', names)
     assert not matches('="one leap"', names)
+    assert matches('="three_cart x relaxed+strict"', names, "three_cart x relaxed+strict")
+    assert not matches('="three_cart x strict"', names, "three_cart x relaxed+strict")
+    assert not matches("x", ("strict",), "two x strict")  # a title is no name of which a part would do

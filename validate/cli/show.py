@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -164,6 +162,8 @@ def _tell_examination(record: ExaminationRecord) -> None:
 
 
 def _tell_end(record: RunRecord | ExaminationRecord, folder: Path) -> None:
+    from reports.again import again
+
     lines = record.log_tail.splitlines()[-_LOG_LINES:]
     click.echo(f"\nlog, its last {len(lines)} lines:" if lines else "\nlog: empty")
     for line in lines:
@@ -173,33 +173,3 @@ def _tell_end(record: RunRecord | ExaminationRecord, folder: Path) -> None:
     provenance = record.provenance
     click.echo(one_line(f"made by touchstone {provenance.touchstone} {provenance.commit[:12]}, {provenance.started}, {provenance.cpu}"))
     click.echo(f"again: {again(record)}")
-
-
-def again(record: RunRecord | ExaminationRecord) -> str:
-    """The command that runs this cell anew and no other, into a folder of its own."""
-    from reports.examination_record import ExaminationRecord
-
-    try:
-        words = shlex.split(record.provenance.command)
-    except ValueError:
-        return record.provenance.command
-    if words[1:3] != ["-m", "validate"] or words[3:4] not in (["all"], ["run"]):
-        return record.provenance.command
-    names = [record.name] if isinstance(record, ExaminationRecord) else [record.scene.name, record.pipeline]
-    names = [f'="{name}"' if re.search(r"[\s()]", name) else f"={name}" for name in names]
-    kept = _kept(words[4:])
-    return shlex.join([*words[:4], *kept, "-k", " and ".join(names), "--fresh", "--out", "runs/again"])
-
-
-def _kept(words: list[str]) -> list[str]:
-    """Of the words of a campaign's command those that say where its scenes and methods come from."""
-    kept: list[str] = []
-    place = 0
-    while place < len(words):
-        word = words[place]
-        if word in ("--scene", "--tools", "--time-limit"):
-            kept += words[place : place + 2]
-        elif word.startswith(("--scene=", "--tools=", "--time-limit=")) or (not word.startswith("-") and word.endswith(".toml")):
-            kept.append(word)
-        place += 2 if word in ("--scene", "--tools", "--time-limit", "-k", "-j", "--jobs", "--out", "--retry", "--engine") else 1
-    return kept
