@@ -8,9 +8,11 @@ A file is written beside its place, flushed to disk and renamed, so that a reade
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,8 +34,6 @@ class Column:
 
 def write_columns(path: Path, columns: Iterable[Column], attributes: Mapping[str, str | int | float]) -> None:
     """Write atomically. Raises MachineError where the folder cannot be written."""
-    import h5netcdf  # 0.1 s to import; most commands need no file
-
     columns = tuple(columns)
     sizes: dict[str, int] = {}
     for column in columns:
@@ -41,32 +41,42 @@ def write_columns(path: Path, columns: Iterable[Column], attributes: Mapping[str
             raise ValueError(
                 f"column {column.name}: {len(column.values)} values along {column.dimension}, which has {sizes[column.dimension]}."
             )
+    content = _content(columns, sizes, attributes)
     try:
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
     except OSError as error:
         raise MachineError(
             f"file {path}: it cannot be written ({error.strerror}); choose a folder that exists and may be written."
         ) from error
-    os.close(handle)
     temporary = Path(name)
     try:
-        with h5netcdf.File(temporary, "w") as file:
-            file.dimensions = sizes
-            for key, value in attributes.items():
-                file.attrs[key] = value
-            for column in columns:
-                variable = file.create_variable(column.name, (column.dimension,), data=np.asarray(column.values))
-                variable.attrs["units"] = column.unit
-                if column.description:
-                    variable.attrs["long_name"] = column.description
-        with temporary.open("rb") as file:
+        with open(handle, "wb") as file:
+            file.write(content)
+            file.flush()
             os.fsync(file.fileno())
         temporary.chmod(0o644)  # mkstemp makes it private; a store is shared
         temporary.replace(path)
     except OSError as error:
-        raise MachineError(f"file {path}: it cannot be written ({error}).") from error
-    finally:
-        temporary.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        raise MachineError(f"file {path}: it cannot be written ({error.strerror}); make room or permit it, or write elsewhere.") from error
+
+
+def _content(columns: Sequence[Column], sizes: Mapping[str, int], attributes: Mapping[str, str | int | float]) -> bytes:
+    """The file's bytes, made in memory: HDF5 itself tells of a full disk in many ways, some of them when the file is long closed."""
+    import h5netcdf  # 0.1 s to import; most commands need no file
+
+    content = io.BytesIO()
+    with h5netcdf.File(content, "w") as file:
+        file.dimensions = sizes
+        for key, value in attributes.items():
+            file.attrs[key] = value
+        for column in columns:
+            variable = file.create_variable(column.name, (column.dimension,), data=np.asarray(column.values))
+            variable.attrs["units"] = column.unit
+            if column.description:
+                variable.attrs["long_name"] = column.description
+    return content.getvalue()
 
 
 def read_columns(path: Path) -> tuple[dict[str, Column], dict[str, str | int | float]]:

@@ -22,7 +22,7 @@ from models.errors import MachineError, TouchstoneError
 from validate.judging import Solved, certified, first_line, judge_all
 from validate.profile import Profile
 from validate.shared_stages import Beginning, TakenOver, share, take_over
-from validate.store import PROGRESS
+from validate.store import PROGRESS, raise_if_disk_ended
 from validate.variant import Variant, varied
 
 if TYPE_CHECKING:
@@ -170,6 +170,7 @@ def _solve(
             except MachineError:
                 raise
             except Exception as error:  # noqa: BLE001 - a method may fail in any way; the log has the traceback, the row has the sentence
+                raise_if_disk_ended(folder, error)
                 traceback.print_exc()
                 profile.lap("solve_rest")
                 outcome = Outcome.FAILED if isinstance(error, TouchstoneError) else Outcome.CRASHED
@@ -204,7 +205,8 @@ def _tried(preparation: Callable[[], object]) -> None:
         preparation()
     except MachineError:
         raise
-    except Exception:  # noqa: BLE001 - it will happen again where it belongs, in the stage
+    except Exception as error:  # noqa: BLE001 - it will happen again where it belongs, in the stage
+        raise_if_disk_ended(Path.cwd(), error)
         traceback.print_exc()
 
 

@@ -7,6 +7,7 @@ finished cell.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import sys
@@ -39,7 +40,7 @@ def main(folder: Path) -> int:
     from validate.cell import Cell, run_cell
     from validate.examination import Examination, run_examination
     from validate.provenance import SEED
-    from validate.store import MACHINE, RECORD, REQUEST, disk_error, disk_refuses, write_durably
+    from validate.store import RECORD, REQUEST, disk_error, disk_refuses, write_durably
 
     random.seed(SEED)
     np.random.seed(SEED)
@@ -53,14 +54,21 @@ def main(folder: Path) -> int:
             record = run_cell(Cell.from_json(wanted), provenance, folder, began, profile)
         write_durably(folder / RECORD, record.model_dump_json(indent=1))
     except MachineError as error:
-        (folder / MACHINE).write_text(str(error), encoding="utf-8")
-        return _EXIT_MACHINE
+        return _machine(folder, error)
     except OSError as error:
         if not disk_refuses(error):
             raise
-        (folder / MACHINE).write_text(str(disk_error(folder, error)), encoding="utf-8")
-        return _EXIT_MACHINE
+        return _machine(folder, disk_error(folder, error))
     return 0
+
+
+def _machine(folder: Path, error: Exception) -> int:
+    """Say why this machine cannot. A disk may refuse even that: whoever reads it sees whether the line is whole."""
+    from validate.store import MACHINE
+
+    with contextlib.suppress(OSError):
+        (folder / MACHINE).write_text(f"{error}\n", encoding="utf-8")
+    return _EXIT_MACHINE
 
 
 def run(cell: Callable[[Path], int], folder: Path) -> NoReturn:

@@ -12,12 +12,13 @@ import os
 import socket
 import threading
 import time
+import uuid
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.errors import MachineError
-from validate.store import Store
+from validate.store import Store, disk_error
 
 if TYPE_CHECKING:
     from reports.examination_record import ExaminationRecord
@@ -42,7 +43,7 @@ def job_from_json(data: Mapping[str, Any]) -> Job:
 
 def run_on_worker(request: Mapping[str, Any]) -> dict[str, str]:
     """Run one cell to its end. request: cell and provenance (JSON), folder, its mark, the campaign's token, fingerprint of its sources,
-    many: whether enough cells will come to be worth a fork server."""
+    many: whether enough cells will come to be worth a fork server, name: by which the campaign counts how often the cell was begun."""
     from reports.record import ProvenanceRecord
     from validate.isolation.process import shared_watchdog
     from validate.worker import Worker
@@ -50,6 +51,7 @@ def run_on_worker(request: Mapping[str, Any]) -> dict[str, str]:
     wanted = _wanted()
     try:
         _check(request)
+        _begin(request)
         job, provenance = job_from_json(request["cell"]), _here(ProvenanceRecord.model_validate(request["provenance"]))
         store, server = Store(Path(request["folder"])), _server() if request["many"] else None
         worker = Worker(job, _lost(job, provenance), provenance, store, shared_watchdog(), server, token_begins=request["token"])
@@ -86,14 +88,15 @@ def _name() -> str:
 
 def _wanted() -> Callable[[], bool]:
     """Whether somebody still waits for this task: Dask cannot stop a running one, it only marks it."""
-    from distributed import get_worker  # pyright: ignore[reportMissingImports]
+    from distributed import Status, get_worker  # pyright: ignore[reportMissingImports]
 
     worker = get_worker()
     key = worker.get_current_task()
 
     def wanted() -> bool:
         task = worker.state.tasks.get(key)
-        return task is not None and task.state in {"executing", "long-running", "resumed"}
+        ends = worker.status in {Status.closing, Status.closed, Status.failed}  # its scheduler is gone, or has dismissed it
+        return not ends and task is not None and task.state in {"executing", "long-running", "resumed"}
 
     return wanted
 
@@ -115,6 +118,15 @@ def _check(request: Mapping[str, Any]) -> None:
             "the sources, libraries or compiler here are not those of the campaign, so that its records would lie; start the workers anew, from "
             "the same environment as the campaign."
         )
+
+
+def _begin(request: Mapping[str, Any]) -> None:
+    """Leave a sign that the cell was begun once more. Raises MachineError."""
+    sign = Store(Path(request["folder"])).runs / request["mark"] / f"{request['name']}-{uuid.uuid4().hex}"
+    try:
+        sign.touch()
+    except OSError as error:
+        raise disk_error(sign, error) from error
 
 
 def _here(provenance: ProvenanceRecord) -> ProvenanceRecord:

@@ -3,12 +3,14 @@
     with open_dask("", 2, site) as engine: ...                      # two worker processes here, which end with the campaign
     with open_dask("tcp://10.0.0.1:8786", None, site) as engine: ...      # or the path of a scheduler file, FILE.json
 
-A cell whose worker is lost is run again by Dask's scheduler, as often as its `allowed-failures` says (3 times); then it has crashed. What is left of
-a worker that went without a trace is removed when the campaign ends.
+A cell whose worker is lost is run again by Dask's scheduler, as often as its `allowed-failures` says (3 times); then it has crashed. The scheduler also
+counts against a cell that it only waited on a worker that was lost: one that was begun less often is given to it anew. What is left of a
+worker that went without a trace is removed when the campaign ends.
 """
 
 from __future__ import annotations
 
+import asyncio
 import concurrent.futures
 import contextlib
 import json
@@ -39,7 +41,10 @@ if TYPE_CHECKING:
 # Pause between two looks at what is not a cell's end [s]; a cell that ends is seen at once.
 _LOOK = 0.5
 # How long a scheduler may take to answer, how soon it is said that it has no workers, and how long these may take to tidy up [s].
-_CONNECT, _NO_WORKERS, _TIDY = "10 s", 5.0, 10.0
+_CONNECT, _NO_WORKERS, _TIDY = 10.0, 5.0, 10.0
+# How often a cell is given anew to workers that are lost before they begin it.
+_GIVEN_ANEW = 5
+_GONE = "the Dask scheduler is gone; what finished is stored, and the same command goes on from there."
 
 
 @contextmanager
@@ -62,15 +67,25 @@ def open_dask(where: str, jobs: int | None, site: Site) -> Iterator[DaskEngine]:
 def _remote(where: str) -> Iterator[Any]:
     from distributed import Client  # pyright: ignore[reportMissingImports]
 
-    named: dict[str, Any] = {"scheduler_file": where} if where.endswith(".json") else {"address": where}
     try:
-        client = Client(**named, timeout=_CONNECT, set_as_default=False)
-    except (OSError, ValueError) as error:
-        raise MachineError(
-            f"--engine dask:{where}: no Dask scheduler answers there ({str(error).splitlines()[0]}); start one, or correct the address."
-        ) from error
+        address = json.loads(Path(where).read_text(encoding="utf-8"))["address"] if where.endswith(".json") else where
+        asyncio.run(_ask(address))  # beforehand: a Client that finds nobody leaves a thread and its words behind
+        client = Client(address, timeout=_CONNECT, set_as_default=False)
+    except Exception as error:  # what Dask raises for a wrong address, or for somebody else who answers, is of any type
+        why = next(iter(str(error).splitlines()), "") or "nothing is said there"
+        raise MachineError(f"--engine dask:{where}: no Dask scheduler answers there ({why}); start one, or correct the address.") from error
     with client:
         yield client
+
+
+async def _ask(address: str) -> None:
+    """Raises where nobody at the address speaks as Dask does."""
+    from distributed import Security  # pyright: ignore[reportMissingImports]
+    from distributed.comm import connect  # pyright: ignore[reportMissingImports]
+
+    asked = connect(address, timeout=_CONNECT, **Security().get_connection_args("client"))
+    comm = await asyncio.wait_for(asked, 2 * _CONNECT)  # Dask itself waits for ever for one who takes a connection and says nothing
+    await comm.close()
 
 
 @contextmanager
@@ -111,11 +126,24 @@ def _terminal_blocked() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
+@contextmanager
+def _gone_in_words() -> Iterator[None]:
+    """What Dask raises where its scheduler cannot be reached, as a MachineError. Raises it."""
+    try:
+        yield
+    except MachineError:
+        raise
+    except (OSError, RuntimeError) as error:  # no connection, or a client that has given up
+        raise MachineError(_GONE) from error
+
+
 class _Submitted:
-    """A cell that Dask has. begun: its unfinished folder, once there is one."""
+    """A cell that Dask has. begun: its unfinished folder, once there is one; name: what its beginnings are counted by; lost: how often Dask gave
+    it up."""
 
     def __init__(self, cell: Job) -> None:
         self.cell, self.since = cell, time.monotonic()
+        self.name, self.lost = uuid.uuid4().hex, 0
         self.begun: Path | None = None
 
     def progress(self) -> str:
@@ -148,17 +176,23 @@ class DaskEngine:
         waiting = list(cells)
         running: dict[concurrent.futures.Future[dict[str, str]], _Submitted] = {}
         executor = self._client.get_executor(pure=False)
-        self._request["many"] = len(cells) >= WORTH * max(1, sum(self._client.nthreads().values()))
+        with _gone_in_words():
+            self._request["many"] = len(cells) >= WORTH * max(1, sum(self._client.nthreads().values()))
         try:
             while waiting or running:
-                self._submit(waiting, running, executor)
-                self._look(tuple(running.values()))
+                with _gone_in_words():
+                    self._submit(waiting, running, executor)
+                    self._look(tuple(running.values()))
                 done, _ = concurrent.futures.wait(running, timeout=_LOOK, return_when=concurrent.futures.FIRST_COMPLETED)
                 for future in done:
                     submitted = running[future]
                     record = self._record(submitted, future)
                     del running[future]
-                    yield submitted.cell, record
+                    if record is None:
+                        with _gone_in_words():
+                            running[self._give(submitted, executor)] = submitted
+                    else:
+                        yield submitted.cell, record
         finally:
             for future in running:
                 future.cancel()
@@ -173,8 +207,12 @@ class DaskEngine:
                 return
             if not at_work or not self._site.must_wait(cell, at_work):
                 waiting.remove(cell)
-                running[executor.submit(run_on_worker, {**self._request, "cell": cell.to_json()})] = _Submitted(cell)
+                submitted = _Submitted(cell)
+                running[self._give(submitted, executor)] = submitted
                 at_work.append(cell)
+
+    def _give(self, submitted: _Submitted, executor: concurrent.futures.Executor) -> concurrent.futures.Future[dict[str, str]]:
+        return executor.submit(run_on_worker, {**self._request, "cell": submitted.cell.to_json(), "name": submitted.name})
 
     def _look(self, submitted: Sequence[_Submitted]) -> None:
         folders = {path.name.split("-")[1]: path for path in self._unfinished()}
@@ -194,7 +232,8 @@ class DaskEngine:
         """Folders of this campaign's cells that are being written."""
         return [path for path in self._store.runs.glob(f".partial-*-{self._token}*") if path.name != self._request["mark"]]
 
-    def _record(self, submitted: _Submitted, future: concurrent.futures.Future[dict[str, str]]) -> RunRecord | ExaminationRecord:
+    def _record(self, submitted: _Submitted, future: concurrent.futures.Future[dict[str, str]]) -> RunRecord | ExaminationRecord | None:
+        """What came of a cell; None if it is to be given to Dask anew."""
         from distributed import KilledWorker  # pyright: ignore[reportMissingImports]
 
         from reports.examination_record import StoredRecord
@@ -202,9 +241,17 @@ class DaskEngine:
         try:
             answer = future.result()
         except concurrent.futures.CancelledError as error:
-            raise MachineError("the Dask scheduler is gone; what finished is stored, and the same command goes on from there.") from error
+            raise MachineError(_GONE) from error
         except KilledWorker as error:
-            return self._crashed(submitted, f"{error.allowed_failures + 1} workers of the Dask cluster were lost while they ran it.")
+            submitted.lost += 1
+            begun = len(list((self._store.runs / self._request["mark"]).glob(f"{submitted.name}*")))
+            if begun > error.allowed_failures:
+                return self._crashed(submitted, f"{begun} workers of the Dask cluster were lost while they ran it.")
+            if submitted.lost <= _GIVEN_ANEW:
+                return None
+            raise MachineError(
+                f"workers of the Dask cluster are lost before they begin {submitted.cell.title}; their logs say why."
+            ) from error
         except Exception as error:
             told = (str(error).splitlines() or [""])[0]
             raise MachineError(

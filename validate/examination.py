@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.errors import MachineError, TouchstoneError
-from validate.store import LOG, PROGRESS
+from validate.store import LOG, PROGRESS, raise_if_disk_ended
 
 if TYPE_CHECKING:
     from models.scene import Scene
@@ -126,9 +126,11 @@ def run_examination(examination: Examination, provenance: ProvenanceRecord, fold
     except MachineError:
         raise
     except TouchstoneError as error:
+        raise_if_disk_ended(folder, error)
         traceback.print_exc()
         outcome, message = "failed", str(error)
     except Exception as error:  # noqa: BLE001 - an examination may fail in any way; the log has the traceback, the row has the sentence
+        raise_if_disk_ended(folder, error)
         traceback.print_exc()
         outcome, message = "crashed", f"{type(error).__name__}: {next(iter(str(error).splitlines()), '') or 'no further words.'}"
     log = folder / LOG

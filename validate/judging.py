@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from models.errors import MachineError
 from validate.profile import Profile
 from validate.shared_stages import stage_files
+from validate.store import raise_if_disk_ended
 
 if TYPE_CHECKING:
     from formulations.solution import Solution
@@ -35,7 +36,8 @@ def certified(tools: Tools, scene: Scene, item: Solved) -> Solved:
         return item
     try:
         return replace(item, solution=tools.certify(scene, item.solution))
-    except Exception:  # noqa: BLE001 - the plan is kept even if its judge stumbles; it then has no certificate, and the log has the traceback
+    except Exception as error:  # noqa: BLE001 - the plan is kept even if its judge stumbles; it then has no certificate, and the log has the traceback
+        raise_if_disk_ended(Path.cwd(), error)
         traceback.print_exc()
         return item
 
@@ -74,6 +76,7 @@ def _judge(tools: Tools, scene: Scene, fmu: Path | None, item: Solved, folder: P
     except MachineError:
         raise
     except Exception as error:  # noqa: BLE001 - the plan is kept even if the judge stumbles; the verdict is then not resolved
+        raise_if_disk_ended(folder, error)
         traceback.print_exc()
         profile.lap("replay" if replay is None else "score")
         return Judged(

@@ -29,6 +29,8 @@ RECORD, LOG, REQUEST, PROGRESS, MACHINE = "record.json", "log.txt", "cell.json",
 _PARTIAL, _OLD = ".partial-", "-old"
 # What the operating system says when a disk will take no more, as opposed to a mistake of ours.
 _DISK_REFUSES = frozenset({errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG, errno.ENOTDIR})
+# Of these, what no method and no examination does by a mistake of its own.
+_DISK_ENDS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO})
 
 
 class StoreError(TouchstoneError):
@@ -43,6 +45,23 @@ def disk_error(path: Path, error: OSError) -> MachineError:
 
 def disk_refuses(error: OSError) -> bool:
     return error.errno in _DISK_REFUSES
+
+
+def raise_if_disk_ended(path: Path, error: BaseException) -> None:
+    """Raise a MachineError if what went wrong in a cell, or what it came of, is a disk that takes no more. path: named where the error names none."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, OSError) and cause.errno in _DISK_ENDS:
+            raise disk_error(Path(cause.filename) if isinstance(cause.filename, str) else path, cause) from error
+        cause = cause.__cause__ or cause.__context__
+
+
+def remove(path: Path) -> None:
+    """Remove a file if it is there. Raises MachineError where the disk refuses."""
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise disk_error(path, error) from error
 
 
 def write_durably(path: Path, text: str) -> None:
@@ -89,7 +108,7 @@ class Store:
                 if left.name.endswith(_OLD):
                     self._put_back(left)
                 shutil.rmtree(left, ignore_errors=True)
-        for aside in self.folder.glob(f"{_PARTIAL}*"):
+        for aside in (*self.folder.glob(f"{_PARTIAL}*"), *self.folder.glob(f"report/{_PARTIAL}*")):
             if not _owner_lives(aside.name):
                 with contextlib.suppress(OSError):
                     aside.unlink()

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from reports.record import CertificateRecord, RunRecord
-from validate.store import write_durably
+from validate.store import remove, write_durably
 
 STARTS, FRONT = "starts.csv", "front.csv"
 
@@ -28,7 +28,7 @@ def write_sweeps(folder: Path, records: Iterable[RunRecord]) -> None:
             )
             write_durably(folder / name, text.getvalue())
         else:
-            (folder / name).unlink(missing_ok=True)
+            remove(folder / name)
 
 
 def _starts(records: tuple[RunRecord, ...]) -> list[dict[str, Any]]:

@@ -10,6 +10,7 @@ that exits with 0 and leaves no record has crashed; one that left a whole record
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import shutil
@@ -23,7 +24,7 @@ from models.errors import MachineError
 from validate import reaper
 from validate.fork_server import ForkServer, ForkServerError
 from validate.isolation.process import ChildProcess, Ended, Watchdog, exit_in_words
-from validate.store import LOG, MACHINE, PROGRESS, RECORD, REQUEST, Store, disk_error, write_durably
+from validate.store import LOG, MACHINE, PROGRESS, RECORD, REQUEST, Store, disk_error, remove, write_durably
 
 if TYPE_CHECKING:
     from reports.examination_record import ExaminationRecord
@@ -61,7 +62,7 @@ class Worker:
     """One running cell; see the module docstring. lost: makes the record of a child that left none; server: forks the child, if there is
     one; token_begins: at most 16 letters and digits by which a campaign knows its own.
 
-    Starting it raises MachineError if the folder cannot be written.
+    Starting it raises MachineError if the folder cannot be written, or no process can be started.
     """
 
     def __init__(
@@ -82,9 +83,11 @@ class Worker:
         self._began = time.monotonic()
         try:
             self._process = self._start()
-        except BaseException:
+        except BaseException as error:
             reaper.end_all(self._token)
             self._forget()
+            if isinstance(error, OSError):
+                raise MachineError(f"a process for {cell.title} cannot be started ({error.strerror}); end what is not needed.") from error
             raise
 
     def _start(self) -> ChildProcess:
@@ -134,11 +137,11 @@ class Worker:
 
     def _file(self, record: RunRecord | ExaminationRecord) -> None:
         answered = any(stage.plan_trace is not None for stage in getattr(record, "stages", ()))
-        for path in self._folder.iterdir():
+        for path in tuple(self._folder.iterdir()):
             if path.is_dir():
                 shutil.rmtree(path, ignore_errors=True)
             elif path.name not in {RECORD, LOG, REQUEST} and not (answered and path.suffix == ".nc"):
-                path.unlink(missing_ok=True)
+                remove(path)
         self._store.commit(self._folder, record.key)
 
     def _record(self, ended_by: str | None) -> RunRecord | ExaminationRecord:
@@ -157,9 +160,20 @@ class Worker:
             problem = "it left no result" if self._ended.code == 0 else ""
         except (OSError, ValidationError) as error:
             problem = f"its result file cannot be read ({type(error).__name__})"
-        with contextlib.suppress(OSError):
-            raise MachineError((self._folder / MACHINE).read_text(encoding="utf-8"))
+        with contextlib.suppress(FileNotFoundError):
+            raise self._machine()
         return self._failure(ended_by, problem)
+
+    def _machine(self) -> MachineError:
+        """Why the child says that this machine cannot. Raises FileNotFoundError if it says nothing of it."""
+        try:
+            text = (self._folder / MACHINE).read_text(encoding="utf-8")
+        except FileNotFoundError:
+            raise
+        except (OSError, ValueError):
+            text = ""
+        whole = text.endswith("\n") and text.strip()
+        return MachineError(text.strip()) if whole else disk_error(self._folder, OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
 
     def _failure(self, ended_by: str | None, problem: str) -> RunRecord | ExaminationRecord:
         place = self.progress()

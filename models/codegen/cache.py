@@ -7,12 +7,17 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
+import socket
 import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
 from models.errors import MachineError
+
+# What is being built, and by whom: building-<process>-<host>-<random>.
+_BUILDING = "building-"
 
 
 def cache_folder() -> Path:
@@ -37,17 +42,33 @@ def cache_folder() -> Path:
     return folder
 
 
+def _remove_what_the_dead_left(folder: Path) -> None:
+    """Of processes of this machine alone: those of another cannot be looked up here."""
+    for left in folder.glob(f"{_BUILDING}*"):
+        number, _, rest = left.name.removeprefix(_BUILDING).partition("-")
+        if rest.rpartition("-")[0] == socket.gethostname() and number.isdigit() and not _lives(int(number)):
+            shutil.rmtree(left, ignore_errors=True)
+
+
+def _lives(process: int) -> bool:
+    import psutil
+
+    return psutil.pid_exists(process)
+
+
 def cached(key_text: str, suffix: str, build: Callable[[Path], None]) -> Path:
     """The file for this content: found, or made by `build(path)` in a temporary place and renamed.
 
-    Two processes may build the same file at once; both end with a whole one. Raises MachineError when the disk refuses.
+    Two processes may build the same file at once; both end with a whole one. What a process left that was killed while it built goes with
+    the next one that builds. Raises MachineError when the disk refuses.
     """
     key = hashlib.sha256(key_text.encode()).hexdigest()
     target = cache_folder() / f"{key[:32]}{suffix}"
     if target.exists():
         return target
+    _remove_what_the_dead_left(target.parent)
     try:
-        with tempfile.TemporaryDirectory(dir=target.parent, prefix="building-") as folder:
+        with tempfile.TemporaryDirectory(dir=target.parent, prefix=f"{_BUILDING}{os.getpid()}-{socket.gethostname()}-") as folder:
             made = Path(folder) / target.name
             build(made)
             os.replace(made, target)

@@ -96,7 +96,8 @@ def compile_shared(
 
     Raises MachineError with the compiler's first lines if it refuses.
     """
-    with tempfile.TemporaryDirectory(prefix="touchstone-") as folder:
+    # Below the output, so that it goes with the output's own place if we are killed.
+    with tempfile.TemporaryDirectory(prefix="touchstone-", dir=output.parent) as folder:
         for name, text in sources.items():
             place = Path(folder) / name
             place.parent.mkdir(parents=True, exist_ok=True)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from models.errors import MachineError
 from validate.cli.table import use_colour
 
 if TYPE_CHECKING:
@@ -33,9 +34,13 @@ def run_and_tell(settings: Settings, arguments: Sequence[str], as_json: bool) ->
     resume = command_line([word for word in arguments if word not in _ONCE])
     try:
         outcome = run_campaign(settings, teller)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, MachineError) as error:
         done = teller.stored + teller.done
         kept = f"{done} of {teller.total} cells are stored in {settings.out}" if teller.total else "nothing was run yet"
+        if isinstance(error, MachineError):
+            if done < teller.total:
+                click.echo(f"stopped: {kept}; resume with: {resume}", err=True)
+            raise
         click.echo(f"interrupted: {kept}; resume with: {resume}", err=True)
         return 130
     if settings.stop_early and teller.stored + teller.done < teller.total:
