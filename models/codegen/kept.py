@@ -18,7 +18,7 @@ from models.scene_text import equations_text
 
 _MODELS = Path(__file__).parents[1]
 # Whatever decides the text beside the scene's own equations.
-_GENERATORS = ("codegen/*.py", "contact*.py", "dynamics.py", "fmu/sensitivity.py")
+_GENERATORS = ("codegen/*.py", "contact*.py", "dynamics.py", "fmu/sensitivity.py", "fmu/structure.py", "fmu/variables.py")
 
 
 def kept_text(scene: Scene, name: str, make: Callable[[], str]) -> str:

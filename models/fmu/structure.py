@@ -5,11 +5,13 @@ dependencies(scene)["lam_left"]      {"q1": FIXED, "q2": ...}
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from enum import Enum
 
 import sympy as sp
 
+from models.codegen.kept import kept_text
 from models.dynamics import Dynamics, derive
 from models.fmu.kinds import Kind, Variable
 from models.fmu.variables import variable_table
@@ -25,7 +27,20 @@ class Dependency(Enum):
 
 
 def dependencies(scene: Scene) -> dict[str, dict[str, Dependency]]:
-    """Of each calculated variable and each state: the knowns it depends on (states, inputs, parameters), in table order."""
+    """Of each calculated variable and each state: the knowns it depends on (states, inputs, parameters), in table order.
+
+    Differentiating the energies of a large scene for it takes seconds: it is kept, as the generated C is.
+    """
+    kept = json.loads(kept_text(scene, "structure.json", lambda: _as_text(derived_dependencies(scene))))
+    return {name: {known: Dependency(kind) for known, kind in knowns.items()} for name, knowns in kept.items()}
+
+
+def _as_text(found: dict[str, dict[str, Dependency]]) -> str:
+    return json.dumps({name: {known: kind.value for known, kind in knowns.items()} for name, knowns in found.items()})
+
+
+def derived_dependencies(scene: Scene) -> dict[str, dict[str, Dependency]]:
+    """The same, from the equations."""
     dynamics, table = derive(scene), variable_table(scene)
     names = {symbol: symbol.name for symbol in (*dynamics.q, *dynamics.v, *dynamics.u, *dynamics.p)}
     order = {variable.name: position for position, variable in enumerate(table)}
