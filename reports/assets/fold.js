@@ -53,24 +53,32 @@
     await block(place.dataset.block);
     fill(place);
   };
-  const fill = (place) => {
+  const draw = (spot) => {
+    const { figures, lines } = ready.get(spot.dataset.block);
+    const figure = fragment(figures[Number(spot.dataset.figure)]);
+    figure.querySelectorAll('path[d^="#"]').forEach((path) => path.setAttribute("d", lines[Number(path.getAttribute("d").slice(1))]));
+    spot.replaceWith(figure);
+  };
+  // later: figures and films, the greater part, wait until they are near.
+  const fill = (place, later = false) => {
     if (!place.dataset.part) return;
     const part = Number(place.dataset.part);
     delete place.dataset.part;
-    const { parts, figures, lines } = ready.get(place.dataset.block);
-    const content = fragment(parts[part]);
+    const content = fragment(ready.get(place.dataset.block).parts[part]);
     for (const spot of content.querySelectorAll("[data-figure]")) {
-      const figure = fragment(figures[Number(spot.dataset.figure)]);
-      figure.querySelectorAll('path[d^="#"]').forEach((path) => path.setAttribute("d", lines[Number(path.getAttribute("d").slice(1))]));
-      spot.replaceWith(figure);
+      spot.dataset.block = place.dataset.block;
+      if (later) near.observe(spot); else draw(spot);
     }
     place.removeAttribute("data-holds");
     place.replaceChildren(content);
     watch(place);
-    place.dispatchEvent(new Event("unfolded", { bubbles: true }));
+    place.dispatchEvent(new CustomEvent("unfolded", { bubbles: true, detail: { later } }));
   };
   const near = new IntersectionObserver((entries) => {
-    entries.filter((entry) => entry.isIntersecting).forEach((entry) => { near.unobserve(entry.target); unfold(entry.target); });
+    entries.filter((entry) => entry.isIntersecting).forEach(({ target }) => {
+      near.unobserve(target);
+      if (target.dataset.figure) draw(target); else unfold(target);
+    });
   }, { rootMargin: "800px 0px" });
   // A place inside closed details has no size and is seen by the observer when they are opened.
   const watch = (root) => root.querySelectorAll(".parcel[data-part]").forEach((place) => near.observe(place));
@@ -115,8 +123,21 @@
     if (names.length) idle(() => block(names[0]).finally(() => prepare(names.slice(1))));
   };
   addEventListener("load", () => prepare([...document.querySelectorAll("script[data-block]")].map((item) => item.dataset.block)));
+  const folded = (known) => [...document.querySelectorAll(".parcel[data-part]")].filter((place) => known(place.dataset.block));
   addEventListener("beforeprint", () => {
-    const folded = () => [...document.querySelectorAll(".parcel[data-part]")].filter((place) => ready.has(place.dataset.block));
-    for (let places = folded(); places.length; places = folded()) places.forEach(fill);
+    for (let places = folded((name) => ready.has(name)); places.length; places = folded((name) => ready.has(name))) places.forEach((place) => fill(place));
+    document.querySelectorAll("i[data-figure]").forEach(draw);
   }, { capture: true });
+  // Browsers search what is on the page, in closed details too: who is about to search gets the text of every part, one block a turn.
+  const search = async () => {
+    for (let [place] = folded(() => true); place; [place] = folded(() => true)) {
+      const name = place.dataset.block;
+      await block(name);
+      folded((other) => other === name).forEach((mine) => fill(mine, true));
+      await new Promise((done) => setTimeout(done));
+    }
+  };
+  addEventListener("keydown", (event) => {
+    if (event.key === "F3" || ((event.ctrlKey || event.metaKey) && event.key.toLowerCase() === "f")) search();
+  });
 })();

@@ -90,10 +90,42 @@
       }
       pen.stroke();
       pen.restore();
-      if (filled || !data.replay) {
-        pen.fillStyle = colour("--ink");
+    };
+    // How wide and how tall a shape is through its centre, in pixels.
+    const chords = (shape, angle) => {
+      if (isLine(shape)) return [0, 0];
+      const [wide, tall] = shape.kind === "box" ? [shape.size[0], shape.size[1] || shape.size[0]] : [2 * shape.size[0], 2 * shape.size[0]];
+      if (shape.kind !== "box") return [wide * scale, tall * scale];
+      const [along, across] = [Math.max(Math.abs(Math.cos(angle)), 1e-9), Math.max(Math.abs(Math.sin(angle)), 1e-9)];
+      return [Math.min(wide / along, tall / across) * scale, Math.min(tall / along, wide / across) * scale];
+    };
+    // Names stand in a body that has room for them, else beside it, where no other name stands; the larger body chooses first.
+    const names = () => {
+      const tall = room.width < 500 ? 14 : 17;
+      const taken = [];
+      const found = data.shapes.map((shape, which) => [shape, ((data.replay && data.replay[which]) || (data.plan && data.plan[which]) || [])[frame]]);
+      for (const [shape, pose] of found.filter((one) => one[1]).sort((one, other) => reach(other[0]) - reach(one[0]))) {
+        const [px, py] = place(pose[0], pose[1]);
+        const long = pen.measureText(shape.name).width;
+        const [wide, high] = chords(shape, pose[2]);
+        const [aside, away] = [wide / 2 + long / 2 + 6, high / 2 + tall / 2 + 2];
+        const spots = wide > long + 6 && high > tall ? [[0, 0]] : [];
+        if (isLine(shape)) spots.push([0, away], [0, -away]);
+        spots.push([aside, 0], [-aside, 0]);
+        for (const row of [0, 1, 2, 3]) spots.push([0, -away - row * tall], [0, away + row * tall], [aside, -row * tall], [-aside, -row * tall], [aside, row * tall], [-aside, row * tall]);
+        const free = ([x, y]) => px + x - long / 2 >= 2 && px + x + long / 2 <= room.width - 2 && py + y > tall / 2 && py + y < room.height - bars
+          && !taken.some(([left, upper, width]) => Math.abs(px + x - left) < (long + width) / 2 + 3 && Math.abs(py + y - upper) < tall);
+        const spot = spots.find(free);
+        if (!spot) continue;
+        taken.push([px + spot[0], py + spot[1], long]);
         pen.textAlign = "center";
-        pen.fillText(shape.name, px, py + 5);
+        pen.lineWidth = 4;
+        pen.lineJoin = "round";
+        pen.setLineDash([]);
+        pen.strokeStyle = colour(spot[0] || spot[1] ? "--card" : "--touch");
+        pen.strokeText(shape.name, px + spot[0], py + spot[1] + tall * 0.3);
+        pen.fillStyle = colour("--ink");
+        pen.fillText(shape.name, px + spot[0], py + spot[1] + tall * 0.3);
       }
     };
     // The point of a shape in metres: its centre or the end of a line.
@@ -180,6 +212,7 @@
         push(which, data.replay, data.replay_force, "--push", 2.5);
         bar(which, frame);
       });
+      names();
       output.textContent = `${data.t[frame].toFixed(2)} s`;
       slider.value = frame;
       slider.setAttribute("aria-valuetext", `${data.t[frame].toFixed(2)} seconds`);
@@ -216,10 +249,14 @@
     measure();
     draw();
   };
-  const begin = (root) => root.querySelectorAll("[data-player][hidden]").forEach((player) => {
-    player.hidden = false;
-    start(player);
+  const near = new IntersectionObserver((entries) => {
+    entries.filter((entry) => entry.isIntersecting).forEach((entry) => { near.unobserve(entry.target); start(entry.target); });
   });
-  begin(document);
-  document.addEventListener("unfolded", (event) => begin(event.target));
+  // later: when it is seen.
+  const begin = (root, later) => root.querySelectorAll("[data-player][hidden]").forEach((player) => {
+    player.hidden = false;
+    if (later) near.observe(player); else start(player);
+  });
+  begin(document, false);
+  document.addEventListener("unfolded", (event) => begin(event.target, event.detail.later));
 })();

@@ -108,6 +108,15 @@
     closed.forEach((item) => { item.open = true; });
   });
   addEventListener("afterprint", () => closed.forEach((item) => { item.open = false; }));
+  // What a link leads to is opened.
+  const reveal = () => {
+    const target = /^#[\w-]+$/.test(location.hash) ? document.getElementById(location.hash.slice(1)) : null;
+    if (!target || target.closest("details[open]") === target.closest("details")) return;
+    for (let at = target.closest("details"); at; at = at.parentElement.closest("details")) at.open = true;
+    target.scrollIntoView();
+  };
+  addEventListener("hashchange", reveal);
+  reveal();
   const contents = document.getElementById("contents");
   if (contents && matchMedia("(max-width: 60rem)").matches) contents.open = false;
 

@@ -2,32 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from reports.examination_record import ExaminationRecord
+from reports.pages.judged_cells import Sentence, direct, failure, scene_by_scene
 from reports.pages.section import Report, Section
-from reports.record import RunRecord, StageRecord
+from reports.record import RunRecord
 from reports.rows import Row
 from reports.rule import RESULTS, RULE, failures
-from reports.wording import capital, cost, count, error, listing, seconds, spaced
+from reports.wording import capital, cost, count, error, listing, seconds
 
-# An outcome that came back with what was asked for; a limit of iterations is the paper's own stopping rule for gradient descent.
-_ANSWERED = frozenset({"solved", "iteration_limit"})
-
-
-@dataclass(frozen=True)
-class Sentence:
-    """A sentence of the summary; `style` is the verdict's class it goes with."""
-
-    style: str
-    symbol: str
-    text: str
+# So many cells that ended otherwise than asked are told one below the other; more are folded, and those refused only with their scene.
+_FEW = 12
 
 
 def build(report: Report) -> Section:
     stored = report.stored
     runs = stored.runs
     whole = not (stored.missing or stored.unreadable)
+    ended = [(run, report.anchor(run), sentence) for run in runs if (sentence := failure(run))]
+    if len(ended) > _FEW:
+        ended = [(run, anchor, sentence) for run, anchor, sentence in ended if run.outcome != "refused"]
     return Section(
         "summary",
         "Summary",
@@ -36,7 +29,7 @@ def build(report: Report) -> Section:
             "sentences": [
                 *_rule(runs, stored.examinations, whole=whole),
                 *_time_steps(report),
-                *_direct(runs, whole=whole),
+                *direct(runs, whole=whole),
                 *_examined(stored.examinations),
                 *_indirect(report.rows),
                 *_cheapest(report.rows),
@@ -46,7 +39,9 @@ def build(report: Report) -> Section:
             "rule": RULE,
             "results": RESULTS,
             "counts": _counts(runs),
-            "failures": [(run, report.anchor(run), _failure(run)) for run in runs if _failure(run)],
+            "judged": scene_by_scene(runs),
+            "failures": ended,
+            "few": len(ended) <= _FEW,
             "campaign": stored.campaign,
             "unreadable": stored.unreadable,
             "missing": stored.missing,
@@ -58,18 +53,6 @@ def build(report: Report) -> Section:
 
 def _counts(runs: tuple[RunRecord, ...]) -> dict[str, int]:
     return {name: sum(run.verdict == name for run in runs) for name in ("holds", "violates", "not resolved", "no plan")}
-
-
-def _failure(run: RunRecord) -> str:
-    """Why a cell did not end as asked; empty if it did."""
-    if run.outcome in _ANSWERED and run.stages:
-        return ""
-    advice = run.stages[-1].advice if run.stages and run.stages[-1].outcome == run.outcome else ""
-    return " ".join(dict.fromkeys(capital(part) for part in (advice, run.message) if part)) or "The record gives no reason."
-
-
-def _named(run: RunRecord) -> str:
-    return f"{run.pipeline} on {run.scene.name}"
 
 
 def _rule(runs: tuple[RunRecord, ...], examinations: tuple[ExaminationRecord, ...], *, whole: bool) -> list[Sentence]:
@@ -100,36 +83,6 @@ def _time_steps(report: Report) -> list[Sentence]:
     return [Sentence("unresolved", "!", capital(item.warning)) for item in campaign.time_steps if item.warning] if campaign else []
 
 
-def _direct(runs: tuple[RunRecord, ...], *, whole: bool) -> list[Sentence]:
-    """Of the cells that must hold: how many do, and why the others do not; `whole` if no cell of the campaign is missing."""
-    judged = [run for run in runs if run.must_hold]
-    if not judged:
-        return []
-    bad = [run for run in judged if run.verdict != "holds"]
-    stored = "" if whole else "stored "
-    if not bad and len(judged) == 1:
-        return [Sentence("holds", "✓", f"The one {stored}cell that ends in a direct method holds.")]
-    if not bad:
-        return [Sentence("holds", "✓", f"All {len(judged)} {stored}cells that end in a direct method hold.")]
-    said = [Sentence("plain", "•", f"{len(judged) - len(bad)} of {len(judged)} {stored}cells that end in a direct method hold.")]
-    for run in bad:
-        reason = _failure(run) or (_why(run.stages[-1]) if run.stages else "") or "The record gives no reason."
-        style, symbol = {"violates": ("violates", "✗"), "no plan": ("noplan", "○")}.get(run.verdict, ("unresolved", "?"))
-        said.append(Sentence(style, symbol, f"{_named(run)}: {run.verdict}. {capital(reason)}"))
-    return said
-
-
-def _why(stage: StageRecord) -> str:
-    if stage.why:
-        return stage.why
-    broken = [
-        f"{spaced(figure.name)} is {error(figure.value)} {figure.unit} (limit {error(figure.limit)})"
-        for figure in stage.figures
-        if figure.ok is False
-    ]
-    return f"{listing(broken)}." if broken else ""
-
-
 def _indirect(rows: list[Row]) -> list[Sentence]:
     relaxed = [row for row in rows if row.stage.kind == "indirect"]
     if not relaxed:
@@ -141,13 +94,14 @@ def _indirect(rows: list[Row]) -> list[Sentence]:
     if len(violating) == len(relaxed):
         return [Sentence("plain", "•", text)]
     exempt = [row.label for row in relaxed if row.stage.verdict == "holds"]
-    return [Sentence("plain", "•", text + (f" {listing(exempt)} {'keeps' if len(exempt) == 1 else 'keep'} every limit." if exempt else ""))]
+    named = listing(exempt) if len(exempt) <= _FEW else f"{len(exempt)} of them"
+    return [Sentence("plain", "•", text + (f" {named} {'keeps' if len(exempt) == 1 else 'keep'} every limit." if exempt else ""))]
 
 
 def _cheapest(rows: list[Row]) -> list[Sentence]:
-    """Never a cost without its terminal error."""
+    """Never a cost without its terminal error; none where there is nothing to choose."""
     said = []
-    for name in dict.fromkeys(row.run.scene.name for row in rows):
+    for name in dict.fromkeys(row.run.scene.name for row in rows if row.run.scene.inputs):
         holding = [row for row in rows if row.run.scene.name == name and row.stage.verdict == "holds" and row.stage.cost is not None]
         if not holding:
             continue

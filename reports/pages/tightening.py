@@ -23,8 +23,9 @@ _SHADES = 6
 
 @dataclass(frozen=True)
 class Sweep:
-    """The stages of one relaxation, loosest eps first, and their plots."""
+    """The stages of one relaxation on one scene, loosest eps first, and their plots."""
 
+    scene: str
     title: str
     anchor: str
     rows: list[Row]
@@ -48,13 +49,10 @@ def build(report: Report) -> Section | None:
                 sweeps.append(_sweep(scene, figure.rstrip("z"), pipeline, ordered, len(sweeps) + 1, many=len(report.scenes) > 1))
     if not sweeps:
         return None
-    return Section(
-        "tightening",
-        "Figs. 4–6: plans while ε is tightened",
-        "tightening.html",
-        {"sweeps": sweeps},
-        tuple((sweep.anchor, sweep.title) for sweep in sweeps),
-    )
+    scenes = [(name, [sweep for sweep in sweeps if sweep.scene == name]) for name in dict.fromkeys(sweep.scene for sweep in sweeps)]
+    # The contents lead to the first sweep of each scene, where there are several scenes.
+    entries = [(mine[0].anchor, name) for name, mine in scenes] if len(scenes) > 1 else [(sweep.anchor, sweep.title) for sweep in sweeps]
+    return Section("tightening", "Figs. 4–6: plans while ε is tightened", "tightening.html", {"scenes": scenes}, tuple(entries))
 
 
 def _sweep(scene: SceneRecord, figure: str, pipeline: str, rows: list[Row], place: int, *, many: bool) -> Sweep:
@@ -65,6 +63,7 @@ def _sweep(scene: SceneRecord, figure: str, pipeline: str, rows: list[Row], plac
     missing = [f"ε = {small(row.stage.eps)}" for row in rows if row.number not in {other.number for other, _ in drawn}]
     plots = [plot for plot in _plots(scene, lines) if plot is not None]
     return Sweep(
+        scene=scene.name,
         title=f"{title} on {scene.name}" if many else title,
         anchor=f"tightening-{place}",
         rows=rows,

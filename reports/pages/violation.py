@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from reports.pages.section import Report, Section
 from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
@@ -9,7 +11,7 @@ from reports.record import ViolationPoint
 from reports.wording import error, number, small
 
 _LAWS = {
-    "softplus": ("softplus", "D = (k ln 2 / ln ε)²", "c0", "circle"),
+    "softplus": ("softplus", "D = (k L ln 2 / ln ε)²", "c0", "circle"),
     "relaxed_lcp": ("relaxed LCP", "D = ε", "c1", "square"),
 }
 
@@ -43,7 +45,14 @@ def build(report: Report) -> Section | None:
         f"{name}: D falls from {error(mine[-1].measured)} N² at ε = {small(mine[-1].eps)} to {error(mine[0].measured)} N² at ε = {small(mine[0].eps)}."
         for name, _, mine in laws
     )
-    return Section("violation", "Fig. 2: worst-case violation", "violation.html", {"plot": plot, "laws": laws, "worst": worst})
+    softplus = next((point for point in points if point.law == "softplus" and point.eps != 1), None)
+    values = {"plot": plot, "laws": laws, "worst": worst, "force": _force(softplus) if softplus else None}
+    return Section("violation", "Fig. 2: worst-case violation", "violation.html", values)
+
+
+def _force(point: ViolationPoint) -> float:
+    """k L [N], the force at a penetration of the scene's length, which D of softplus contact goes by: from its closed form."""
+    return math.sqrt(abs(point.closed_form)) * abs(math.log(point.eps)) / math.log(2.0)
 
 
 def _difference(point: ViolationPoint) -> float:

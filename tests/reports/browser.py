@@ -133,14 +133,24 @@ class Browser:
         os.close(self._from)
 
     def open(
-        self, path: Path, *, width: int = 1400, height: int = 1000, dark: bool = False, script: bool = True, fragment: str = ""
+        self,
+        path: Path,
+        *,
+        width: int = 1400,
+        height: int = 1000,
+        dark: bool = False,
+        script: bool = True,
+        fragment: str = "",
+        metered: bool = False,
     ) -> Page:
-        """Open a file of this machine and wait until it is loaded."""
+        """Open a file of this machine and wait until it is loaded. metered: `Performance.getMetrics` then tells CPU seconds of its main thread."""
         target = self.call("Target.createTarget", None, url="about:blank")["targetId"]
         session = self.call("Target.attachToTarget", None, targetId=target, flatten=True)["sessionId"]
         page = self._pages[session] = Page(self, session)
         for domain in ("Page", "Runtime", "Network", "Log"):
             page.call(f"{domain}.enable")
+        if metered:
+            page.call("Performance.enable", timeDomain="threadTicks")
         page.call("Network.emulateNetworkConditions", offline=True, latency=0, downloadThroughput=0, uploadThroughput=0)
         page.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600)
         page.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}])
