@@ -47,6 +47,7 @@ def scene_path(reference: str) -> Path:
 
 def load_scene(reference: str) -> Scene:
     """The scene of that name or file. Raises UnknownNameError or SceneError, naming the file."""
+    from models.checked_once import remembering
     from models.scene import Scene
 
     path = scene_path(reference)
@@ -60,7 +61,8 @@ def load_scene(reference: str) -> Scene:
             raise SceneError(f"scene file {path}: it cannot be read as Python.")
         module = importlib.util.module_from_spec(spec)
         try:
-            spec.loader.exec_module(module)
+            with remembering(path.read_bytes()):
+                spec.loader.exec_module(module)
         except TouchstoneError as error:
             raise SceneError(f"scene file {path}{_line_of(error, path)}: {error}") from error
         except (Exception, SystemExit) as error:

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 
 import sympy as sp
 
+from models.checked_once import checked_once
 from models.errors import SceneError
 from models.scene import Scene
 from models.scene_functions import function_problem
@@ -48,6 +49,11 @@ def check_scene(scene: Scene) -> None:
     _check_lengths(scene)
     _check_steps(scene)
     _check_symbols(scene)
+    checked_once(scene, check_expressions)
+
+
+def check_expressions(scene: Scene) -> None:
+    """What takes computer algebra, seconds of it for a large scene. Raises SceneError."""
     problem = function_problem(scene)
     if problem is not None:
         raise _fail(scene, problem)

@@ -9,9 +9,20 @@ import sympy as sp
 
 from models.scene import Scene
 
+# Where a scene keeps its text: no field, so that neither equality nor `replace` see it.
+_TEXT = "_text"
+
 
 def scene_text(value: Any) -> str:
-    """Every field by name, SymPy expressions with their assumptions (srepr), numbers in full."""
+    """Every field by name, SymPy expressions with their assumptions (srepr), numbers in full; of a scene, which cannot change, made once."""
+    if isinstance(value, Scene):
+        if _TEXT not in vars(value):
+            object.__setattr__(value, _TEXT, _text(value))
+        return vars(value)[_TEXT]
+    return _text(value)
+
+
+def _text(value: Any) -> str:
     if is_dataclass(value) and not isinstance(value, type):
         inside = ", ".join(f"{field.name}={scene_text(getattr(value, field.name))}" for field in fields(value))
         return f"{type(value).__name__}({inside})"

@@ -109,20 +109,9 @@ def library_versions() -> dict[str, str]:
     return versions
 
 
-# Texts of scenes by their id; the scene is kept beside, so that its id is not given to another.
-_TEXTS: dict[int, tuple[Scene, str]] = {}
-
-
-def _text_of(scene: Scene) -> str:
-    """The text of a scene, which cannot change, made once: a scene has dozens of cells."""
-    if id(scene) not in _TEXTS:
-        _TEXTS[id(scene)] = scene, scene_text(scene)
-    return _TEXTS[id(scene)][1]
-
-
 def content_key(scene: Scene, stages: Any, methods: Iterable[str], extra: str = "") -> str:
     """The key of a cell: sha256 over its content. stages: method, eps and filled options in order (JSON data)."""
-    return _hash({"scene": _text_of(scene), "stages": stages, "sources": source_digests(methods), "extra": extra})
+    return _hash({"scene": scene_text(scene), "stages": stages, "sources": source_digests(methods), "extra": extra})
 
 
 def examination_key(examination: Examination) -> str:
