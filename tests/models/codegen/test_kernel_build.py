@@ -1,6 +1,8 @@
 """Building the kernel: every scene compiles without a warning, text is reproducible, and what can go wrong is said in words."""
 
 import os
+import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -135,3 +137,37 @@ def test_two_processes_may_build_at_once(tmp_path: Path):
     assert [process.returncode for process in running] == [0, 0]
     assert outputs == ["30.0", "30.0"]
     assert sorted(path.suffix for path in tmp_path.iterdir()) == [".h", ".so"]
+
+
+def test_what_was_being_built_by_the_dead_goes_with_the_next_build(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path))
+    host = socket.gethostname()
+    dead, living, elsewhere = (
+        f"building-{2**22 + 1}-{host}-x",
+        f"building-{os.getpid()}-{host}-x",
+        f"building-{2**22 + 1}-another-machine-x",
+    )
+    for name in (dead, living, elsewhere):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "half.so").write_text("half")
+    made = cached("key", ".txt", lambda path: path.write_text("whole") and None)
+    assert {path.name for path in tmp_path.iterdir()} == {living, elsewhere, made.name}
+
+
+def test_a_killed_build_leaves_nothing_but_its_own_folder(tmp_path: Path):
+    """The compiler's scratch files lie below it, so that they go with it."""
+    script = (
+        "import os, signal; from pathlib import Path; from models.codegen import compiler\n"
+        "from models.codegen.cache import cached\n"
+        "compiler.subprocess.run = lambda *asked, **more: os.kill(os.getpid(), signal.SIGKILL)\n"
+        "cc = compiler.Compiler(('cc',), 'cc')\n"
+        "cached('key', '.so', lambda path: compiler.compile_shared(cc, {'a.c': 'int a;'}, path))\n"
+    )
+    temporary, cache = tmp_path / "tmp", tmp_path / "cache"
+    temporary.mkdir()
+    done = _python(script, TMPDIR=str(temporary), TOUCHSTONE_CACHE=str(cache))
+    assert done.returncode == -signal.SIGKILL
+    assert list(temporary.iterdir()) == []
+    (left,) = cache.iterdir()
+    assert left.name.startswith("building-")
+    assert list(left.rglob("*.c"))
