@@ -71,7 +71,10 @@ def test_binary_has_no_mutable_globals_and_names_no_path_of_this_machine(any_sce
 
 
 def program(scene_of, unpacked, tmp_path, version, compiler, flags):
-    """Five models - one with friction, one with damped contacts - linked into one program by their prefixes, with a driver each; the program's path."""
+    """Five models - one with friction, one with damped contacts - linked into one program by their prefixes, with a driver each; the program's path.
+
+    Compiled as written, without optimisation: what it would do away with is seen too, in a third of the time.
+    """
     objects, names = [], ("two_link_arm", "three_cart", "oscillator", "transport", "damped_collision")
     driver = DRIVERS[version]
     for name in names:
@@ -125,7 +128,7 @@ def test_models_in_one_program_under_sanitizers(scene_of, unpacked, tmp_path, ve
     probe = tmp_path / "probe.c"
     probe.write_text("int main(void) { return 0; }\n")
     for sanitizers in ("address,undefined", "undefined"):
-        flags = ["-std=c99", "-g", "-O1", f"-fsanitize={sanitizers}", "-fno-sanitize-recover=all", "-Wall", "-Wextra", "-Werror"]
+        flags = ["-std=c99", "-g", f"-fsanitize={sanitizers}", "-fno-sanitize-recover=all", "-Wall", "-Wextra", "-Werror"]
         if subprocess.run([compiler, *flags, probe, "-o", tmp_path / "probe"], capture_output=True, check=False).returncode == 0:
             run([program(scene_of, unpacked, tmp_path, version, compiler, flags)])
             return
@@ -138,5 +141,5 @@ def test_models_in_one_program_under_valgrind(scene_of, unpacked, tmp_path, vers
     valgrind = shutil.which("valgrind")
     if valgrind is None:
         pytest.skip("valgrind is not installed")
-    binary = program(scene_of, unpacked, tmp_path, version, native_compiler(), ["-std=c99", "-g", "-O1"])
+    binary = program(scene_of, unpacked, tmp_path, version, native_compiler(), ["-std=c99", "-g"])
     run([valgrind, "-q", "--leak-check=full", "--show-leak-kinds=all", "--errors-for-leak-kinds=all", "--error-exitcode=9", binary])
