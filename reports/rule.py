@@ -1,6 +1,7 @@
 """What makes a campaign fail: in words, and as a function of its records. `validate all` and the report say and do the same.
 
 failures(runs, examinations)           # one sentence each; none: exit code 0
+findings(runs)                         # what the replay found of plans that are no failure
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # the words are shown by --help, which must not cost pydantic
     from reports.examination_record import ExaminationRecord
-    from reports.record import RunRecord
+    from reports.record import RunRecord, StageRecord
 
 # What fails a campaign, each ending a sentence that begins "A campaign fails if".
 RULE = (
@@ -25,6 +26,9 @@ RESULTS = (
     "A method that says itself that it stopped at a limit, stalled, diverged, found no plan or does not apply to the scene has given a result, "
     "not a failure.",
     "A relaxed (indirect) method is expected to violate contact physics: the report shows by how much.",
+    "A plan that keeps every limit of the discrete problem that its method solved, along a motion so unstable that it is judged with tracking "
+    "feedback, and that the feedback does not hold, is a finding about the scene's time step: its row says violates and it is named, but no "
+    "method broke its word.",
     "A scene without inputs has nothing to plan: its free motion is replayed and judged by its closed forms.",
 )
 
@@ -36,6 +40,30 @@ def failures(runs: Sequence[RunRecord], examinations: Sequence[ExaminationRecord
         found += _scene_failure(scene, [run for run in runs if run.scene.name == scene])
     found += [_examined(record) for record in examinations if not record.passed]
     return tuple(found)
+
+
+def findings(runs: Iterable[RunRecord]) -> tuple[str, ...]:
+    """Plans that are solutions of their discrete problem, but do not survive the replay; a sentence each."""
+    return tuple(f"{run.scene.name} x {run.pipeline}: {run.stages[-1].why}" for run in runs if _is_finding(run))
+
+
+def _is_finding(run: RunRecord) -> bool:
+    return (
+        run.must_hold and run.outcome == "solved" and bool(run.stages) and not run.stages[-1].paper and _is_of_the_time_step(run.stages[-1])
+    )
+
+
+def _is_of_the_time_step(stage: StageRecord) -> bool:
+    """Whether a plan violates by nothing but the replay with feedback.
+
+    Its residuals, its contact forces and the rollout of its inputs through its own time step with the true contact law, by code that the method
+    does not share, are all below their limits, so that its method kept its word. That the open loop is not judged means that an error of one
+    step grows too much along this motion; where it does not, the continuous motion of a solution must stay near it, and one that leaves it fails.
+    """
+    if stage.verdict != "violates" or stage.replay is None or stage.replay.judged != "tracked":
+        return False
+    above = [figure.name for figure in stage.figures if figure.ok is False]
+    return bool(above) and all(name.startswith("tracked_") or name == "feedback_effort" for name in above)
 
 
 def fails(record: RunRecord | ExaminationRecord) -> bool:
@@ -70,7 +98,7 @@ def _cell_failure(run: RunRecord) -> str:
     if not run.must_hold or run.verdict == "holds" or not run.stages:
         return ""
     last = run.stages[-1]
-    if run.outcome != "solved" and not last.paper:
+    if (run.outcome != "solved" and not last.paper) or _is_finding(run):
         return ""
     if run.verdict == "no plan":
         return f"{name}: no plan ({run.outcome}) - {run.message or last.advice}"

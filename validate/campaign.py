@@ -37,11 +37,12 @@ RESULTS, EXAMINATIONS, VIOLATION = "results.csv", "examinations.csv", "violation
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a campaign. report: None where it was not written."""
+    """What came of a campaign. findings: what the replay found that fails nothing (reports.rule); report: None where it was not written."""
 
     records: tuple[RunRecord, ...]
     examinations: tuple[ExaminationRecord, ...]
     failures: tuple[str, ...]
+    findings: tuple[str, ...]
     left_out: tuple[str, ...]
     report: Path | None
 
@@ -68,7 +69,7 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
     from models.codegen.compiler import find_compiler
     from reports.collected import collected
     from reports.examination_record import divided
-    from reports.rule import fails, failures
+    from reports.rule import fails, failures, findings
     from validate.provenance import gather
     from validate.violation import write_violation
 
@@ -131,7 +132,14 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
         done, examinations = write()
     stands = standing_report(settings.out, before) if settings.tools == DEFAULT_TOOLS and not ran else None
     report = stands or load_tools(settings.tools).write_report(settings.out)
-    return Outcome(records=done, examinations=examinations, failures=failures(done, examinations), left_out=left_out, report=report)
+    return Outcome(
+        records=done,
+        examinations=examinations,
+        failures=failures(done, examinations),
+        findings=findings(done),
+        left_out=left_out,
+        report=report,
+    )
 
 
 def _violation(entries: Sequence[Entry | Examined]) -> tuple[ViolationPoint, ...]:

@@ -7,7 +7,7 @@ from reports.pages.judged_cells import Sentence, direct, failure, scene_by_scene
 from reports.pages.section import Report, Section
 from reports.record import RunRecord
 from reports.rows import Row
-from reports.rule import RESULTS, RULE, failures
+from reports.rule import RESULTS, RULE, failures, findings
 from reports.wording import capital, cost, count, error, listing, seconds
 
 # So many cells that ended otherwise than asked are told one below the other; more are folded, and those refused only with their scene.
@@ -56,15 +56,12 @@ def _counts(runs: tuple[RunRecord, ...]) -> dict[str, int]:
 
 
 def _rule(runs: tuple[RunRecord, ...], examinations: tuple[ExaminationRecord, ...], *, whole: bool) -> list[Sentence]:
-    """Whether the campaign fails, by its rule, and why."""
-    found = failures(runs, examinations)
-    if found:
-        return [Sentence("violates", "✗", f"The campaign fails: {sentence.rstrip('.')}.") for sentence in found]
-    return (
-        [Sentence("holds", "✓", f"The campaign does not fail{'' if whole else ', as far as it is stored'}.")]
-        if runs or examinations
-        else []
-    )
+    """Whether the campaign fails, by its rule, and why; and what the replay found beside."""
+    besides = [Sentence("unresolved", "!", f"Found by the replay: {sentence.rstrip('.')}.") for sentence in findings(runs)]
+    failed = [Sentence("violates", "✗", f"The campaign fails: {sentence.rstrip('.')}.") for sentence in failures(runs, examinations)]
+    if failed or not (runs or examinations):
+        return [*failed, *besides]
+    return [Sentence("holds", "✓", f"The campaign does not fail{'' if whole else ', as far as it is stored'}."), *besides]
 
 
 def _examined(examinations: tuple[ExaminationRecord, ...]) -> list[Sentence]:

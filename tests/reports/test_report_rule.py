@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from reports.record import FigureRecord, ReplayRecord
 from reports.render import write_report
-from reports.rule import RESULTS, RULE, failures
+from reports.rule import RESULTS, RULE, failures, findings
 
 
 def words_of(folder: Path) -> str:
@@ -64,6 +65,53 @@ def test_a_scene_needs_a_cell_that_holds_once_a_direct_method_ran(factory):
     assert failures([stuck, ended(factory, "solved", "holds", direct=False)]) == ()
     elsewhere = ended(factory, "solved", "holds", scene="other")
     assert failures([stuck, elsewhere]) == ("bank: no cell holds (strict iteration limit, violates)",), "another scene does not help"
+
+
+def judged(run, above: tuple[str, ...], *, replay: str = "tracked"):
+    """The run, whose last plan is above these limits, by this replay."""
+    figures = tuple(
+        FigureRecord(name=name, value=2.0 if name in above else 0.5, unit="m", meaning="m", limit=1.0, ok=name not in above)
+        for name in ("defect", "physics_scaled", "discrete_terminal_error", "replay_error", "tracked_replay_error", "feedback_effort")
+    )
+    last = run.stages[-1].model_copy(update={"figures": figures, "replay": ReplayRecord(error_estimate=1e-9, judged=replay)})
+    return run.model_copy(update={"stages": (*run.stages[:-1], last)})
+
+
+def test_a_solution_that_only_the_feedback_cannot_hold_is_a_finding(factory):
+    good, bad = ended(factory, "solved", "holds"), ended(factory, "solved", "violates")
+    lost = judged(bad, ("tracked_replay_error", "feedback_effort"))
+    assert failures([good, lost]) == ()
+    assert findings([good, lost]) == ("bank x strict: a limit",)
+    assert failures([lost]) == ("bank: no cell holds (strict solved, violates)",), "a scene still needs a plan that holds"
+
+
+@pytest.mark.parametrize("above", ["defect", "physics_scaled", "discrete_terminal_error"])
+def test_a_broken_promise_of_the_method_is_no_finding(factory, above: str):
+    run = judged(ended(factory, "solved", "violates"), (above, "tracked_replay_error"))
+    assert failures([ended(factory, "solved", "holds"), run]) == ("bank x strict: violates - a limit",)
+    assert findings([run]) == ()
+
+
+def test_where_errors_do_not_grow_a_solution_must_stay_near_the_motion(factory):
+    good, bad = ended(factory, "solved", "holds"), ended(factory, "solved", "violates")
+    stray = judged(bad, ("replay_error",), replay="open")
+    assert failures([good, stray]) == ("bank x strict: violates - a limit",)
+    assert findings([stray]) == ()
+
+
+def test_neither_a_row_of_the_paper_nor_an_open_question_nor_an_early_end_is_a_finding(factory):
+    above = ("tracked_replay_error",)
+    paper = judged(ended(factory, "solved", "violates", paper=True), above)
+    assert findings([paper]) == ()
+    assert failures([ended(factory, "solved", "holds"), paper]) == ("bank x strict: violates - a limit",)
+    assert findings([judged(ended(factory, "solved", "not resolved"), ())]) == ()
+    assert findings([judged(ended(factory, "stalled", "violates"), above)]) == ()
+
+
+def test_the_summary_names_what_was_found(factory, tmp_path):
+    run = judged(ended(factory, "solved", "violates"), ("tracked_replay_error",))
+    words = words_of(factory.store(tmp_path, [run]))
+    assert "Found by the replay: bank x strict: a limit." in words
 
 
 def test_the_summary_says_the_rule_and_its_verdict_in_these_words(factory, tmp_path):

@@ -66,6 +66,8 @@ def _print_table(outcome: Outcome, settings: Settings, resume: str) -> None:
         click.echo(f"left out by --quick: {', '.join(outcome.left_out) or 'nothing'}")
     for sentence in outcome.failures:
         click.echo(click.style("fails: ", fg="red") + one_line(sentence), color=colour)
+    for sentence in outcome.findings:
+        click.echo(f"found: {one_line(sentence)}", color=colour)
     if outcome.records and all(record.outcome == "refused" for record in outcome.records):
         click.echo("nothing was judged: every method refused its scene, for the reasons in the report")
     elif not outcome.failures:
@@ -82,6 +84,7 @@ def _print_json(outcome: Outcome, settings: Settings) -> None:
         "results": rows(outcome.records),
         "examinations": examination_rows(outcome.examinations),
         "failures": list(outcome.failures),
+        "findings": list(outcome.findings),
         "left_out": list(outcome.left_out),
         "report": str(outcome.report),
         "out": str(settings.out),
