@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
+from typing import Self
+
+from pydantic import BaseModel, ConfigDict, model_validator
 
 from reports.series import Floats, Poses
 
@@ -20,3 +22,10 @@ class TraceRecord(BaseModel):
     t: Floats
     columns: dict[str, Floats]
     poses: dict[str, Poses] = {}  # shape -> (x, y, angle) per thinned time
+
+    @model_validator(mode="after")
+    def _is_not_longer_than_its_times(self) -> Self:
+        for name, values in (*self.columns.items(), *self.poses.items()):
+            if len(values) > len(self.t):
+                raise ValueError(f"{name} has {len(values)} values at {len(self.t)} times")
+        return self

@@ -48,18 +48,21 @@
     const forces = [...(data.plan_force || []), ...(data.replay_force || [])].filter(Boolean);
     const strongest = Math.max(1e-9, ...forces.map((list) => Math.max(...list)));
     const bars = data.contacts.length * 34 + 16;
-    const room = { width: 880, height: 0 };
+    const room = { width: 880, height: 0, top: 12 };
     const sharp = Math.min(2, window.devicePixelRatio || 1);
     let scale = 1;
     let frame = 0;
     const measure = () => {
       room.width = Math.min(880, Math.max(300, canvas.clientWidth));
       scale = Math.min((room.width - 24) / (right - left), 300 / (high - low));
-      room.height = Math.ceil((high - low) * scale + 24 + bars);
+      // A flat scene gets room above and below for the names of its bodies.
+      const area = Math.max((high - low) * scale + 24, 17 * Math.min(data.shapes.length + 2, 9));
+      room.top = (area - (high - low) * scale) / 2;
+      room.height = Math.ceil(area + bars);
       canvas.width = room.width * sharp;
       canvas.height = room.height * sharp;
     };
-    const place = (x, y) => [(x - (left + right) / 2) * scale + room.width / 2, 12 + (high - y) * scale];
+    const place = (x, y) => [(x - (left + right) / 2) * scale + room.width / 2, room.top + (high - y) * scale];
 
     const body = (shape, [x, y, angle], filled) => {
       const [px, py] = place(x, y);

@@ -210,6 +210,74 @@ def test_a_folded_page_is_printed_whole(chromium, folded_file, page_file):
     assert page.messages == []
 
 
+def test_who_searches_finds_text_of_folded_parts(chromium, folded_file, page_file):
+    """Ctrl-F brings the text of every part; plots wait until they are near."""
+    page = chromium.open(folded_file)
+    left = page.evaluate("""(async () => {
+      const left = () => document.querySelectorAll(".parcel[data-part]").length;
+      const before = left();
+      dispatchEvent(new KeyboardEvent("keydown", { key: "f", ctrlKey: true }));
+      for (let turn = 0; turn < 400 && left(); turn += 1) await new Promise((done) => setTimeout(done, 50));
+      return [before, left(), document.querySelectorAll("i[data-figure]").length];
+    })()""")
+    assert left[0] > 5
+    assert left[1] == 0
+    assert left[2] > 50, "plots that nobody is near are not drawn"
+    told = (
+        "(() => { document.querySelectorAll('figure, .player').forEach((item) => item.remove());"
+        "return [...document.querySelectorAll('main > section')].map((item) => item.textContent).join('').replace(/\\s+/g, ''); })()"
+    )
+    drawn = page.evaluate("""(async () => {
+      const [first] = document.querySelectorAll("i[data-figure]");
+      for (let at = first.closest("details"); at; at = at.parentElement.closest("details")) at.open = true;
+      first.scrollIntoView({ behavior: "instant" });
+      for (let turn = 0; turn < 400 && first.isConnected; turn += 1) await new Promise((done) => setTimeout(done, 50));
+      return !first.isConnected;
+    })()""")
+    assert drawn, "who comes near sees them"
+    whole = chromium.open(page_file)
+    assert page.evaluate(told) == whole.evaluate(told)
+    assert page.messages == []
+
+
+def test_names_of_small_bodies_do_not_overlap(chromium, factory, tmp_path):
+    """What the picture writes on a body or beside it, at any time: nothing on something else, and nothing left out."""
+    run = factory.run("strict", None, "strict_lcp")
+    names = {shape.name: f"a long name of the {shape.name} cart" for shape in run.scene.shapes}
+    shapes = tuple(shape.model_copy(update={"name": names[shape.name], "size": (0.02, 0.02)}) for shape in run.scene.shapes)
+    stages = tuple(
+        stage.model_copy(
+            update={
+                kind: trace.model_copy(update={"poses": {names[name]: values for name, values in trace.poses.items()}})
+                for kind in ("plan_trace", "replay_trace")
+                if (trace := getattr(stage, kind))
+            }
+        )
+        for stage in run.stages
+    )
+    run = run.model_copy(update={"scene": run.scene.model_copy(update={"shapes": shapes}), "stages": stages})
+    page = chromium.open(write_report(factory.store(tmp_path / "small", [run])))
+    pairs = page.evaluate("""(() => {
+      const player = document.querySelector("[data-player]"), slider = player.querySelector("input"), pen = player.querySelector("canvas").getContext("2d");
+      const write = pen.fillText.bind(pen);
+      let told = [];
+      pen.fillText = (text, x, y) => { told.push([text, x, y, pen.measureText(text).width]); write(text, x, y); };
+      const [seen, over] = [[], []];
+      for (let frame = 0; frame <= 150; frame += 15) {
+        told = [];
+        slider.value = frame;
+        slider.dispatchEvent(new Event("input"));
+        const names = told.filter((one) => one[0].startsWith("a long name"));
+        seen.push(names.length);
+        names.forEach((one, place) => names.slice(place + 1).forEach((other) => {
+          if (Math.abs(one[1] - other[1]) < (one[3] + other[3]) / 2 && Math.abs(one[2] - other[2]) < 14) over.push([frame, one, other]);
+        }));
+      }
+      return [seen, over];
+    })()""")
+    assert pairs == [[3] * 11, []]
+
+
 def test_the_matrix_is_filtered_and_sorted_and_the_address_says_how(chromium, page_file):
     page = chromium.open(page_file)
     before = page.evaluate(_ROWS)
