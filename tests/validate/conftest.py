@@ -16,13 +16,11 @@ HERE = Path(__file__).parent
 
 @pytest.fixture(scope="session")
 def cli_environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    return {
-        **os.environ,
-        "PYTHONPATH": str(HERE),
-        "TOUCHSTONE_CACHE": str(tmp_path_factory.mktemp("cache")),
-        "NO_COLOR": "1",
-        "COLUMNS": "200",
-    }
+    """With a cache of its own, which goes with the folders of the tests: commands are killed here. Processes of pytest-xdist share one."""
+    base = tmp_path_factory.getbasetemp()
+    cache = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "cache"
+    cache.mkdir(exist_ok=True)
+    return {**os.environ, "PYTHONPATH": str(HERE), "TOUCHSTONE_CACHE": str(cache), "NO_COLOR": "1", "COLUMNS": "200"}
 
 
 @pytest.fixture(scope="session")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -14,12 +15,28 @@ import pytest
 
 from formulations.pipeline import pipeline_names
 from reports.rule import RESULTS, RULE
-from validate.cli.group import _COMMANDS
+from validate.cli.group import _COMMANDS, run
 from validate.cli.table import short
 
 TOOLS = ("--tools", "campaign_fakes:TOOLS")
 FAKES = (*TOOLS, "--scene", "three_cart")
 GOOD = (*FAKES, "-k", "only_good")
+
+
+@pytest.fixture
+def in_here(tmp_path, monkeypatch, capfd):
+    """in_here("al") -> (exit code, stdout, stderr) of the command in this process; what it does to signals is undone."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+
+    def called(*arguments: str) -> tuple[int, str, str]:
+        capfd.readouterr()
+        return run(arguments), *capfd.readouterr()
+
+    yield called
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 def test_help_shows_examples_and_exit_codes(cli):
@@ -80,13 +97,21 @@ def test_list_imports_no_solver():
         (("fmu", "three_kart", "-o", "x.fmu"), "did you mean three_cart?"),
     ],
 )
-def test_a_mistake_is_one_sentence_and_exit_code_2(cli, arguments, words):
-    done = cli(*arguments)
-    assert done.returncode == 2
-    assert words in done.stderr
+def test_a_mistake_is_one_sentence_and_exit_code_2(in_here, arguments, words):
+    code, stdout, stderr = in_here(*arguments)
+    assert code == 2
+    assert words in stderr
+    assert stderr.startswith("error: ")
+    assert len(stderr.splitlines()) == 1
+    assert stdout == ""
+
+
+def test_a_mistake_ends_the_process_so_too(cli):
+    done = cli("all", *FAKES, "-k", "only_goood")
+    assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("error: ")
+    assert "did you mean only_good?" in done.stderr
     assert len(done.stderr.splitlines()) == 1
-    assert done.stdout == ""
 
 
 @pytest.mark.parametrize(
@@ -101,14 +126,14 @@ def test_a_mistake_is_one_sentence_and_exit_code_2(cli, arguments, words):
         ),
     ],
 )
-def test_a_scene_file_with_a_mistake_is_named(cli, tmp_path, text, words):
+def test_a_scene_file_with_a_mistake_is_named(in_here, tmp_path, text, words):
     path = tmp_path / "own_scene.py"
     path.write_text(text)
-    done = cli("all", "--scene", str(path))
-    assert done.returncode == 2
-    assert words in done.stderr
-    assert str(path) in done.stderr
-    assert len(done.stderr.splitlines()) == 1
+    code, _, stderr = in_here("all", "--scene", str(path))
+    assert code == 2
+    assert words in stderr
+    assert str(path) in stderr
+    assert len(stderr.splitlines()) == 1
 
 
 def test_no_command_shows_help(cli):
