@@ -8,6 +8,7 @@ Cells are content-addressed: a stored one is used again, unless it crashed, or r
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -168,24 +169,27 @@ def _run(
     if not entries:
         return
     by_key = {entry.cell.key: entry for entry in entries}
+    crashes: Counter[str] = Counter()
+
+    def again(record: RunRecord | ExaminationRecord) -> bool:
+        if record.outcome != "crashed" or crashes[record.key] >= settings.retries:
+            return False
+        crashes[record.key] += 1
+        narrator.warns(f"{by_key[record.key].cell.title} crashed and will be tried again: {record.message}")
+        return True
+
     site = Site(
         store=store,
         provenance=provenance,
         lost=lambda cell: by_key[cell.key].lost(provenance),
         watch=narrator.runs,
         must_wait=lambda cell, running: must_wait(beginnings_of(cell), [beginnings_of(other) for other in running], store),
+        again=again,
         warn=narrator.warns,
     )
-    with open_engine(settings.engine, settings.jobs, site, len(entries)) as engine:
-        for tries_left in range(settings.retries, -1, -1):
-            crashed: list[Entry | Examined] = []
-            with closing(engine.run([entry.cell for entry in entries])) as finished:
-                for _, record in finished:
-                    if record.outcome == "crashed" and tries_left:
-                        crashed.append(by_key[record.key])
-                        narrator.warns(f"{by_key[record.key].cell.title} crashed and will be tried again: {record.message}")
-                    else:
-                        yield record
-            if not crashed:
-                return
-            entries = crashed
+    with (
+        open_engine(settings.engine, settings.jobs, site, len(entries)) as engine,
+        closing(engine.run([entry.cell for entry in entries])) as finished,
+    ):
+        for _, record in finished:
+            yield record

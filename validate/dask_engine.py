@@ -191,6 +191,8 @@ class DaskEngine:
                     if record is None:
                         with _gone_in_words():
                             running[self._give(submitted, executor)] = submitted
+                    elif self._site.again(record):
+                        waiting.append(submitted.cell)
                     else:
                         yield submitted.cell, record
         finally:

@@ -52,13 +52,15 @@ class Engine(Protocol):
 @dataclass(frozen=True, kw_only=True)
 class Site:
     """What an engine has of a campaign. lost: makes the record of a child of a cell that left none; watch: called with what runs at each
-    look; must_wait: whether a cell is to be left for later while others run; warn: told a sentence."""
+    look; must_wait: whether a cell is to be left for later while others run; again: whether a cell with this record is to be run once more; warn:
+    told a sentence."""
 
     store: Store
     provenance: ProvenanceRecord
     lost: Callable[[Job], Callable[[Lost], RunRecord | ExaminationRecord]]
     watch: Callable[[Sequence[Running]], None]
     must_wait: Callable[[Job, Sequence[Job]], bool]
+    again: Callable[[RunRecord | ExaminationRecord], bool]
     warn: Callable[[str], None]
 
 
@@ -110,14 +112,14 @@ def _local(jobs: int, site: Site, cells: int) -> Iterator[LocalEngine]:
         def start(cell: Job) -> Worker:
             return Worker(cell, site.lost(cell), site.provenance, site.store, watchdog, server)
 
-        yield LocalEngine(start, jobs, site.watch, site.must_wait)
+        yield LocalEngine(start, jobs, site.watch, site.must_wait, site.again)
 
 
 class LocalEngine:
     """At most `jobs` children at a time on this machine, started and watched from this one thread.
 
     (From one thread because Linux kills a child when the thread that started it ends.) watch: called with the running workers at
-    each look; must_wait: whether a cell is to be left for later while others run.
+    each look; must_wait: whether a cell is to be left for later while others run; again: whether one with this record is to be run once more.
     """
 
     def __init__(
@@ -126,8 +128,9 @@ class LocalEngine:
         jobs: int,
         watch: Callable[[Sequence[Worker]], None] = lambda workers: None,
         must_wait: Callable[[Job, Sequence[Job]], bool] = lambda cell, running: False,
+        again: Callable[[RunRecord | ExaminationRecord], bool] = lambda record: False,
     ) -> None:
-        self._start, self._jobs, self._watch, self._must_wait = start, jobs, watch, must_wait
+        self._start, self._jobs, self._watch, self._must_wait, self._again = start, jobs, watch, must_wait, again
 
     def run(self, cells: Sequence[Job]) -> Generator[tuple[Job, RunRecord | ExaminationRecord], None, None]:
         waiting = deque(cells)
@@ -142,7 +145,10 @@ class LocalEngine:
                     record = worker.poll()
                     if record is not None:
                         running.remove(worker)
-                        yield worker.cell, record
+                        if self._again(record):
+                            waiting.append(worker.cell)
+                        else:
+                            yield worker.cell, record
         finally:
             for worker in running:
                 worker.stop()

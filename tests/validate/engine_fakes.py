@@ -1,0 +1,40 @@
+"""A method that takes the worker of its cell with it, and one that does nothing, for tests of engines that lose their workers.
+
+COUNTS names a folder; each run of a method leaves a file in it. `fatal` kills the process that its cell was started by, as often as KILLS says.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+import uuid
+from dataclasses import replace
+from pathlib import Path
+
+from campaign_fakes import TOOLS, FakeMethod
+
+from formulations.method import Leg, Pipeline
+from validate.isolation.environment import PARENT_VARIABLE
+
+
+def _counted(name: str) -> int:
+    """How often the method has run by now."""
+    folder = Path(os.environ["COUNTS"])
+    (folder / f"{name}-{uuid.uuid4().hex}").touch()
+    return len(list(folder.glob(f"{name}-*")))
+
+
+def _fatal() -> None:
+    if _counted("fatal") <= int(os.environ["KILLS"]):
+        os.kill(int(os.environ[PARENT_VARIABLE]), signal.SIGKILL)
+        time.sleep(1000)  # we die with it
+
+
+def _calm() -> None:
+    _counted("calm")
+
+
+METHODS = {method.name: method for method in (FakeMethod("fatal", _fatal), FakeMethod("calm", _calm))}
+PIPELINES = tuple(Pipeline(name=name, title=f"only {name}", legs=(Leg(method=name),)) for name in METHODS)
+LOSING = replace(TOOLS, load_method=METHODS.__getitem__, pipelines_for=lambda scene: PIPELINES)
