@@ -43,7 +43,8 @@
     const head = heads(table);
     return `${[...(head.length ? [head] : []), ...lines].map((line) => line.map(field).join(",")).join("\r\n")}\r\n`;
   };
-  const name = (table) => (table.dataset.name || table.caption.textContent).toLowerCase().replace(/[^a-z0-9]+/g, "-").replace(/^-|-$/g, "").slice(0, 48) || "table";
+  const words = (table) => (table.caption ? table.caption.textContent.trim() : "");
+  const name = (table) => (table.dataset.name || words(table)).toLowerCase().replace(/[^a-z0-9]+/g, "-").replace(/^-|-$/g, "").slice(0, 48) || "table";
   const save = (table) => {
     const link = document.createElement("a");
     link.href = URL.createObjectURL(new Blob(["\ufeff", csv(table)], { type: "text/csv" }));
@@ -57,10 +58,10 @@
       button.type = "button";
       button.className = "take";
       button.textContent = "CSV";
-      button.setAttribute("aria-label", `Download as CSV: ${table.caption.textContent.trim().slice(0, 80)}`);
+      button.setAttribute("aria-label", `Download as CSV: ${words(table).slice(0, 80)}`);
       button.addEventListener("click", () => save(table));
       const frame = table.closest(".scroll");
-      if (frame) frame.after(button); else table.caption.append(" ", button);
+      if (frame) frame.after(button); else if (table.caption) table.caption.append(" ", button); else table.after(button);
     }
   };
   offer(document);

@@ -10,7 +10,7 @@ from reports.pages.section import Report, Section
 from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
 from reports.record import FigureRecord
-from reports.wording import Sign, count, number, spaced, unit
+from reports.wording import Sign, capital, count, number, spaced, unit
 
 KIND = "hard case"
 PASS = Sign("pass", "✓", "holds", "every figure keeps its limit")
@@ -108,7 +108,7 @@ def _plot(chart: ChartRecord) -> Plot:
             plot.point(left, up, style, marker, f"{series.name}: {chart.x.quantity} {number(true_x)}, {chart.y.quantity} {number(true_y)}")
     if chart.level is not None:
         plot.level(chart.level, chart.level_words)
-    plot.words = chart.words or f"{chart.y.quantity} against {chart.x.quantity}, {count(len(chart.series), 'curve')}."
+    plot.words = chart.words or f"{capital(chart.y.quantity)} against {chart.x.quantity}, {count(len(chart.series), 'curve')}."
     return plot
 
 

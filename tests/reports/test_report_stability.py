@@ -69,6 +69,13 @@ def test_without_hard_cases_there_is_no_such_page(page):
     assert 'id="stability"' not in page()
 
 
+def test_every_table_says_what_it_is(page, factory):
+    """The script that offers a table as CSV names it by its caption; without one it ends, and the players after it."""
+    text = page(case(factory, 2, "early", charts=(chart(),)))
+    body = text[text.index('id="stability"') :]
+    assert body.count("<table") == len(re.findall(r"<table[^>]*>\s*<caption>[^<]", body)) > 2
+
+
 def test_each_case_is_a_row_in_the_order_of_its_number(page, factory):
     text = page(case(factory, 10, "late"), case(factory, 2, "early"))
     early, late = rows(text)
