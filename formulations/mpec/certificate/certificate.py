@@ -17,9 +17,10 @@ import numpy as np
 from pyomo.common.collections import ComponentMap
 from pyomo.common.gc_manager import PauseGC
 
+from formulations.mpec.certificate.active import ActiveSet, active_set
 from formulations.mpec.certificate.evaluation import LocalModel, Pair, Row, read_local
 from formulations.mpec.certificate.exactness import forced_violation
-from formulations.mpec.certificate.stationarity import ActiveSet, Stationarity, active_set, class_of, classify, steepest_piece
+from formulations.mpec.certificate.stationarity import Stationarity, class_of, classify, steepest_piece
 
 # Feasibility relative to max(1, |bound|); complementarity as min(G, H) of a pair, in the user's units; dual residual relative to the largest
 # derivative of the objective (at least 1). A point polished by this package has 1e-12 in the first two; a solver without polish about 1e-8.
@@ -165,7 +166,7 @@ def certify(model: Any, multipliers: Multipliers | None = None, *, tolerances: T
         unique=unique,
         worst="" if worst_row == 0.0 else str(names[int(np.argmax(np.nan_to_num([*violations, *sides], nan=np.inf)))].source.name),
         objective=local.objective,
-        notes=() if computable else ("a function or derivative is not a finite number at this point",),
+        notes=local.notes if computable else (*local.notes, "a function or derivative is not a finite number at this point"),
     )
 
 

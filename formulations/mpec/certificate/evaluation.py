@@ -1,4 +1,4 @@
-"""The model at its current values, to first order: values by `pyomo.value`, gradients by Pyomo's own differentiation."""
+"""The model at its current values, to first order: values by `pyomo.value`; gradients of repeated shapes together, checked against Pyomo's own."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 import pyomo.environ as pyo
 import scipy.sparse as sparse
-from pyomo.core.expr.calculus.derivatives import Modes, differentiate
-from pyomo.core.expr.visitor import identify_variables
 from pyomo.mpec import Complementarity
-from pyomo.repn import generate_standard_repn
+
+from formulations.mpec.certificate.gradients import gradients_of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,6 +54,7 @@ class LocalModel:
     pairs: tuple[Pair, ...]
     first_jacobian: sparse.csr_matrix
     second_jacobian: sparse.csr_matrix
+    notes: tuple[str, ...] = ()
 
 
 @contextmanager
@@ -72,38 +72,6 @@ def values_set(variables: Iterable[Any], numbers: Iterable[float]) -> Iterator[N
             variable.stale = stale
 
 
-class _Reader:
-    """Columns for variables, in order of appearance; gradients as triplets."""
-
-    def __init__(self) -> None:
-        self.variables: list[Any] = []
-        self._place: dict[int, int] = {}
-
-    def column(self, variable: Any) -> int:
-        known = self._place.get(id(variable))
-        if known is None:
-            known = self._place[id(variable)] = len(self.variables)
-            self.variables.append(variable)
-        return known
-
-    def gradient(self, expression: Any) -> dict[int, float]:
-        """Derivatives by column; NaN where Pyomo cannot evaluate one."""
-        if not hasattr(expression, "is_potentially_variable") or not expression.is_potentially_variable():
-            return {}
-        affine = generate_standard_repn(expression, compute_values=True, quadratic=False)
-        if affine.is_linear():
-            slopes: dict[int, float] = {}
-            for variable, slope in zip(affine.linear_vars, affine.linear_coefs, strict=True):
-                slopes[self.column(variable)] = slopes.get(self.column(variable), 0.0) + float(slope)
-            return slopes
-        variables = list(identify_variables(expression, include_fixed=False))
-        try:
-            slopes_list = differentiate(expression, wrt_list=variables, mode=Modes.reverse_numeric)
-        except (ArithmeticError, ValueError, OverflowError):
-            slopes_list = [math.nan] * len(variables)
-        return {self.column(variable): float(slope) for variable, slope in zip(variables, slopes_list, strict=True)}
-
-
 def number_of(expression: Any) -> float:
     """Pyomo's value of an expression; NaN where it has none."""
     try:
@@ -115,56 +83,62 @@ def number_of(expression: Any) -> float:
 
 def read_local(model: Any, near: float) -> LocalModel:
     """All active components at their current values. near: a box within this of a bound is a pair with that bound."""
-    reader = _Reader()
     rows: list[Row] = []
-    slopes: list[dict[int, float]] = []
+    bodies: list[Any] = []
 
     def add_row(source: Any, body: Any, lower: Any, upper: Any, argument: int | None = None) -> None:
         low = -math.inf if lower is None else number_of(lower)
         high = math.inf if upper is None else number_of(upper)
         rows.append(Row(source=source, value=number_of(body), lower=low, upper=high, argument=argument))
-        slopes.append(reader.gradient(body))
+        bodies.append(body)
 
     for constraint in model.component_data_objects(pyo.Constraint, active=True, descend_into=pyo.Block):
         lower, body, upper = constraint.to_bounded_expression(evaluate_bounds=True)
         add_row(constraint, body, lower, upper)
     pairs: list[Pair] = []
-    first: list[dict[int, float]] = []
-    second: list[dict[int, float]] = []
+    sides: list[tuple[Any, Any]] = []
+    side_values: list[tuple[float, float]] = []
     for condition in model.component_data_objects(Complementarity, active=True, descend_into=pyo.Block):
-        sides = [_bounded(condition, argument) for argument in condition._args]
-        local = _local_pair(condition, sides, near)
+        bounded = [_bounded(condition, argument) for argument in condition._args]
+        local = _local_pair(condition, bounded, near)
         if local is None:  # an equality among its sides, or a box inside whose bounds the other side is 0
-            for argument, (lower, body, upper) in _imposed(sides):
+            for argument, (lower, body, upper) in _imposed(bounded):
                 add_row(condition, body, lower, upper, argument)
             continue
-        pair, expressions = local
+        pair, expressions, numbers = local
         pairs.append(pair)
-        for store, expression, flip in zip((first, second), expressions, (pair.first_flip, pair.second_flip), strict=True):
-            store.append({column: flip * slope for column, slope in reader.gradient(expression).items()})
-    objective, gradient = 0.0, {}
+        sides.append(expressions)
+        side_values.append(numbers)
+    sense, goal, objective = 1.0, 0.0, 0.0
     for item in model.component_data_objects(pyo.Objective, active=True, descend_into=pyo.Block):
-        sign = 1.0 if item.sense == pyo.minimize else -1.0
-        objective, gradient = sign * number_of(item.expr), {c: sign * s for c, s in reader.gradient(item.expr).items()}
-    n = len(reader.variables)
-    bounds = []
-    for variable in reader.variables:
-        low, high = variable.bounds
-        bounds.append(
-            Row(
-                source=variable,
-                value=number_of(variable),
-                lower=-math.inf if low is None else float(low),
-                upper=math.inf if high is None else float(high),
-            )
-        )
-    dense = np.zeros(n)
-    for column, slope in gradient.items():
-        dense[column] = slope
+        sense, goal = (1.0 if item.sense == pyo.minimize else -1.0), item.expr
+        objective = number_of(goal)
+    (first, second), (first_values, second_values) = (tuple(zip(*items, strict=True)) or ((), ()) for items in (sides, side_values))
+    found = gradients_of([*bodies, *first, *second, goal], [*(row.value for row in rows), *first_values, *second_values, objective])
+    m, k = len(rows), len(pairs)
+    flips = [sparse.diags([getattr(pair, name) for pair in pairs], shape=(k, k)) for name in ("first_flip", "second_flip")]
     return LocalModel(
-        variables=tuple(reader.variables), objective=objective, gradient=dense, rows=tuple(rows), jacobian=_matrix(slopes, n),
-        bounds=tuple(bounds), pairs=tuple(pairs), first_jacobian=_matrix(first, n), second_jacobian=_matrix(second, n),
-    )  # fmt: skip
+        variables=found.variables,
+        objective=sense * objective,
+        gradient=sense * found.matrix[m + 2 * k].toarray().ravel(),
+        rows=tuple(rows),
+        jacobian=found.matrix[:m],
+        bounds=tuple(_bounds_of(variable) for variable in found.variables),
+        pairs=tuple(pairs),
+        first_jacobian=(flips[0] @ found.matrix[m : m + k]).tocsr(),
+        second_jacobian=(flips[1] @ found.matrix[m + k : m + 2 * k]).tocsr(),
+        notes=found.notes,
+    )
+
+
+def _bounds_of(variable: Any) -> Row:
+    low, high = variable.bounds
+    return Row(
+        source=variable,
+        value=number_of(variable),
+        lower=-math.inf if low is None else float(low),
+        upper=math.inf if high is None else float(high),
+    )
 
 
 def _bounded(condition: Any, argument: Any) -> tuple[Any, Any, Any]:
@@ -175,12 +149,13 @@ def _bounded(condition: Any, argument: Any) -> tuple[Any, Any, Any]:
     return (None if low == -math.inf else low), body, (None if high == math.inf else high)
 
 
-def _local_pair(condition: Any, sides: list[tuple[Any, Any, Any]], near: float) -> tuple[Pair, tuple[Any, Any]] | None:
-    """The condition near this point as a pair of expressions, None where nothing is complementary."""
+def _local_pair(condition: Any, sides: list[tuple[Any, Any, Any]], near: float) -> tuple[Pair, tuple[Any, Any], tuple[float, float]] | None:
+    """The condition near this point as a pair, its two expressions and their values; None where nothing is complementary."""
     counts = [(lower is not None) + (upper is not None) for lower, _, upper in sides]
     if counts == [1, 1]:
-        (a, a_flip, a_body), (b, b_flip, b_body) = (_distance(*side) for side in sides)
-        return Pair(source=condition, first=a, second=b, first_flip=a_flip, second_flip=b_flip, arguments=(0, 1)), (a_body, b_body)
+        (a, a_flip, a_body, a_value), (b, b_flip, b_body, b_value) = (_distance(*side) for side in sides)
+        pair = Pair(source=condition, first=a, second=b, first_flip=a_flip, second_flip=b_flip, arguments=(0, 1))
+        return pair, (a_body, b_body), (a_value, b_value)
     if sorted(counts) != [0, 2]:
         return None
     arguments = (0, 1) if counts == [2, 0] else (1, 0)
@@ -191,14 +166,15 @@ def _local_pair(condition: Any, sides: list[tuple[Any, Any, Any]], near: float) 
     to_low, to_high = value - lower, upper - value
     if min(to_low, to_high) > near and abs(other) <= near:
         return None
-    if to_low <= near or (to_high > near and other > 0):
-        return Pair(source=condition, first=to_low, second=other, first_flip=1.0, second_flip=1.0, arguments=arguments), (body, free)
-    return Pair(source=condition, first=to_high, second=-other, first_flip=-1.0, second_flip=-1.0, arguments=arguments), (body, free)
+    low = to_low <= near or (to_high > near and other > 0)
+    flip, distance = (1.0, to_low) if low else (-1.0, to_high)
+    pair = Pair(source=condition, first=distance, second=flip * other, first_flip=flip, second_flip=flip, arguments=arguments)
+    return pair, (body, free), (value, other)
 
 
-def _distance(lower: Any, body: Any, upper: Any) -> tuple[float, float, Any]:
+def _distance(lower: Any, body: Any, upper: Any) -> tuple[float, float, Any, float]:
     value = number_of(body)
-    return (value - lower, 1.0, body) if upper is None else (upper - value, -1.0, body)
+    return (value - lower, 1.0, body, value) if upper is None else (upper - value, -1.0, body, value)
 
 
 def _imposed(sides: list[tuple[Any, Any, Any]]) -> list[tuple[int, tuple[Any, Any, Any]]]:
@@ -208,10 +184,3 @@ def _imposed(sides: list[tuple[Any, Any, Any]]) -> list[tuple[int, tuple[Any, An
     if sorted(counts) == [0, 2] and not fixed:
         return [(k, side if counts[k] else (0.0, side[1], 0.0)) for k, side in enumerate(sides)]
     return [(k, side) for k, side in enumerate(sides) if counts[k]]
-
-
-def _matrix(slopes: list[dict[int, float]], n: int) -> sparse.csr_matrix:
-    counts = [len(row) for row in slopes]
-    columns = [column for row in slopes for column in row]
-    values = [slope for row in slopes for slope in row.values()]
-    return sparse.csr_matrix((values, (np.repeat(np.arange(len(slopes)), counts), columns)), shape=(len(slopes), n))

@@ -1,6 +1,6 @@
 """Multipliers of a point of an MPEC, and the test for a direction that goes down.
 
-By least squares where the active gradients are independent (one candidate, large models too), else sought class by class with linear programs (HiGHS).
+By least squares where the active gradients are independent (one candidate) or the signs come out right; else class by class with linear programs (HiGHS).
 
     gradient f = sum y gradient g + z + sum nu gradient G + sum mu gradient H,    nu = 0 where G > 0, mu = 0 where H > 0
 
@@ -17,10 +17,10 @@ from enum import Enum
 
 import numpy as np
 import scipy.sparse as sparse
-from scipy.optimize import linprog
+from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
-from formulations.mpec.certificate.evaluation import LocalModel, Row
-from formulations.mpec.certificate.multipliers import least_squares
+from formulations.mpec.certificate.active import ActiveSet
+from formulations.mpec.certificate.multipliers import least_squares, signed_least_squares
 
 
 class Stationarity(Enum):
@@ -49,25 +49,11 @@ _CHOICES = {
 # Linear programs for one question at most: 2^10 pieces or 3^6 sign patterns of class M where programs are small, fewer where they are large
 # (about a second in all).
 _MOST_PROGRAMS, _PROGRAMS_TIMES_VARIABLES = 1024, 200_000
-# Two sides with the same gradient whose values differ by less are one and the same.
-_SAME_SIDE = 1e-12
+# Of a direction that leaves everything active as it is: products with unit-size gradients that count as 0, as with HiGHS.
+_ACROSS = 1e-7
+# Share of the tolerance that a linear program may use: HiGHS holds a row to 1e-7 only.
+_SHARE = 0.98
 _LIMITS = {">": (0.0, None), "<": (None, 0.0), "0": (0.0, 0.0), "*": (None, None)}
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ActiveSet:
-    """What is active within a tolerance: gradients of rows and bounds as columns (n, k) with the limits of their multipliers; the pairs
-    by which side is zero; scale: largest derivative of the objective, at least 1."""
-
-    gradient: np.ndarray
-    normals: sparse.csc_matrix
-    limits: tuple[tuple[float | None, float | None], ...]
-    first_only: np.ndarray
-    second_only: np.ndarray
-    both: np.ndarray
-    first_normals: sparse.csc_matrix
-    second_normals: sparse.csc_matrix
-    scale: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,58 +69,9 @@ class Verdict:
     descent: float = math.nan
 
 
-def active_set(local: LocalModel, tolerance: float) -> ActiveSet:
-    n = len(local.variables)
-    covered = _covered_bounds(local)
-    everything = sparse.vstack([local.jacobian, sparse.identity(n, format="csr")], format="csr") if n else local.jacobian
-    chosen, limits = [], []
-    for number, row in enumerate((*local.rows, *local.bounds)):
-        limit = _multiplier_limits(row, tolerance)
-        if limit is not None and not (limit == (0.0, None) and number - len(local.rows) in covered):
-            chosen.append(number)
-            limits.append(limit)
-    first = np.array([pair.first <= tolerance for pair in local.pairs], dtype=bool)
-    second = np.array([pair.second <= tolerance for pair in local.pairs], dtype=bool)
-    return ActiveSet(
-        gradient=local.gradient,
-        normals=everything[chosen].T.tocsc(),
-        limits=tuple(limits),
-        first_only=np.flatnonzero(first & ~second),
-        second_only=np.flatnonzero(second & ~first),
-        both=np.flatnonzero(first & second),
-        first_normals=local.first_jacobian.T.tocsc(),
-        second_normals=local.second_jacobian.T.tocsc(),
-        scale=max(1.0, float(np.max(np.abs(local.gradient), initial=0.0))),
-    )
-
-
-def _covered_bounds(local: LocalModel) -> set[int]:
-    """Variables whose lower bound is a side of a pair once more (0 <= x complements ..): counted twice, its multiplier would hide a sign."""
-    covered = set()
-    for jacobian, name in ((local.first_jacobian, "first"), (local.second_jacobian, "second")):
-        alone = np.flatnonzero(np.diff(jacobian.indptr) == 1)
-        for k in alone.tolist():
-            column, slope = int(jacobian.indices[jacobian.indptr[k]]), float(jacobian.data[jacobian.indptr[k]])
-            bound = local.bounds[column]
-            if slope > 0.0 and abs((bound.value - bound.lower) * slope - getattr(local.pairs[k], name)) <= _SAME_SIDE:
-                covered.add(column)
-    return covered
-
-
-def _multiplier_limits(row: Row, tolerance: float) -> tuple[float | None, float | None] | None:
-    """Limits of the multiplier of an active row; None for one that is not active."""
-    low = row.value - row.lower <= tolerance * max(1.0, abs(row.lower)) if np.isfinite(row.lower) else False
-    high = row.upper - row.value <= tolerance * max(1.0, abs(row.upper)) if np.isfinite(row.upper) else False
-    if low and high:
-        return None, None
-    return (0.0, None) if low else (None, 0.0) if high else None
-
-
 def multiplier_residual(active: ActiveSet, choice: tuple[tuple[str, str], ...]) -> float:
     """Smallest max-norm of what is left of the gradient with these signs on the biactive pairs, relative to the scale."""
-    matrix = sparse.hstack([active.normals, *(normals[:, chosen] for normals, chosen in _columns(active))], format="csr")
-    free = [(None, None)] * (len(active.first_only) + len(active.second_only))
-    limits = [*active.limits, *free, *(_LIMITS[a] for a, _ in choice), *(_LIMITS[b] for _, b in choice)]
+    matrix, limits = active.matrix, _signed(active, choice)
     n, count = matrix.shape
     if n == 0:
         return 0.0
@@ -150,28 +87,54 @@ def multiplier_residual(active: ActiveSet, choice: tuple[tuple[str, str], ...]) 
     return float(answer.fun) if answer.status == 0 else float("inf")
 
 
+def _signed(active: ActiveSet, choice: tuple[tuple[str, str], ...]) -> list[tuple[float | None, float | None]]:
+    """Limits of the multipliers of these columns, with these signs on the biactive pairs."""
+    free = [(None, None)] * (len(active.first_only) + len(active.second_only))
+    return [*active.limits, *free, *(_LIMITS[a] for a, _ in choice), *(_LIMITS[b] for _, b in choice)]
+
+
+def _numbers(limits: list[tuple[float | None, float | None]]) -> tuple[np.ndarray, np.ndarray]:
+    low, high = zip(*limits, strict=True) if limits else ((), ())
+    return np.array([-np.inf if x is None else x for x in low]), np.array([np.inf if x is None else x for x in high])
+
+
+def residual_within(active: ActiveSet, choice: tuple[tuple[str, str], ...], tolerance: float) -> float | None:
+    """What some multipliers with these signs leave of the gradient (largest component, relative to the scale), if at most the tolerance.
+
+    Tolerances on both sides of each row are a far easier program than the smallest residual (`multiplier_residual`), whose variable is in all rows.
+    """
+    matrix, (low, high), gradient = active.matrix, _numbers(_signed(active, choice)), active.gradient / active.scale
+    if not all(matrix.shape):
+        residual = float(np.max(np.abs(gradient), initial=0.0))
+        return residual if residual <= tolerance else None
+    rows = LinearConstraint(matrix, gradient - _SHARE * tolerance, gradient + _SHARE * tolerance)
+    answer = milp(np.zeros(matrix.shape[1]), constraints=rows, bounds=Bounds(low, high))
+    if answer.x is None:
+        return None
+    y = np.clip(answer.x, low, high)
+    used = np.flatnonzero(y)
+    residual = float(np.max(np.abs(gradient - matrix @ y)))
+    better = signed_least_squares(matrix[:, used], gradient, low[used], high[used], 0.0)  # a program stops at the tolerance
+    residual = residual if better is None else min(residual, float(np.max(np.abs(better.rest))))
+    return residual if residual <= tolerance else None
+
+
 def classify(active: ActiveSet, tolerance: float, given: Stationarity = Stationarity.NONE) -> Verdict:
     """The strongest class whose multipliers exist. given: a class whose multipliers are known to exist.
 
     Where there is only one candidate it decides; elsewhere classes with too many sign patterns to try are told only where `given` tells them.
     """
-    return _only_candidate(active, tolerance) or _by_programs(active, tolerance, given)
+    return _only_candidate(active, tolerance) or _one_of_many(active, tolerance) or _by_programs(active, tolerance, given)
 
 
 def _only_candidate(active: ActiveSet, tolerance: float) -> Verdict | None:
     """What the least-squares multipliers say; None where others may exist."""
-    matrix = sparse.hstack([active.normals, *(normals[:, chosen] for normals, chosen in _columns(active))], format="csc")
-    found = least_squares(matrix, active.gradient)
+    found = least_squares(active.matrix, active.gradient)
     if found is None:
         return None
     residual = float(np.max(np.abs(found.rest), initial=0.0)) / active.scale
     if not residual <= tolerance:
-        # no multipliers leave less in the 2-norm; in the largest component others may
-        length = float(np.linalg.norm(found.rest)) / active.scale
-        if not length > tolerance * math.sqrt(len(found.rest)):
-            return None
-        # against what is left everything active stays as it is, and the objective falls
-        return Verdict(kind=Stationarity.NONE, residual=residual, descent=-(length**2) / residual)
+        return _none_leave_less(found.rest / active.scale, tolerance)
     count, limits = len(active.both), active.limits
     signs = [*limits, *[(None, None)] * (len(found.y) - len(limits) - 2 * count), *[_LIMITS[">"]] * (2 * count)]
     wrong = np.array(
@@ -188,26 +151,54 @@ def _only_candidate(active: ActiveSet, tolerance: float) -> Verdict | None:
     return Verdict(kind=kind, residual=max(residual, own), least=least, unique=True, descent=descent)
 
 
-def _columns(active: ActiveSet) -> tuple[tuple[sparse.csc_matrix, np.ndarray], ...]:
-    """Gradients of the sides that are zero, in the order of `multiplier_residual`: those of biactive pairs last."""
-    first, second = active.first_normals, active.second_normals
-    return (first, active.first_only), (second, active.second_only), (first, active.both), (second, active.both)
+def _one_of_many(active: ActiveSet, tolerance: float) -> Verdict | None:
+    """Class S, or that there are no multipliers, where least squares with dependent gradients show it; else None."""
+    count = len(active.both)
+    low, high = _numbers(_signed(active, _CHOICES[Stationarity.STRONG] * count))
+    found = signed_least_squares(active.matrix, active.gradient / active.scale, low, high, tolerance)
+    if found is None:
+        return None
+    residual = float(np.max(np.abs(found.rest), initial=0.0))
+    if residual <= tolerance:
+        return Verdict(kind=Stationarity.STRONG, residual=residual, least=math.nan if count else 0.0)
+    most = float(np.max(np.abs(found.least), initial=0.0))
+    return _none_leave_less(found.least, tolerance) if found.across <= _ACROSS * most else None
+
+
+def _none_leave_less(rest: np.ndarray, tolerance: float) -> Verdict | None:
+    """That there are no multipliers, by what the best of any sign leave in the 2-norm; None where it does not show that.
+
+    It is orthogonal to all active gradients A, so that |rest|^2 = rest' (gradient - A y) <= |rest|_1 |gradient - A y|_max for every y.
+    """
+    square = float(rest @ rest)
+    if not square > tolerance * float(np.sum(np.abs(rest))):
+        return None
+    most = float(np.max(np.abs(rest)))
+    # against what is left everything active stays as it is, and the objective falls
+    return Verdict(kind=Stationarity.NONE, residual=most, descent=-square / most)
 
 
 def _by_programs(active: ActiveSet, tolerance: float, given: Stationarity) -> Verdict:
     count = len(active.both)
     none = 0.0 if not count else math.nan
-    weak = multiplier_residual(active, _CHOICES[Stationarity.WEAK] * count)
+    strong = residual_within(active, _CHOICES[Stationarity.STRONG] * count, tolerance)
+    if strong is not None:
+        return Verdict(kind=Stationarity.STRONG, residual=strong, least=none)
+    any_signs = _CHOICES[Stationarity.WEAK] * count
+    weak = residual_within(active, any_signs, tolerance) if count else None
+    weak = multiplier_residual(active, any_signs) if weak is None else weak
     if not weak <= tolerance:
         return Verdict(kind=Stationarity.NONE, residual=weak)
-    for kind, choices in _CHOICES.items():
+    if not count:
+        return Verdict(kind=Stationarity.STRONG, residual=weak, least=none)
+    for kind, choices in itertools.islice(_CHOICES.items(), 1, None):  # strong ones were asked for
         if kind is given:
             return Verdict(kind=kind, residual=weak, least=none)
         if len(choices) ** count > _programs(active):
             continue
         for choice in itertools.product(choices, repeat=count):
-            residual = multiplier_residual(active, choice)
-            if residual <= tolerance:
+            residual = residual_within(active, choice, tolerance)
+            if residual is not None:
                 return Verdict(kind=kind, residual=residual, least=none)
     return Verdict(kind=Stationarity.WEAK, residual=weak, least=none)
 
