@@ -1,4 +1,5 @@
-"""One cell: a scene by a pipeline. First everything is solved, then everything is judged, so that times are clean.
+"""One cell: a scene by a pipeline. First everything is solved, then everything is replayed and scored, last come the certificates; so times are
+clean, and a certificate that takes too long costs nothing else.
 
     record = run_cell(cell, provenance, folder)        # in a child process of its own: see validate.worker
 
@@ -21,8 +22,9 @@ from formulations.pipeline import pipeline_from_json, pipeline_to_json
 from models.errors import MachineError, TouchstoneError
 from validate.judging import Solved, certified, first_line, judge_all
 from validate.profile import Profile
+from validate.provisional import set_aside
 from validate.shared_stages import Beginning, TakenOver, share, take_over
-from validate.store import PROGRESS, raise_if_disk_ended
+from validate.store import LOG, PROGRESS, raise_if_disk_ended
 from validate.variant import Variant, varied
 
 if TYPE_CHECKING:
@@ -87,6 +89,7 @@ def run_cell(cell: Cell, provenance: ProvenanceRecord, folder: Path, began: floa
     Raises MachineError where this machine cannot go on; whatever else goes wrong in a method or the judge is in the record.
     """
     from models.catalog import load_scene
+    from validate.evidence_records import with_certificate
     from validate.records import planned_stages, run_record, stage_of, stage_record, unfinished_stage
     from validate.scene_record import scene_record
     from validate.tools import load_tools
@@ -108,9 +111,6 @@ def run_cell(cell: Cell, provenance: ProvenanceRecord, folder: Path, began: floa
     solved: list[Solved] = []
     if not rest and len(taken.stages) < len(plan):
         solved, rest = _solve(tools, scene, plan[len(taken.stages) :], taken.plan, deadline, folder, profile)
-    _progress(folder, "the certificate")
-    solved = [certified(tools, scene, item) for item in solved]
-    profile.lap("certificate")
     _progress(folder, "the replay")
     judged = judge_all(tools, scene, solved, folder, len(plan), profile)
     stages = [stage_of(record, scene.name, cell.pipeline.name) for record in taken.stages]
@@ -120,17 +120,29 @@ def run_cell(cell: Cell, provenance: ProvenanceRecord, folder: Path, began: floa
             scene, cell.pipeline.name, item.planned, item.solution, wall=item.wall, cpu=item.cpu, before=before, judged=verdict
         )
         stages.append(record)
-    profile.lap("record")
+    unfinished = [unfinished_stage(scene.name, cell.pipeline.name, planned, outcome, message) for planned, outcome, message in rest]
+    drawn = scene_record(scene)
+    cause = rest[0][2] if rest else None  # the stages after it only say that it came before them
+
+    def told() -> RunRecord:
+        log = folder / LOG
+        profile.lap("record")
+        text = log.read_text(encoding="utf-8", errors="replace") if log.exists() else ""
+        wall, cpu = profile.total, time.process_time()
+        return run_record(
+            cell, drawn, [*stages, *unfinished], provenance, wall=wall, cpu=cpu, log=text, message=cause, profile=profile.seconds
+        )
+
+    exact = [item for item in solved if item.planned.method.exact and item.solution.trajectory is not None]
+    for place, item in enumerate(exact):
+        index = item.planned.index
+        set_aside(folder, told(), [later.planned.index for later in exact[place:]])
+        _progress(folder, f"the certificate of stage {index + 1} ({_stage_name(item.planned)})")
+        stages[index] = with_certificate(stages[index], scene, certified(tools, scene, item).solution)
+        profile.lap("certificate")
     share(cell.beginnings, cell.pipeline.name, stages, len(taken.stages), len(plan), folder)
     profile.lap("shared")
-    stages += [unfinished_stage(scene.name, cell.pipeline.name, planned, outcome, message) for planned, outcome, message in rest]
-    log = (folder / "log.txt").read_text(encoding="utf-8", errors="replace") if (folder / "log.txt").exists() else ""
-    drawn = scene_record(scene)
-    profile.lap("record")
-    cause = rest[0][2] if rest else None  # the stages after it only say that it came before them
-    return run_record(
-        cell, drawn, stages, provenance, wall=profile.total, cpu=time.process_time(), log=log, message=cause, profile=profile.seconds
-    )
+    return told()
 
 
 def _progress(folder: Path, text: str) -> None:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from formulations.solution import Solution
     from models.scene import Scene
     from models.trajectory import Trajectory
+    from reports.record import StageRecord
 
 
 def certificate_record(certificate: Certificate | None) -> CertificateRecord | None:
@@ -63,6 +64,12 @@ def front_records(scene: Scene, solution: Solution) -> tuple[FrontPointRecord, .
         )
         for point in solution.front
     )
+
+
+def with_certificate(record: StageRecord, scene: Scene, solution: Solution) -> StageRecord:
+    """The record of the same stage, now that its plan and those of its front are certified."""
+    told = {"certificate": certificate_record(solution.certificate), "front": front_records(scene, solution)}
+    return record.model_copy(update=told)
 
 
 def _windows(scene: Scene, plan: Trajectory | None) -> tuple[tuple[str, int, int], ...]:

@@ -1,4 +1,4 @@
-"""What is said of the plans of a cell once all of them are found: certificate, replay, score; and the files written with them."""
+"""What is said of the plans of a cell once all of them are found: replay, score, certificate; and the files written with them."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from validate.worker import Lost
 
 # Lines of the log that go into the record, so that a report can show why a cell ended as it did.
-_LOG_LINES = 40
+LOG_LINES = 40
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,7 +161,7 @@ def run_record(
         cpu_seconds=cpu,
         profile=dict(profile),
         provenance=provenance,
-        log_tail="\n".join(log.splitlines()[-_LOG_LINES:]),
+        log_tail="\n".join(log.splitlines()[-LOG_LINES:]),
     )
 
 

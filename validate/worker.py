@@ -24,6 +24,7 @@ from models.errors import MachineError
 from validate import reaper
 from validate.fork_server import ForkServer, ForkServerError
 from validate.isolation.process import ChildProcess, Ended, Watchdog, exit_in_words
+from validate.provisional import recovered
 from validate.store import LOG, MACHINE, PROGRESS, RECORD, REQUEST, Store, disk_error, remove, write_durably
 
 if TYPE_CHECKING:
@@ -190,7 +191,8 @@ class Worker:
             ]
             message = "; ".join(filter(None, words)) + "."
         wall = time.monotonic() - self._began
-        record = self._lost(Lost(outcome=outcome, message=message, wall=wall, cpu=self._ended.cpu, log=log))
+        lost = Lost(outcome=outcome, message=message, wall=wall, cpu=self._ended.cpu, log=log)
+        record = recovered(self._folder, self.cell.key, lost) or self._lost(lost)
         write_durably(self._folder / RECORD, record.model_dump_json(indent=1))
         return record
 

@@ -1,0 +1,108 @@
+"""A cell that ends during a certificate keeps what it had: plans, replays, scores, and the certificates that were finished."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from reports.record import RunRecord
+from validate import worker as module
+from validate.cell import Cell
+from validate.dask_cell import _lost
+from validate.fork_server import ForkServer
+from validate.isolation.process import shared_watchdog
+from validate.provenance import gather
+from validate.provisional import recovered
+from validate.results import rows
+from validate.store import Store
+from validate.worker import Lost, Worker
+
+HERE = Path(__file__).parent
+
+
+@pytest.fixture
+def in_reach(monkeypatch):
+    """The fakes can be imported, here and by a cell."""
+    monkeypatch.syspath_prepend(str(HERE))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, [str(HERE), os.environ.get("PYTHONPATH", "")])))
+
+
+def _cell(last: str) -> Cell:
+    from certificate_fakes import pipeline
+
+    return Cell(
+        key=f"key_of_{last}",
+        scene="three_cart",
+        scene_name="three_cart",
+        pipeline=pipeline(last),
+        tools="certificate_fakes:TOOLS",
+        time_limit=1e5,
+    )
+
+
+def _run(last: str, folder: Path, server: ForkServer | None, monkeypatch: pytest.MonkeyPatch) -> tuple[RunRecord, Path]:
+    """The record of a cell whose time is up once its last certificate has begun, and its folder in the store."""
+    cell, store, provenance = _cell(last), Store(folder), gather("a test")
+    store.prepare()
+    watched = Worker(cell, _lost(cell, provenance), provenance, store, shared_watchdog(), server)
+    record, late = None, time.monotonic() + 2 * cell.time_limit
+    try:
+        while (record := watched.poll()) is None:
+            time.sleep(0.05)
+            if watched.progress() == "the certificate of stage 3 (endless)":
+                monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: late))
+    finally:
+        if record is None:
+            watched.stop()
+    assert isinstance(record, RunRecord)
+    assert RunRecord.model_validate_json((store.runs / cell.key / "record.json").read_bytes()) == record
+    return record, store.runs / cell.key
+
+
+@pytest.mark.parametrize(
+    ("last", "outcome", "why"),
+    [
+        (
+            "endless",
+            "solved",
+            "The certificate is missing because time ran out: the cell ended at its time limit of 100000 s, during the certificate of stage 3 (endless).",
+        ),
+        (
+            "crashing",
+            "crashed",
+            "The certificate is missing: the process ended with signal 11 (SIGSEGV) during the certificate of stage 3 (crashing).",
+        ),
+    ],
+)
+def test_nothing_but_the_certificate_is_lost(last, outcome, why, in_reach, tmp_path, monkeypatch):
+    with contextlib.closing(ForkServer()) if last == "endless" else contextlib.nullcontext() as server:
+        record, folder = _run(last, tmp_path, server, monkeypatch)
+    assert (record.outcome, record.message, record.verdict) == (outcome, why, "holds")
+    soft, quick, late = record.stages
+    assert [stage.outcome for stage in record.stages] == ["solved"] * 3
+    assert [stage.certificate is not None for stage in record.stages] == [False, True, False]
+    assert [stage.message for stage in (soft, quick, late)] == ["", "", why]
+    for stage in record.stages:
+        assert stage.plan_trace is not None
+        assert stage.replay_trace is not None
+        assert [figure.name for figure in stage.figures] == ["terminal_error", "physics", "replay_error"]
+    names = {path.name for path in folder.iterdir()}
+    assert names == {"record.json", "cell.json", "log.txt", "trajectory.nc", "trajectory_1.nc", "trajectory_2.nc"}
+    assert sum(record.profile.values()) == pytest.approx(record.wall_seconds)
+    assert record.profile["certificate"] > 0.0
+    told = rows([record])
+    assert [row["verdict"] for row in told] == ["holds"] * 3
+    assert told[-1]["cost"] == record.stages[-1].cost is not None
+
+
+def test_what_was_set_aside_is_believed_only_if_it_is_whole_and_of_this_cell(tmp_path):
+    lost = Lost(outcome="time_limit", message="ended.", wall=1.0, cpu=1.0, log="")
+    assert recovered(tmp_path, "key", lost) is None
+    for text in ("", "{", "[]", '{"awaiting": [0]}', '{"awaiting": 3, "record": {}}'):
+        (tmp_path / "provisional.json").write_text(text)
+        assert recovered(tmp_path, "key", lost) is None
