@@ -53,6 +53,7 @@ def open_dask(where: str, jobs: int | None, site: Site) -> Iterator[DaskEngine]:
 
     Raises MachineError where there is no cluster.
     """
+    _quieten()
     token = uuid.uuid4().hex[:16]
     with contextlib.ExitStack() as open_now:
         watchdog = open_now.enter_context(Watchdog())
@@ -61,6 +62,14 @@ def open_dask(where: str, jobs: int | None, site: Site) -> Iterator[DaskEngine]:
         watchdog.tell("start", uuid.uuid4().hex, str(mark))
         client = open_now.enter_context(_remote(where) if where else _here(jobs or 1, watchdog))
         yield DaskEngine(client, site, jobs if where else None, token, mark)
+
+
+def _quieten() -> None:
+    """From now on Dask says nothing on stderr: what a user should know, sentences and records say."""
+    import distributed  # noqa: F401 # pyright: ignore[reportMissingImports] - it sets up its loggers
+
+    for name in ("asyncio", "tornado.application", *filter(lambda name: name.startswith("distributed"), logging.root.manager.loggerDict)):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 @contextmanager
@@ -91,12 +100,14 @@ async def _ask(address: str) -> None:
 @contextmanager
 def _here(workers: int, watchdog: Watchdog) -> Iterator[Any]:
     """A client of a cluster of worker processes on this machine; its files are removed even if we are killed."""
+    import dask  # pyright: ignore[reportMissingImports]
     from distributed import Client, LocalCluster  # pyright: ignore[reportMissingImports]
 
     folder = Path(tempfile.mkdtemp(prefix=".partial-dask-"))
     watchdog.tell("start", uuid.uuid4().hex, str(folder))
     try:
-        with _terminal_blocked():
+        # Else the scheduler's own files lie in the folder for temporary files of everybody, and stay there.
+        with dask.config.set({"temporary-directory": str(folder)}), _terminal_blocked():
             cluster = LocalCluster(
                 n_workers=workers,
                 threads_per_worker=1,

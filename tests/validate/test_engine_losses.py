@@ -1,0 +1,163 @@
+"""Engines that lose what they run on: workers, the scheduler, the campaign itself. What finished stays, and nothing goes on for nobody."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from killed_campaigns import finished, processes, unfinished, untimed
+
+from reports.record import RunRecord
+
+pytestmark = pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="distributed is not installed (the extra `dask`)")
+FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")
+# One ends at once and one never does, with children that left its group.
+HALF = (*FAKES, "-k", "only_good or only_family")
+
+
+def _come(condition) -> None:
+    """Wait for something that comes; the patience only ends a test that has failed."""
+    for _ in range(2400):
+        if condition():
+            return
+        time.sleep(0.1)
+    raise AssertionError("it never came")
+
+
+def _outcomes(out: Path) -> dict[str, tuple[str, str]]:
+    records = [RunRecord.model_validate_json(content) for content in finished(out).values()]
+    return {record.pipeline: (record.outcome, record.message) for record in records}
+
+
+@contextlib.contextmanager
+def _daemon(words: list[str], log: Path, environment: dict[str, str]) -> Iterator[subprocess.Popen[bytes]]:
+    with open(log, "wb") as file:
+        process = subprocess.Popen([sys.executable, "-m", *words], stdout=file, stderr=file, env=environment, start_new_session=True)
+    try:
+        yield process
+    finally:
+        process.terminate()
+        process.wait()
+
+
+@pytest.mark.parametrize("losses", [1, 2])
+def test_a_lost_worker_is_replaced_as_often_as_dask_allows(cli, tmp_path, losses):
+    """Two losses are one more than is allowed here: the cell has crashed. The other one waited on the worker both times, and is none the worse."""
+    counts, out = tmp_path / "counts", tmp_path / "out"
+    counts.mkdir()
+    asked = {"COUNTS": str(counts), "KILLS": str(losses), "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1"}
+    done = cli("all", "--tools", "engine_fakes:LOSING", "--scene", "three_cart", "--engine", "dask", "-j", "1", "--out", str(out), **asked)
+    outcomes = _outcomes(out)
+    assert outcomes["calm"][0] == "solved", done.stderr
+    assert len(list(counts.glob("fatal-*"))) == 2
+    assert len(list(counts.glob("calm-*"))) == 1
+    if losses == 1:
+        assert done.returncode == 0, done.stderr
+        assert outcomes["fatal"][0] == "solved"
+    else:
+        assert done.returncode == 1
+        assert outcomes["fatal"] == ("crashed", "2 workers of the Dask cluster were lost while they ran it.")
+    assert unfinished(out) == []
+    assert processes(out) == []
+
+
+def test_a_killed_campaign_takes_its_dask_workers_with_it_and_is_resumed_by_another_engine(
+    cli, start_cli, tmp_path, monkeypatch, cli_environment
+):
+    temporary, out, whole = tmp_path / "tmp", tmp_path / "out", tmp_path / "whole"
+    temporary.mkdir()
+    rest = (*FAKES, "-k", "only_good or only_infeasible")
+    assert cli("all", *rest, "--out", str(whole)).returncode == 0
+    with monkeypatch.context() as patch:
+        patch.setitem(cli_environment, "TMPDIR", str(temporary))
+        process = start_cli("all", *HALF, "--engine", "dask", "--out", str(out))
+    _come(lambda: len(processes(out)) >= 3)
+    kept = finished(out)
+    process.kill()
+    process.communicate()
+    _come(lambda: processes(temporary) == [] and unfinished(out) == [] and list(temporary.iterdir()) == [])
+    assert processes(out) == []
+    assert finished(out) == kept
+    assert len(kept) == 1
+    resumed = cli("all", *rest, "--out", str(out))
+    assert "1 stored, 1 to run" in resumed.stderr
+    assert untimed(out) == untimed(whole)
+    assert set(finished(out)) == set(finished(whole))
+
+
+def test_a_lost_scheduler_is_one_sentence_and_what_finished_is_stored(start_cli, cli_environment, tmp_path):
+    out, file, logs = tmp_path / "out", tmp_path / "scheduler.json", tmp_path / "logs"
+    logs.mkdir()
+    scheduler = ["distributed.cli.dask_scheduler", "--scheduler-file", str(file), "--port", "0", "--no-dashboard", "--host", "127.0.0.1"]
+    worker = ["distributed.cli.dask_worker", "--scheduler-file", str(file), "--nthreads", "1", "--memory-limit", "0", "--no-dashboard"]
+    with _daemon(scheduler, logs / "scheduler", cli_environment) as lost:
+        _come(file.exists)
+        with _daemon([*worker, "--local-directory", str(logs)], logs / "worker", cli_environment):
+            process = start_cli("all", *HALF, "--engine", f"dask:{file}", "--out", str(out))
+            _come(lambda: len(processes(out)) >= 3 and len(finished(out)) == 1)
+            lost.send_signal(signal.SIGKILL)
+            _, told = process.communicate()
+            _come(lambda: processes(out) == [])
+    assert process.returncode == 3, told
+    (sentence,) = [line for line in told.splitlines() if line.startswith("error:")]
+    assert sentence == "error: the Dask scheduler is gone; what finished is stored, and the same command goes on from there."
+    assert f"stopped: 1 of 2 cells are stored in {out}; resume with: python -m validate all" in told
+    assert "Traceback" not in told
+    assert [row["pipeline"] for row in untimed(out)] == ["only_good"]
+    assert unfinished(out) == []
+
+
+@contextlib.contextmanager
+def _silent() -> Iterator[str]:
+    """The address of something that takes every connection and never says a word."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        taken: list[socket.socket] = []
+
+        def take() -> None:
+            with contextlib.suppress(OSError):
+                while True:
+                    taken.append(server.accept()[0])
+
+        thread = threading.Thread(target=take, daemon=True)
+        thread.start()
+        yield f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        server.shutdown(socket.SHUT_RDWR)
+        thread.join()
+        for connection in taken:
+            connection.close()
+
+
+_ASKED = """
+import sys
+from models.errors import MachineError
+from validate import dask_engine
+dask_engine._CONNECT = 1.0
+for where in sys.argv[1:]:
+    try:
+        with dask_engine._remote(where):
+            print("it answered")
+    except MachineError as error:
+        print(error)
+"""
+
+
+def test_an_address_where_no_scheduler_answers_is_one_sentence(cli_environment):
+    wrong = ["nonsense://x", "127.0.0.1:notaport", "tcp://", "tls://127.0.0.1:9", "tcp://no.such.host.invalid:8786"]
+    with _silent() as silent:
+        asked = [*wrong, silent]
+        done = subprocess.run([sys.executable, "-c", _ASKED, *asked], capture_output=True, text=True, env=cli_environment, check=False)
+    told = done.stdout.splitlines()
+    assert [line.partition(": no Dask scheduler answers there (")[0] for line in told] == [f"--engine dask:{where}" for where in asked], (
+        done.stderr
+    )
+    assert all(line.endswith("); start one, or correct the address.") for line in told)
+    assert done.stderr == ""
