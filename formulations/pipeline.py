@@ -45,8 +45,9 @@ NOISE = (0.3, 0.1, 0.03)
 
 # Starts of mpcc_multistart, and how many of them a cell runs: beside them, starting a process and replaying its best plan costs little.
 STARTS, STARTS_EACH = 20, 5
-# Work of such a cell, in millions (option `work` of mpcc): 15 to 25 CPU s of Ipopt, of which a start may take half of what is left.
-STARTS_WORK = 40.0
+# Work of such a cell, in millions (option `work` of mpcc): 5 to 10 CPU s of Ipopt, of which a start may take half of what is left. More finds the
+# same best plans, and more of the starts end: docs/campaigns.md has the figures, and how to ask for more.
+STARTS_WORK = 12.0
 
 
 def _counts(*iterations: int) -> tuple[Mapping[str, object], ...]:
