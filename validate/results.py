@@ -103,8 +103,18 @@ def write_results(path: Path, records: Iterable[RunRecord]) -> None:
 
 def write_examinations(path: Path, records: Iterable[ExaminationRecord]) -> None:
     """Write examinations.csv, or remove it where there are none. Raises MachineError if the disk refuses."""
+    write_or_remove(path, examinations_text(records))
+
+
+def examinations_text(records: Iterable[ExaminationRecord]) -> str:
+    """The whole file as text; empty where there are none."""
     found = examination_rows(records)
-    if found:
-        write_durably(path, _text(list(found[0]), found))
+    return _text(list(found[0]), found) if found else ""
+
+
+def write_or_remove(path: Path, text: str) -> None:
+    """Write a table, or remove it where it says nothing. Raises MachineError if the disk refuses."""
+    if text:
+        write_durably(path, text)
     else:
         remove(path)

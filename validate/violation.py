@@ -120,9 +120,14 @@ def relaxed_violation(stiffness: float, eps: float) -> float:
 
 
 def write_violation(path: Path, points: tuple[ViolationPoint, ...]) -> None:
+    """Write violation.csv. Raises MachineError if the disk refuses."""
+    write_durably(path, violation_text(points))
+
+
+def violation_text(points: tuple[ViolationPoint, ...]) -> str:
     """violation.csv: law, eps, measured, closed form and their relative difference."""
     lines = ["law,eps,measured,closed_form,relative_difference"]
     for point in points:
         difference = abs(point.measured - point.closed_form) / point.closed_form
         lines.append(",".join([point.law, *(repr(value) for value in (point.eps, point.measured, point.closed_form, difference))]))
-    write_durably(path, "\n".join(lines) + "\n")
+    return "\n".join(lines) + "\n"

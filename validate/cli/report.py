@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -23,33 +24,48 @@ Exit codes: 0 rebuilt; 2 a folder that is no campaign; 3 it cannot be written.
 @click.option("--json", "as_json", is_flag=True, help="The results as JSON on stdout.")
 def command(folder: Path, split: bool, as_json: bool) -> int:
     """Rebuild results.csv, examinations.csv, violation.csv and report.html of the campaign in DIR (runs/all) from its records; no solver is needed."""
+    from reports.kept import kept
+    from validate.isolation.environment import ROOT
+    from validate.results import write_or_remove
+    from validate.tools import DEFAULT
+
+    sources = [*sorted((ROOT / "validate").glob("*.py")), Path(__file__)]
+    told = json.loads(kept(folder, "results", lambda: json.dumps(_tables(folder)), sources=sources))
+    for name, text in told["files"].items():
+        write_or_remove(folder / name, text)
+    report = (DEFAULT.write_pages if split else DEFAULT.write_report)(folder)
+    if told["missing"]:
+        click.echo(
+            f"{told['missing']} of {told['cells']} cells have no readable record; the command of the campaign runs them: {told['command']}",
+            err=True,
+        )
+    if as_json:
+        click.echo(json.dumps({**told["rows"], "report": str(report)}, indent=1, allow_nan=False))
+    else:
+        click.echo(f"report:  {report}")
+        click.echo(f"results: {folder / 'results.csv'}")
+    return 0
+
+
+def _tables(folder: Path) -> dict[str, Any]:
+    """What is told beside the report: the texts of the tables, their rows, and how many cells are missing. Raises CampaignError."""
     from reports.collected import collected
     from reports.examination_record import divided
     from validate.campaign import EXAMINATIONS, RESULTS, VIOLATION, stored_campaign
-    from validate.results import examination_rows, rows, write_examinations, write_results
-    from validate.tools import DEFAULT
-    from validate.violation import write_violation
+    from validate.results import examination_rows, examinations_text, results_text, rows
+    from validate.violation import violation_text
 
     campaign, stored = stored_campaign(folder)
     parts, examinations = divided(stored)
     records = collected(parts)  # a pipeline that ran in parts is one row, as in the campaign's own table
-    write_results(folder / RESULTS, records)
-    write_examinations(folder / EXAMINATIONS, examinations)
-    write_violation(folder / VIOLATION, campaign.violation)
-    report = (DEFAULT.write_pages if split else DEFAULT.write_report)(folder)
-    missing = len(campaign.keys) - len(stored)
-    if missing:
-        click.echo(
-            f"{missing} of {len(campaign.keys)} cells have no readable record; the command of the campaign runs them: {campaign.command}",
-            err=True,
-        )
-    if as_json:
-        click.echo(
-            json.dumps(
-                {"results": rows(records), "examinations": examination_rows(examinations), "report": str(report)}, indent=1, allow_nan=False
-            )
-        )
-    else:
-        click.echo(f"report:  {report}")
-        click.echo(f"results: {folder / RESULTS}")
-    return 0
+    return {
+        "files": {
+            RESULTS: results_text(records),
+            EXAMINATIONS: examinations_text(examinations),
+            VIOLATION: violation_text(campaign.violation),
+        },
+        "rows": {"results": rows(records), "examinations": examination_rows(examinations)},
+        "missing": len(campaign.keys) - len(stored),
+        "cells": len(campaign.keys),
+        "command": campaign.command,
+    }

@@ -1,0 +1,74 @@
+"""`report` a second time: the same files, whatever happened to them meanwhile, and what changed is told."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from validate.cli import report as room
+from validate.cli.report import command
+
+FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")
+NAMES = ("report.html", "results.csv", "violation.csv")
+
+
+@pytest.fixture(scope="module")
+def ran(cli, tmp_path_factory) -> Path:
+    """A campaign of two cells, and the same again."""
+    out = tmp_path_factory.mktemp("told") / "out"
+    for _ in range(2):
+        done = cli("all", *FAKES, "--out", str(out), "-k", "only_good or soft_alone")
+        assert done.returncode == 0, done.stderr
+    return out
+
+
+@pytest.fixture
+def folder(ran: Path, tmp_path: Path) -> Path:
+    shutil.copytree(ran, tmp_path / "out")
+    return tmp_path / "out"
+
+
+def _report(folder: Path, *options: str) -> Result:
+    return CliRunner().invoke(command, [str(folder), *options], standalone_mode=False)
+
+
+def _texts(folder: Path) -> dict[str, bytes]:
+    return {name: (folder / name).read_bytes() for name in NAMES}
+
+
+def test_the_same_files_whatever_happened_to_them(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    tables = {name: text for name, text in _texts(folder).items() if name != "report.html"}  # the fakes' own report is none
+    _report(folder)
+    of_campaign = _texts(folder)
+    assert tables.items() <= of_campaign.items()
+    for name in NAMES:
+        (folder / name).unlink() if name != "results.csv" else (folder / name).write_text("edited")
+    monkeypatch.setattr(room, "_tables", lambda folder: pytest.fail("nothing changed"))
+    told = _report(folder)
+    assert told.exception is None
+    assert _texts(folder) == of_campaign
+    rows = json.loads(_report(folder, "--json").stdout)["results"]
+    assert sorted({row["pipeline"] for row in rows}) == ["only_good", "soft_alone"]
+
+
+def test_a_record_that_is_gone_is_told(folder: Path):
+    _report(folder)
+    shutil.rmtree(next(folder.glob("runs/*")))
+    told = _report(folder)
+    assert "1 of 2 cells have no readable record" in told.stderr
+    assert len((folder / "results.csv").read_text().splitlines()) == 2
+    assert "1 of 2 cells have no readable record" in _report(folder).stderr
+
+
+def test_a_campaign_that_ran_nothing_leaves_the_folder_as_it_was(ran: Path, cli):
+    before = {path: path.read_bytes() for path in ran.rglob("*") if path.is_file() and path.suffix not in {".csv"}}
+    done = cli("all", *FAKES, "--out", str(ran), "-k", "soft_alone or only_good", "-j", "1")
+    assert "2 stored, 0 to run" in done.stderr
+    assert {path: path.read_bytes() for path in before} == before
+    fewer = cli("all", *FAKES, "--out", str(ran), "-k", "only_good")
+    assert fewer.returncode == 0
+    assert len(json.loads((ran / "campaign.json").read_bytes())["keys"]) == 1
