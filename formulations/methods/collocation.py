@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from formulations.method import Kind, Method, OptionSpec, Session
 from formulations.transcription.method import OPTIONS
+from formulations.windows.homotopy_options import FIRST_SHARPNESS, HOMOTOPY_TOLERANCE, SHARPNESS_GROWTH
 
 if TYPE_CHECKING:
     from models.scene import Scene
@@ -31,13 +32,7 @@ class Collocation(Method):
             description="minimise the scheme's quadrature of the running cost instead of its sum over the starts of the steps, the task's own",
             choices=(True, False),
         ),
-        OptionSpec(
-            name="first_sharpness",
-            default=7.0,
-            description="sharpness of the first softplus stage, |ln eps|: b times the length that the scene counts it in",
-            lower=1e-3,
-            upper=700.0,
-        ),
+        FIRST_SHARPNESS,
         OptionSpec(
             name="last_sharpness",
             default=448.0,
@@ -45,8 +40,8 @@ class Collocation(Method):
             lower=1e-3,
             upper=700.0,
         ),
-        OptionSpec(name="sharpness_growth", default=2.0, description="factor between two stages", lower=1.01, upper=1e3),
-        OptionSpec(name="homotopy_tolerance", default=1e-6, description="Ipopt's tol in the softplus stages", lower=1e-12, upper=1e-2),
+        SHARPNESS_GROWTH,
+        HOMOTOPY_TOLERANCE,
     )
 
     def accepts(self, scene: Scene) -> str | None:

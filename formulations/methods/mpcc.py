@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from formulations.method import Kind, Method, OptionSpec, Session
+from formulations.windows.homotopy_options import FIRST_SHARPNESS, HOMOTOPY_TOLERANCE, SHARPNESS_GROWTH
 
 if TYPE_CHECKING:
     from models.scene import Scene
@@ -40,13 +41,7 @@ class Mpcc(Method):
             unit="millions",
             lower=0.0,
         ),
-        OptionSpec(
-            name="first_sharpness",
-            default=7.0,
-            description="sharpness of the first softplus stage, |ln eps|: b times the length that the scene counts it in",
-            lower=1e-3,
-            upper=700.0,
-        ),
+        FIRST_SHARPNESS,
         OptionSpec(
             name="last_sharpness",
             default=448.0,
@@ -54,7 +49,7 @@ class Mpcc(Method):
             lower=1e-3,
             upper=700.0,
         ),
-        OptionSpec(name="sharpness_growth", default=2.0, description="factor between two stages", lower=1.01, upper=1e3),
+        SHARPNESS_GROWTH,
         OptionSpec(
             name="coarse_steps",
             default=600,
@@ -86,7 +81,7 @@ class Mpcc(Method):
             name="seed", default=0, description="of random starts, also of those tried where the first guess leads nowhere", lower=0
         ),
         OptionSpec(name="tolerance", default=1e-8, description="Ipopt's tol for fixed modes of a nonlinear scene", lower=1e-12, upper=1e-2),
-        OptionSpec(name="homotopy_tolerance", default=1e-6, description="Ipopt's tol in the softplus stages", lower=1e-12, upper=1e-2),
+        HOMOTOPY_TOLERANCE,
         OptionSpec(name="max_iterations", default=3000, description="most Ipopt iterations of a solve", lower=1, upper=10**9),
         OptionSpec(
             name="plan_tolerance",

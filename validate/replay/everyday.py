@@ -101,10 +101,10 @@ def _step_through(
     def record(time: float) -> bool:
         values = fmu.read(outputs_of).copy()
         if not np.isfinite(values).all():
-            run.outcome, run.message = ReplayOutcome.NOT_A_NUMBER, f"An output was not a finite number at t = {time:.6g} s."
+            run.end_without_number(time)
             return False
         if np.abs(values[:states]).max(initial=0.0) > DIVERGENCE:
-            run.outcome, run.message = ReplayOutcome.DIVERGED, f"A state left every bound by t = {time:.6g} s."
+            run.end_out_of_bounds(time)
             return False
         run.knots.append(len(run.t))
         run.t.append(time)

@@ -43,6 +43,14 @@ class Run:
     outcome: ReplayOutcome = ReplayOutcome.OK
     message: str = ""
 
+    def end_without_number(self, time: float) -> None:
+        """The outputs at a time [s] are not all finite."""
+        self.outcome, self.message = ReplayOutcome.NOT_A_NUMBER, f"An output was not a finite number at t = {time:.6g} s."
+
+    def end_out_of_bounds(self, time: float) -> None:
+        """A state is beyond any bound at a time [s] that was stepped to."""
+        self.outcome, self.message = ReplayOutcome.DIVERGED, f"A state left every bound by t = {time:.6g} s."
+
 
 class Stop(Exception):  # noqa: N818 - it ends a run, and is no error of the program
     def __init__(self, outcome: ReplayOutcome, message: str) -> None:

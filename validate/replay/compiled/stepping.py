@@ -13,7 +13,6 @@ from validate.replay.fmi import Instance
 from validate.replay.inputs import HeldInputs
 from validate.replay.package import FmuError
 from validate.replay.reference import DIVERGENCE, Run
-from validate.replay.result import ReplayOutcome
 from validate.replay.rollback import SAME, Rollback, RollbackError
 
 _SIZE, _ADDRESS, _DOUBLE = ctypes.c_int64, ctypes.c_void_p, ctypes.c_double
@@ -107,9 +106,9 @@ def step_through(
     if reason is Reason.NOT_RESTORED:
         raise RollbackError
     if reason is Reason.OUTPUT_NOT_FINITE:
-        run.outcome, run.message = ReplayOutcome.NOT_A_NUMBER, f"An output was not a finite number at t = {times[done + 1]:.6g} s."
+        run.end_without_number(times[done + 1])
     elif reason is Reason.OUT_OF_BOUNDS:
-        run.outcome, run.message = ReplayOutcome.DIVERGED, f"A state left every bound by t = {times[done + 1]:.6g} s."
+        run.end_out_of_bounds(times[done + 1])
     return True
 
 
