@@ -26,7 +26,7 @@ from validate.scene_record import scene_record
 from validate.store import RECORD, Store, write_durably
 
 FAKES = {"tools": "campaign_fakes:TOOLS", "scenes": ("three_cart",), "expression": "only_good or only_refuses"}
-_ASKED = ("rename", "replace", "fsync", "mkdir", "open")
+_ASKED = ("rename", "replace", "fsync", "mkdir", "open", "unlink")
 
 
 class Disk:
@@ -160,6 +160,7 @@ def test_a_campaign_that_is_refused_anything_loses_nothing(cli, tmp_path, disk):
     results = (settings.out / "results.csv").read_bytes()
     records = {path: path.read_bytes() for path in settings.out.glob("runs/*/record.json")}
     assert len(records) == 2
+    (settings.out / "examinations.csv").write_text("of an earlier campaign")  # is to be removed
     for _ in _refusals(disk, lambda: run_campaign(settings, PlainNarrator())):
         assert (settings.out / "results.csv").read_bytes() == results
         assert {path: path.read_bytes() for path in settings.out.glob("runs/*/record.json")} == records
