@@ -1,0 +1,64 @@
+"""Derivatives evaluated together are Pyomo's own, and where they are not, Pyomo's are taken and the certificate says so."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyomo.environ as pyo
+import pytest
+
+from formulations.ipopt.term_group import TermGroup
+from formulations.mpec import certify
+from formulations.mpec.certificate.evaluation import number_of
+from formulations.mpec.certificate.gradients import gradients_of, pyomo_gradient
+
+
+def _model() -> pyo.ConcreteModel:
+    """Repeated shapes, a rare one, one that the compiler refuses, one without a derivative here, data, and a variable that is fixed."""
+    model = pyo.ConcreteModel()
+    model.x = pyo.Var(range(13), initialize=lambda _, k: 0.3 + 0.1 * k)
+    model.p = pyo.Param(initialize=1.7, mutable=True)
+    model.x[12].fix(0.4)
+    model.row = pyo.Constraint(range(11), rule=lambda m, k: m.p * pyo.sin(m.x[k] * m.x[k + 1]) + 2 * m.x[k] - m.x[k] <= 1e2 * m.x[12])
+    model.flat = pyo.Constraint(range(9), rule=lambda m, k: m.x[k] - 3 * m.x[k + 2] <= m.p)
+    model.rare = pyo.Constraint(expr=pyo.exp(model.x[0]) / model.x[3] <= 9)
+    model.kink = pyo.Constraint(expr=abs(model.x[1]) + model.x[2] ** 2 <= 9)
+    model.cost = pyo.Objective(expr=sum(model.x[k] ** 2 for k in range(12)))
+    return model
+
+
+def _bodies(model: pyo.ConcreteModel) -> list:
+    return [row.body for row in model.component_data_objects(pyo.Constraint)] + [model.cost.expr]
+
+
+def _dense(found, expressions) -> tuple[np.ndarray, np.ndarray]:
+    """(what was found, Pyomo's own), both by the found variables."""
+    place = {id(variable): k for k, variable in enumerate(found.variables)}
+    own = np.zeros(found.matrix.shape)
+    for row, expression in enumerate(expressions):
+        for variable, slope in pyomo_gradient(expression):
+            own[row, place[id(variable)]] += slope
+    return found.matrix.toarray(), own
+
+
+def test_they_are_pyomos_own():
+    model = _model()
+    expressions = [*_bodies(model), pyo.sqrt(model.x[4] - model.x[4].value)]
+    found = gradients_of(expressions, [number_of(expression) for expression in expressions])
+    together, own = _dense(found, expressions)
+    np.testing.assert_allclose(together, own, rtol=1e-13, atol=1e-13)
+    assert found.notes == ()
+    assert not any(variable.fixed for variable in found.variables)
+    assert not np.isfinite(together[-1]).all()
+
+
+@pytest.mark.parametrize("wrong", ["slopes", "values"])
+def test_where_they_disagree_pyomos_are_taken(wrong, monkeypatch):
+    right = getattr(TermGroup, wrong)
+    monkeypatch.setattr(TermGroup, wrong, lambda self, x: right(self, x) * (1.0 + 1e-6))
+    model = _model()
+    expressions = _bodies(model)
+    found = gradients_of(expressions, [number_of(expression) for expression in expressions])
+    together, own = _dense(found, expressions)
+    np.testing.assert_array_equal(together, own)
+    assert "disagree with Pyomo's own" in found.notes[0]
+    assert found.notes[0] in certify(model).notes
