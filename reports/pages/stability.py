@@ -56,7 +56,7 @@ def build(report: Report) -> Section | None:
         return None
     rows = [_row(record) for record in records]
     failed = [row for row in rows if row.sign is not PASS]
-    passed = f"{len(rows) - len(failed)} of {count(len(rows), 'hard case')} pass"
+    passed = f"{len(rows) - len(failed)} of {count(len(rows), 'hard case')} {'passes' if len(rows) == 1 else 'pass'}"
     return Section(
         "stability",
         "Stability: the hard cases",
