@@ -254,4 +254,4 @@ def test_a_folder_in_the_place_of_the_report_is_one_sentence(factory, tmp_path):
     (folder / "report.html").mkdir()
     with pytest.raises(ReportError, match="cannot be written"):
         write_report(folder)
-    assert [path.name for path in folder.iterdir() if path.name.startswith(".report")] == []
+    assert [path.name for path in folder.iterdir() if path.name.startswith(".partial")] == []
