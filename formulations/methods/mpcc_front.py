@@ -23,7 +23,13 @@ class MpccFront(Method):
             default=(0.0, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1, 0.2),
             description="largest norms of (q, v)[T] - goal; the plan handed on is that of the smallest",
         ),
-        OptionSpec(name="work", default=10.0, description="most work of a solve, as of mpcc", unit="millions", lower=0.0),
+        OptionSpec(
+            name="work",
+            default=3.0,
+            description="most work of a solve, as of mpcc; nearly all go on from the plan of the one before",
+            unit="millions",
+            lower=0.0,
+        ),
         OptionSpec(name="search", default=True, description="search for cheaper contact windows at each tolerance", choices=(True, False)),
         OptionSpec(name="seed", default=0, description="of random starts, tried where the first guess leads nowhere", lower=0, upper=10**9),
     )
