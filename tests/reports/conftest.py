@@ -74,3 +74,11 @@ def hostile_folder(factory, tmp_path_factory: pytest.TempPathFactory) -> Path:
     benches = _load("bench_files")
     benches.leave(folder, benches.cosim(factory.HOSTILE), benches.speed(factory.HOSTILE))
     return folder
+
+
+@pytest.fixture(scope="session")
+def page_file(full_folder: Path) -> Path:
+    """The plain report of it."""
+    from reports.render import write_report
+
+    return write_report(full_folder)
