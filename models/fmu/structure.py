@@ -6,7 +6,8 @@ dependencies(scene)["lam_left"]      {"q1": FIXED, "q2": ...}
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Mapping
 from enum import Enum
 
 import sympy as sp
@@ -16,6 +17,9 @@ from models.dynamics import Dynamics, derive
 from models.fmu.kinds import Kind, Variable
 from models.fmu.variables import variable_table
 from models.scene import Scene
+
+_GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
+_CLEARLY = 1e-6  # relative: far above what rounding makes of terms that cancel
 
 
 class Dependency(Enum):
@@ -94,15 +98,35 @@ def _of_expressions(d: Dynamics, expressions: Iterable[sp.Expr]) -> dict[sp.Symb
     parameters = set(d.p)
     found: dict[sp.Symbol, Dependency] = {}
     total = sp.Add(*expressions)
-    for symbol in total.free_symbols & variables:
-        slope = sp.expand(sp.diff(total, symbol)).free_symbols
-        if not slope:
-            found[symbol] = Dependency.CONSTANT
-        elif slope <= parameters:
-            found[symbol] = Dependency.FIXED
-        else:
+    slopes = {symbol: sp.diff(total, symbol) for symbol in total.free_symbols & variables}
+    varying = _seen_to_vary(slopes, parameters)
+    for symbol, slope in slopes.items():
+        if symbol in varying:
             found[symbol] = Dependency.DEPENDENT
+            continue
+        left = sp.expand(slope).free_symbols  # what cancels is no dependence
+        found[symbol] = Dependency.DEPENDENT if left - parameters else Dependency.FIXED if left else Dependency.CONSTANT
     return found
+
+
+def _seen_to_vary(slopes: Mapping[sp.Symbol, sp.Expr], parameters: set[sp.Symbol]) -> set[sp.Symbol]:
+    """Those whose slope has clearly different values at two points that differ in more than parameters: a proof without any expansion,
+    which takes minutes for the energies of several bodies. What is not seen here may vary all the same."""
+    symbols = sorted(set().union(*(slope.free_symbols for slope in slopes.values())), key=str)
+    points = []
+    for place in range(2):
+        # multiples of the golden ratio: no two alike, none special to an angle or a length
+        points.append([0.3 + (_GOLDEN * (k + 1 + (0 if symbol in parameters else 100 * place))) % 1.0 for k, symbol in enumerate(symbols)])
+    try:
+        values = sp.lambdify(symbols, list(slopes.values()), modules="math", cse=True)
+        first, second = (values(*point) for point in points)
+    except (ArithmeticError, ValueError, TypeError, NameError, SyntaxError):  # a function that Python has not, or a point outside of one
+        return set()
+    return {
+        symbol
+        for symbol, a, b in zip(slopes, first, second, strict=True)
+        if math.isfinite(a) and math.isfinite(b) and abs(a - b) > _CLEARLY * (1.0 + abs(a) + abs(b))
+    }
 
 
 def _all_dependent(symbols: Iterable[sp.Symbol]) -> dict[sp.Symbol, Dependency]:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import pytest
+import sympy as sp
 
 from models.catalog import load_scene
 from models.fmu import structure
-from models.fmu.structure import dependencies, derived_dependencies
+from models.fmu.structure import Dependency, dependencies, derived_dependencies
 
 
 @pytest.mark.parametrize("name", ["three_cart", "cart_pole_walls", "transport", "damped_collision"])
@@ -25,3 +26,20 @@ def test_another_equation_is_another_structure():
     """The key is of the equations: a scene that differs there never reads the other's."""
     with_walls, without = load_scene("cart_pole_walls"), load_scene("wall_pendulum")
     assert dependencies(with_walls) != dependencies(without)
+
+
+@pytest.mark.parametrize("name", ["three_cart", "acrobot_limits", "two_discs", "two_finger"])
+def test_what_two_points_prove_is_what_expansion_finds(name, monkeypatch):
+    scene = load_scene(name)
+    found = derived_dependencies(scene)
+    assert Dependency.DEPENDENT in {kind for knowns in found.values() for kind in knowns.values()}
+    monkeypatch.setattr(structure, "_seen_to_vary", lambda *_: set())
+    assert found == derived_dependencies(scene)
+
+
+def test_what_cancels_is_not_seen_to_vary():
+    x, y, m = sp.symbols("x y m")
+    slopes = {x: (1 + y) * m - y * m, y: sp.sin(x) ** 2 + sp.cos(x) ** 2 + m, m: x * y, sp.Symbol("f"): sp.Function("unknown")(x)}
+    assert structure._seen_to_vary(slopes, {m}) == set(), "a function that Python has not: nothing is said of any"
+    slopes.popitem()
+    assert structure._seen_to_vary(slopes, {m}) == {m}
