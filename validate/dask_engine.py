@@ -10,15 +10,10 @@ worker that went without a trace is removed when the campaign ends.
 
 from __future__ import annotations
 
-import asyncio
 import concurrent.futures
 import contextlib
 import json
-import logging
-import multiprocessing.resource_tracker
 import shutil
-import signal
-import tempfile
 import time
 import uuid
 from collections.abc import Generator, Iterator, Sequence
@@ -28,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 from models.errors import MachineError
 from validate.dask_cell import run_on_worker
+from validate.dask_cluster import local_cluster, quieten, remote_cluster
 from validate.engine import Site
 from validate.fork_server import WORTH
 from validate.isolation.process import Watchdog
@@ -40,8 +36,8 @@ if TYPE_CHECKING:
 
 # Pause between two looks at what is not a cell's end [s]; a cell that ends is seen at once.
 _LOOK = 0.5
-# How long a scheduler may take to answer, how soon it is said that it has no workers, and how long these may take to tidy up [s].
-_CONNECT, _NO_WORKERS, _TIDY = 10.0, 5.0, 10.0
+# How soon it is said that a cluster has no workers, and how long these may take to tidy up [s].
+_NO_WORKERS, _TIDY = 5.0, 10.0
 # How often a cell is given anew to workers that are lost before they begin it.
 _GIVEN_ANEW = 5
 _GONE = "the Dask scheduler is gone; what finished is stored, and the same command goes on from there."
@@ -53,88 +49,15 @@ def open_dask(where: str, jobs: int | None, site: Site) -> Iterator[DaskEngine]:
 
     Raises MachineError where there is no cluster.
     """
-    _quieten()
+    quieten()
     token = uuid.uuid4().hex[:16]
     with contextlib.ExitStack() as open_now:
         watchdog = open_now.enter_context(Watchdog())
         mark = site.store.open_partial("campaign", token + uuid.uuid4().hex[:16]).resolve()
         open_now.callback(shutil.rmtree, mark, ignore_errors=True)
         watchdog.tell("start", uuid.uuid4().hex, str(mark))
-        client = open_now.enter_context(_remote(where) if where else _here(jobs or 1, watchdog))
+        client = open_now.enter_context(remote_cluster(where) if where else local_cluster(jobs or 1, watchdog))
         yield DaskEngine(client, site, jobs if where else None, token, mark)
-
-
-def _quieten() -> None:
-    """From now on Dask says nothing on stderr: what a user should know, sentences and records say."""
-    import distributed  # noqa: F401 # pyright: ignore[reportMissingImports] - it sets up its loggers
-
-    for name in ("asyncio", "tornado.application", *filter(lambda name: name.startswith("distributed"), logging.root.manager.loggerDict)):
-        logging.getLogger(name).setLevel(logging.CRITICAL)
-
-
-@contextmanager
-def _remote(where: str) -> Iterator[Any]:
-    from distributed import Client  # pyright: ignore[reportMissingImports]
-
-    try:
-        address = json.loads(Path(where).read_text(encoding="utf-8"))["address"] if where.endswith(".json") else where
-        asyncio.run(_ask(address))  # beforehand: a Client that finds nobody leaves a thread and its words behind
-        client = Client(address, timeout=_CONNECT, set_as_default=False)
-    except Exception as error:  # what Dask raises for a wrong address, or for somebody else who answers, is of any type
-        why = next(iter(str(error).splitlines()), "") or "nothing is said there"
-        raise MachineError(f"--engine dask:{where}: no Dask scheduler answers there ({why}); start one, or correct the address.") from error
-    with client:
-        yield client
-
-
-async def _ask(address: str) -> None:
-    """Raises where nobody at the address speaks as Dask does."""
-    from distributed import Security  # pyright: ignore[reportMissingImports]
-    from distributed.comm import connect  # pyright: ignore[reportMissingImports]
-
-    asked = connect(address, timeout=_CONNECT, **Security().get_connection_args("client"))
-    comm = await asyncio.wait_for(asked, 2 * _CONNECT)  # Dask itself waits for ever for one who takes a connection and says nothing
-    await comm.close()
-
-
-@contextmanager
-def _here(workers: int, watchdog: Watchdog) -> Iterator[Any]:
-    """A client of a cluster of worker processes on this machine; its files are removed even if we are killed."""
-    import dask  # pyright: ignore[reportMissingImports]
-    from distributed import Client, LocalCluster  # pyright: ignore[reportMissingImports]
-
-    folder = Path(tempfile.mkdtemp(prefix=".partial-dask-"))
-    watchdog.tell("start", uuid.uuid4().hex, str(folder))
-    try:
-        # Else the scheduler's own files lie in the folder for temporary files of everybody, and stay there.
-        with dask.config.set({"temporary-directory": str(folder)}), _terminal_blocked():
-            cluster = LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                processes=True,
-                memory_limit=0,  # that of the cells is not the workers'
-                dashboard_address=None,
-                silence_logs=logging.CRITICAL,  # what they say, records say
-                local_directory=str(folder),
-            )
-        with cluster, Client(cluster, set_as_default=False) as client:
-            yield client
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-@contextmanager
-def _terminal_blocked() -> Iterator[None]:
-    """Threads started meanwhile, and the processes that these ever start, do not hear Ctrl-C and a closed terminal: those are for us."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    multiprocessing.resource_tracker.ensure_running()  # it would lift the mask when it is started later
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager
@@ -142,8 +65,6 @@ def _gone_in_words() -> Iterator[None]:
     """What Dask raises where its scheduler cannot be reached, as a MachineError. Raises it."""
     try:
         yield
-    except MachineError:
-        raise
     except (OSError, RuntimeError) as error:  # no connection, or a client that has given up
         raise MachineError(_GONE) from error
 
@@ -187,23 +108,20 @@ class DaskEngine:
         waiting = list(cells)
         running: dict[concurrent.futures.Future[dict[str, str]], _Submitted] = {}
         executor = self._client.get_executor(pure=False)
-        with _gone_in_words():
-            self._request["many"] = len(cells) >= WORTH * max(1, sum(self._client.nthreads().values()))
+        self._request["many"] = len(cells) >= WORTH * max(1, self._threads())
         try:
             while waiting or running:
-                with _gone_in_words():
-                    self._submit(waiting, running, executor)
-                    self._look(tuple(running.values()))
+                self._submit(waiting, running, executor)
+                self._look(tuple(running.values()))
                 done, _ = concurrent.futures.wait(running, timeout=_LOOK, return_when=concurrent.futures.FIRST_COMPLETED)
                 for future in done:
                     submitted = running[future]
                     record = self._record(submitted, future)
                     del running[future]
                     if record is None:
-                        with _gone_in_words():
-                            running[self._give(submitted, executor)] = submitted
+                        running[self._give(submitted, executor)] = submitted
                     elif self._site.again(record):
-                        waiting.append(submitted.cell)
+                        waiting.insert(0, submitted.cell)
                     else:
                         yield submitted.cell, record
         finally:
@@ -225,7 +143,14 @@ class DaskEngine:
                 at_work.append(cell)
 
     def _give(self, submitted: _Submitted, executor: concurrent.futures.Executor) -> concurrent.futures.Future[dict[str, str]]:
-        return executor.submit(run_on_worker, {**self._request, "cell": submitted.cell.to_json(), "name": submitted.name})
+        request = {**self._request, "cell": submitted.cell.to_json(), "name": submitted.name}
+        with _gone_in_words():
+            return executor.submit(run_on_worker, request)
+
+    def _threads(self) -> int:
+        """How many cells the workers of the cluster can run at a time."""
+        with _gone_in_words():
+            return sum(self._client.nthreads().values())
 
     def _look(self, submitted: Sequence[_Submitted]) -> None:
         folders = {path.name.split("-")[1]: path for path in self._unfinished()}
@@ -236,7 +161,7 @@ class DaskEngine:
             self._said = True
         elif not self._said and any(time.monotonic() - item.since > _NO_WORKERS for item in submitted):
             self._said = True
-            if not self._client.nthreads():
+            if not self._threads():
                 self._site.warn(
                     f"the Dask cluster at {self._client.scheduler.address} has no workers yet; {len(submitted)} cells wait for one"
                 )
@@ -256,15 +181,10 @@ class DaskEngine:
         except concurrent.futures.CancelledError as error:
             raise MachineError(_GONE) from error
         except KilledWorker as error:
-            submitted.lost += 1
             begun = len(list((self._store.runs / self._request["mark"]).glob(f"{submitted.name}*")))
             if begun > error.allowed_failures:
                 return self._crashed(submitted, f"{begun} workers of the Dask cluster were lost while they ran it.")
-            if submitted.lost <= _GIVEN_ANEW:
-                return None
-            raise MachineError(
-                f"workers of the Dask cluster are lost before they begin {submitted.cell.title}; their logs say why."
-            ) from error
+            answer = {}
         except Exception as error:
             told = (str(error).splitlines() or [""])[0]
             raise MachineError(
@@ -273,7 +193,12 @@ class DaskEngine:
             ) from error
         if "machine" in answer:
             raise MachineError(answer["machine"])
-        return StoredRecord.model_validate_json(answer["record"]).root
+        if "record" in answer:
+            return StoredRecord.model_validate_json(answer["record"]).root
+        submitted.lost += 1  # before it was begun, or with a worker that took itself for dismissed
+        if submitted.lost > _GIVEN_ANEW:
+            raise MachineError(f"workers of the Dask cluster are lost before they begin {submitted.cell.title}; their logs say why.")
+        return None
 
     def _crashed(self, submitted: _Submitted, message: str) -> RunRecord | ExaminationRecord:
         """The record of a cell that took its workers with it, stored."""

@@ -146,7 +146,7 @@ class LocalEngine:
                     if record is not None:
                         running.remove(worker)
                         if self._again(record):
-                            waiting.append(worker.cell)
+                            waiting.appendleft(worker.cell)
                         else:
                             yield worker.cell, record
         finally:

@@ -135,11 +135,11 @@ def _silent() -> Iterator[str]:
 _ASKED = """
 import sys
 from models.errors import MachineError
-from validate import dask_engine
-dask_engine._CONNECT = 1.0
+from validate import dask_cluster
+dask_cluster._CONNECT = 1.0
 for where in sys.argv[1:]:
     try:
-        with dask_engine._remote(where):
+        with dask_cluster.remote_cluster(where):
             print("it answered")
     except MachineError as error:
         print(error)
