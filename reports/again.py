@@ -34,11 +34,8 @@ def _kept(words: list[str]) -> list[str]:
     while place < len(words):
         word = words[place]
         width = 2 if word in _WITH_A_WORD else 1
-        if (
-            word in _KEPT
-            or word.startswith(tuple(f"{option}=" for option in _KEPT))
-            or (not word.startswith("-") and word.endswith(".toml"))
-        ):
+        # What belongs to no option is the campaign's file, whatever it is called.
+        if word in _KEPT or word.startswith(tuple(f"{option}=" for option in _KEPT)) or not word.startswith("-"):
             kept += words[place : place + width]
         place += width
     return kept

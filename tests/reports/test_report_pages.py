@@ -73,6 +73,7 @@ def test_the_command_runs_this_cell_again_and_no_other(factory, tmp_path, conver
         ("all --quick -k strict -j 2 --out runs/all.toml", "all"),
         ("all --scene my/own.py --time-limit=9 --lf", "all --scene my/own.py --time-limit=9"),
         ("run -x mine.toml --retry 2", "run mine.toml"),
+        ("run --engine dask:file.json 'my springs'", "run 'my springs'"),
     ],
 )
 def test_the_command_keeps_what_says_which_cells_there_are(factory, recorded, kept):
