@@ -148,7 +148,9 @@ def certify(model: Any, multipliers: Multipliers | None = None, *, tolerances: T
         else:
             found = classify(active, STATIONARITY, told)
             stationarity, dual, least, unique = found.kind, found.residual, found.least, found.unique
-            descent = 0.0 if stationarity is Stationarity.STRONG else found.descent if found.descent < 0.0 else steepest_piece(active)[0]
+            # one wrong multiplier may show too gentle a slope where several together show a steep one
+            shown = found.descent < -STATIONARITY
+            descent = 0.0 if stationarity is Stationarity.STRONG else found.descent if shown else steepest_piece(active)[0]
     return Certificate(
         primal=worst_row,
         primal_relative=relative,

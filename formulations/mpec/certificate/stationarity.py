@@ -51,6 +51,8 @@ _CHOICES = {
 _MOST_PROGRAMS, _PROGRAMS_TIMES_VARIABLES = 1024, 200_000
 # Of a direction that leaves everything active as it is: products with unit-size gradients that count as 0, as with HiGHS.
 _ACROSS = 1e-7
+# Sum of multipliers (of the gradient divided by its scale) up to which least squares must exclude them before they say that there are none.
+_LARGEST = 1e9
 # Share of the tolerance that a linear program may use: HiGHS holds a row to 1e-7 only.
 _SHARE = 0.98
 _LIMITS = {">": (0.0, None), "<": (None, 0.0), "0": (0.0, 0.0), "*": (None, None)}
@@ -162,16 +164,17 @@ def _one_of_many(active: ActiveSet, tolerance: float) -> Verdict | None:
     if residual <= tolerance:
         return Verdict(kind=Stationarity.STRONG, residual=residual, least=math.nan if count else 0.0)
     most = float(np.max(np.abs(found.least), initial=0.0))
-    return _none_leave_less(found.least, tolerance) if found.across <= _ACROSS * most else None
+    return _none_leave_less(found.least, tolerance, found.across) if found.across <= _ACROSS * most else None
 
 
-def _none_leave_less(rest: np.ndarray, tolerance: float) -> Verdict | None:
+def _none_leave_less(rest: np.ndarray, tolerance: float, across: float = 0.0) -> Verdict | None:
     """That there are no multipliers, by what the best of any sign leave in the 2-norm; None where it does not show that.
 
-    It is orthogonal to all active gradients A, so that |rest|^2 = rest' (gradient - A y) <= |rest|_1 |gradient - A y|_max for every y.
+    It is orthogonal to all active gradients A up to |A' rest|_max = across, so that
+    |rest|^2 <= rest' (gradient - A y) + across |y - best|_1 <= |rest|_1 |gradient - A y|_max + across |y - best|_1 for every y.
     """
     square = float(rest @ rest)
-    if not square > tolerance * float(np.sum(np.abs(rest))):
+    if not square > tolerance * float(np.sum(np.abs(rest))) + _LARGEST * across:
         return None
     most = float(np.max(np.abs(rest)))
     # against what is left everything active stays as it is, and the objective falls
@@ -219,13 +222,14 @@ def _fits(pair: tuple[float, float], choice: tuple[str, str], limit: float) -> b
 
 def steepest_piece(active: ActiveSet) -> tuple[float, np.ndarray | None]:
     """(smallest gradient' d over |d| <= 1 and all pieces, relative to the scale; d): B-stationary where it is 0. NaN if there are too many
-    pieces to look at all of them and those looked at have no descent."""
+    pieces to look at all of them, or a program failed, and those looked at have no descent."""
     best, direction = 0.0, None
     decisions = [((True,) if same else (True, False)) for same in _same_sides(active)]
     complete = math.prod(len(options) for options in decisions) <= _programs(active)
     count = len(decisions)
     for piece in itertools.product(*decisions) if complete else ((True,) * count, (False,) * count):
         slope, d = _descent(active, np.array(piece, dtype=bool))
+        complete = complete and not math.isnan(slope)
         if slope < best:
             best, direction = slope, d
     return (float("nan"), None) if direction is None and not complete else (best, direction)
@@ -242,7 +246,7 @@ def _same_sides(active: ActiveSet) -> list[bool]:
 
 
 def _descent(active: ActiveSet, first_held: np.ndarray) -> tuple[float, np.ndarray | None]:
-    """min gradient' d: held sides stay 0, the other sides of biactive pairs do not go below 0."""
+    """min gradient' d: held sides stay 0, the other sides of biactive pairs do not go below 0. NaN if the program, which has d = 0, fails."""
     n = len(active.gradient)
     if n == 0:
         return 0.0, None
@@ -264,4 +268,4 @@ def _descent(active: ActiveSet, first_held: np.ndarray) -> tuple[float, np.ndarr
         bounds=(-1.0, 1.0),
         method="highs",
     )
-    return (float(answer.fun), answer.x) if answer.status == 0 else (0.0, None)
+    return (float(answer.fun), answer.x) if answer.status == 0 else (math.nan, None)

@@ -10,9 +10,11 @@ import pyomo.environ as pyo
 import pytest
 import scipy.sparse as sparse
 from pyomo.mpec import Complementarity, complements
+from scipy.optimize import OptimizeResult
 
 from formulations.catalog import load_method
 from formulations.mpec import Certificate, Stationarity, certify, certify_plan, certify_solution
+from formulations.mpec.certificate import stationarity
 from formulations.mpec.certificate.multipliers import least_squares
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
@@ -165,3 +167,39 @@ def test_dependent_gradients_have_no_single_answer() -> None:
     column = np.array([[1.0], [2.0], [3.0]])
     assert least_squares(sparse.csc_matrix(np.hstack([column, 2 * column])), column.ravel()) is None
     assert least_squares(sparse.csc_matrix(np.ones((1, 2))), np.ones(1)) is None
+
+
+def at_the_origin(first, second, cost) -> Certificate:
+    """Of minimise cost(x, y) with two rows, at (0, 0)."""
+    m = pyo.ConcreteModel()
+    m.x, m.y = pyo.Var(initialize=0.0), pyo.Var(initialize=0.0)
+    m.first, m.second = pyo.Constraint(expr=first(m.x, m.y)), pyo.Constraint(expr=second(m.x, m.y))
+    m.cost = pyo.Objective(expr=cost(m.x, m.y))
+    return certify(m)
+
+
+def test_several_gentle_slopes_are_a_steep_one_together() -> None:
+    """Both multipliers are -0.01. Along either edge the cost falls by 1e-6 only, along (1, 0), which leaves both rows, by 0.02."""
+    certificate = at_the_origin(lambda x, y: x >= 0, lambda x, y: x + 1e-4 * y >= 0, lambda x, y: -1e-2 * (2 * x + 1e-4 * y))
+    assert certificate.descent == pytest.approx(-0.02, rel=1e-3)
+    assert certificate.b_stationary is False
+    assert not certificate.holds
+
+
+@pytest.mark.parametrize("left", [2e-5, 1e-3, 1.0])
+def test_multipliers_of_nearly_dependent_gradients_may_be_large(left: float) -> None:
+    """(1, 0) and (1, 1e-7) make up (1, left) with multipliers of left / 1e-7."""
+    certificate = at_the_origin(lambda x, y: x == 0, lambda x, y: x + 1e-7 * y == 0, lambda x, y: x + left * y)
+    assert certificate.stationarity is Stationarity.STRONG
+    assert certificate.holds
+
+
+def test_a_program_that_fails_shows_nothing(monkeypatch) -> None:
+    def hinder(*_, **__) -> OptimizeResult:
+        return OptimizeResult(status=4, x=None, fun=None)
+
+    assert two_sided(-1e-3, -1e-3).b_stationary is False
+    monkeypatch.setattr(stationarity, "linprog", hinder)
+    monkeypatch.setattr(stationarity, "_only_candidate", lambda *_: None)
+    monkeypatch.setattr(stationarity, "_one_of_many", lambda *_: None)
+    assert two_sided(-1e-3, -1e-3).b_stationary is None
