@@ -62,8 +62,11 @@ def _is_of_the_time_step(stage: StageRecord) -> bool:
     """
     if stage.verdict != "violates" or stage.replay is None or stage.replay.judged != "tracked":
         return False
-    above = [figure.name for figure in stage.figures if figure.ok is False]
-    return bool(above) and all(name.startswith("tracked_") or name == "feedback_effort" for name in above)
+    followed = {figure.name for figure in stage.figures if figure.name.startswith("tracked_") or figure.name == "feedback_effort"}
+    limited = [figure for figure in stage.figures if figure.limit is not None]
+    # a figure that could not be measured, a rollout too large to be a number say, is not below its limit
+    kept = all(figure.ok is True for figure in limited if figure.name not in followed)
+    return kept and any(figure.ok is False for figure in limited if figure.name in followed)
 
 
 def fails(record: RunRecord | ExaminationRecord) -> bool:

@@ -92,6 +92,20 @@ def test_a_broken_promise_of_the_method_is_no_finding(factory, above: str):
     assert findings([run]) == ()
 
 
+@pytest.mark.parametrize("unknown", ["defect", "physics_scaled", "discrete_terminal_error"])
+def test_what_could_not_be_measured_is_no_kept_promise(factory, unknown: str):
+    """The rollout of a plan that diverges is too large to be a number: it is not below its limit."""
+    run = judged(ended(factory, "solved", "violates"), ("tracked_replay_error",))
+    last = run.stages[-1]
+    figures = tuple(
+        figure.model_copy(update={"value": None, "ok": None, "resolved": False}) if figure.name == unknown else figure
+        for figure in last.figures
+    )
+    run = run.model_copy(update={"stages": (*run.stages[:-1], last.model_copy(update={"figures": figures}))})
+    assert failures([ended(factory, "solved", "holds"), run]) == ("bank x strict: violates - a limit",)
+    assert findings([run]) == ()
+
+
 def test_where_errors_do_not_grow_a_solution_must_stay_near_the_motion(factory):
     good, bad = ended(factory, "solved", "holds"), ended(factory, "solved", "violates")
     stray = judged(bad, ("replay_error",), replay="open")
