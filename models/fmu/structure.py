@@ -125,8 +125,13 @@ def _seen_to_vary(slopes: Mapping[sp.Symbol, sp.Expr], parameters: set[sp.Symbol
     return {
         symbol
         for symbol, a, b in zip(slopes, first, second, strict=True)
-        if math.isfinite(a) and math.isfinite(b) and abs(a - b) > _CLEARLY * (1.0 + abs(a) + abs(b))
+        if _is_real(a) and _is_real(b) and abs(a - b) > _CLEARLY * (1.0 + abs(a) + abs(b))
     }
+
+
+def _is_real(value: object) -> bool:
+    """Whether it is a finite number; Python's own powers of negative numbers are complex."""
+    return isinstance(value, (int, float)) and math.isfinite(value)
 
 
 def _all_dependent(symbols: Iterable[sp.Symbol]) -> dict[sp.Symbol, Dependency]:

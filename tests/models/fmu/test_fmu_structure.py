@@ -43,3 +43,9 @@ def test_what_cancels_is_not_seen_to_vary():
     assert structure._seen_to_vary(slopes, {m}) == set(), "a function that Python has not: nothing is said of any"
     slopes.popitem()
     assert structure._seen_to_vary(slopes, {m}) == {m}
+
+
+def test_a_power_that_is_complex_at_a_point_is_not_seen_to_vary():
+    """(x - 5)^(3/2) is real for some x, but at neither of the points."""
+    x, y = sp.symbols("x y", real=True)
+    assert structure._seen_to_vary({x: (x - 5) ** sp.Rational(3, 2), y: x * y}, set()) == {y}
