@@ -111,7 +111,7 @@
   // What a link leads to is opened.
   const reveal = () => {
     const target = /^#[\w-]+$/.test(location.hash) ? document.getElementById(location.hash.slice(1)) : null;
-    if (!target || target.closest("details[open]") === target.closest("details")) return;
+    if (!target || !target.closest("details:not([open])")) return;
     for (let at = target.closest("details"); at; at = at.parentElement.closest("details")) at.open = true;
     target.scrollIntoView();
   };

@@ -234,6 +234,23 @@ def test_every_table_is_saved_as_csv(chromium, page_file):
     assert (float(first[3]), float(first[4])) == (197.863, 197.86)
 
 
+def test_what_a_link_leads_to_is_opened_with_all_around_it(desk):
+    """Where what is next to it is open already, too; a browser that opens nothing itself is one that is told of the address afterwards."""
+    opened = desk.evaluate("""(async () => {
+      const added = document.createElement("details");
+      added.innerHTML = "<summary>outer</summary><details open><summary>inner</summary><p id='in-two'>here</p></details>";
+      document.querySelector("main").append(added);
+      history.replaceState(null, "", "#in-two");
+      const before = added.open;
+      dispatchEvent(new Event("hashchange"));
+      const after = added.open;
+      added.remove();
+      history.replaceState(null, "", "#");
+      return [before, after];
+    })()""")
+    assert opened == [False, True]
+
+
 def test_arrows_of_contact_forces_are_drawn(desk):
     """Where a force acts the picture has pixels of the arrows' colour, before the first contact none."""
     count = (

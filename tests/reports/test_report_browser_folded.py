@@ -17,12 +17,22 @@ def folded_file(full_folder, tmp_path_factory):
     return path
 
 
-_SETTLED = "new Promise((done) => setTimeout(done, 700))"
+def _until(condition: str) -> str:
+    """Waits until it has held for a while; the patience only ends a test that has failed."""
+    return (
+        "(async () => { for (let turn = 0, held = 0; turn < 1200 && held < 5; turn += 1) {"
+        f" held = ({condition}) ? held + 1 : 0; await new Promise((done) => setTimeout(done, 50)); }} }})()"
+    )
+
+
+_UNFOLDED = _until(
+    "document.querySelectorAll('#run-5 svg.plot').length > 8 && Math.abs(document.getElementById('run-5').getBoundingClientRect().top) < 40"
+)
 
 
 def test_a_link_into_a_folded_page_unfolds_what_it_leads_to(chromium, folded_file):
     page = chromium.open(folded_file, fragment="#run-5")
-    page.evaluate(_SETTLED)
+    page.evaluate(_UNFOLDED)
     assert page.evaluate("document.querySelector('#run-5 details.whole').open") is True
     assert page.evaluate("document.querySelectorAll('#run-5 svg.plot').length") > 8
     assert page.evaluate("[...document.querySelectorAll('path[d^=\"#\"]')].length") == 0
@@ -35,10 +45,11 @@ def test_a_link_into_a_folded_page_unfolds_what_it_leads_to(chromium, folded_fil
 
 def test_a_stage_unfolds_when_it_is_opened(chromium, folded_file, page_file):
     page = chromium.open(folded_file, fragment="#run-5")
-    page.evaluate(_SETTLED)
+    page.evaluate(_UNFOLDED)
     page.evaluate("document.querySelector('#run-5 details.stage summary').click()")
-    page.evaluate(_SETTLED)
-    path = "document.querySelector('#run-5 details.stage path.ln[data-n]').getAttribute('d')"
+    line = "document.querySelector('#run-5 details.stage path.ln[data-n]')"
+    page.evaluate(_until(line))
+    path = f"{line}.getAttribute('d')"
     assert page.evaluate(path) == chromium.open(page_file).evaluate(path)
 
 
@@ -98,8 +109,9 @@ def test_axe_finds_no_violation(chromium, page_file, folded_file, width, dark):
     script = (Path(axe.__path__[0]) / "axe.min.js").read_text(encoding="utf-8")
     for path, fragment in ((page_file, ""), (folded_file, "#run-5")):
         page = chromium.open(path, width=width, dark=dark, fragment=fragment)
-        page.evaluate(_SETTLED)
-        if not fragment:
+        if fragment:
+            page.evaluate(_UNFOLDED)
+        else:
             # Two runs with all they hold stand for the others: hundreds of plots more are the same markup.
             page.evaluate("document.querySelectorAll('article.run').forEach((run, place) => { if (place > 1) run.remove(); })")
             page.evaluate("document.querySelectorAll('details').forEach((item) => { item.open = true; })")
