@@ -21,6 +21,7 @@ from models.catalog import load_scene, scene_names, scene_path
 from models.errors import TouchstoneError
 from validate.cell import Cell
 from validate.examination import Examination, SceneReference, lost_examination
+from validate.provisional import lacks_certificate
 from validate.selection import matches
 from validate.shared_stages import Signature, beginnings, common
 from validate.store import Store
@@ -261,7 +262,7 @@ def _usable(store: Store, cell: Cell | Examination, fresh: bool) -> tuple[RunRec
     outcomes = {record.outcome, *(stage.outcome for stage in getattr(record, "stages", ()))}
     if "crashed" in outcomes:
         return None, "stored, but it crashed"
-    if "time_limit" in outcomes:
+    if "time_limit" in outcomes or lacks_certificate(record):
         before = json.loads(store.request_text(cell.key)).get("cell", {}).get("time_limit", 0.0)
         if before < cell.time_limit:
             return None, f"stored, but it ran out of {before:g} s and would have {cell.time_limit:g} s now"

@@ -2,6 +2,7 @@
 
 set_aside(folder, record, awaiting)          # by the cell, before each certificate
 record = recovered(folder, key, lost)        # by its parent, where the cell left no record; None if none was set aside
+lacks_certificate(record)                    # whether a stored record is such a one
 """
 
 from __future__ import annotations
@@ -14,10 +15,12 @@ from typing import TYPE_CHECKING
 from validate.store import write_durably
 
 if TYPE_CHECKING:
+    from reports.examination_record import ExaminationRecord
     from reports.record import RunRecord, StageRecord
     from validate.worker import Lost
 
 _PROVISIONAL = "provisional.json"
+_MISSING = "The certificate is missing"
 
 
 def set_aside(folder: Path, record: RunRecord, awaiting: Sequence[int]) -> None:
@@ -43,7 +46,7 @@ def recovered(folder: Path, key: str, lost: Lost) -> RunRecord | None:
     known = sum(record.profile.values())
     wall = max(lost.wall, known)  # the clock of the parent, and that of the child
     certificate = record.profile.get("certificate", 0.0) + wall - known
-    why = f"The certificate is missing{' because time ran out: the cell' if late else ':'} {lost.message}"
+    why = f"{_MISSING}{' because time ran out: the cell' if late else ':'} {lost.message}"
     return record.model_copy(
         update={
             "stages": tuple(_without(stage, why) if stage.index in awaiting else stage for stage in record.stages),
@@ -55,6 +58,11 @@ def recovered(folder: Path, key: str, lost: Lost) -> RunRecord | None:
             "log_tail": "\n".join(lost.log.splitlines()[-LOG_LINES:]),
         }
     )
+
+
+def lacks_certificate(record: RunRecord | ExaminationRecord) -> bool:
+    """Whether the cell ended while a certificate was made: its outcome does not tell where its time ran out."""
+    return any(_MISSING in stage.message for stage in getattr(record, "stages", ()))
 
 
 def _without(stage: StageRecord, why: str) -> StageRecord:

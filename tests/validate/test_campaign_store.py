@@ -12,10 +12,12 @@ from models.errors import MachineError
 from reports.record import RunRecord
 from validate.campaign import Settings, select, with_stored
 from validate.provenance import gather
+from validate.provisional import recovered, set_aside
 from validate.records import run_record, unfinished_stage
 from validate.results import COLUMNS, results_text
 from validate.scene_record import scene_record
 from validate.store import Store, StoreError, disk_error, write_durably
+from validate.worker import Lost
 
 
 @pytest.fixture(scope="module")
@@ -60,6 +62,22 @@ def test_what_is_used_again(tmp_path, entry, outcome, time_limit, used_again):
     assert (found.stored is not None) is used_again
     (fresh,) = with_stored([entry], store, Settings(out=tmp_path, fresh=True))
     assert fresh.stored is None
+
+
+@pytest.mark.parametrize(("time_limit", "used_again"), [(600.0, True), (599.0, False)])
+def test_a_certificate_that_time_took_is_made_when_there_is_more(tmp_path, entry, time_limit, used_again):
+    """The plans were kept, and with them the outcome of the last stage: it does not say that time ran out."""
+    store, record = Store(tmp_path), _record(entry, "solved")
+    store.prepare()
+    partial = store.open_partial(record.key, "late")
+    set_aside(partial, record, [record.stages[-1].index])
+    lost = Lost(outcome="time_limit", message=f"ended at its time limit of {time_limit:g} s.", wall=time_limit, cpu=1.0, log="")
+    kept = recovered(partial, record.key, lost)
+    assert kept is not None
+    assert kept.outcome == "solved"
+    _stored(store, entry, kept, time_limit)
+    (found,) = with_stored([entry], store, Settings(out=tmp_path, time_limit=600.0))
+    assert (found.stored is not None) is used_again
 
 
 def test_damaged_records_are_not_used(tmp_path, entry):
