@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from formulations.method import Pipeline
 from formulations.pipeline import pipeline_from_json, pipeline_to_json
 from models.errors import MachineError, TouchstoneError
-from validate.judging import Solved, certified, first_line, judge_all
+from validate.judging import Solved, certified, first_line, has_plans, judge_all
 from validate.profile import Profile
 from validate.provisional import set_aside
 from validate.shared_stages import Beginning, TakenOver, share, take_over
@@ -133,7 +133,7 @@ def run_cell(cell: Cell, provenance: ProvenanceRecord, folder: Path, began: floa
             cell, drawn, [*stages, *unfinished], provenance, wall=wall, cpu=cpu, log=text, message=cause, profile=profile.seconds
         )
 
-    exact = [item for item in solved if item.planned.method.exact and item.solution.trajectory is not None]
+    exact = [item for item in solved if item.planned.method.exact and has_plans(item.solution)]
     for place, item in enumerate(exact):
         index = item.planned.index
         set_aside(folder, told(), [later.planned.index for later in exact[place:]])

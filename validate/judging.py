@@ -30,6 +30,11 @@ class Solved:
     cpu: float
 
 
+def has_plans(solution: Solution) -> bool:
+    """Whether there is something to certify: its own plan, or one of its front, of which that of the smallest tolerance is its own."""
+    return solution.trajectory is not None or any(point.solution.trajectory is not None for point in solution.front)
+
+
 def certified(tools: Tools, scene: Scene, item: Solved) -> Solved:
     """The stage with the certificate of its plan, where its method claims to solve the exact problem."""
     if not item.planned.method.exact:

@@ -12,7 +12,7 @@ import pytest
 
 from reports.record import RunRecord
 from validate import worker as module
-from validate.cell import Cell
+from validate.cell import Cell, run_cell
 from validate.dask_cell import _lost
 from validate.fork_server import ForkServer
 from validate.isolation.process import shared_watchdog
@@ -98,6 +98,14 @@ def test_nothing_but_the_certificate_is_lost(last, outcome, why, in_reach, tmp_p
     told = rows([record])
     assert [row["verdict"] for row in told] == ["holds"] * 3
     assert told[-1]["cost"] == record.stages[-1].cost is not None
+
+
+def test_a_front_is_certified_though_nothing_was_found_within_its_smallest_tolerance(in_reach, tmp_path):
+    record = run_cell(_cell("front"), gather("a test"), tmp_path, time.monotonic())
+    stage = record.stages[-1]
+    assert stage.plan_trace is None
+    assert [point.outcome for point in stage.front] == ["infeasible", "solved"]
+    assert stage.front[-1].certificate is not None
 
 
 def test_what_was_set_aside_is_believed_only_if_it_is_whole_and_of_this_cell(tmp_path):
