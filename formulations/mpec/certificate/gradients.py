@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sparse
 from pyomo.core.expr.calculus.derivatives import Modes, differentiate
+from pyomo.core.expr.calculus.diff_with_pyomo import DifferentiationException
 from pyomo.core.expr.visitor import identify_variables
 from pyomo.repn import generate_standard_repn
 
@@ -65,7 +66,7 @@ def pyomo_gradient(expression: Any) -> list[tuple[Any, float]]:
     variables = list(identify_variables(expression, include_fixed=False))
     try:
         slopes = differentiate(expression, wrt_list=variables, mode=Modes.reverse_numeric)
-    except (ArithmeticError, ValueError, OverflowError):
+    except (ArithmeticError, ValueError, DifferentiationException):
         slopes = [math.nan] * len(variables)
     return [(variable, float(slope)) for variable, slope in zip(variables, slopes, strict=True)]
 

@@ -51,6 +51,17 @@ def test_they_are_pyomos_own():
     assert not np.isfinite(together[-1]).all()
 
 
+@pytest.mark.parametrize("function", [abs, pyo.floor])
+def test_what_has_no_derivative_here_is_said_not_raised(function):
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var(initialize=0.0)
+    m.row = pyo.Constraint(expr=function(m.x) <= 1.0)
+    m.cost = pyo.Objective(expr=m.x**2)
+    certificate = certify(m)
+    assert certificate.b_stationary is None
+    assert certificate.notes == ("a function or derivative is not a finite number at this point",)
+
+
 @pytest.mark.parametrize("wrong", ["slopes", "values"])
 def test_where_they_disagree_pyomos_are_taken(wrong, monkeypatch):
     right = getattr(TermGroup, wrong)
