@@ -24,7 +24,8 @@ def again(record: RunRecord | ExaminationRecord) -> str:
     if words[1:3] != ["-m", "validate"] or words[3:4] not in (["all"], ["run"]):
         return record.provenance.command
     title = record.title if isinstance(record, ExaminationRecord) else f"{record.scene.name} x {record.pipeline}"
-    return shlex.join([*words[:4], *_kept(words[4:]), "-k", f'="{title}"', "--fresh", "--out", "runs/again"])
+    quoted = title.replace('"', '""')
+    return shlex.join([*words[:4], *_kept(words[4:]), "-k", f'="{quoted}"', "--fresh", "--out", "runs/again"])
 
 
 def _kept(words: list[str]) -> list[str]:

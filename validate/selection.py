@@ -4,6 +4,7 @@
 
 A word is true if it is part of one of the cell's names (its scene, its pipeline, its methods), upper and lower case alike, and `=word` (or `="some words"`)
 if it is all of one, or all of what the cell is called (`="three_cart x strict"`); words are joined with `and`, `or`, `not` and parentheses, as in pytest.
+A quotation mark between quotation marks is written twice.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from collections.abc import Iterable
 
 from models.errors import TouchstoneError
 
-_TOKEN = re.compile(r'\s*(?:([()])|(="[^"]*"|[^\s()]+))')
+_TOKEN = re.compile(r'\s*(?:([()])|(="(?:[^"]|"")*"|[^\s()]+))')
 
 
 class SelectionError(TouchstoneError):
@@ -66,7 +67,7 @@ class _Parser:
             raise self._error(f"a name is missing before {word!r}")
         self._place += 1
         if word.startswith("="):
-            return word[1:].strip('"').lower() in self._whole
+            return _unquoted(word[1:]).lower() in self._whole
         return any(word.lower() in name for name in self._names)
 
     def _take(self, token: str) -> bool:
@@ -79,3 +80,7 @@ class _Parser:
         return SelectionError(
             f"-k {self._expression!r}: {problem}; write names joined with and, or, not, for example -k 'strict and not relaxed'."
         )
+
+
+def _unquoted(word: str) -> str:
+    return word[1:-1].replace('""', '"') if len(word) > 1 and word[0] == word[-1] == '"' else word.strip('"')

@@ -80,8 +80,9 @@ def test_the_command_keeps_what_says_which_cells_there_are(factory, recorded, ke
     own = factory.provenance(command=f"python -m validate {recorded}")
     run = factory.run("strict", None, "strict_lcp", provenance=own)
     assert again(run) == f"""python -m validate {kept} -k '="three_cart x strict"' --fresh --out runs/again"""
-    odd = run.model_copy(update={"pipeline": "in (one) leap"})
-    assert matches(shlex.split(again(odd))[-4], [], "three_cart x in (one) leap")
+    for name in ("in (one) leap", 'the "great" leap', '"', "it's"):
+        odd = run.model_copy(update={"pipeline": name})
+        assert matches(shlex.split(again(odd))[-4], [], f"three_cart x {name}")
 
 
 @pytest.mark.parametrize("command", ["python -m validate bench", "make 'half", ""])

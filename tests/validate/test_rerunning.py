@@ -95,6 +95,7 @@ def test_a_whole_name():
     assert not matches("=strict", names)
     assert matches('=three_cart and ="in one leap"', names)
     assert not matches('="one leap"', names)
+    assert matches('="so-called ""leap""" or =none', ['so-called "leap"'])
     assert matches('="three_cart x relaxed+strict"', names, "three_cart x relaxed+strict")
     assert not matches('="three_cart x strict"', names, "three_cart x relaxed+strict")
     assert not matches("x", ("strict",), "two x strict")  # a title is no name of which a part would do
