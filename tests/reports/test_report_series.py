@@ -20,18 +20,19 @@ _FINITE = st.floats(allow_nan=False, allow_infinity=False)
 
 @given(st.lists(_FINITE), st.lists(st.tuples(_FINITE, _FINITE, _FINITE)))
 def test_columns_and_poses_come_back_to_the_bit(numbers, poses):
-    trace = TraceRecord(t=numbers, columns={"q": tuple(numbers)}, poses={"body": poses})
+    times = (numbers + [1.0] * len(poses))[: max(len(numbers), len(poses))]
+    trace = TraceRecord(t=times, columns={"q": tuple(numbers)}, poses={"body": poses})
     again = TraceRecord.model_validate_json(trace.model_dump_json())
     assert again == trace
     assert list(again.columns["q"]) == numbers
     assert list(again.poses["body"]) == poses
     assert np.asarray(again.poses["body"]).shape == (len(poses), 3)
-    listed = json.dumps({"t": numbers, "columns": {"q": numbers}, "poses": {"body": poses}})
+    listed = json.dumps({"t": times, "columns": {"q": numbers}, "poses": {"body": poses}})
     assert TraceRecord.model_validate_json(listed) == trace
 
 
 def test_columns_may_be_compared_with_anything():
-    column = TraceRecord(t=(), columns={"q": (1.0, 2.0)}, poses={}).columns["q"]
+    column = TraceRecord(t=(0.0, 1.0), columns={"q": (1.0, 2.0)}, poses={}).columns["q"]
     assert column == [1.0, 2.0] == column
     assert column == pytest.approx([1.0, 2.0 + 1e-9])
     assert column != pytest.approx([1.0, 2.1])
@@ -61,11 +62,19 @@ def _text(*numbers: float) -> str:
 )
 def test_what_is_no_column_is_refused(changes):
     with pytest.raises(ValidationError):
-        TraceRecord.model_validate_json(json.dumps({"t": [], "columns": {}} | changes))
+        TraceRecord.model_validate_json(json.dumps({"t": [0.0, 1.0], "columns": {}} | changes))
+
+
+@pytest.mark.parametrize(
+    "changes", [{"columns": {"q": _text(1.0, 2.0, 3.0)}}, {"poses": {"body": [[0.0, 0.0, 0.0]] * 3}}], ids=["column", "poses"]
+)
+def test_what_is_longer_than_its_times_is_refused(changes):
+    with pytest.raises(ValidationError, match="has 3 values at 2 times"):
+        TraceRecord.model_validate({"t": [0.0, 1.0], "columns": {}} | changes)
 
 
 def test_large_numbers_whose_sum_overflows_are_numbers():
-    trace = TraceRecord.model_validate({"t": [], "columns": {"q": _text(1.5e308, 1.5e308)}})
+    trace = TraceRecord.model_validate({"t": [0.0, 1.0], "columns": {"q": _text(1.5e308, 1.5e308)}})
     assert list(trace.columns["q"]) == [1.5e308, 1.5e308]
 
 
