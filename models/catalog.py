@@ -8,10 +8,12 @@ A scene file defines `SCENE`, whose name equals the file's name. Nothing is impo
 from __future__ import annotations
 
 import difflib
+import importlib.machinery
 import importlib.util
 import sys
 import traceback
 from pathlib import Path
+from types import CodeType
 from typing import TYPE_CHECKING
 
 from models.errors import SceneError, TouchstoneError, UnknownNameError
@@ -45,6 +47,14 @@ def scene_path(reference: str) -> Path:
     raise UnknownNameError(f"there is no scene {reference!r}; {hint}")
 
 
+class _Afresh(importlib.machinery.SourceFileLoader):
+    """Reads the file itself, never kept bytecode: that of a file written twice within a second, to the same length, is taken for its own."""
+
+    def get_code(self, fullname: str) -> CodeType:
+        path = self.get_filename(fullname)
+        return self.source_to_code(self.get_data(path), path)
+
+
 def load_scene(reference: str) -> Scene:
     """The scene of that name or file. Raises UnknownNameError or SceneError, naming the file."""
     from models.checked_once import remembering
@@ -56,7 +66,8 @@ def load_scene(reference: str) -> Scene:
     if ours and module_name in sys.modules:
         module = sys.modules[module_name]
     else:
-        spec = importlib.util.spec_from_file_location(module_name, path)
+        loader = None if ours else _Afresh(module_name, str(path))
+        spec = importlib.util.spec_from_file_location(module_name, path, loader=loader)
         if spec is None or spec.loader is None:
             raise SceneError(f"scene file {path}: it cannot be read as Python.")
         module = importlib.util.module_from_spec(spec)

@@ -19,7 +19,7 @@ import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from models.errors import MachineError
 from validate.isolation.process import Watchdog
@@ -55,7 +55,7 @@ def remote_cluster(where: str) -> Iterator[Any]:
 async def _ask(address: str) -> None:
     """Raises where nobody at the address speaks as Dask does."""
     from distributed import Security  # pyright: ignore[reportMissingImports]
-    from distributed.comm import connect  # pyright: ignore[reportMissingImports]
+    from distributed.comm.core import connect  # pyright: ignore[reportMissingImports]
 
     asked = connect(address, timeout=_CONNECT, **Security().get_connection_args("client"))
     comm = await asyncio.wait_for(asked, 2 * _CONNECT)  # Dask itself waits for ever for one who takes a connection and says nothing
@@ -65,7 +65,7 @@ async def _ask(address: str) -> None:
 @contextmanager
 def local_cluster(workers: int, watchdog: Watchdog) -> Iterator[Any]:
     """A client of a cluster of worker processes on this machine; its files are removed even if we are killed. Raises MachineError."""
-    import dask  # pyright: ignore[reportMissingImports]
+    import dask.config as dask_config  # pyright: ignore[reportMissingImports]
     from distributed import Client, LocalCluster  # pyright: ignore[reportMissingImports]
 
     with contextlib.ExitStack() as open_now:
@@ -74,13 +74,13 @@ def local_cluster(workers: int, watchdog: Watchdog) -> Iterator[Any]:
             open_now.callback(shutil.rmtree, folder, ignore_errors=True)
             watchdog.tell("start", uuid.uuid4().hex, str(folder))
             # Else the scheduler's own files lie in the folder for temporary files of everybody, and stay there.
-            with dask.config.set({"temporary-directory": str(folder)}), _terminal_blocked():
+            with dask_config.set({"temporary-directory": str(folder)}), _terminal_blocked():
                 cluster = LocalCluster(
                     n_workers=workers,
                     threads_per_worker=1,
                     processes=True,
                     memory_limit=0,  # that of the cells is not the workers'
-                    dashboard_address=None,
+                    dashboard_address=cast("str", None),  # none at all; its annotation forgot that
                     silence_logs=logging.CRITICAL,  # what they say, records say
                     local_directory=str(folder),
                 )

@@ -34,7 +34,8 @@ void ignore_signals(void)
 /* A daemon that left the session and the environment; what follows gives it the time to. */
 void start_daemon(void)
 {
-    char *const arguments[] = {"sleep", "600", NULL}, *const nothing[] = {NULL};
+    char seconds[24], *const arguments[] = {"sleep", seconds, NULL}, *const nothing[] = {NULL};
+    snprintf(seconds, sizeof seconds, "%d", SLEEP);
     if (fork() == 0) {
         setsid();
         if (fork() == 0) execve("/bin/sleep", arguments, nothing);

@@ -110,7 +110,7 @@ def test_nothing_is_left_behind(misbehaved):
         names = {path.name for path in (out / "runs" / record.key).iterdir()}
         assert names >= KEPT
         assert {Path(name).suffix for name in names - KEPT} <= {".nc"}
-    told = {"campaign.json", "results.csv", "violation.csv", "report.html", ".report.kept"}
+    told = {"campaign.json", "results.csv", "violation.csv", "report.html"}
     assert {path.name for path in out.iterdir()} == {"runs", "stages", *told}
     assert len(list((out / "stages").iterdir())) == 1  # what `soft_alone` is and `broken_chain` begins with
 
