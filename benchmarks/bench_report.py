@@ -81,7 +81,7 @@ def main() -> int:
         )
     size = target.stat().st_size / 1e6
     print(f"{size:.2f} MB (target {_SIZE:g})")
-    with tempfile.TemporaryDirectory() as profile, _browser().Browser(wanted.browser, Path(profile)) as browser:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile, _browser().Browser(wanted.browser, Path(profile)) as browser:
         visits = []
         for _ in range(_TRIES):
             page = browser.open(target, metered=True)
