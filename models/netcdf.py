@@ -102,7 +102,7 @@ def read_columns(path: Path) -> tuple[dict[str, Column], dict[str, str | int | f
             attributes = {key: _plain(value) for key, value in file.attrs.items()}
     except TrajectoryError:
         raise
-    except Exception as error:
+    except Exception as error:  # h5netcdf and what lies below it raise errors of any type on a damaged file
         raise TrajectoryError(f"file {path}: it cannot be read as NetCDF-4 ({type(error).__name__}: {error}).") from error
     return columns, attributes
 

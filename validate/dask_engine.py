@@ -185,7 +185,7 @@ class DaskEngine:
             if begun > error.allowed_failures:
                 return self._crashed(submitted, f"{begun} workers of the Dask cluster were lost while they ran it.")
             answer = {}
-        except Exception as error:
+        except Exception as error:  # of any type: what a worker with other packages raises while it reads the cell
             told = (str(error).splitlines() or [""])[0]
             raise MachineError(
                 f"a Dask worker could not run {submitted.cell.title} ({type(error).__name__}: {told}); "
