@@ -48,6 +48,11 @@ class Session(ABC):
         """One stage. eps: the relaxation (None for methods without one); warm_start: a plan on the same grid, or None for the
         paper's first guess (initial state held, u = lam = 0); time_limit: wall seconds."""
 
+    def start_used(self, warm_start: Trajectory | None) -> Trajectory | None:
+        """What the first stage of this session would really start from: None where it would leave the plan for the first guess. The stage
+        is then the same whatever plan it was given, and a campaign runs it once."""
+        return warm_start
+
     def close(self) -> None:  # noqa: B027 - most sessions hold nothing that needs freeing
         """Free what the session holds."""
 

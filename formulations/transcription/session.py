@@ -97,10 +97,11 @@ class TranscriptionSession(Session):
         account, self._opening = Account(time_limit, self._opening), (0.0, 0.0)
         begin = perf_counter()
         bench = self.bench(eps)
+        if warm_start is not None:
+            load_plan(bench.model, warm_start)
+            warm_start = self.start_used(warm_start)
         if warm_start is None:
             load_first_guess(bench.model)
-        else:
-            load_plan(bench.model, warm_start)
         account.build += perf_counter() - begin
         ending = self.run(bench, account, eps, warm_start)
         return self._solution(bench, account, eps, ending)

@@ -71,6 +71,12 @@ class StrictSession(TranscriptionSession):
     def common_options(self) -> dict[str, Any]:
         return {**super().common_options(), "bound_relax_factor": 0.0}
 
+    def start_used(self, warm_start: Trajectory | None) -> Trajectory | None:
+        """Without contacts any plan is a start; with them a broken one is none."""
+        if warm_start is None or not self._scene.nl or self._residuals.dynamics_defect(warm_start) <= _BROKEN:
+            return warm_start
+        return warm_start if self._is_nearly_strict(warm_start, self.number("attack_bound")) else None
+
     def certificate(self, plan: Trajectory, eps: float | None) -> dict[str, float]:
         task = self._scene.task
         replay = self._kernel.rollout(np.array(task.start), plan.u, task.step)
@@ -149,10 +155,9 @@ class StrictSession(TranscriptionSession):
         """Step 1; a plan that leads nowhere is left for the first guess."""
         release_modes(bench.model)
         if warm_start is not None:
-            if self._residuals.dynamics_defect(warm_start) <= _BROKEN:
-                result = self._narrowed(bench, account, warm_start, bound)
-                if result.outcome.has_answer or account.is_over:
-                    return result
+            result = self._narrowed(bench, account, warm_start, bound)
+            if result.outcome.has_answer or account.is_over:
+                return result
             load_first_guess(bench.model)
         return self._narrowed(bench, account, None, bound)
 
