@@ -8,12 +8,11 @@ A scene file defines `SCENE`, whose name equals the file's name. Nothing is impo
 from __future__ import annotations
 
 import difflib
-import importlib.machinery
 import importlib.util
 import sys
 import traceback
+from contextlib import nullcontext
 from pathlib import Path
-from types import CodeType
 from typing import TYPE_CHECKING
 
 from models.errors import SceneError, TouchstoneError, UnknownNameError
@@ -47,17 +46,10 @@ def scene_path(reference: str) -> Path:
     raise UnknownNameError(f"there is no scene {reference!r}; {hint}")
 
 
-class _Afresh(importlib.machinery.SourceFileLoader):
-    """Reads the file itself, never kept bytecode: that of a file written twice within a second, to the same length, is taken for its own."""
-
-    def get_code(self, fullname: str) -> CodeType:
-        path = self.get_filename(fullname)
-        return self.source_to_code(self.get_data(path), path)
-
-
 def load_scene(reference: str) -> Scene:
     """The scene of that name or file. Raises UnknownNameError or SceneError, naming the file."""
     from models.checked_once import remembering
+    from models.local_modules import Afresh, loading
     from models.scene import Scene
 
     path = scene_path(reference)
@@ -66,13 +58,13 @@ def load_scene(reference: str) -> Scene:
     if ours and module_name in sys.modules:
         module = sys.modules[module_name]
     else:
-        loader = None if ours else _Afresh(module_name, str(path))
+        loader = None if ours else Afresh(module_name, str(path))
         spec = importlib.util.spec_from_file_location(module_name, path, loader=loader)
         if spec is None or spec.loader is None:
             raise SceneError(f"scene file {path}: it cannot be read as Python.")
         module = importlib.util.module_from_spec(spec)
         try:
-            with remembering(path.read_bytes()):
+            with nullcontext() if ours else loading(path), remembering(path.read_bytes()):
                 spec.loader.exec_module(module)
         except TouchstoneError as error:
             raise SceneError(f"scene file {path}{_line_of(error, path)}: {error}") from error

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
+import sys
 from dataclasses import fields, is_dataclass
+from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import sympy as sp
 
+from models.local_modules import loaded_sources
 from models.scene import Scene
 
 # Where a scene keeps its text: no field, so that neither equality nor `replace` see it.
@@ -14,7 +19,8 @@ _TEXT = "_text"
 
 
 def scene_text(value: Any) -> str:
-    """Every field by name, SymPy expressions with their assumptions (srepr), numbers in full; of a scene, which cannot change, made once."""
+    """Every field by name, numbers in full, SymPy expressions with their assumptions (srepr) and where somebody's own functions in them are
+    from; of a scene, which cannot change, made once."""
     if isinstance(value, Scene):
         if _TEXT not in vars(value):
             object.__setattr__(value, _TEXT, _text(value))
@@ -27,10 +33,34 @@ def _text(value: Any) -> str:
         inside = ", ".join(f"{field.name}={scene_text(getattr(value, field.name))}" for field in fields(value))
         return f"{type(value).__name__}({inside})"
     if isinstance(value, sp.Basic):
-        return sp.srepr(value)
+        return sp.srepr(value) + _definitions(value)
     if isinstance(value, (tuple, list)):
         return f"[{', '.join(scene_text(item) for item in value)}]"
     return repr(value)
+
+
+# What a class that is not SymPy's is made of: the digest of the file that was read when it was first met, and of what that imports.
+_DIGESTS: WeakKeyDictionary[type, str] = WeakKeyDictionary()
+
+
+def _definitions(expression: sp.Basic) -> str:
+    """What srepr leaves out: somebody's own functions have a name there, and their meaning in a file. (Undefined ones have no module.)"""
+    classes = {type(part) for part in sp.preorder_traversal(expression)}
+    own = sorted(
+        (kind for kind in classes if kind.__module__ and not kind.__module__.startswith("sympy.")), key=lambda kind: kind.__qualname__
+    )
+    return "".join(f" where {kind.__qualname__} is of {_digest(kind)}" for kind in own)
+
+
+def _digest(kind: type) -> str:
+    if kind not in _DIGESTS:
+        _DIGESTS[kind] = loaded_sources() or _file_digest(kind)
+    return _DIGESTS[kind]
+
+
+def _file_digest(kind: type) -> str:
+    file = getattr(sys.modules.get(kind.__module__), "__file__", None)
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest() if file is not None else kind.__module__
 
 
 def equations_text(scene: Scene) -> str:
