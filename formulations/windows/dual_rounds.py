@@ -75,7 +75,7 @@ class DualRounds:
                 if not np.isfinite(step):
                     return "infeasible"
                 if np.isfinite(full):
-                    x = x + step * (column - sum((s * c for s, c in zip(share, columns, strict=True)), np.zeros(len(x))))
+                    x = x + step * (column - share @ np.array(columns) if columns else column)
                     reach += step * slope
                 force, own_force = force - step * share, own_force + step
                 if full <= partial:

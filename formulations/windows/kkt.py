@@ -101,7 +101,7 @@ class BandedKKT:
         return columns * self._height + self._width + rows - columns
 
     def transition(self, closed: np.ndarray) -> np.ndarray:
-        """A[t] (steps, n, n) with the contacts of closed (steps, nc) pushing."""
+        """A[t] (rows, n, n) with the contacts of closed (rows, nc) pushing."""
         return self._linear.A + np.tensordot(closed.astype(float), self._closing, axes=1)
 
     def drift(self, closed: np.ndarray) -> np.ndarray:
@@ -127,7 +127,7 @@ class BandedKKT:
         band = self._constant.copy(order="F")
         flat = band.reshape(-1, order="F")
         i, j = self._step
-        slopes = self.transition(closed)[1:, i, j]
+        slopes = self._linear.A[i, j] + closed[1:].astype(float) @ self._closing[:, i, j]
         flat[self._at_forward] = slopes
         flat[self._at_backward] += slopes
         free = (~held).astype(float)
