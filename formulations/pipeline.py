@@ -138,6 +138,12 @@ PIPELINES: tuple[Pipeline, ...] = (
         source="ours: softplus homotopy, contact modes read off, what is left solved exactly, windows searched",
     ),
     Pipeline(
+        name="collocation",
+        title="Exact contact by collocation of order 3, from a cold start",
+        legs=(Leg(method="collocation"),),
+        source="ours: Radau IIA with two stages on the scene's own grid, contact modes by a softplus homotopy; frictionless scenes",
+    ),
+    Pipeline(
         name="mpcc_multistart",
         title="Exact contact from twenty starts, the cheapest kept",
         legs=(Leg(method="mpcc"),),

@@ -10,7 +10,7 @@ from validate.records import planned_stages
 from validate.table_one import paper_row, table_rows
 
 SHOOTING = ("lbfgs", "softplus_dc+lbfgs", "randomised_smoothing", "multiple_shooting")
-OURS = ("gd_converged", *SHOOTING, "mpcc", "mpcc_multistart", "mpcc_front", "free_motion", "global")
+OURS = ("gd_converged", *SHOOTING, "mpcc", "collocation", "mpcc_multistart", "mpcc_front", "free_motion", "global")
 
 
 def test_every_pipeline_of_table_one_is_there():
