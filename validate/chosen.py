@@ -263,8 +263,9 @@ def _usable(store: Store, cell: Cell | Examination, fresh: bool) -> tuple[RunRec
     if "crashed" in outcomes:
         return None, "stored, but it crashed"
     if "time_limit" in outcomes or lacks_certificate(record):
-        before = json.loads(store.request_text(cell.key)).get("cell", {}).get("time_limit", 0.0)
-        if before < cell.time_limit:
+        asked = store.request(cell.key).get("time_limit")
+        before = asked if isinstance(asked, (int, float)) else 0.0
+        if not before >= cell.time_limit:
             return None, f"stored, but it ran out of {before:g} s and would have {cell.time_limit:g} s now"
     return record, ""
 
@@ -280,9 +281,9 @@ def reasons(entries: Sequence[Entry | Examined], store: Store) -> list[str]:
     ]
 
 
-def identity(cell: Mapping[str, Any]) -> tuple[object, ...]:
-    """What a cell is called, whatever its content."""
+def identity(cell: Mapping[str, Any]) -> str:
+    """What a cell is called, whatever its content; of data that came from a file, and may be damaged."""
     pipeline = cell.get("pipeline")
     if isinstance(pipeline, Mapping):
-        return cell.get("scene_name"), pipeline.get("name"), *(pipeline.get("part") or ())
-    return cell.get("kind"), cell.get("name"), cell.get("scene")
+        return json.dumps([cell.get("scene_name"), pipeline.get("name"), pipeline.get("part") or None])
+    return json.dumps([cell.get("kind"), cell.get("name"), cell.get("scene")])

@@ -35,6 +35,8 @@ _CONTENT = "stages.json"
 _FILES = ("trajectory", "replay", "tracked")
 # Outcomes that another run might not have.
 _BY_CHANCE = frozenset({"time_limit", "crashed", "interrupted"})
+# What damaged content raises where it is read; pydantic's and JSON's errors are ValueErrors.
+_DAMAGED = (ValueError, LookupError, TypeError, AttributeError, RecursionError)
 
 Signature = tuple[tuple[Any, ...], ...]
 
@@ -107,7 +109,7 @@ def take_over(wanted: Sequence[Beginning], scene: Scene, stages: int, folder: Pa
             continue
         try:
             return _read(source, item, scene, stages, folder)
-        except (OSError, ValueError, KeyError, TypeError, TouchstoneError):  # pydantic's and JSON's are ValueErrors
+        except (OSError, *_DAMAGED, TouchstoneError):
             with contextlib.suppress(OSError):
                 os.rename(source, folder / f"damaged-{item.stages}")  # goes with the folder
     return TakenOver()

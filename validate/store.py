@@ -115,7 +115,7 @@ class Store:
 
     def _put_back(self, old: Path) -> None:
         """A run that was to be replaced when its campaign was killed, and was not."""
-        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # damaged, or the newer run is there
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError, RecursionError):  # damaged, or the newer run is there
             key = json.loads((old / RECORD).read_bytes())["key"]
             if key == Path(key).name and not key.startswith("."):
                 os.rename(old, self.runs / key)
@@ -131,20 +131,13 @@ class Store:
             return None
         return record if record.key == key else None
 
-    def request_text(self, key: str) -> str:
-        """The request a stored cell was run with, as JSON; "{}" if it is not there."""
-        try:
-            return (self.runs / key / REQUEST).read_text(encoding="utf-8")
-        except (OSError, ValueError):
-            return "{}"
+    def request(self, key: str) -> dict[str, Any]:
+        """What was asked for in a stored cell; nothing if that cannot be read."""
+        return _request(self.runs / key / REQUEST)
 
     def requests(self) -> Iterator[dict[str, Any]]:
         """What was asked for in each stored cell that can be read."""
-        for path in sorted(self.runs.glob(f"[!.]*/{REQUEST}")):
-            with contextlib.suppress(OSError, ValueError):
-                request = json.loads(path.read_text(encoding="utf-8"))
-                if isinstance(request, dict) and isinstance(request.get("cell"), dict):
-                    yield request["cell"]
+        yield from filter(None, map(_request, sorted(self.runs.glob(f"[!.]*/{REQUEST}"))))
 
     def open_partial(self, key: str, token: str) -> Path:
         """A new folder for a cell that is about to run."""
@@ -175,6 +168,15 @@ class Store:
             raise disk_error(target, error) from error
         shutil.rmtree(old, ignore_errors=True)
         return target
+
+
+def _request(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):  # not there, a key that is no file name, or damaged
+        return {}
+    cell = content.get("cell") if isinstance(content, dict) else None
+    return cell if isinstance(cell, dict) else {}
 
 
 def _renamed(partial: Path, target: Path) -> bool:

@@ -5,7 +5,6 @@ campaign, records = stored_campaign(Path("runs/all"))
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -23,13 +22,21 @@ CAMPAIGN = "campaign.json"
 
 def stored_campaign(folder: Path) -> tuple[CampaignRecord, tuple[RunRecord | ExaminationRecord, ...]]:
     """The campaign of a folder and those of its cells that are stored, in order. Raises CampaignError."""
+    campaign = campaign_of(folder)
+    store = Store(folder)
+    found = (store.read(key) for key in campaign.keys)
+    return campaign, tuple(record for record in found if record is not None)
+
+
+def campaign_of(folder: Path) -> CampaignRecord:
+    """The campaign of a folder. Raises CampaignError."""
     from pydantic import ValidationError
 
     from reports.record import CampaignRecord
 
     path = folder / CAMPAIGN
     try:
-        campaign = CampaignRecord.model_validate_json(path.read_bytes())
+        return CampaignRecord.model_validate_json(path.read_bytes())
     except OSError as error:
         raise CampaignError(
             f"{folder}: there is no campaign in this folder ({CAMPAIGN} cannot be read); run one with --out {folder}."
@@ -38,9 +45,6 @@ def stored_campaign(folder: Path) -> tuple[CampaignRecord, tuple[RunRecord | Exa
         raise CampaignError(
             f"{path}: it is damaged, or of another version ({error.error_count()} fields do not fit); run the campaign again."
         ) from error
-    store = Store(folder)
-    found = (store.read(key) for key in campaign.keys)
-    return campaign, tuple(record for record in found if record is not None)
 
 
 def only_last_failed(entries: Sequence[Entry | Examined], store: Store) -> list[Entry | Examined]:
@@ -51,7 +55,7 @@ def only_last_failed(entries: Sequence[Entry | Examined], store: Store) -> list[
     from reports.rule import failed_keys
 
     _, records = stored_campaign(store.folder)
-    failed = {identity(json.loads(store.request_text(key)).get("cell", {})) for key in failed_keys(records)}
+    failed = {identity(store.request(key)) for key in failed_keys(records)}
     again = {entry.cell.key for entry in entries if identity(entry.cell.to_json()) in failed}
     if not again:
         raise CampaignError(f"nothing to run: nothing that is selected failed when the campaign in {store.folder} last ran; drop --lf.")

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from hostile_folders import compare_suite, read_scheduler, resume, spoilt_folder, spoilt_scheduler, spoilt_stages, spoilt_suite, take_stages
 from hostile_mutations import spoilt_bytes, spoilt_data, spoilt_text
 from hostile_records import read_record, spoilt_campaign
 
@@ -260,4 +261,8 @@ READERS: dict[str, Reader] = {
     "FMU": Reader(_fmu, _read_fmu),
     "NetCDF": Reader(_netcdf, _read_netcdf),
     "record JSON": Reader(spoilt_campaign, read_record),
+    "campaign folder": Reader(spoilt_folder, resume),
+    "shared stages": Reader(spoilt_stages, take_stages),
+    "scheduler file": Reader(spoilt_scheduler, read_scheduler),
+    "bench figures": Reader(spoilt_suite, compare_suite),
 }

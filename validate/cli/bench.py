@@ -94,7 +94,7 @@ def command(
     from validate.provenance import command_line
     from validate.store import write_durably
 
-    before = None if earlier is None else _read(earlier)
+    before = None if earlier is None else read_suite(earlier)
     settings = Settings(
         sizes=sizes or (QUICK_SIZES if quick else FULL_SIZES),
         repeats=repeats or (QUICK_REPEATS if quick else REPEATS),
@@ -123,7 +123,8 @@ def command(
     return 1 if failed or (comparison is not None and comparison.regressions) else 0
 
 
-def _read(path: Path) -> SuiteRecord:
+def read_suite(path: Path) -> SuiteRecord:
+    """The figures that an earlier run wrote. Raises click.UsageError."""
     from pydantic import ValidationError
 
     from reports.suite_record import SuiteRecord

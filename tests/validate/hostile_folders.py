@@ -1,0 +1,169 @@
+"""A campaign's folder with spoilt files, and what goes on from one: resume, `plan`, --lf, `compare`, shared stages; and other small JSON files."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import random
+import shutil
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from hostile_mutations import spoilt_data, spoilt_text
+from hostile_records import KEY, good_record, spoilt_campaign
+
+from models.errors import TouchstoneError
+from reports.load import ReportError
+
+_PLAN = b"no plan, and not read: no stage says that it has one"
+
+
+def _spoilt(rng: random.Random, data: Any) -> bytes:
+    return spoilt_text(rng, json.dumps(data)) if rng.random() < 0.5 else json.dumps(spoilt_data(rng, data)).encode()
+
+
+def _each(*reads: Callable[[], object]) -> None:
+    """All are tried. Raises the last refusal where there was one."""
+    refused: list[Exception] = []
+    for read in reads:
+        try:
+            read()
+        except (TouchstoneError, ReportError) as error:
+            refused.append(error)
+    if refused:
+        raise refused[-1]
+
+
+def spoilt_folder(rng: random.Random, folder: Path) -> Path:
+    """As spoilt_campaign; what is stored ended in different ways, so that it is asked how long it was allowed to run."""
+    path = spoilt_campaign(rng, folder)
+    run = path / "runs" / KEY
+    if rng.random() < 0.5:
+        (run / "record.json").write_text(
+            json.dumps({**good_record(), "outcome": rng.choice(["time_limit", "crashed", "failed"]), "verdict": "no plan"})
+        )
+    request = {"cell": {"key": KEY, "scene_name": "s", "pipeline": {"name": "p", "part": []}, "time_limit": 5.0}}
+    (run / "cell.json").write_bytes(_spoilt(rng, request))
+    return path
+
+
+@cache
+def _entry() -> Any:
+    from formulations.method import Leg, Pipeline
+    from models.catalog import load_scene
+    from validate.cell import Cell
+    from validate.chosen import Entry
+
+    pipeline = Pipeline(name="p", title="p", legs=(Leg(method="m"),))
+    cell = Cell(key=KEY, scene="three_cart", scene_name="s", pipeline=pipeline, tools="", time_limit=9.0)
+    return Entry(cell=cell, scene=load_scene("three_cart"), plan=())
+
+
+def resume(path: Path) -> None:
+    from reports.load import load
+    from validate.chosen import Settings, reasons, with_stored
+    from validate.compare import compare
+    from validate.store import Store
+    from validate.stored import only_last_failed
+
+    store, settings = Store(path), Settings(out=path)
+    store.prepare()
+    found = with_stored([_entry()], store, settings)
+    reasons(found, store)
+    good = path.with_name("good")
+    if not good.exists():
+        spare = spoilt_campaign(_Unspoilt(), path.with_name("spare"))
+        shutil.move(spare, good)
+    _each(lambda: only_last_failed(found, store), lambda: compare(load(good), load(path)), lambda: compare(load(path), load(good)))
+
+
+class _Unspoilt(random.Random):
+    """Decides against every mutation."""
+
+    def random(self) -> float:
+        return 1.0
+
+
+def spoilt_stages(rng: random.Random, folder: Path) -> Path:
+    """A beginning that several cells share, its list of contents spoilt."""
+    stage = good_record()["stages"][0]
+    content = {
+        "key": KEY,
+        "stages": [{**stage, "plan_trace": None}],
+        "files": {"trajectory.nc": hashlib.sha256(_PLAN).hexdigest()},
+        "late": False,
+    }
+    source = folder / "stages" / KEY
+    source.mkdir(parents=True, exist_ok=True)
+    (source / "trajectory.nc").write_bytes(_PLAN)
+    (source / "stages.json").write_bytes(_spoilt(rng, content))
+    return folder
+
+
+def take_stages(path: Path) -> None:
+    from validate.shared_stages import Beginning, take_over
+
+    cell = path / "runs" / ".partial-x"
+    cell.mkdir(parents=True, exist_ok=True)
+    taken = take_over([Beginning(1, KEY)], _entry().scene, 2, cell)
+    shutil.rmtree(cell)
+    if not taken.stages:
+        raise TouchstoneError("it is put aside")
+
+
+def spoilt_scheduler(rng: random.Random, folder: Path) -> Path:
+    path = folder / "scheduler.json"
+    path.write_bytes(_spoilt(rng, {"type": "Scheduler", "id": "x", "address": "tcp://127.0.0.1:9", "services": {}, "workers": {}}))
+    return path
+
+
+def read_scheduler(path: Path) -> None:
+    from validate.engine import check_engine
+
+    check_engine(f"dask:{path}")
+
+
+@cache
+def _suite() -> dict[str, Any]:
+    row = {
+        "stage": "solve",
+        "title": "t",
+        "by": "touchstone",
+        "n": 3,
+        "steps": 100,
+        "cpu_s": [1.0, 1.1, 1.2, 1.0, 1.1],
+        "memory_mib": [9.0] * 5,
+    }
+    rows = [
+        row,
+        {**row, "by": "peer"},
+        {**row, "stage": "yardstick"},
+        {**row, "stage": "build", "cpu_s": [], "memory_mib": [], "failed": "f"},
+    ]
+    provenance = good_record()["provenance"]
+    return {"kind": "suite", "rows": rows, "figures": [], "repeats": 5, "load": [0.5, 0.5], "provenance": provenance}
+
+
+def spoilt_suite(rng: random.Random, folder: Path) -> Path:
+    path = folder / "suite.json"
+    path.write_bytes(_spoilt(rng, _suite()))
+    return path
+
+
+def compare_suite(path: Path) -> None:
+    """Both ways, since a campaign's own figures are read by its report."""
+    import click
+
+    from reports.suite_record import SuiteRecord
+    from validate.bench.compare import compare
+    from validate.cli.bench import read_suite
+
+    good = SuiteRecord.model_validate(_suite())
+    try:
+        earlier = read_suite(path)
+    except click.UsageError as error:
+        raise TouchstoneError(error.message) from error
+    compare(earlier, good)
+    compare(good, earlier)
