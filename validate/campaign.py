@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Protocol
 from validate.chosen import CampaignError, Entry, Examined, Settings, select, with_stored
 from validate.engine import Running, Site, check_engine, open_engine
 from validate.results import write_examinations, write_results
-from validate.shared_stages import beginnings_of, must_wait
+from validate.shared_stages import beginnings_of, must_wait, wanted_of
 from validate.standing_report import campaign_text, of_content, standing_report
 from validate.store import Store, write_durably
 from validate.stored import CAMPAIGN, only_last_failed, stored_campaign
@@ -183,7 +183,7 @@ def _run(
         provenance=provenance,
         lost=lambda cell: by_key[cell.key].lost(provenance),
         watch=narrator.runs,
-        must_wait=lambda cell, running: must_wait(beginnings_of(cell), [beginnings_of(other) for other in running], store),
+        must_wait=lambda cell, running: must_wait(wanted_of(cell), [beginnings_of(other) for other in running], store, cell.time_limit),
         again=again,
         warn=narrator.warns,
     )

@@ -23,7 +23,7 @@ from validate.cell import Cell
 from validate.examination import Examination, SceneReference, lost_examination
 from validate.provisional import lacks_certificate
 from validate.selection import matches
-from validate.shared_stages import Signature, beginnings, common
+from validate.shared_stages import Signature, beginnings, common, restarts
 from validate.store import Store
 from validate.tools import DEFAULT_TOOLS, Tools, load_tools, tools_source
 
@@ -230,7 +230,11 @@ def _entry(cell: Cell, scene: Scene, tools: Tools, shared: frozenset[Signature])
         return content_key(scene, [*named, asked], {planned.name for planned in stages}, source)
 
     key = key_of(plan, cell.pipeline.name, cell.pipeline.title)
-    return Entry(cell=replace(cell, key=key, beginnings=beginnings(plan, shared, key_of)), scene=scene, plan=plan)
+    return Entry(
+        cell=replace(cell, key=key, beginnings=beginnings(plan, shared, key_of), restarts=restarts(plan, shared, key_of)),
+        scene=scene,
+        plan=plan,
+    )
 
 
 def _nothing(settings: Settings, seen: list[str], left_out: tuple[str, ...]) -> CampaignError:

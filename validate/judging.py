@@ -47,11 +47,19 @@ def certified(tools: Tools, scene: Scene, item: Solved) -> Solved:
         return item
 
 
-def judge_all(tools: Tools, scene: Scene, solved: list[Solved], folder: Path, stages: int, profile: Profile) -> list[Judged]:
-    """Replay and score of every plan, in order; their files are written. stages: of the whole cell."""
-    fmu = tools.build_fmu(scene) if any(item.solution.trajectory is not None for item in solved) else None
-    profile.lap("fmu_build")
-    return [_judge(tools, scene, fmu, item, folder, stages, profile) for item in solved]
+class Judge:
+    """Replays and scores plans of a cell of so many stages, and writes their files into its folder."""
+
+    def __init__(self, tools: Tools, scene: Scene, folder: Path, stages: int, profile: Profile) -> None:
+        self._tools, self._scene, self._folder, self._stages, self._profile = tools, scene, folder, stages, profile
+        self._fmu: Path | None = None
+
+    def judge_all(self, solved: list[Solved]) -> list[Judged]:
+        """Replay and score of every plan, in order."""
+        if self._fmu is None and any(item.solution.trajectory is not None for item in solved):
+            self._fmu = self._tools.build_fmu(self._scene)
+        self._profile.lap("fmu_build")
+        return [_judge(self._tools, self._scene, self._fmu, item, self._folder, self._stages, self._profile) for item in solved]
 
 
 def _judge(tools: Tools, scene: Scene, fmu: Path | None, item: Solved, folder: Path, stages: int, profile: Profile) -> Judged:

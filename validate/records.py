@@ -108,9 +108,10 @@ def stage_record(
     )
 
 
-def stage_of(record: StageRecord, scene: str, pipeline: str) -> StageRecord:
-    """A stage that ran in another pipeline, as one of this."""
-    return record.model_copy(update={"paper": dict(paper_row(scene, pipeline, record.index))})
+def stage_of(record: StageRecord, scene: str, pipeline: str, before: float) -> StageRecord:
+    """A stage that ran in another pipeline, as one of this. before [s]: of the stages before those that ran there."""
+    seconds = record.seconds.model_copy(update={"total": before + record.seconds.total})
+    return record.model_copy(update={"seconds": seconds, "paper": dict(paper_row(scene, pipeline, record.index))})
 
 
 def unfinished_stage(scene: str, pipeline: str, planned: Planned, outcome: Outcome, message: str) -> StageRecord:

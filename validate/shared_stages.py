@@ -5,7 +5,10 @@
 A beginning ends where the next stage opens another session (another method, or other options), so that nothing but its plan goes on from it: what
 follows gives the same numbers whether the beginning ran in the same process or was read from its files. A key is of all that decides a
 beginning, as that of a cell is. Its folder is written inside the unfinished folder of a cell, made durable, and renamed: it is whole or not there.
-What a clock or a crash ended is not shared.
+
+Stages in the midst of a pipeline are the beginning of another one too, where their session leaves the plan it is given for the first guess
+(formulations.method, start_used): a restart. What a crash ended is not shared. A beginning that used up all the time of its cell is shared under a key
+of its own, with those that have no more time: they end there, too.
 """
 
 from __future__ import annotations
@@ -43,18 +46,24 @@ Signature = tuple[tuple[Any, ...], ...]
 
 @dataclass(frozen=True)
 class Beginning:
-    """The first `stages` stages of a pipeline."""
+    """The stages of a pipeline from `first` (counted from 0) until before `stages`, started without a plan."""
 
     stages: int
     key: str
+    first: int = 0
+
+    def late_key(self, limit: float) -> str:
+        """Under which it is shared where it used up the `limit` [s] of its cell."""
+        return f"{self.key}-{limit:g}s"
 
 
 @dataclass(frozen=True)
 class TakenOver:
-    """Finished stages and the plan that the next stage starts from."""
+    """Finished stages and the plan that the next stage starts from. late: they used up the time of a cell like this one."""
 
     stages: tuple[StageRecord, ...] = ()
     plan: Trajectory | None = None
+    late: bool = False
 
 
 def stage_files(index: int, stages: int) -> dict[str, str]:
@@ -71,17 +80,34 @@ def signature(plan: Sequence[Planned]) -> Signature:
 
 
 def common(plans: Iterable[Sequence[Planned]]) -> frozenset[Signature]:
-    """The beginnings that two or more of these plans have, but for those that only plans have which begin alike for longer."""
+    """The beginnings that two or more of these plans have, but for those that only plans have which begin alike for longer; and those that
+    another has in its midst."""
+    plans = list(plans)
     found = Counter(signature(plan)[:length] for plan in plans for length in _ends(plan))
+    midst = {signature(plan)[first:length] for plan in plans for first, length in _later(plan)}
     several = {begin: times for begin, times in found.items() if times > 1}
     longer = {(begin[:length], times) for begin, times in several.items() for length in range(1, len(begin))}
-    return frozenset(begin for begin, times in several.items() if (begin, times) not in longer)
+    return frozenset(begin for begin, times in several.items() if (begin, times) not in longer) | (found.keys() & midst)
 
 
 def beginnings(plan: Sequence[Planned], shared: frozenset[Signature], key_of: Callable[[Sequence[Planned]], str]) -> tuple[Beginning, ...]:
     """Those of a plan's beginnings that others have too, the longest first. key_of: the key of some stages."""
     whole = signature(plan)
     return tuple(Beginning(length, key_of(plan[:length])) for length in reversed(_ends(plan)) if whole[:length] in shared)
+
+
+def restarts(plan: Sequence[Planned], shared: frozenset[Signature], key_of: Callable[[Sequence[Planned]], str]) -> tuple[Beginning, ...]:
+    """What in the midst of a plan is the beginning of another, the longest first."""
+    whole = signature(plan)
+    return tuple(
+        Beginning(length, key_of(plan[first:length]), first) for first, length in reversed(_later(plan)) if whole[first:length] in shared
+    )
+
+
+def _later(plan: Sequence[Planned]) -> list[tuple[int, int]]:
+    """(first, number of stages until the end) of every run of whole sessions but those the plan begins with."""
+    ends = _ends(plan)
+    return [(first, length) for first in ends for length in ends if length > first]
 
 
 def _ends(plan: Sequence[Planned]) -> list[int]:
@@ -95,23 +121,30 @@ def beginnings_of(job: object) -> tuple[Beginning, ...]:
     return getattr(job, "beginnings", ())
 
 
-def must_wait(wanted: Sequence[Beginning], running: Sequence[Sequence[Beginning]], store: Store) -> bool:
-    """Whether a cell would run stages that a running one is about to share."""
+def wanted_of(job: object) -> tuple[Beginning, ...]:
+    """What a cell may take over: its beginnings and restarts; an examination nothing."""
+    return (*beginnings_of(job), *getattr(job, "restarts", ()))
+
+
+def must_wait(wanted: Sequence[Beginning], running: Sequence[Sequence[Beginning]], store: Store, limit: float = 0.0) -> bool:
+    """Whether a cell with this time limit [s] would run stages that a running one is about to share."""
     theirs = {item.key for items in running for item in items}
-    return any(item.key in theirs and not (store.stages / item.key).exists() for item in wanted)
+    return any(item.key in theirs and not any((store.stages / key).exists() for key in (item.key, item.late_key(limit))) for item in wanted)
 
 
-def take_over(wanted: Sequence[Beginning], scene: Scene, stages: int, folder: Path) -> TakenOver:
-    """The longest beginning that is stored, its files copied into the folder of a cell of so many stages. One that is damaged is put aside."""
-    for item in wanted:
-        source = Store.of_partial(folder).stages / item.key
+def take_over(wanted: Sequence[Beginning], scene: Scene, stages: int, folder: Path, limit: float = 0.0) -> TakenOver:
+    """The longest of these that is stored, its files copied into the folder of a cell of so many stages and this time limit [s], its records
+    with the numbers the stages have there. One that is damaged is put aside."""
+    named = [(item, item.key) for item in wanted] + [(item, item.late_key(limit)) for item in wanted if not item.first]
+    for item, key in named:
+        source = Store.of_partial(folder).stages / key
         if not source.is_dir():
             continue
         try:
             return _read(source, item, scene, stages, folder)
         except (OSError, *_DAMAGED, TouchstoneError):
             with contextlib.suppress(OSError):
-                os.rename(source, folder / f"damaged-{item.stages}")  # goes with the folder
+                os.rename(source, folder / f"damaged-{key}")  # goes with the folder
     return TakenOver()
 
 
@@ -121,52 +154,62 @@ def _read(source: Path, item: Beginning, scene: Scene, stages: int, folder: Path
 
     content = json.loads((source / _CONTENT).read_bytes())
     records = tuple(StageRecord.model_validate(record) for record in content["stages"])
-    if content["key"] != item.key or len(records) != item.stages:
+    late, length = bool(content.get("late")), item.stages - item.first
+    if content["key"] != source.name or not (0 < len(records) <= length if late else len(records) == length):
         raise ValueError("it is not what its folder says")
+    if [record.index for record in records] != list(range(len(records))):
+        raise ValueError("its stages are not in order")
     files = {name: (source / name).read_bytes() for name in content["files"]}
     if any(hashlib.sha256(files[name]).hexdigest() != digest for name, digest in content["files"].items()):
         raise ValueError("a file was changed")
     plan = None
     for record in records:
-        numbered, own = stage_files(record.index, item.stages + 1), stage_files(record.index, stages)
+        numbered, own = stage_files(record.index, item.stages + 1), stage_files(record.index + item.first, stages)
         for what in _FILES:
             if numbered[what] in files:
                 (folder / own[what]).write_bytes(files[numbered[what]])
         if record.plan_trace is not None:
             plan = read_netcdf(folder / own["trajectory"], scene)
-    return TakenOver(records, plan)
+    return TakenOver(tuple(record.model_copy(update={"index": record.index + item.first}) for record in records), plan, late)
 
 
-def share(wanted: Sequence[Beginning], pipeline: str, records: Sequence[StageRecord], taken: int, stages: int, folder: Path) -> None:
-    """Store the beginnings of a cell that ran. records: of its finished stages, the first `taken` of which were taken over; stages: of the cell.
+def is_sure(records: Sequence[StageRecord]) -> bool:
+    """Whether another run would have found the same: no clock, no crash, no judge that stumbled."""
+    return all(record.outcome not in _BY_CHANCE for record in records) and _is_judged(records)
+
+
+def is_late(records: Sequence[StageRecord]) -> bool:
+    """Whether a clock ended the last of these, and chance nothing else."""
+    return bool(records) and records[-1].outcome == "time_limit" and is_sure(records[:-1]) and _is_judged(records)
+
+
+def _is_judged(records: Sequence[StageRecord]) -> bool:
+    return all(record.plan_trace is None or record.figures for record in records)
+
+
+def share(item: Beginning, pipeline: str, records: Sequence[StageRecord], stages: int, folder: Path, late: float | None = None) -> None:
+    """Store stages of a cell of so many stages. records: of these stages; late: the time limit [s] of a cell that had no time for what comes next.
 
     Raises OSError where the disk refuses.
     """
-    for item in wanted:
-        begin = records[: item.stages]
-        if taken < item.stages <= len(records) and all(_is_sure(record) for record in begin):
-            _publish(item, pipeline, begin, stages, folder)
-
-
-def _is_sure(record: StageRecord) -> bool:
-    """Whether another run would have found the same: no clock, no crash, no judge that stumbled."""
-    return record.outcome not in _BY_CHANCE and (record.plan_trace is None or bool(record.figures))
-
-
-def _publish(item: Beginning, pipeline: str, records: Sequence[StageRecord], stages: int, folder: Path) -> None:
-    aside, target = folder / f"sharing-{item.stages}", Store.of_partial(folder).stages / item.key
+    key = item.key if late is None else item.late_key(late)
+    aside, target = folder / f"sharing-{key}", Store.of_partial(folder).stages / key
+    if target.exists():
+        return
     aside.mkdir()
     digests: dict[str, str] = {}
+    first, before = records[0].index, records[0].seconds.total - records[0].seconds.stage
     for record in records:
-        own, numbered = stage_files(record.index, stages), stage_files(record.index, item.stages + 1)
+        own, numbered = stage_files(record.index, stages), stage_files(record.index - first, item.stages + 1)
         for what in _FILES:
             if (folder / own[what]).exists():
                 shutil.copyfile(folder / own[what], aside / numbered[what])
                 digests[numbered[what]] = hashlib.sha256((aside / numbered[what]).read_bytes()).hexdigest()
     content: Mapping[str, Any] = {
-        "key": item.key,
+        "key": key,
+        "late": late is not None,
         "files": digests,
-        "stages": [record.model_copy(update={"shared_from": record.shared_from or pipeline}).model_dump(mode="json") for record in records],
+        "stages": [_shared(record, pipeline, first, before).model_dump(mode="json") for record in records],
     }
     (aside / _CONTENT).write_text(json.dumps(content), encoding="utf-8")
     for path in (*sorted(aside.iterdir()), aside):
@@ -178,3 +221,9 @@ def _publish(item: Beginning, pipeline: str, records: Sequence[StageRecord], sta
         if error.errno not in {errno.ENOTEMPTY, errno.EEXIST}:  # another campaign was first
             raise
     fsync(target.parent)
+
+
+def _shared(record: StageRecord, pipeline: str, first: int, before: float) -> StageRecord:
+    """The record of a stage as if its pipeline had begun at stage `first`, after `before` seconds."""
+    seconds = record.seconds.model_copy(update={"total": record.seconds.total - before if first else record.seconds.total})
+    return record.model_copy(update={"index": record.index - first, "seconds": seconds, "shared_from": record.shared_from or pipeline})

@@ -64,6 +64,11 @@ def remove(path: Path) -> None:
         raise disk_error(path, error) from error
 
 
+def progress(folder: Path, text: str) -> None:
+    """Say where a cell is, for the parent to read if it never comes back."""
+    (folder / PROGRESS).write_text(text, encoding="utf-8")
+
+
 def write_durably(path: Path, text: str) -> None:
     """Write a text file so that after this call either the old or the new content is there, whatever happens."""
     aside = path.with_name(_aside("file", uuid.uuid4().hex))

@@ -1,7 +1,8 @@
 """Pipelines that begin alike, of methods that count how often they ran and can kill their campaign.
 
 COUNTS names a folder; each run of a method leaves a file in it. KILL names a method that ends the
-process its cell was started by, once or as often as KILLS says. ONLY names the pipelines, if not all.
+process its cell was started by, once or as often as KILLS says. ONLY names the pipelines in order, if not all; those of ASKED only
+run if named there.
 """
 
 from __future__ import annotations
@@ -10,14 +11,16 @@ import os
 import signal
 import time
 import uuid
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from campaign_fakes import TOOLS, FakeMethod
 
-from formulations.method import Kind, Leg, Pipeline
-from formulations.solution import Outcome
+from formulations.method import Kind, Leg, Pipeline, Session
+from formulations.solution import Outcome, Solution
 from models.scene import Scene
+from models.trajectory import Trajectory
 from validate.isolation.environment import PARENT_VARIABLE
 
 
@@ -33,6 +36,36 @@ def _counted(name: str, outcome: Outcome = Outcome.SOLVED):
     return act
 
 
+def _used_up() -> Outcome:
+    """Three quarters of the cell's time limit, which is what it has for solving."""
+    _counted("slow")()
+    time.sleep(0.75 * float(os.environ["LIMIT"]) + 0.2)
+    return Outcome.TIME_LIMIT
+
+
+def _falls() -> None:
+    """Its cell ends here and leaves no record."""
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+class _ColdSession(Session):
+    """Leaves whatever it is given for the first guess."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+
+    def start_used(self, warm_start: Trajectory | None) -> Trajectory | None:
+        return None
+
+    def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
+        return self._session.solve(eps=eps, warm_start=None, time_limit=time_limit)
+
+
+class _Cold(FakeMethod):
+    def session(self, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> Session:
+        return _ColdSession(super().session(scene, options, opening))
+
+
 METHODS = {
     method.name: method
     for method in (
@@ -41,6 +74,9 @@ METHODS = {
         FakeMethod("one", _counted("one")),
         FakeMethod("two", _counted("two")),
         FakeMethod("late", _counted("late", Outcome.TIME_LIMIT), kind=Kind.INDIRECT, needs_eps=True),
+        _Cold("cold", _counted("cold")),
+        FakeMethod("slow", _used_up, kind=Kind.INDIRECT),
+        FakeMethod("falls", _falls),
         FakeMethod("picky", _counted("picky"), refuses="it wants friction."),
     )
 }
@@ -55,12 +91,21 @@ PIPELINES = (
     Pipeline(name="begin+picky", title="refused", legs=(_BEGIN, Leg(method="picky"))),
     Pipeline(name="late+one", title="out of time at first", legs=(_LATE, Leg(method="one"))),
     Pipeline(name="late+two", title="out of time at first", legs=(_LATE, Leg(method="two"))),
+    Pipeline(name="cold", title="is the midst of others", legs=(Leg(method="cold"),)),
+    Pipeline(name="begin+cold+two", title="starts anew in its midst", legs=(_BEGIN, Leg(method="cold"), Leg(method="two"))),
+)
+ASKED = (
+    Pipeline(name="soft+falls", title="its cell is lost in the end", legs=(Leg(method="relaxing", schedule=(1e-3,)), Leg(method="falls"))),
+    Pipeline(name="soft+one", title="begins like a cell that is lost", legs=(Leg(method="relaxing", schedule=(1e-3,)), Leg(method="one"))),
+    Pipeline(name="slow+one", title="has no time for the end", legs=(Leg(method="slow"), Leg(method="one"))),
+    Pipeline(name="slow+two", title="has no time for the end", legs=(Leg(method="slow"), Leg(method="two"))),
 )
 
 
 def _pipelines(scene: Scene) -> tuple[Pipeline, ...]:
     only = os.environ.get("ONLY")
-    return tuple(pipeline for pipeline in PIPELINES if only is None or pipeline.name in only.split())
+    every = {pipeline.name: pipeline for pipeline in (*PIPELINES, *ASKED)}
+    return PIPELINES if only is None else tuple(every[name] for name in only.split())
 
 
 SHARING = replace(TOOLS, load_method=METHODS.__getitem__, pipelines_for=_pipelines)

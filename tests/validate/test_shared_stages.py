@@ -19,12 +19,12 @@ from models.trajectory_netcdf import read_netcdf
 from reports.record import RunRecord
 from validate.engine import LocalEngine
 from validate.records import planned_stages
-from validate.shared_stages import Beginning, beginnings, common, must_wait, take_over
+from validate.shared_stages import Beginning, beginnings, common, must_wait, restarts, take_over
 from validate.store import Store
 
 FAKES = ("--scene", "three_cart", "--tools", "shared_stages_fakes:SHARING")
 # How often each method runs when everything is shared: relaxing is left to its own in `shorter`, and nothing is kept of what a clock ended.
-ONCE = {"relaxing": 3 + 2, "tuning": 1, "one": 2 + 1, "two": 2 + 1, "late": 2}
+ONCE = {"relaxing": 3 + 2, "tuning": 1, "one": 2 + 1, "two": 2 + 1 + 1, "late": 2, "cold": 1}
 
 
 def _plan(name: str):
@@ -62,10 +62,10 @@ def fakes(cli, tmp_path_factory):
     """fakes("name", ONLY="begin+one") runs the campaign in the folder of that name and tells which methods ran."""
     base = tmp_path_factory.mktemp("shared")
 
-    def run(name: str, **environment: str) -> Ran:
+    def run(name: str, *options: str, **environment: str) -> Ran:
         out, counts = base / name, base / f"{name}-counts"
         counts.mkdir(exist_ok=True)
-        done = cli("all", *FAKES, "--out", str(out), "-j", "2", COUNTS=str(counts), **environment)
+        done = cli("all", *FAKES, "--out", str(out), "-j", "2", *options, COUNTS=str(counts), **environment)
         return Ran(out, counts, done)
 
     return run
@@ -105,6 +105,62 @@ def test_a_beginning_runs_once(whole):
     first, second = (records[name].stages[2] for name in ("begin+one", "begin+two"))
     assert first.model_copy(update={"shared_from": ""}) == second.model_copy(update={"shared_from": ""})
     assert [stage.shared_from for stage in records["late+two"].stages] == ["", ""]
+
+
+def test_a_session_that_leaves_its_plan_is_the_beginning_of_another(whole, lost):
+    """The stage in the midst and the cold one are one and the same, whichever ran first, and what follows starts from its plan."""
+    for ran, owner in ((whole, "cold"), (lost, "begin+cold+two")):
+        records = _records(ran.out)
+        midst, cold = records["begin+cold+two"].stages[3], records["cold"].stages[0]
+        assert {midst.shared_from, cold.shared_from} == {"", owner}
+        assert _counted(ran.counts)["cold"] == 1
+        assert midst.cost == cold.cost == 0.0  # from no plan
+        assert (midst.index, cold.index) == (3, 0)
+        assert midst.seconds.stage == cold.seconds.stage == cold.seconds.total
+        assert [stage.cost for stage in records["begin+cold+two"].stages[4:]] == [1000.0]
+        (plan,) = (ran.out / "runs" / records["begin+cold+two"].key).glob("trajectory_4.nc")
+        assert read_netcdf(plan, load_scene("three_cart")).u[0, 0] == 0.0
+
+
+def test_restarts_are_whole_sessions_that_others_begin_with():
+    plans = [_plan(name) for name in ("strict", "relaxed+strict", "softplus_gd+strict", "softplus_gd+relu_gd")]
+    shared = common(plans)
+    assert [(item.stages, item.key) for item in beginnings(plans[0], shared, _key)] == [(1, "strict_lcp")]
+    assert [restarts(plan, shared, _key) for plan in plans] == [(), *([(Beginning(4, "strict_lcp", 3),)] * 2), ()]
+    assert all(restarts(plan, common(plans[1:]), _key) == () for plan in plans)
+
+
+@pytest.fixture(scope="module")
+def lost(fakes) -> Ran:
+    limit = "12"
+    only = "soft+falls soft+one slow+one slow+two begin+cold+two cold"
+    return fakes("lost", "--time-limit", limit, "-j", "1", LIMIT=limit, ONLY=only)
+
+
+def test_a_beginning_is_shared_before_what_comes_after_it(lost):
+    """The cell that solved it is lost later on, and leaves it."""
+    records = _records(lost.out)
+    assert (records["soft+falls"].outcome, records["soft+one"].outcome) == ("crashed", "solved")
+    assert _counted(lost.counts)["relaxing"] == 1 + 3
+    assert records["soft+one"].stages[0].shared_from == "soft+falls"
+
+
+def test_what_used_up_the_time_of_a_cell_does_so_once(lost, tmp_path):
+    records = _records(lost.out)
+    assert _counted(lost.counts)["slow"] == 1
+    for name in ("slow+one", "slow+two"):
+        assert [stage.outcome for stage in records[name].stages] == ["time_limit", "time_limit"], name
+        assert "used up" in records[name].stages[1].message
+    assert sorted(records[name].stages[0].shared_from for name in ("slow+one", "slow+two"))[0] == ""
+    (late,) = (path.name for path in (lost.out / "stages").iterdir() if path.name.endswith("s"))
+    folder = tmp_path / "runs" / "cell"
+    folder.mkdir(parents=True)
+    shutil.copytree(lost.out / "stages", tmp_path / "stages")
+    wanted, scene = (Beginning(1, late.rpartition("-")[0]),), load_scene("three_cart")
+    assert take_over(wanted, scene, 2, folder, 12.0).late
+    assert take_over(wanted, scene, 2, folder, 24.0).stages == ()  # with more time it is run again
+    assert not must_wait(wanted, [wanted], Store(tmp_path), 12.0)
+    assert must_wait(wanted, [wanted], Store(tmp_path), 24.0)
 
 
 def test_the_time_of_a_pipeline_is_that_of_its_stages_wherever_they_ran(whole):
