@@ -12,10 +12,15 @@ SAME_OPTIMUM = 1e-7
 
 def collected(runs: Iterable[RunRecord]) -> tuple[RunRecord, ...]:
     """The runs in order; parts of one pipeline on one scene become one run, at the place of the first of them."""
+    return tuple(_together(list(group)) if group[0].parts > 1 else group[0] for group in grouped(runs))
+
+
+def grouped(runs: Iterable[RunRecord]) -> tuple[tuple[RunRecord, ...], ...]:
+    """The cells of each run, in order."""
     groups: dict[tuple[str, str], list[RunRecord]] = {}
     for run in runs:
         groups.setdefault((run.scene.name, run.pipeline if run.parts > 1 else run.key), []).append(run)
-    return tuple(_together(group) if group[0].parts > 1 else group[0] for group in groups.values())
+    return tuple(map(tuple, groups.values()))
 
 
 def optima(starts: Iterable[StartRecord]) -> list[tuple[float, list[StartRecord]]]:

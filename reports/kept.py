@@ -45,16 +45,21 @@ def content_digest(folder: Path, sources: Iterable[Path] = ()) -> str | None:
     """Digest of all that a text about this folder is made of; None where something cannot be read."""
     whole = hashlib.sha256()
     try:
-        rooms = sorted(path for path in _HERE.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
         of_folder = [folder / "campaign.json", *record_files(folder), *bench_files(folder)]
-        said = [f"{folder.name}\n{platform.python_version()}", *(f"{name} {_version(name)}" for name in _LIBRARIES)]
-        said += [f"{path} {_digest(path)}" for path in (*rooms, *sources)]
+        said = [folder.name, code_digest(), *(f"{path} {_digest(path)}" for path in sources)]
         said += [f"{path.relative_to(folder)} {_digest(path)}" for path in of_folder]
     except OSError:
         return None
     for text in said:
         whole.update(text.encode("utf-8", "surrogateescape") + b"\0")
     return whole.hexdigest()
+
+
+def code_digest() -> str:
+    """Digest of the files of this room and of the versions of what it stands on. Raises OSError."""
+    rooms = sorted(path for path in _HERE.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
+    said = [platform.python_version(), *(f"{name} {_version(name)}" for name in _LIBRARIES), *(f"{path} {_digest(path)}" for path in rooms)]
+    return hashlib.sha256("\0".join(said).encode("utf-8", "surrogateescape")).hexdigest()
 
 
 def _digest(path: Path) -> str:

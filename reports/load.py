@@ -13,7 +13,7 @@ from typing import TypeVar
 from pydantic import BaseModel, ValidationError
 
 from reports.bench_record import AnyBench, BenchRecord
-from reports.collected import collected
+from reports.collected import collected, grouped
 from reports.examination_record import ExaminationRecord, divided, record_of
 from reports.files import LARGEST_BYTES, bench_files, record_files
 from reports.record import SCHEMA_VERSION, CampaignRecord, RunRecord
@@ -39,7 +39,8 @@ class Stored:
     """All that the report is made of.
 
     missing: keys that the campaign lists and of which nothing is stored; foreign: stored records that the campaign does not list;
-    examinations: cells that are no scene x pipeline; benches: what benchmarks left in the folder `bench`.
+    examinations: cells that are no scene x pipeline; benches: what benchmarks left in the folder `bench`; parts: of each run, the records of
+    its cells.
     """
 
     folder: str
@@ -50,17 +51,18 @@ class Stored:
     foreign: int
     examinations: tuple[ExaminationRecord, ...] = ()
     benches: tuple[AnyBench, ...] = ()
+    parts: tuple[tuple[RunRecord, ...], ...] = ()
 
 
-def load(folder: Path) -> Stored:
-    """Everything readable in the folder, in the campaign's order. Raises ReportError if there is no such folder."""
+def load(folder: Path, read: Callable[[bytes], RunRecord | ExaminationRecord] = record_of) -> Stored:
+    """Everything readable in the folder, in the campaign's order; `read` makes a record of its text. Raises ReportError if there is no such folder."""
     if not folder.is_dir():
         raise ReportError(f"{folder}: there is no such folder; give the folder of a campaign (it holds campaign.json and runs/).")
     unreadable: list[Unreadable] = []
     campaign = _read(folder / "campaign.json", folder, CampaignRecord.model_validate_json, unreadable)
     found: dict[str, RunRecord | ExaminationRecord] = {}
     for path in record_files(folder):
-        run = _read(path, folder, record_of, unreadable)
+        run = _read(path, folder, read, unreadable)
         if run is None:
             continue
         if run.key != path.parent.name:
@@ -77,7 +79,7 @@ def load(folder: Path) -> Stored:
         runs, examinations = divided(found.values())
         runs = sorted(runs, key=lambda run: (run.scene.name, run.pipeline, run.key))
         examinations = tuple(sorted(examinations, key=lambda item: (item.kind, item.name)))
-        return Stored(folder.name, None, collected(runs), tuple(unreadable), (), 0, examinations, benches)
+        return Stored(folder.name, None, collected(runs), tuple(unreadable), (), 0, examinations, benches, grouped(runs))
     keys = list(dict.fromkeys(campaign.keys))
     runs, examinations = divided(found[key] for key in keys if key in found)
     broken = {Path(item.path).parent.name for item in unreadable}
@@ -90,6 +92,7 @@ def load(folder: Path) -> Stored:
         foreign=len(set(found) - set(keys)),
         examinations=examinations,
         benches=benches,
+        parts=grouped(runs),
     )
 
 

@@ -15,7 +15,7 @@ import base64
 import json
 import re
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -27,6 +27,10 @@ _TOKEN = re.compile(f"{OPENS}(\\d+){CLOSES}")
 _FIGURE = re.compile(r"<figure .*?</figure>", re.DOTALL)
 _LINE = re.compile(r'(?<= d=")M-?[\d.]+,-?[\d.]+(?:L-?[\d.]+,-?[\d.]+)*(?=")')
 _ANCHOR_OR_TOKEN = re.compile(f' id="([^"]+)"|{_TOKEN.pattern}')
+
+
+# What makes a text of these words, or finds the one it made of them before.
+Kept = Callable[..., str]
 
 
 class Token(Markup):
@@ -52,6 +56,10 @@ class _Contents:
     lines: dict[str, int] = field(default_factory=dict)
 
 
+def _anew(make: Callable[[], str], *_: str) -> str:
+    return make()
+
+
 class Parcels:
     """The parts of one page, by number."""
 
@@ -64,27 +72,33 @@ class Parcels:
         self._parts.append((block, text))
         return Token(f"{OPENS}{len(self._parts) - 1}{CLOSES}")
 
+    @property
+    def parts(self) -> tuple[tuple[str, str], ...]:
+        """(block, text) of each part, by number."""
+        return tuple(self._parts)
+
     def inline(self, text: str) -> str:
         """The text with each part in its place."""
         return _TOKEN.sub(lambda found: self.inline(self._parts[int(found[1])][1]), text)
 
-    def folded(self, texts: Sequence[str]) -> tuple[list[str], list[Block]]:
-        """The texts with a place for each part, and the blocks that hold the parts."""
-        contents: dict[str, _Contents] = {}
+    def folded(self, texts: Sequence[str], kept: Kept = _anew) -> tuple[list[str], list[Block]]:
+        """The texts with a place for each part, and the blocks that hold the parts; kept: what packs a block, or finds it packed."""
+        contents: dict[str, list[str]] = {}
         whole = [self._placed(text, contents) for text in texts]
-        return whole, [Block(f"b{place}", _packed(one)) for place, one in enumerate(contents.values())]
+        packed = [kept(lambda parts=parts: _packed(parts), "block", *parts) for parts in contents.values()]
+        return whole, [Block(f"b{place}", text) for place, text in enumerate(packed)]
 
-    def _placed(self, text: str, contents: dict[str, _Contents]) -> str:
+    def _placed(self, text: str, contents: dict[str, list[str]]) -> str:
         return _TOKEN.sub(lambda found: self._place(int(found[1]), contents), text)
 
-    def _place(self, number: int, contents: dict[str, _Contents]) -> str:
+    def _place(self, number: int, contents: dict[str, list[str]]) -> str:
         name, text = self._parts[number]
         # The place also says which anchors its part holds, those of parts inside it too: links lead there before it is unfolded.
         anchors = " ".join(dict.fromkeys(self._held(number)))
-        content = contents.setdefault(name, _Contents())
-        content.parts.append("")
-        place = len(content.parts) - 1
-        content.parts[place] = _FIGURE.sub(lambda found: _figure(found[0], content), self._placed(text, contents))
+        parts = contents.setdefault(name, [])
+        parts.append("")
+        place = len(parts) - 1
+        parts[place] = self._placed(text, contents)
         block = list(contents).index(name)
         return f'<div class="parcel" data-block="b{block}" data-part="{place}" data-holds="{anchors}"></div>'
 
@@ -103,8 +117,10 @@ def _figure(text: str, content: _Contents) -> str:
     return f'<i data-figure="{content.figures.setdefault(drawn, len(content.figures))}"></i>'
 
 
-def _packed(content: _Contents) -> str:
+def _packed(parts: Sequence[str]) -> str:
     """Length of the JSON (4 bytes, little-endian), the JSON, the lines; deflated."""
+    content = _Contents()
+    content.parts = [_FIGURE.sub(lambda found: _figure(found[0], content), part) for part in parts]
     words = json.dumps({"parts": content.parts, "figures": list(content.figures)}, ensure_ascii=False, separators=(",", ":")).encode()
     raw = len(words).to_bytes(4, "little") + words + line_bytes(content.lines)
     return base64.b64encode(zlib.compress(raw, 9)).decode()

@@ -17,14 +17,13 @@ import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from reports import wording
+from reports.article import written
 from reports.kept import kept
-from reports.load import ReportError, load
+from reports.load import ReportError, Stored, load
+from reports.outlines import Outlines
 from reports.pages import (
     balance,
     cosimulation,
@@ -50,7 +49,9 @@ from reports.pages import (
     violation,
 )
 from reports.pages.section import Report, Section
-from reports.parcels import CLOSES, OPENS, Block, Parcels, Token
+from reports.parcels import Block, Parcels, Token
+from reports.shelf import Shelf
+from reports.templating import Templates
 
 _HERE = Path(__file__).parent
 _PAGES = (
@@ -90,7 +91,8 @@ class Drawn:
 
     report: Report
     parcels: Parcels
-    environment: Environment
+    templates: Templates
+    shelf: Shelf
     bodies: list[tuple[Section, Token]]
 
     @property
@@ -102,7 +104,9 @@ class Drawn:
         """One page with these sections; the contents name all of them. `about`: what this page is, where there are several."""
         style, script = _asset("report.css"), "\n".join(_asset(name) for name in _SCRIPTS)
         campaign = self.report.stored.campaign
-        return self.environment.get_template("page.html").render(
+        return self.templates.render(
+            "page.html",
+            self.parcels,
             title=self.title,
             about=about,
             quick=campaign.quick if campaign else False,
@@ -145,21 +149,32 @@ def render(folder: Path, *, largest: int = LARGEST_PLAIN) -> str:
     parcels, bodies = drawn.parcels, [body for _, body in drawn.bodies]
     texts, blocks = [parcels.inline(body) for body in bodies], []
     if sum(map(len, texts)) > largest:
-        texts, blocks = parcels.folded(bodies)
+        texts, blocks = parcels.folded(bodies, drawn.shelf.kept)
+    drawn.shelf.tidy()
     return drawn.page([(section, text) for (section, _), text in zip(drawn.bodies, texts, strict=True)], blocks)
 
 
 def draw(folder: Path) -> Drawn:
     """All sections of a campaign's report. Raises ReportError if there is no such folder."""
-    parcels = Parcels()
-    report = Report(load(folder))
-    environment = _environment(parcels)
+    templates, parcels = Templates(), Parcels()
+    outlines = _outlines(folder, templates)
+    report = Report(load(folder, outlines.read), outlines, parcels)
     sections = [section for page in _PAGES if (section := page.build(report)) is not None]
-    return Drawn(report, parcels, environment, [(section, _body(environment, parcels, section)) for section in sections])
+    bodies = [(section, _body(templates, parcels, section)) for section in sections]
+    return Drawn(report, parcels, templates, outlines.shelf, bodies)
 
 
-def _body(environment: Environment, parcels: Parcels, section: Section) -> Token:
-    body = environment.get_template(section.template).render(section=section, **section.values)
+def outlined(folder: Path) -> Stored:
+    """What the report is made of, without traces: for tables beside it. Raises ReportError if there is no such folder."""
+    return load(folder, _outlines(folder, Templates()).read)
+
+
+def _outlines(folder: Path, templates: Templates) -> Outlines:
+    return Outlines(folder, lambda run: written(templates, run))
+
+
+def _body(templates: Templates, parcels: Parcels, section: Section) -> Token:
+    body = templates.render(section.template, parcels, section=section, **section.values)
     return parcels.keep(section.anchor, body) if section.folds and len(body) > _SMALL else Token(body)
 
 
@@ -170,45 +185,3 @@ def _asset(name: str) -> str:
 
 def _hash(text: str) -> str:
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
-
-
-def _environment(parcels: Parcels) -> Environment:
-    environment = Environment(
-        loader=FileSystemLoader(_HERE / "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        finalize=_finalized,
-    )
-    for name in (
-        "number",
-        "cost",
-        "error",
-        "seconds",
-        "percent",
-        "plain",
-        "spaced",
-        "clean",
-        "verdict",
-        "count",
-        "small",
-        "product",
-        "unit",
-        "capital",
-        "exact",
-    ):
-        environment.filters[name] = getattr(wording, name)
-    environment.globals["dash"] = wording.DASH
-    environment.globals["windows"] = tolerance.windows_text
-    environment.globals["fold"] = lambda block, caller: parcels.keep(block, caller())
-    return environment
-
-
-def _finalized(value: Any) -> Any:
-    """Every string that reaches the page without being markup loses its control characters; escaping comes after."""
-    if isinstance(value, Token) or not isinstance(value, str):
-        return value
-    if not isinstance(value, Markup):
-        return wording.clean(value)
-    return Markup(value.replace(OPENS, "").replace(CLOSES, "")) if OPENS in value or CLOSES in value else value

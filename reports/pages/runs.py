@@ -19,11 +19,9 @@ _FEW = 12
 
 @dataclass(frozen=True)
 class StageView:
-    """A stage and what is drawn of it; `row` is its number in the tables (of the same stage, if another run has it too); missed: where the judged
-    replay ends, tracked: whether that is the one with feedback."""
+    """A stage and what is drawn of it; missed: where the judged replay ends, tracked: whether that is the one with feedback."""
 
     stage: StageRecord
-    row: int | None
     plots: StagePlots
     spread: Spread | None
     last: bool
@@ -36,7 +34,6 @@ class RunView:
     """A run and its stages; the film shows the last stage that has something to show."""
 
     run: RunRecord
-    anchor: str
     stages: list[StageView]
     film: Film | None
     log: str
@@ -47,23 +44,23 @@ def build(report: Report) -> Section | None:
     runs = report.stored.runs
     if not runs:
         return None
-    views = [_view(report, run) for run in runs]
-    many = len(report.scenes) > 1
-    if many and len(views) > _FEW:
+    many, few = len(report.scenes) > 1, len(runs) <= _FEW
+    articles = [report.article(run, opened=few) for run in runs]
+    if many and not few:
         # The contents lead to the first run of each scene: hundreds of lines would be none.
-        first = {view.run.scene.name: view.anchor for view in reversed(views)}
+        first = {run.scene.name: report.anchor(run) for run in reversed(runs)}
         entries = tuple((first[scene.name], scene.name) for scene in report.scenes)
     else:
-        entries = tuple((view.anchor, f"{view.run.pipeline}, {view.run.scene.name}" if many else view.run.pipeline) for view in views)
-    return Section("runs", "Runs", "runs.html", {"views": views, "few": len(views) <= _FEW}, entries, folds=False)
+        entries = tuple((report.anchor(run), f"{run.pipeline}, {run.scene.name}" if many else run.pipeline) for run in runs)
+    return Section("runs", "Runs", "runs.html", {"articles": articles}, entries, folds=False)
 
 
-def _view(report: Report, run: RunRecord) -> RunView:
+def view_of(run: RunRecord) -> RunView:
+    """What is told of a run, from its whole record alone: neither its number nor its rows' are in it."""
     last = len(run.stages) - 1
     stages = [
         StageView(
             stage,
-            report.row_number(stage),
             stage_plots(run.scene, stage),
             spread(stage),
             place == last,
@@ -72,4 +69,4 @@ def _view(report: Report, run: RunRecord) -> RunView:
         )
         for place, stage in enumerate(run.stages)
     ]
-    return RunView(run, report.anchor(run), stages, film(run), tail(run.log_tail), again(run))
+    return RunView(run, stages, film(run), tail(run.log_tail), again(run))

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
 from reports.pages.section import Report, Section
 from reports.paper import TIGHTENING_FIGURES
 from reports.plots.axis import Axis
-from reports.plots.figure import Key, Plot
+from reports.plots.figure import Drawing, Key, Plot
 from reports.record import QuantityRecord, SceneRecord, TraceRecord
 from reports.rows import Row
 from reports.series import array_of, joined
@@ -30,8 +32,16 @@ class Sweep:
     anchor: str
     rows: list[Row]
     keys: list[Key]
-    plots: list[Plot]
+    plots: list[Drawing]
     absent: str
+
+
+@dataclass(frozen=True)
+class _Drawn:
+    """What the traces of a sweep show; there: of which rows a plan is stored."""
+
+    there: list[bool]
+    plots: list[dict[str, Any]]
 
 
 def build(report: Report) -> Section | None:
@@ -46,7 +56,7 @@ def build(report: Report) -> Section | None:
         for (figure, _, pipeline), mine in sorted(groups.items(), key=lambda item: item[0]):
             if len(mine) > 1:
                 ordered = sorted(mine, key=lambda row: -(row.stage.eps or 0.0))
-                sweeps.append(_sweep(scene, figure.rstrip("z"), pipeline, ordered, len(sweeps) + 1, many=len(report.scenes) > 1))
+                sweeps.append(_sweep(report, scene, figure.rstrip("z"), pipeline, ordered, len(sweeps) + 1))
     if not sweeps:
         return None
     scenes = [(name, [sweep for sweep in sweeps if sweep.scene == name]) for name in dict.fromkeys(sweep.scene for sweep in sweeps)]
@@ -55,22 +65,37 @@ def build(report: Report) -> Section | None:
     return Section("tightening", "Figs. 4–6: plans while ε is tightened", "tightening.html", {"scenes": scenes}, tuple(entries))
 
 
-def _sweep(scene: SceneRecord, figure: str, pipeline: str, rows: list[Row], place: int, *, many: bool) -> Sweep:
-    drawn = [(row, row.stage.plan_trace) for row in rows if row.stage.plan_trace is not None and row.stage.plan_trace.t]
-    styles = {row.number: f"s{_shade(index, len(rows))}" for index, row in enumerate(rows)}
-    lines = [(f"ε = {small(row.stage.eps)}", styles[row.number], trace) for row, trace in drawn]
+def _sweep(report: Report, scene: SceneRecord, figure: str, pipeline: str, rows: list[Row], place: int) -> Sweep:
+    stages = [str(len(row.chain)) for row in rows]
+    drawn = _Drawn(**json.loads(report.kept(lambda: _drawn(report, rows), (row.run for row in rows), "tightening", *stages)))
     title = (f"{figure}: " if figure else "") + rows[0].stage.method_title + (f" ({pipeline})" if pipeline else "")
-    missing = [f"ε = {small(row.stage.eps)}" for row in rows if row.number not in {other.number for other, _ in drawn}]
-    plots = [plot for plot in _plots(scene, lines) if plot is not None]
+    missing = [f"ε = {small(row.stage.eps)}" for row, there in zip(rows, drawn.there, strict=True) if not there]
     return Sweep(
         scene=scene.name,
-        title=f"{title} on {scene.name}" if many else title,
+        title=f"{title} on {scene.name}" if len(report.scenes) > 1 else title,
         anchor=f"tightening-{place}",
         rows=rows,
-        keys=[Key(style, words) for words, style, _ in lines],
-        plots=plots,
+        keys=[Key(f"s{_shade(index, len(rows))}", f"ε = {small(row.stage.eps)}") for index, row in enumerate(rows) if drawn.there[index]],
+        plots=[Drawing(**plot) for plot in drawn.plots],
         absent=f"No plan is stored for {', '.join(missing)}." if missing else "",
     )
+
+
+def _drawn(report: Report, rows: list[Row]) -> str:
+    """JSON of what a sweep's traces show."""
+    traces = [_plan(report, row) for row in rows]
+    lines = [
+        (f"ε = {small(row.stage.eps)}", f"s{_shade(index, len(rows))}", trace)
+        for index, (row, trace) in enumerate(zip(rows, traces, strict=True))
+        if trace is not None
+    ]
+    plots = [asdict(plot.drawing()) for plot in _plots(rows[0].run.scene, lines) if plot is not None]
+    return json.dumps({"there": [trace is not None for trace in traces], "plots": plots}, ensure_ascii=False)
+
+
+def _plan(report: Report, row: Row) -> TraceRecord | None:
+    trace = report.whole(row.run).stages[len(row.chain) - 1].plan_trace
+    return trace if trace is not None and trace.t else None
 
 
 def _shade(index: int, amount: int) -> int:

@@ -40,6 +40,20 @@ class Key:
     marker: str = ""
 
 
+@dataclass(frozen=True)
+class Drawing:
+    """A plot that is drawn: the SVG as text, and what the template asks of a plot."""
+
+    title: str
+    words: str
+    width: int
+    svg: str
+
+    def markup(self, hidden: bool = True) -> Markup:
+        """The SVG, hidden from assistive technology: it holds no links."""
+        return Markup(self.svg)
+
+
 @dataclass
 class Plot:
     """`words`: what the plot shows, as a sentence for those who do not see it."""
@@ -177,6 +191,10 @@ class Plot:
             f'<svg class="plot" viewBox="0 0 {self.width} {self.height}" width="{self.width}" height="{self.height}" '
             f'data-axes="{escape(json.dumps(axes, separators=(",", ":")))}" focusable="false"{quiet}>{inside}</svg>'
         )
+
+    def drawing(self) -> Drawing:
+        """This plot as text, without links."""
+        return Drawing(self.title, self.words, self.width, str(self.markup()))
 
     def _grid(self) -> list[str]:
         bottom, right = self.height - self._BOTTOM, self.width - self._RIGHT

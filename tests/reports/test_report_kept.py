@@ -34,7 +34,7 @@ def test_the_same_bytes_made_and_told_again(folder: Path):
     (folder / "report.html").unlink()
     assert kept(folder, "report", _forbidden).encode() == fresh
     assert _page(folder) == fresh
-    assert sorted(path.name for path in folder.iterdir()) == [".report.kept", "campaign.json", "report.html", "runs"]
+    assert sorted(path.name for path in folder.iterdir()) == [".report.kept", ".told", "campaign.json", "report.html", "runs"]
 
 
 @given(data=st.data())

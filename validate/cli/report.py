@@ -49,15 +49,20 @@ def command(folder: Path, split: bool, as_json: bool) -> int:
 
 def _tables(folder: Path) -> dict[str, Any]:
     """What is told beside the report: the texts of the tables, their rows, and how many cells are missing. Raises CampaignError."""
-    from reports.collected import collected
-    from reports.examination_record import divided
-    from validate.campaign import EXAMINATIONS, RESULTS, VIOLATION, stored_campaign
+    from reports.load import ReportError, Stored
+    from reports.render import outlined
+    from validate.campaign import EXAMINATIONS, RESULTS, VIOLATION
     from validate.results import examination_rows, examinations_text, results_text, rows
+    from validate.stored import campaign_of
     from validate.violation import violation_text
 
-    campaign, stored = stored_campaign(folder)
-    parts, examinations = divided(stored)
-    records = collected(parts)  # a pipeline that ran in parts is one row, as in the campaign's own table
+    try:
+        stored = outlined(folder)  # a pipeline that ran in parts is one row, as in the campaign's own table
+    except ReportError:
+        stored = Stored("", None, (), (), (), 0)
+    campaign = stored.campaign or campaign_of(folder)  # which says why there is none
+    records, examinations = stored.runs, stored.examinations
+    found = sum(map(len, stored.parts)) + len(examinations)
     return {
         "files": {
             RESULTS: results_text(records),
@@ -65,7 +70,7 @@ def _tables(folder: Path) -> dict[str, Any]:
             VIOLATION: violation_text(campaign.violation),
         },
         "rows": {"results": rows(records), "examinations": examination_rows(examinations)},
-        "missing": len(campaign.keys) - len(stored),
+        "missing": len(campaign.keys) - found,
         "cells": len(campaign.keys),
         "command": campaign.command,
     }
