@@ -32,7 +32,7 @@ class RelaxedLCP(TranscriptionMethod):
     )
 
     def session(self, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> TranscriptionSession:
-        from formulations.transcription.session import RelaxedSession
+        from formulations.transcription.relaxed import RelaxedSession
 
         return RelaxedSession(self, scene, options, opening)
 

@@ -21,7 +21,6 @@ from formulations.transcription.reach import Nearest, Patience, nearest
 from formulations.transcription.residuals import PlanResiduals
 from formulations.transcription.size import size_on_paper
 from formulations.transcription.workbench import Account, Workbench, primal_dual
-from models.codegen.kernel import load_kernel
 from models.errors import TrajectoryError
 from models.scene import Scene
 from models.trajectory import Trajectory
@@ -63,7 +62,7 @@ class TranscriptionSession(Session):
         """Ipopt options of a start without a plan."""
         return {}
 
-    def is_plan(self, residuals: Mapping[str, float]) -> bool:
+    def is_plan(self, residuals: Mapping[str, float], eps: float | None) -> bool:
         """Whether a last iterate that was not solved is worth handing on."""
         return True
 
@@ -209,7 +208,7 @@ class TranscriptionSession(Session):
         if plan is not None:
             residuals = self.certificate(plan, eps)
             cost = self._residuals.cost(plan)
-            if outcome is not Outcome.SOLVED and not self.is_plan(residuals):
+            if outcome is not Outcome.SOLVED and not self.is_plan(residuals, eps):
                 plan, cost = None, None
                 message = f"{message} The last iterate does not meet its own equations: it is no plan, and starts none."
             missed = {name: limit for name, limit in self.promises(eps).items() if not residuals.get(name, 0.0) <= limit}
@@ -233,33 +232,6 @@ class TranscriptionSession(Session):
             size=bench.size,
             paper_size=size_on_paper(self._scene, self.contact),
         )
-
-
-class RelaxedSession(TranscriptionSession):
-    contact = ContactLaw.COMPLEMENTARITY
-
-    def sharpest(self, eps: float | None) -> float:
-        """b = k ln2 / sqrt(eps): softplus with this worst-case violation, lam (lam - k phi) = eps at phi = 0."""
-        softest = min(load_kernel(self._scene).stiffness(), default=math.inf)
-        return float(softest) * math.log(2.0) / math.sqrt(cast(float, eps))
-
-    def cold_options(self) -> dict[str, Any]:
-        return cold_barrier(self)
-
-    def common_options(self) -> dict[str, Any]:
-        # Relaxed bounds (Ipopt's default) would let a force be -1e-8 N and the product exceed eps.
-        return {**super().common_options(), "bound_relax_factor": 0.0}
-
-    def takes_duals(self, eps: float | None) -> bool:
-        return cast(float, eps) <= self.number("duals_from")
-
-    def promises(self, eps: float | None) -> dict[str, float]:
-        tolerance = self.number("plan_tolerance")
-        # each friction has two products, and friction_law is their sum
-        products = {"complementarity": cast(float, eps) + tolerance, "friction_law": 2.0 * cast(float, eps) + tolerance}
-        if self._scene.damped:  # the bound holds for spring, switch and force each, not for the force against the true law
-            return {**super().promises(eps), "friction_cone": tolerance}
-        return {**super().promises(eps), **products, "force_sign": tolerance, "friction_cone": tolerance}
 
 
 def cold_barrier(session: TranscriptionSession) -> dict[str, Any]:

@@ -12,10 +12,11 @@ from formulations import ContactLaw, build_model, load_plan
 from formulations.catalog import load_method
 from formulations.ipopt import Iteration
 from formulations.solution import Outcome
-from formulations.transcription import softplus
+from formulations.transcription import relaxed, softplus
 from formulations.transcription.contact_laws import tighten
 from formulations.transcription.opening import Watch, plan_with_goal_released
 from formulations.transcription.residuals import PlanResiduals
+from formulations.transcription.tightened import Work
 from formulations.transcription.workbench import Account
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
@@ -53,8 +54,7 @@ def test_a_goal_that_is_let_go_is_still_drawn_to():
 
 def test_what_misses_its_own_time_step_starts_no_other_stage(monkeypatch):
     """A stage cut off after one iteration, which is taken for broken: it hands nothing on, and a harder one is not tried from the same start."""
-    monkeypatch.setattr(softplus, "_WORK", 0.0)
-    monkeypatch.setattr(softplus, "_FEWEST", 1)
+    monkeypatch.setattr(softplus, "_WORK", Work(0.0, 1))
     monkeypatch.setattr(softplus, "_BROKEN", -1.0)
     scene = load_scene("three_cart").with_task(steps=200, step=0.025)
     with load_method("softplus_dc").open(scene) as session:
@@ -69,6 +69,36 @@ def test_what_misses_its_own_time_step_starts_no_other_stage(monkeypatch):
         assert "Not tried" in harder.message
         softer = session.solve(eps=5e-4, warm_start=first.trajectory, time_limit=60.0)
         assert softer.iterations > 0
+
+
+def test_a_relaxed_stage_without_a_plan_ends_the_chain_from_that_start(monkeypatch):
+    """Cold too, since plans of a smaller eps are among those of a larger one; infeasible stays infeasible."""
+    monkeypatch.setattr(relaxed, "_COLD", Work(0.0, 2))
+    monkeypatch.setattr(relaxed, "_BROKEN", -1.0)
+    scene = load_scene("three_cart").with_task(steps=100, step=0.05)
+    with load_method("relaxed_lcp").open(scene) as session:
+        cut = session.solve(eps=1e-2, warm_start=None, time_limit=60.0)
+        assert (cut.outcome, cut.trajectory, cut.iterations) == (Outcome.ITERATION_LIMIT, None, 2)
+        harder = session.solve(eps=1e-3, warm_start=None, time_limit=60.0)
+        assert (harder.outcome, harder.iterations) == (Outcome.STALLED, 0)
+        assert "Not tried" in harder.message
+        monkeypatch.setattr(relaxed, "_COLD", Work(5e6, 1000))
+        softer = session.solve(eps=1e-1, warm_start=None, time_limit=60.0)
+        assert softer.outcome is Outcome.SOLVED
+        assert softer.trajectory is not None
+        warm = session.solve(eps=1e-3, warm_start=softer.trajectory, time_limit=60.0)
+        assert warm.outcome is Outcome.SOLVED, "another start is another matter"
+
+
+def test_out_of_reach_is_said_once():
+    """A horizon too short for the goal: what holds for eps = 1e-2 holds below it."""
+    hasty = load_scene("three_cart").with_task(steps=50)
+    with load_method("relaxed_lcp").open(hasty) as session:
+        first = session.solve(eps=1e-2, warm_start=None, time_limit=60.0)
+        second = session.solve(eps=1e-3, warm_start=None, time_limit=60.0)
+    assert (first.outcome, second.outcome) == (Outcome.INFEASIBLE, Outcome.INFEASIBLE)
+    assert first.iterations > 0
+    assert second.iterations == 0
 
 
 @pytest.mark.parametrize("length", [1.0, 0.1])
