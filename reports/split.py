@@ -7,10 +7,13 @@ Nothing is folded, so that every page can be read without its script. Each page 
 
 from __future__ import annotations
 
+import hashlib
 import html
+import json
 import re
 from pathlib import Path
 
+from reports.kept import kept
 from reports.load import ReportError
 from reports.pages.section import Section
 from reports.render import Drawn, draw, write_page
@@ -25,9 +28,20 @@ _LINK = re.compile(r' href="#([^"]+)"')
 
 
 def write_pages(folder: Path) -> Path:
-    """Write the pages to the folder `report` in the campaign's folder; the path of the first. Raises ReportError."""
+    """Write the pages to the folder `report` in the campaign's folder; the path of the first. Raises ReportError.
+
+    Pages that are there as they were written, of what is still the same, are left as they are.
+    """
     target = folder / "report"
-    pages = split(draw(folder))
+    pages: dict[str, str] = {}
+
+    def made() -> str:
+        pages.update(split(draw(folder)))
+        return json.dumps({name: hashlib.sha256(text.encode("utf-8", errors="replace")).hexdigest() for name, text in pages.items()})
+
+    digests = json.loads(kept(folder, "pages", made))
+    if not pages and not _stand(target, digests):
+        made()
     try:
         target.mkdir(exist_ok=True)
     except OSError as problem:
@@ -37,6 +51,14 @@ def write_pages(folder: Path) -> Path:
     for name, text in pages.items():
         write_page(target / name, text)
     return target / INDEX
+
+
+def _stand(target: Path, digests: dict[str, str]) -> bool:
+    """Whether each of these pages is there, byte by byte."""
+    try:
+        return all(hashlib.sha256((target / name).read_bytes()).hexdigest() == digest for name, digest in digests.items())
+    except OSError:
+        return False
 
 
 def split(drawn: Drawn) -> dict[str, str]:

@@ -30,6 +30,10 @@ _SAME_ERROR, _SAME_COST = 0.05, 1e-3
 # Beyond this a ratio of errors says no more than that one of them is nearly none.
 _MANY = 1000.0
 
+_FREE = (
+    "This scene has no inputs: nothing is planned, so there are no methods to compare. Its free motion is replayed and judged all the same."
+)
+
 Point = tuple[float, float, Row]
 
 
@@ -43,18 +47,20 @@ class View:
 
 @dataclass(frozen=True)
 class Pareto:
-    """The plots of one scene; failed: (row, why it has no point) of methods that gave no plan to compare; refused: pipelines that do not apply."""
+    """The plots of one scene; failed: (row, why it has no point) of methods that gave no plan to compare; refused: pipelines that do not apply;
+    nothing: why there is no plot, where there is none."""
 
     scene: SceneRecord
     views: list[View]
     failed: list[tuple[Row, str]]
     refused: list[str]
+    nothing: str = ""
 
 
 def build(report: Report) -> Section | None:
     found = [_pareto(scene, report.rows_of_scene(scene)) for scene in report.scenes]
-    found = [pareto for pareto in found if pareto.views]
-    return Section("pareto", "CPU time against error and cost", "pareto.html", {"scenes": found}) if found else None
+    keys = next((pareto.views[0].plot.keys for pareto in found if pareto.views), None)
+    return Section("pareto", "CPU time against error and cost", "pareto.html", {"scenes": found, "keys": keys}) if keys else None
 
 
 def cpu(row: Row) -> float:
@@ -84,9 +90,13 @@ def _terminal(row: Row) -> list[FigureRecord]:
 def _pareto(scene: SceneRecord, rows: list[Row]) -> Pareto:
     ran = [row for row in rows if row.stage.outcome != "refused"]
     refused = list(dict.fromkeys(row.run.pipeline for row in rows if row.stage.outcome == "refused"))
+    if not scene.inputs:
+        return Pareto(scene, [], [], refused, _FREE)
     views = [view for view in (_error_view(ran), _cost_view(scene, ran)) if view is not None]
     failed = [(row, reason) for row in ran if (reason := _why_absent(row))]
-    return Pareto(scene, views if scene.inputs else [], failed, refused)  # without inputs there is nothing to choose from
+    return Pareto(
+        scene, views, failed, refused, "" if views else "No stage gave a plan that could be replayed, so there is nothing to compare."
+    )
 
 
 def _why_absent(row: Row) -> str:

@@ -14,9 +14,7 @@ def build(report: Report) -> Section | None:
     if first is None:
         return None
     runs = [(run, report.anchor(run), differences(first, run.provenance)) for run in stored.runs]
-    return Section(
-        "provenance", "Provenance", "provenance.html", {"first": first, "runs": runs, "campaign": stored.campaign, "folder": stored.folder}
-    )
+    return Section("provenance", "Provenance", "provenance.html", {"first": first, "runs": runs, "campaign": stored.campaign})
 
 
 def differences(first: ProvenanceRecord, other: ProvenanceRecord) -> list[str]:

@@ -21,6 +21,8 @@ _STYLES = (("c0", "circle"), ("c1", "square"), ("c2", "diamond"), ("c3", "triang
 _IN_TABLE = 2
 # Curves of more points than this are drawn without markers.
 _MARKED = 60
+# Of the decades of a logarithmic axis, the share that is left free below them for zeros.
+_BELOW = 0.08
 
 
 @dataclass(frozen=True)
@@ -103,22 +105,31 @@ def _plot(chart: ChartRecord) -> Plot:
         plot.keys.append(Key(style, series.name, marker if marked else ""))
         x, y = (_drawn(values, axis) for values, axis in ((series.x, plot.x), (series.y, plot.y)))
         if series.line:
-            plot.line(series.name, style, x, y)
+            above = [pair for pair in zip(x, y, series.x, series.y, strict=True) if not (_low(pair[2], plot.x) or _low(pair[3], plot.y))]
+            plot.line(series.name, style, [pair[0] for pair in above], [pair[1] for pair in above])
         for left, up, true_x, true_y in zip(x, y, series.x, series.y, strict=True) if marked else ():
             plot.point(left, up, style, marker, f"{series.name}: {chart.x.quantity} {number(true_x)}, {chart.y.quantity} {number(true_y)}")
     if chart.level is not None:
         plot.level(chart.level, chart.level_words)
     plot.words = chart.words or f"{capital(chart.y.quantity)} against {chart.x.quantity}, {count(len(chart.series), 'curve')}."
+    if any(_low(x, plot.x) or _low(y, plot.y) for series in chart.series for x, y in zip(series.x, series.y, strict=True)):
+        plot.words += " Zeros have no place on a logarithmic axis: their points stand at its lower end, off the line."
     return plot
+
+
+def _low(value: float, axis: Axis) -> bool:
+    return axis.log and value <= 0
 
 
 def _axis(axis: AxisRecord, values: list[float]) -> Axis:
     positive = [value for value in values if value > 0]
     if axis.log and positive:
+        if len(positive) < len(values):  # room below, so that zeros lie under everything else
+            positive.append(min(positive) * (max(positive) / min(positive)) ** -_BELOW / 2)
         return Axis.fitted(axis.quantity, axis.unit, positive, log=True)
     return Axis.fitted(axis.quantity, axis.unit, values)
 
 
 def _drawn(values: tuple[float, ...], axis: Axis) -> list[float]:
-    """Zero and less are drawn at the low end of a logarithmic axis."""
+    """Zero and less are drawn at the low end of a logarithmic axis, where room was made for them."""
     return [max(value, axis.low) if axis.log else value for value in values]

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from reports import kept as room
 from reports import render as page
+from reports import split
 from reports.examination_record import record_of
 from reports.load import ReportError, load
 from reports.outlines import Outlines
@@ -125,3 +126,20 @@ def test_a_record_that_changes_meanwhile_is_said(folder: Path):
     path.write_bytes(record_of(path.read_bytes()).model_copy(update={"message": "other"}).model_dump_json().encode())
     with pytest.raises(ReportError, match="changed while the report was written"):
         outlines.whole(stored.parts[0])
+
+
+def test_a_folder_that_is_renamed_has_the_same_page(folder: Path, tmp_path: Path):
+    before = render(folder)
+    assert render(folder.rename(tmp_path / "another")) == before
+
+
+def test_pages_that_stand_are_left_and_any_other_is_written_again(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    index = split.write_pages(folder)
+    fresh = {path.name: path.read_bytes() for path in index.parent.iterdir()}
+    with monkeypatch.context() as patch:
+        patch.setattr(split, "draw", lambda _: pytest.fail("the pages stand"))
+        assert split.write_pages(folder) == index
+    (index.parent / "runs.html").write_bytes(fresh["runs.html"][:-1])
+    index.unlink()
+    split.write_pages(folder)
+    assert {path.name: path.read_bytes() for path in index.parent.iterdir()} == fresh

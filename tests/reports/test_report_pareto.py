@@ -98,6 +98,11 @@ def test_a_scene_without_inputs_has_nothing_to_choose_from() -> None:
     run = cell("motion", 1.0, 0.01, 0.0, 0.0)
     run = run.model_copy(update={"scene": run.scene.model_copy(update={"inputs": ()})})
     assert pareto.build(Report(Stored("x", None, (run,), (), (), 0))) is None
+    other = cell("planned", 1.0, 0.01, 490.0, 0.01)
+    free = run.model_copy(update={"scene": run.scene.model_copy(update={"name": "free"})})
+    section = pareto.build(Report(Stored("x", None, (free, other), (), (), 0)))
+    assert section is not None
+    assert [(len(found.views), bool(found.nothing)) for found in section.values["scenes"]] == [(0, True), (2, False)]
 
 
 @pytest.mark.parametrize("words", ["pipeline quick, stage 1", "CPU time against cost at equal terminal error"])
