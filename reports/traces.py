@@ -37,7 +37,7 @@ def contact_phases(trace: TraceRecord | None, contact: str) -> list[tuple[float,
     if gaps is not None:
         touching = array_of(gaps) <= 0
     elif forces is not None:
-        touching = array_of(forces) > _FORCE_OF_CONTACT
+        touching = np.abs(array_of(forces)) > _FORCE_OF_CONTACT  # friction has two directions
     else:
         return []
     times = array_of(trace.t)[: len(touching)]

@@ -64,16 +64,16 @@ def stage_plots(scene: SceneRecord, stage: StageRecord) -> StagePlots:
         for unit in dict.fromkeys(item.unit for item in scene.coordinates):
             motion.append(_positions([item for item in scene.coordinates if item.unit == unit], unit, x, plan, replay))
         for contact in scene.contacts:
-            motion.append(_contact(f"Contact force, {contact.name}", "force", "N", contact.name, x, plan, replay))
+            motion.append(_contact(scene, f"Contact force, {contact.name}", "force", "N", contact.name, x, plan, replay))
         for friction in scene.frictions:
             motion.append(
-                _contact(f"Friction force, {friction.description or friction.name}", "force", "N", friction.name, x, plan, replay)
+                _contact(scene, f"Friction force, {friction.description or friction.name}", "force", "N", friction.name, x, plan, replay)
             )
         opened = stage.replay_trace if stage.replay_trace is not None and stage.replay_trace.t else None
         tracked = stage.tracked_trace if stage.tracked_trace is not None and stage.tracked_trace.t else None
         motion.append(_error(scene, x, plan, opened) if tracked is None else _two_errors(scene, x, plan, opened, tracked))
         for contact in scene.contacts:
-            motion.append(_contact(f"Gap, {contact.name}", "gap", "m", contact.name, x, plan, replay))
+            motion.append(_contact(scene, f"Gap, {contact.name}", "gap", "m", contact.name, x, plan, replay))
         motion.append(_inputs(scene, x, plan, tracked))
     history = [_history(name, values, stage.iterations) for name, values in list(stage.history.items())[:_MOST_HISTORY] if len(values) > 1]
     keys = [*_KEYS[:1], Key("replay", "replay with tracking feedback"), *_KEYS[2:]] if is_tracked(stage) else _KEYS
@@ -109,7 +109,7 @@ def _positions(items: list[QuantityRecord], unit: str, x: Axis, plan: TraceRecor
 
 
 def _contact(
-    title: str, quantity: str, unit: str, contact: str, x: Axis, plan: TraceRecord | None, replay: TraceRecord | None
+    scene: SceneRecord, title: str, quantity: str, unit: str, contact: str, x: Axis, plan: TraceRecord | None, replay: TraceRecord | None
 ) -> Plot | None:
     read = force if quantity == "force" else gap
     data = [
@@ -127,10 +127,14 @@ def _contact(
         plot.strip(low, high, "planned-touch", 0)
     for name, trace, values in data:
         plot.line(name, name, trace.t, values)
-    told = [f"Largest in the {name}: {number(max(values), 3)} {unit}." for name, _, values in data]
+    rubs = any(friction.name == contact for friction in scene.frictions)
+    size = (lambda values: max(map(abs, values))) if rubs else max  # friction acts in two directions
+    told = [f"Largest{' size' if rubs else ''} in the {name}: {number(size(values), 3)} {unit}." for name, _, values in data]
     if replay is not None:
         windows = [f"{number(low, 3)} to {number(high, 3)} s" for low, high in phases[:4]]
-        told.append(f"In contact in the replay: {', '.join(windows) or 'never'}{' and more' if len(phases) > 4 else ''}.")
+        told.append(
+            f"{'Friction acts' if rubs else 'In contact'} in the replay: {', '.join(windows) or 'never'}{' and more' if len(phases) > 4 else ''}."
+        )
     plot.words = " ".join(told)
     return plot
 

@@ -74,7 +74,8 @@ def _view(report: Report, run: RunRecord) -> Exactness | None:
 def _beside(points: tuple[FrontPointRecord, ...], row: Row) -> Beside:
     missed, price = row.figure("discrete_terminal_error") or 0.0, row.stage.cost or 0.0
     loose, tight = least_within(points, missed)
-    if missed < _edge(points) and tight is not None:
+    near = missed < _edge(points) and tight is not None
+    if near:
         loose = None  # it reaches the goal, but for rounding
     if tight is None:
         least = "no point is as near"
@@ -88,6 +89,8 @@ def _beside(points: tuple[FrontPointRecord, ...], row: Row) -> Beside:
         above = "below the front: a better front exists"
     elif tight is not None and abs(price - tight) <= _SAME * tight:
         above = "on it"
+    elif near and tight is not None:
+        above = f"{percent(price / tight - 1)}, for missing the goal by more"
     else:
         above = "between its points" if loose is not None else "looser than all its points"
     return Beside(row, missed, price, least, above)

@@ -15,7 +15,7 @@ from reports.pages.stage_plots import stage_plots
 from reports.plots.axis import Axis
 from reports.plots.figure import Plot
 from reports.plots.simplify import simplified
-from reports.record import TraceRecord
+from reports.record import QuantityRecord, TraceRecord
 from reports.traces import at, contact_phases
 from reports.tracked_record import TrackedRecord
 from reports.wording import cost, error, number, percent, product, seconds, small
@@ -79,6 +79,17 @@ def test_contact_phases_come_from_the_gap():
     assert contact_phases(trace, "left") == [(1, 3), (4, 4)]
     assert contact_phases(TraceRecord(t=(0, 1, 2), columns={"lam_left": (0.0, 2.0)}), "left") == [(1, 1)]
     assert contact_phases(trace, "nothing") == []
+
+
+def test_friction_is_told_by_its_size_in_both_directions(factory):
+    run = factory.runs()[0]
+    times, rubbing = tuple(range(5)), (0.0, -2.0, -1.0, 0.5, 0.0)
+    assert contact_phases(TraceRecord(t=times, columns={"f": rubbing}), "f") == [(1, 4)]
+    scene = run.scene.model_copy(update={"frictions": (QuantityRecord(name="f", unit="N"),)})
+    replay = run.stages[0].replay_trace.model_copy(update={"t": times, "columns": {"f": rubbing}})
+    plots = stage_plots(scene, run.stages[0].model_copy(update={"replay_trace": replay})).motion
+    words = next(plot.words for plot in plots if plot.title.startswith("Friction"))
+    assert words == "Largest size in the replay: 2 N. Friction acts in the replay: 1 to 4 s."
 
 
 @pytest.mark.parametrize(
