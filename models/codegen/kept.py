@@ -1,6 +1,7 @@
 """Generated text, kept between processes: deriving and printing the equations of a large scene takes seconds, reading them back none.
 
 kept_text(scene, "scene_model.h", lambda: emit_model(scene, defaults=False))
+kept_text(scene, "reference.csv", lambda: motion_as_text(scene), whole=True)      # of the values and the task, too
 """
 
 from __future__ import annotations
@@ -8,21 +9,26 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from functools import lru_cache
+from importlib import metadata
 from pathlib import Path
 
 import sympy as sp
 
 from models.codegen.cache import cached
 from models.scene import Scene
-from models.scene_text import equations_text
+from models.scene_text import equations_text, scene_text
 
 _MODELS = Path(__file__).parents[1]
 # Whatever decides the text beside the scene's own equations.
 _GENERATORS = ("codegen/*.py", "contact*.py", "dynamics.py", "fmu/sensitivity.py", "fmu/structure.py", "fmu/variables.py")
+# And of a text that is computed from its values.
+_COMPUTED = ("fmu/experiment.py", "fmu/reference.py", "scene*.py")
+_LIBRARIES = ("numpy", "scipy")
 
 
-def kept_text(scene: Scene, name: str, make: Callable[[], str]) -> str:
-    """The text `name` of a scene: read from the cache folder, or made and kept there. It must depend on nothing but the scene's equations.
+def kept_text(scene: Scene, name: str, make: Callable[[], str], *, whole: bool = False) -> str:
+    """The text `name` of a scene: read from the cache folder, or made and kept there. It must depend on nothing but the scene's equations;
+    whole: on nothing but the scene.
 
     Raises what `make` raises, and MachineError for a cache folder that cannot be written.
     """
@@ -30,12 +36,16 @@ def kept_text(scene: Scene, name: str, make: Callable[[], str]) -> str:
     def write(path: Path) -> None:
         path.write_text(make(), encoding="utf-8")
 
-    key = "\n".join([name, sp.__version__, _generators(), equations_text(scene)])
+    if whole:
+        content = [*(metadata.version(library) for library in _LIBRARIES), _generators((*_GENERATORS, *_COMPUTED)), scene_text(scene)]
+    else:
+        content = [_generators(), equations_text(scene)]
+    key = "\n".join([name, sp.__version__, *content])
     return cached(key, f".{name}", write).read_text(encoding="utf-8")
 
 
-@lru_cache(maxsize=1)
-def _generators() -> str:
+@lru_cache(maxsize=2)
+def _generators(patterns: tuple[str, ...] = _GENERATORS) -> str:
     """Digest of the code that writes the text."""
-    paths = sorted(path for pattern in _GENERATORS for path in _MODELS.glob(pattern))
+    paths = sorted(path for pattern in patterns for path in _MODELS.glob(pattern))
     return hashlib.sha256(b"\0".join(path.read_bytes() for path in paths)).hexdigest()

@@ -11,6 +11,8 @@ from models.catalog import load_scene
 from models.codegen import kept
 from models.codegen.emit import emit_model, model_source
 from models.codegen.kept import kept_text
+from models.fmu import experiment
+from models.fmu.reference import true_motion
 from models.fmu.sensitivity import emit_sensitivity, sensitivity_source
 from models.scene import Scene
 
@@ -42,6 +44,24 @@ def test_equal_equations_are_written_once():
     assert not asked(scene)
     assert not asked(scene.with_parameters(k=77.0)), "values are no part of the equations"
     assert not asked(scene.with_task(steps=7)), "nor is the task"
+
+
+def test_the_motion_in_an_fmu_is_integrated_once(monkeypatch):
+    """For every version and platform; again for other values and another task. What is read back is what was computed."""
+    integrated = []
+
+    def counted(*arguments):
+        integrated.append(arguments[0].scene)
+        return true_motion(*arguments)
+
+    monkeypatch.setattr(experiment, "true_motion", counted)
+    scene = load_scene("three_cart").with_task(steps=4)
+    first = experiment.experiment_texts(scene)
+    assert experiment.experiment_texts(scene) == first
+    assert len(integrated) == 1
+    others = [scene.with_parameters(k=77.0), scene.with_task(steps=5)]
+    assert all(experiment.experiment_texts(other) for other in others)
+    assert integrated == [scene, *others]
 
 
 @pytest.mark.parametrize(
