@@ -20,7 +20,9 @@ from pyomo.common.gc_manager import PauseGC
 from formulations.mpec.certificate.active import ActiveSet, active_set
 from formulations.mpec.certificate.evaluation import LocalModel, Pair, Row, read_local
 from formulations.mpec.certificate.exactness import forced_violation
-from formulations.mpec.certificate.stationarity import Stationarity, class_of, classify, steepest_piece
+from formulations.mpec.certificate.pieces import steepest_piece
+from formulations.mpec.certificate.signs import Stationarity, class_of
+from formulations.mpec.certificate.stationarity import classify
 
 # Feasibility relative to max(1, |bound|); complementarity as min(G, H) of a pair, in the user's units; dual residual relative to the largest
 # derivative of the objective (at least 1). A point polished by this package has 1e-12 in the first two; a solver without polish about 1e-8.
@@ -150,7 +152,7 @@ def certify(model: Any, multipliers: Multipliers | None = None, *, tolerances: T
             stationarity, dual, least, unique = found.kind, found.residual, found.least, found.unique
             # one wrong multiplier may show too gentle a slope where several together show a steep one
             shown = found.descent < -STATIONARITY
-            descent = 0.0 if stationarity is Stationarity.STRONG else found.descent if shown else steepest_piece(active)[0]
+            descent = 0.0 if stationarity is Stationarity.STRONG else found.descent if shown else steepest_piece(active, STATIONARITY)[0]
     return Certificate(
         primal=worst_row,
         primal_relative=relative,

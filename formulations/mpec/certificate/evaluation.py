@@ -13,7 +13,8 @@ import pyomo.environ as pyo
 import scipy.sparse as sparse
 from pyomo.mpec import Complementarity
 
-from formulations.mpec.certificate.gradients import gradients_of
+from formulations.ipopt.errors import MissingValueError
+from formulations.mpec.certificate.gradients import empty_expression, gradients_of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,15 +82,28 @@ def number_of(expression: Any) -> float:
     return math.nan if number is None or isinstance(number, complex) else float(number)
 
 
+def _filled(source: Any, expression: Any, number: float) -> float:
+    """The number. Raises MissingValueError where there is none because the expression holds one without content."""
+    name = empty_expression(expression) if math.isnan(number) else None
+    if name is not None:
+        raise MissingValueError(
+            f"'{source.name}' needs the Expression '{name}', which is empty: give it a value, or deactivate '{source.name}'"
+        )
+    return number
+
+
 def read_local(model: Any, near: float) -> LocalModel:
-    """All active components at their current values. near: a box within this of a bound is a pair with that bound."""
+    """All active components at their current values. near: a box within this of a bound is a pair with that bound.
+
+    Raises MissingValueError where one of them needs an Expression that is empty.
+    """
     rows: list[Row] = []
     bodies: list[Any] = []
 
     def add_row(source: Any, body: Any, lower: Any, upper: Any, argument: int | None = None) -> None:
         low = -math.inf if lower is None else number_of(lower)
         high = math.inf if upper is None else number_of(upper)
-        rows.append(Row(source=source, value=number_of(body), lower=low, upper=high, argument=argument))
+        rows.append(Row(source=source, value=_filled(source, body, number_of(body)), lower=low, upper=high, argument=argument))
         bodies.append(body)
 
     for constraint in model.component_data_objects(pyo.Constraint, active=True, descend_into=pyo.Block):
@@ -106,13 +120,15 @@ def read_local(model: Any, near: float) -> LocalModel:
                 add_row(condition, body, lower, upper, argument)
             continue
         pair, expressions, numbers = local
+        for expression, number in zip(expressions, numbers, strict=True):
+            _filled(condition, expression, number)
         pairs.append(pair)
         sides.append(expressions)
         side_values.append(numbers)
     sense, goal, objective = 1.0, 0.0, 0.0
     for item in model.component_data_objects(pyo.Objective, active=True, descend_into=pyo.Block):
         sense, goal = (1.0 if item.sense == pyo.minimize else -1.0), item.expr
-        objective = number_of(goal)
+        objective = _filled(item, goal, number_of(goal))
     (first, second), (first_values, second_values) = (tuple(zip(*items, strict=True)) or ((), ()) for items in (sides, side_values))
     found = gradients_of([*bodies, *first, *second, goal], [*(row.value for row in rows), *first_values, *second_values, objective])
     m, k = len(rows), len(pairs)

@@ -8,7 +8,7 @@ by Pyomo as well, and all values are compared with Pyomo's: if any of that disag
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -17,7 +17,9 @@ import numpy as np
 import scipy.sparse as sparse
 from pyomo.core.expr.calculus.derivatives import Modes, differentiate
 from pyomo.core.expr.calculus.diff_with_pyomo import DifferentiationException
-from pyomo.core.expr.visitor import identify_variables
+from pyomo.core.expr.numeric_expr import UnaryFunctionExpression
+from pyomo.core.expr.numvalue import value
+from pyomo.core.expr.visitor import evaluate_fixed_subexpressions, identify_variables
 from pyomo.repn import generate_standard_repn
 
 from formulations.ipopt.shapes import shape_of
@@ -29,6 +31,11 @@ _OFTEN = 8
 # Relative to the terms of a value, or the largest derivative of a row: two ways to the same number differ by rounding only.
 _ROUNDING = 1e-9
 _DISAGREE = "the derivatives that were evaluated together disagree with Pyomo's own, which were taken instead: please report this model"
+_UNKNOWN = "Pyomo has no derivatives to compare those with that were evaluated together; its own were taken throughout"
+# Functions of one argument that have all derivatives wherever they have a value that is not at the end of their domain.
+_SMOOTH = frozenset(
+    ["exp", "log", "log10", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "sqrt"]
+)
 _REFUSED = (ValueError, ArithmeticError, TypeError)  # of an expression that the compiler does not treat
 _NOWHERE = SimpleNamespace(name="an expression")
 
@@ -50,7 +57,8 @@ def gradients_of(expressions: Sequence[Any], values: Sequence[float]) -> Gradien
     own |= ~np.isfinite(together.values)
     own[triplets[0][~np.isfinite(triplets[2])]] = True
     if not together.agrees_with(np.array(values, dtype=float), triplets, expressions, own):
-        return _assembled(_Columns(()), expressions, range(len(expressions)), _NO_TRIPLETS, (_DISAGREE,))
+        note = _DISAGREE if together.compared else _UNKNOWN
+        return _assembled(_Columns(()), expressions, range(len(expressions)), _NO_TRIPLETS, (note,))
     kept = ~own[triplets[0]]
     rows, columns, slopes = (part[kept] for part in triplets)
     return _assembled(_Columns(together.variables), expressions, np.flatnonzero(own).tolist(), (rows, columns, slopes), ())
@@ -65,10 +73,42 @@ def pyomo_gradient(expression: Any) -> list[tuple[Any, float]]:
         return [(variable, float(slope)) for variable, slope in zip(affine.linear_vars, affine.linear_coefs, strict=True)]
     variables = list(identify_variables(expression, include_fixed=False))
     try:
-        slopes = differentiate(expression, wrt_list=variables, mode=Modes.reverse_numeric)
-    except (ArithmeticError, ValueError, DifferentiationException):
+        # data as numbers: Pyomo would differentiate by a Param that is an exponent too, for which a negative base has no logarithm
+        numeric = evaluate_fixed_subexpressions(expression)
+        slopes = differentiate(numeric, wrt_list=variables, mode=Modes.reverse_numeric)
+    except DifferentiationException:
+        slopes = _symbolic(expression, variables)
+    except (ArithmeticError, ValueError):
         slopes = [math.nan] * len(variables)
-    return [(variable, float(slope)) for variable, slope in zip(variables, slopes, strict=True)]
+    return [(variable, math.nan if isinstance(slope, complex) else float(slope)) for variable, slope in zip(variables, slopes, strict=True)]
+
+
+def _symbolic(expression: Any, variables: Sequence[Any]) -> Sequence[float]:
+    """By Pyomo's way over SymPy, which knows more functions; NaN where one of them is not smooth."""
+    nothing = [math.nan] * len(variables)
+    functions = {node.getname() for node in _nodes(expression) if isinstance(node, UnaryFunctionExpression)}
+    if not functions <= _SMOOTH:
+        return nothing
+    try:
+        slopes = differentiate(expression, wrt_list=variables, mode=Modes.sympy)
+        return [float(value(slope)) for slope in slopes]
+    except Exception:  # noqa: BLE001 - what SymPy raises of what it does not know is its own; there is then no derivative to compare with
+        return nothing
+
+
+def _nodes(expression: Any) -> Iterator[Any]:
+    """All nodes of an expression that are expressions themselves."""
+    stack = [expression]
+    while stack:
+        node = stack.pop()
+        if hasattr(node, "is_expression_type") and node.is_expression_type():
+            yield node
+            stack.extend(node.args)
+
+
+def empty_expression(expression: Any) -> str | None:
+    """The name of an Expression without content that is part of an expression, None if there is none."""
+    return next((node.name for node in _nodes(expression) if node.is_named_expression_type() and node.expr is None), None)
 
 
 _Triplets = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -102,7 +142,8 @@ def _assembled(columns: _Columns, expressions: Sequence[Any], own: Sequence[int]
 
 
 class _Together:
-    """Expressions read into terms by shape. refused: (expressions,) those that Pyomo must differentiate; values: of all the others."""
+    """Expressions read into terms by shape. refused: (expressions,) those that Pyomo must differentiate; values: of all the others; compared:
+    whether Pyomo had derivatives of all that `agrees_with` asked for."""
 
     def __init__(self, expressions: Sequence[Any]) -> None:
         reader = TermReader()
@@ -113,7 +154,7 @@ class _Together:
                 reader.read(row, expression, 1.0, _NOWHERE)
             except _REFUSED:
                 self.refused[row] = True
-        self.variables = reader.variables
+        self.variables, self.compared = reader.variables, True
         self._x = np.array([math.nan if variable.value is None else variable.value for variable in self.variables], dtype=float)
         self._groups: list[TermGroup] = []
         data = np.array([_number(source) for source in reader.data])
@@ -173,6 +214,7 @@ class _Together:
     def _same(self, theirs: list[tuple[Any, float]], ours: sparse.csr_matrix, columns: _Columns) -> bool:
         difference = dict(zip(ours.indices.tolist(), ours.data.tolist(), strict=True))
         limit = _ROUNDING * max(1.0, float(np.max(np.abs(ours.data), initial=0.0)))
+        self.compared = self.compared and all(math.isfinite(slope) for _, slope in theirs)
         for variable, slope in theirs:
             column = columns.of(variable)
             difference[column] = difference.get(column, 0.0) - slope

@@ -18,7 +18,8 @@ from scipy.sparse.linalg import LinearOperator, onenormest, splu
 
 _REFINEMENTS = 3  # of the solution of the augmented system; the first brings three plans of 500 to 5000 steps from 1e-9 to 1e-14
 # Of the proximal point method with columns of length 1: eps, most steps of one solution, and how often multipliers of the wrong sign are left out
-# and the rest is found again. A step that leaves more than _STALLS of what the last one left is the last.
+# and the rest is found again. A step that leaves more than _STALLS of what the last one
+# left, and of its products with the columns, is the last.
 _PROXIMAL, _STEPS, _ROUNDS, _STALLS = 1e-12, 12, 6, 0.9
 _REGULAR = 1e14  # largest condition number (1-norm, estimated) of the augmented system that still counts as regular
 
@@ -81,7 +82,7 @@ def signed_least_squares(
     The columns may depend on each other. None where there is no column, or the factorisation fails.
     """
     columns = matrix.shape[1]
-    y = _proximal(matrix, gradient)
+    y = proximal_least_squares(matrix, gradient)
     if y is None:
         return None
     least = gradient - matrix @ y
@@ -91,7 +92,7 @@ def signed_least_squares(
         if np.max(np.abs(gradient - matrix @ held), initial=0.0) <= tolerance or not np.any(wrong):
             break
         chosen = np.flatnonzero((held != 0.0) & ~wrong)
-        part = _proximal(matrix[:, chosen], gradient)
+        part = proximal_least_squares(matrix[:, chosen], gradient)
         if part is None:
             break
         y = np.zeros(columns)
@@ -101,13 +102,12 @@ def signed_least_squares(
     return SignedMultipliers(y=held, rest=gradient - matrix @ held, least=least, across=across)
 
 
-def _proximal(matrix: sparse.csc_matrix, gradient: np.ndarray) -> np.ndarray | None:
+def proximal_least_squares(matrix: sparse.csc_matrix, gradient: np.ndarray) -> np.ndarray | None:
     """(columns,) least squares by the proximal point method; None if the factorisation fails."""
     n, columns = matrix.shape
     if not columns:
         return None
-    length = np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=0)).ravel())
-    length[length == 0.0] = 1.0
+    length = column_lengths(matrix)
     matrix = (matrix @ sparse.diags(1.0 / length)).tocsc()
     try:
         factors = splu(sparse.bmat([[sparse.identity(n), matrix], [matrix.T, -_PROXIMAL * sparse.identity(columns)]], format="csc"))
@@ -117,7 +117,15 @@ def _proximal(matrix: sparse.csc_matrix, gradient: np.ndarray) -> np.ndarray | N
     for _ in range(_STEPS):
         trial = y + factors.solve(np.concatenate([rest, np.zeros(columns)]))[n:]
         left = gradient - matrix @ trial
-        if not np.linalg.norm(left) < _STALLS * np.linalg.norm(rest):  # as good as it gets; NaN too
+        shorter = np.linalg.norm(left) < _STALLS * np.linalg.norm(rest)
+        straighter = np.linalg.norm(matrix.T @ left) < _STALLS * np.linalg.norm(matrix.T @ rest)
+        if not (shorter or straighter):  # as good as it gets; NaN too
             break
         y, rest = trial, left
     return y / length
+
+
+def column_lengths(matrix: sparse.csc_matrix) -> np.ndarray:
+    """(columns,) 2-norms; 1 for a column of zeros."""
+    length = np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=0)).ravel())
+    return np.where(length == 0.0, 1.0, length)

@@ -14,7 +14,7 @@ from scipy.optimize import OptimizeResult
 
 from formulations.catalog import load_method
 from formulations.mpec import Certificate, Stationarity, certify, certify_plan, certify_solution
-from formulations.mpec.certificate import stationarity
+from formulations.mpec.certificate import decision, programs, stationarity
 from formulations.mpec.certificate.multipliers import least_squares
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
@@ -199,7 +199,8 @@ def test_a_program_that_fails_shows_nothing(monkeypatch) -> None:
         return OptimizeResult(status=4, x=None, fun=None)
 
     assert two_sided(-1e-3, -1e-3).b_stationary is False
-    monkeypatch.setattr(stationarity, "linprog", hinder)
+    monkeypatch.setattr(programs, "linprog", hinder)
+    monkeypatch.setattr(decision, "project", lambda *_: None)
     monkeypatch.setattr(stationarity, "_only_candidate", lambda *_: None)
     monkeypatch.setattr(stationarity, "_one_of_many", lambda *_: None)
     assert two_sided(-1e-3, -1e-3).b_stationary is None

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pyomo.environ as pyo
 import pytest
+from pyomo.mpec import Complementarity, complements
 
+from formulations.ipopt import MissingValueError
 from formulations.ipopt.term_group import TermGroup
 from formulations.mpec import certify
 from formulations.mpec.certificate.evaluation import number_of
@@ -73,3 +75,48 @@ def test_where_they_disagree_pyomos_are_taken(wrong, monkeypatch):
     np.testing.assert_array_equal(together, own)
     assert "disagree with Pyomo's own" in found.notes[0]
     assert found.notes[0] in certify(model).notes
+
+
+def _curve(function, at: float) -> pyo.ConcreteModel:
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var(range(9), initialize=at)
+    m.p = pyo.Param(initialize=2.0, mutable=True)
+    m.row = pyo.Constraint(range(9), rule=lambda m, k: function(m.x[k], m.p) * m.x[k] <= 9.0)
+    m.cost = pyo.Objective(expr=sum((m.x[k] - at) ** 2 for k in range(9)))
+    return m
+
+
+@pytest.mark.parametrize(
+    ("function", "slope"),
+    [
+        (lambda x, _: pyo.cosh(x), np.cosh(-0.3) - 0.3 * np.sinh(-0.3)),
+        (lambda x, _: pyo.atanh(x), np.arctanh(-0.3) - 0.3 / (1 - 0.09)),
+        (lambda x, p: x**p, 3 * 0.09),
+    ],
+    ids=["cosh", "atanh", "Param as exponent"],
+)
+def test_what_pyomos_reverse_mode_does_not_know(function, slope):
+    """Hyperbolic functions, and a negative base with a Param for an exponent: right, and no word of a disagreement."""
+    model = _curve(function, -0.3)
+    [(_, own)] = pyomo_gradient(model.row[0].body)
+    assert own == pytest.approx(slope, rel=1e-12)
+    certificate = certify(model)
+    assert certificate.notes == ()
+    assert certificate.holds
+
+
+def test_a_negative_base_with_a_broken_exponent_has_no_value():
+    model = _curve(lambda x, p: x**p, -0.3)
+    model.p.value = 1.5
+    assert certify(model).notes == ("a function or derivative is not a finite number at this point",)
+
+
+@pytest.mark.parametrize("where", ["row", "pair", "cost"])
+def test_an_empty_expression_is_named(where):
+    m = pyo.ConcreteModel()
+    m.x, m.hole = pyo.Var(initialize=1.0), pyo.Expression()
+    m.row = pyo.Constraint(expr=m.x + (m.hole if where == "row" else 0.0) <= 2)
+    m.pair = Complementarity(expr=complements(m.x * (m.hole if where == "pair" else 1.0) >= 0, m.x >= 0))
+    m.cost = pyo.Objective(expr=m.x * (m.hole if where == "cost" else 1.0))
+    with pytest.raises(MissingValueError, match=f"'{where}' needs the Expression 'hole', which is empty"):
+        certify(m)
