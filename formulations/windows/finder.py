@@ -14,13 +14,13 @@ from formulations.transcription.reach import nearest
 from formulations.transcription.workbench import Account
 from formulations.windows.approach import approach
 from formulations.windows.grids import coarse_scene, on_grid
-from formulations.windows.homotopy import PATIENCE, SoftplusHomotopy
+from formulations.windows.homotopy import PATIENCE
 from formulations.windows.landing import land, land_by_softplus, miss_of
-from formulations.windows.linear_scene import linear_scene, why_not_linear
 from formulations.windows.nonlinear import NlpAnswer, NonlinearModes
 from formulations.windows.quadratic import ModesAnswer, ModesProblem
 from formulations.windows.search import Found, follow_pulls, search_windows
 from formulations.windows.starts import random_plan
+from formulations.windows.structures import Structures
 from models.codegen.kernel import Kernel
 from models.goal import goal_state
 from models.scene import Scene
@@ -49,11 +49,9 @@ class Search:
 class Finder:
     """Everything of one scene that is kept from one solve to the next."""
 
-    def __init__(self, scene: Scene, kernel: Kernel, options: Mapping[str, object]) -> None:
-        self._scene, self._kernel, self._options = scene, kernel, options
-        self._homotopy: SoftplusHomotopy | None = None
-        self._linear: ModesProblem | None = None
-        self._is_linear = why_not_linear(scene) is None
+    def __init__(self, scene: Scene, kernel: Kernel, options: Mapping[str, object], structures: Structures) -> None:
+        self._scene, self._kernel, self._options, self._structures = scene, kernel, options, structures
+        self._is_linear = structures.is_linear
 
     def find(self, account: Account, modes_of: Trajectory | None = None, start: Trajectory | None = None) -> Search:
         """The best plan. modes_of: a plan whose modes are tried first; start: where the homotopy begins (None: the paper's first guess)."""
@@ -79,11 +77,7 @@ class Finder:
 
     def _modes_problem(self, account: Account) -> ModesProblem | NonlinearModes:
         ball = self._number("goal_tolerance") if self._scene.task.has_goal else 0.0
-        if not self._is_linear:
-            return NonlinearModes(self._scene, self._kernel, ball, account, self._ipopt_options("tolerance"))
-        if self._linear is None:
-            self._linear = ModesProblem(linear_scene(self._scene), ball)
-        return self._linear
+        return self._structures.modes(ball, account, self._ipopt_options("tolerance"))
 
     # -- where modes come from --------------------------------------------------------------------------------------------------
 
@@ -115,12 +109,11 @@ class Finder:
 
     def _stages(self, account: Account, begin_at: Trajectory | None, patience: int) -> list[Trajectory]:
         """The plans of the sharpest stages of the homotopy, the sharpest first."""
-        if self._homotopy is None:
-            begin = perf_counter()
-            self._homotopy = SoftplusHomotopy(self._scene, self._number("goal_tolerance"), self._schedule())
-            account.build += perf_counter() - begin
+        begin = perf_counter()
+        homotopy = self._structures.homotopy(self._number("goal_tolerance"), self._schedule())
+        account.build += perf_counter() - begin
         stages: list[Trajectory] = []
-        ending = self._homotopy.run(account, self._ipopt_options("homotopy_tolerance"), begin_at, stages.append, patience)
+        ending = homotopy.run(account, self._ipopt_options("homotopy_tolerance"), begin_at, stages.append, patience)
         self._ending = self._words(*ending)
         return stages[: -_STAGES - 1 : -1]
 
@@ -154,7 +147,7 @@ class Finder:
             return None
         task = coarse.task
         begin_at = None if start is None else on_grid(start, coarse)
-        found = Finder(coarse, self._kernel, self._options).find(account, start=begin_at)
+        found = Finder(coarse, self._kernel, self._options, self._structures.coarser(coarse)).find(account, start=begin_at)
         if found.answer is None:
             return None
         rollout = self._kernel.rollout(np.array(task.start), found.answer.u, task.step)

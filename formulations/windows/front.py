@@ -14,10 +14,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from time import perf_counter
 from types import MappingProxyType
+from typing import cast
 
 from formulations.catalog import load_method
 from formulations.method import OptionError
 from formulations.solution import FrontPoint, Outcome, Solution
+from formulations.windows.session import MpccSession
 from models.scene import Scene
 from models.trajectory import Trajectory
 
@@ -48,10 +50,11 @@ def front(
     ordered = checked_tolerances(tolerances)
     end = perf_counter() + time_limit
     best: dict[float, Solution] = {}
+    opened = cast(MpccSession, load_method("mpcc").open(scene, {**options, "goal_tolerance": ordered[0]}))
 
     def solve(tolerance: float, plan: Trajectory | None) -> tuple[Solution, bool]:
         """What was found there, and whether it is cheaper than all before."""
-        with load_method("mpcc").open(scene, {**options, "goal_tolerance": tolerance}) as session:
+        with opened.within(tolerance) as session:
             found = session.solve(eps=None, warm_start=plan, time_limit=max(1e-3, end - perf_counter()))
         is_better = tolerance not in best or _cost(found) < _cost(best[tolerance])
         if is_better:

@@ -20,7 +20,7 @@ import sympy as sp
 from formulations.solution import Outcome
 from formulations.transcription.build import build_model
 from formulations.transcription.contact_laws import ContactLaw, tighten
-from formulations.transcription.goal import open_goal
+from formulations.transcription.goal import move_ball, open_goal
 from formulations.transcription.plans import load_first_guess, load_plan, read_plan
 from formulations.transcription.workbench import Account, Workbench, primal_dual
 from models.scene import Scene
@@ -59,6 +59,10 @@ class SoftplusHomotopy:
     def bench(self) -> Workbench:
         """The model, which holds the last stage's plan."""
         return self._bench
+
+    def move_ball(self, ball: float) -> None:
+        """Another radius of the goal: positive if it was built with one, else 0."""
+        move_ball(self._bench.model, ball)
 
     def run(
         self,

@@ -15,16 +15,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from time import process_time
+from time import perf_counter, process_time
 
 import numpy as np
 
 from formulations.solution import Attempt
 from formulations.transcription.workbench import Account
 from formulations.windows.finder import Finder, Search
-from formulations.windows.homotopy import SoftplusHomotopy
 from formulations.windows.moves import windows_of
 from formulations.windows.starts import descended_plan, mirrored, random_plan
+from formulations.windows.structures import Structures
 from models.codegen.kernel import Kernel
 from models.scene import Scene
 from models.trajectory import Trajectory
@@ -42,8 +42,17 @@ class _Start:
 class MultiStart:
     """The starts of one scene. options: those of method mpcc; ipopt: of the softplus chain."""
 
-    def __init__(self, scene: Scene, kernel: Kernel, finder: Finder, options: Mapping[str, object], ipopt: Mapping[str, object]) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        kernel: Kernel,
+        finder: Finder,
+        options: Mapping[str, object],
+        ipopt: Mapping[str, object],
+        structures: Structures | None = None,
+    ) -> None:
         self._scene, self._kernel, self._finder, self._ipopt = scene, kernel, finder, dict(ipopt)
+        self._structures = structures or Structures(scene, kernel)
         self._seed, self._ball = int(str(options["seed"])), float(str(options["goal_tolerance"]))
 
     def run(self, account: Account, numbers: range, warm_start: Trajectory | None) -> tuple[Search, tuple[Attempt, ...]]:
@@ -90,7 +99,10 @@ class MultiStart:
 
     def _chain(self, account: Account) -> tuple[Trajectory | None, str]:
         stages: list[Trajectory] = []
-        SoftplusHomotopy(self._scene, self._ball, _CHAIN).run(account, self._ipopt, None, stages.append)
+        begin = perf_counter()
+        homotopy = self._structures.homotopy(self._ball, _CHAIN)
+        account.build += perf_counter() - begin
+        homotopy.run(account, self._ipopt, None, stages.append)
         return (stages[-1] if stages else None), "softplus chain"
 
     def _descended(self, _account: Account) -> tuple[Trajectory | None, str]:

@@ -14,7 +14,7 @@ import numpy as np
 from formulations.ipopt import IpoptResult
 from formulations.transcription.build import build_model
 from formulations.transcription.contact_laws import ContactLaw, hold_modes
-from formulations.transcription.goal import open_goal
+from formulations.transcription.goal import move_ball, open_goal
 from formulations.transcription.plans import load_first_guess, load_plan, read_plan
 from formulations.transcription.residuals import PlanResiduals
 from formulations.transcription.workbench import Account, Workbench
@@ -68,12 +68,17 @@ class NonlinearModes:
     """One model, whose modes are moved by bounds. guess: the plan that the first solve starts from."""
 
     def __init__(self, scene: Scene, kernel: Kernel, ball: float, account: Account, options: Mapping[str, Any]) -> None:
-        self._scene, self._kernel, self._account = scene, kernel, account
-        self._options = {**options, "bound_relax_factor": 0.0}
+        self._scene, self._kernel = scene, kernel
         # The bound is never used: products are switched off as soon as modes are held.
         model = build_model(scene, ContactLaw.COMPLEMENTARITY, eps=1.0 if scene.nc else None)
         open_goal(model, ball)
         self._bench, self._residuals = Workbench(model), PlanResiduals(scene)
+        self.begin(ball, account, options)
+
+    def begin(self, ball: float, account: Account, options: Mapping[str, Any]) -> None:
+        """As if built anew; ball: positive if it was built with one, else 0."""
+        move_ball(self._bench.model, ball)
+        self._account, self._options = account, {**options, "bound_relax_factor": 0.0}
         self.guess: Trajectory | None = None
         self.solves, self.unsolved = 0, 0
 

@@ -22,6 +22,7 @@ from formulations.transcription.workbench import Account
 from formulations.windows.finder import Finder, Search
 from formulations.windows.landing import land
 from formulations.windows.multistart import MultiStart
+from formulations.windows.structures import Structures
 from models.codegen.kernel import load_kernel
 from models.errors import TrajectoryError
 from models.goal import distance, goal_state
@@ -32,13 +33,26 @@ from models.trajectory import Trajectory, uniform_grid
 class MpccSession(Session):
     """See the module docstring."""
 
-    def __init__(self, method: Method, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> None:
+    def __init__(
+        self,
+        method: Method,
+        scene: Scene,
+        options: Mapping[str, object],
+        opening: tuple[float, float],
+        structures: Structures | None = None,
+    ) -> None:
         self._method, self._scene, self._options = method, scene, dict(options)
         self._kernel, self._residuals = load_kernel(scene), PlanResiduals(scene)
-        self._finder = Finder(scene, self._kernel, self._options)
+        self._structures = structures or Structures(scene, self._kernel)
+        self._finder = Finder(scene, self._kernel, self._options, self._structures)
         ipopt = {"tol": self._number("homotopy_tolerance"), "max_iter": int(self._number("max_iterations"))}
-        self._starts = MultiStart(scene, self._kernel, self._finder, self._options, ipopt)
+        self._starts = MultiStart(scene, self._kernel, self._finder, self._options, ipopt, self._structures)
         self._opening = (perf_counter() - opening[0], process_time() - opening[1])
+
+    def within(self, goal_tolerance: float) -> MpccSession:
+        """A session for another radius of the goal, which uses the models of this one."""
+        options = {**self._options, "goal_tolerance": goal_tolerance}
+        return MpccSession(self._method, self._scene, options, (perf_counter(), process_time()), self._structures)
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
         self._method.check_eps(eps)
