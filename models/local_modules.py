@@ -21,6 +21,8 @@ from importlib.machinery import FileFinder, ModuleSpec, PathFinder
 from pathlib import Path
 from types import CodeType, ModuleType
 
+from models.errors import SceneError
+
 _OURS = ("models", "formulations", "validate", "reports")
 
 
@@ -51,14 +53,18 @@ class _Beside:
         return None
 
 
-# The file that is executed now.
-_NOW: ContextVar[Path | None] = ContextVar("file", default=None)
+# The files that are executed now, each on behalf of the one before it.
+_NOW: ContextVar[tuple[Path, ...]] = ContextVar("files", default=())
 
 
 @contextmanager
 def loading(path: Path) -> Iterator[None]:
-    """Inside, the file `path` is executed as Python; see the module docstring."""
-    finder, before, token = _Beside(path.parent), frozenset(sys.modules), _NOW.set(path)
+    """Inside, the file `path` is executed as Python; see the module docstring. Raises SceneError where it is executed already."""
+    if path in _NOW.get():
+        raise SceneError(
+            f"it loads itself ({' -> '.join(file.name for file in (*_NOW.get(), path))}); a scene is made of what is there before it."
+        )
+    finder, before, token = _Beside(path.parent), frozenset(sys.modules), _NOW.set((*_NOW.get(), path))
     sys.meta_path.insert(0, finder)
     try:
         yield
@@ -71,10 +77,9 @@ def loading(path: Path) -> Iterator[None]:
 
 def loaded_sources() -> str:
     """Digest of the file that is executed now and of all modules that belong neither to Python nor to an installed package; empty where there is none."""
-    file = _NOW.get()
-    if file is None:
+    if not _NOW.get():
         return ""
-    sources = {"": file.read_bytes()}
+    sources = {"": _NOW.get()[-1].read_bytes()}
     for name, module in tuple(sys.modules.items()):
         origin = getattr(module, "__file__", None)
         if origin is not None and name.partition(".")[0] not in _OURS and _is_local(path := Path(origin).resolve()) and path.is_file():

@@ -72,6 +72,10 @@ def _check_names(scene: Scene) -> None:
         raise SceneError(f"scene: the name {scene.name!r} is not an identifier; use letters, digits and _ (it must equal the file name).")
     if not scene.coordinates:
         raise _fail(scene, "it has no coordinates; a scene needs at least one.")
+    for kind, items in (("contacts", scene.contacts), ("frictions", scene.frictions)):
+        for name, count in Counter(item.name for item in items).items():
+            if count > 1:
+                raise _fail(scene, f"{count} {kind} are named {name!r}; each needs a name of its own.")
     names = [coordinate.name for coordinate in scene.coordinates] + [coordinate.velocity_name for coordinate in scene.coordinates]
     names += [item.name for item in scene.inputs] + [parameter.name for parameter in scene.parameters]
     names += [name for contact in scene.contacts for name in (contact.force_name, contact.gap_name)]

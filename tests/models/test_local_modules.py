@@ -105,3 +105,13 @@ def test_a_function_that_nobody_defines_is_refused_in_words(tmp_path: Path):
     path.write_text((SCENES / "oscillator.py").read_text().replace("forces=(sp.Integer(0),)", 'forces=(sp.Function("f")(q),)'))
     with pytest.raises(SceneError, match="contains f, which has no form in C"):
         load_scene(str(path))
+
+
+def test_a_scene_that_loads_itself_says_so(tmp_path: Path):
+    for name, other in (("one", "two"), ("two", "one")):
+        (tmp_path / f"{name}.py").write_text(
+            f"from models.catalog import load_scene\nSCENE = load_scene({str(tmp_path / other)!r} + '.py')\n"
+        )
+    with pytest.raises(SceneError, match=r"it loads itself \(one.py -> two.py -> one.py\)"):
+        load_scene(str(tmp_path / "one.py"))
+    assert load_scene("three_cart").name == "three_cart"

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 from validate.reaper import TOKEN_VARIABLE
@@ -20,17 +21,20 @@ HERE = Path(__file__).parent
 CELLS = "good or soft_alone or slow or infeasible or raises or litter or chain"
 # What is written over whenever the same cell is run again.
 _RUN_AGAIN = frozenset({"crashed"})
-_PATIENCE = 60.0
+_PATIENCE, _LOOK = 60.0, 0.01
+# In the environment of a campaign, and of all that it starts.
+_MARK = "KILLED_CAMPAIGN"
 
 
 @dataclass
 class Kills:
-    """What was seen. kills: that hit a campaign at work; kept: finished cells that were found again, unchanged, after a kill."""
+    """What was seen. kills: that hit a campaign at work; moments: of each, how many cells were stored and how many seconds that was ago at least;
+    kept: finished cells that were found again, unchanged, after a kill."""
 
     kills: int = 0
     campaigns: int = 0
     kept: int = 0
-    moments: list[float] = field(default_factory=list)
+    moments: list[tuple[int, float]] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
 
 
@@ -38,11 +42,18 @@ def environment(cache: Path) -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": str(HERE), "TOUCHSTONE_CACHE": str(cache), "NO_COLOR": "1"}
 
 
+def family(out: Path) -> list[str]:
+    """Living processes that a campaign of `start` brought about in whatever way, workers of its own cluster too, and its cells' processes."""
+    return _living(f"{_MARK}={out}\0".encode()) + processes(out)
+
+
 def start(out: Path, cache: Path, cells: str, *more: str) -> subprocess.Popen[bytes]:
     chosen = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart", "-k", cells)
     command = [sys.executable, "-m", "validate", "all", *chosen, "--out", str(out), *more]
     with open(out.with_suffix(".log"), "ab") as log:
-        return subprocess.Popen(command, stdout=log, stderr=log, stdin=subprocess.DEVNULL, env=environment(cache), start_new_session=True)
+        return subprocess.Popen(
+            command, stdout=log, stderr=log, stdin=subprocess.DEVNULL, env={**environment(cache), _MARK: str(out)}, start_new_session=True
+        )
 
 
 def untimed(out: Path) -> list[dict[str, str]]:
@@ -56,6 +67,10 @@ def finished(out: Path) -> dict[str, bytes]:
     return {path.parent.name: path.read_bytes() for path in (out / "runs").glob("[!.]*/record.json")}
 
 
+def _stored(out: Path) -> int:
+    return len(list((out / "runs").glob("[!.]*/record.json")))
+
+
 def unfinished(out: Path) -> list[str]:
     """Files and folders that a campaign writes before they have their names."""
     return [str(path.relative_to(out)) for path in out.rglob(".*")]
@@ -63,39 +78,44 @@ def unfinished(out: Path) -> list[str]:
 
 def processes(out: Path) -> list[str]:
     """Living processes that belong to cells of this folder, or were started by them."""
+    return _living(TOKEN_VARIABLE.encode(), str(out).encode())  # TMPDIR lies in the folder
+
+
+def _living(*words: bytes) -> list[str]:
+    """Command lines of the living processes whose environment has all these words."""
     found = []
     for entry in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
             shown = (entry / "environ").read_bytes()
-            if TOKEN_VARIABLE.encode() in shown and str(out).encode() in shown:  # TMPDIR lies in the folder
+            if all(word in shown for word in words):
                 found.append((entry / "cmdline").read_bytes().decode(errors="replace"))
     return found
 
 
 def kill_and_resume(folder: Path, cache: Path, kills: int, seed: int, *more: str, cells: str = CELLS) -> Kills:
-    """Run campaigns in `folder`, killed with signal 9 at moments drawn uniformly over the time that a whole one takes, until so many were.
+    """Run campaigns in `folder`, killed with signal 9, until so many were; one that was killed is resumed in the same folder until it comes to its
+    end, and is then compared with one that nobody killed.
 
-    A campaign that was killed is resumed in the same folder until it comes to its end, and is then compared with one that nobody killed.
+    When a kill comes is drawn as: how many cells are stored first, 0 to all that are missing, then how long after that, up to the longest pause
+    between two of them in the whole campaign - or, before the first, up to when that was stored. So kills fall everywhere on a busy machine too.
     """
     draw, seen = random.Random(seed), Kills()
-    began = time.monotonic()
-    start(folder / "whole", cache, cells, *more).wait()
-    duration = time.monotonic() - began
-    expected = untimed(folder / "whole")
+    first, pause = _paces(folder / "whole", start(folder / "whole", cache, cells, *more))
+    expected, whole = untimed(folder / "whole"), set(finished(folder / "whole"))
     while seen.kills < kills:
         seen.campaigns += 1
         out = folder / f"killed{seen.campaigns}"
         while True:
             before = finished(out)
-            process, moment = start(out, cache, cells, *more), draw.uniform(0.0, duration)
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(moment if seen.kills < kills else None)
-            ended = process.poll() is not None
+            wanted = draw.randint(0, len(whole - set(before)))
+            moment = draw.uniform(0.0, pause if wanted else first)
+            process = start(out, cache, cells, *more)
+            ended = not _reaches(process, out, len(before) + wanted, moment) if seen.kills < kills else process.wait() >= 0
             if not ended:
                 process.send_signal(signal.SIGKILL)
                 process.wait()
                 seen.kills += 1
-                seen.moments.append(moment)
+                seen.moments.append((len(before) + wanted, moment))
             _look(out, before, seen)
             if ended:
                 break
@@ -103,16 +123,40 @@ def kill_and_resume(folder: Path, cache: Path, kills: int, seed: int, *more: str
             seen.faults.append(f"campaign {seen.campaigns}: results.csv is not that of a campaign that nobody killed")
         if left := unfinished(out):
             seen.faults.append(f"campaign {seen.campaigns}: left behind {left}")
-        if set(finished(out)) != set(finished(folder / "whole")):
+        if set(finished(out)) != whole:
             seen.faults.append(f"campaign {seen.campaigns}: other cells are stored")
     return seen
+
+
+def _paces(out: Path, process: subprocess.Popen[bytes]) -> tuple[float, float]:
+    """Of a campaign that runs to its end: seconds until its first cell is stored, and the longest pause between two, or after the last."""
+    times, stored = [time.monotonic()], 0
+    while process.poll() is None:
+        if (now := _stored(out)) > stored:
+            stored = now
+            times.append(time.monotonic())
+        time.sleep(_LOOK)
+    times.append(time.monotonic())
+    pauses = [later - earlier for earlier, later in pairwise(times)]
+    return pauses[0], max(pauses[1:], default=0.0)
+
+
+def _reaches(process: subprocess.Popen[bytes], out: Path, stored: int, moment: float) -> bool:
+    """Whether a campaign still runs this long [s] after so many of its cells are stored."""
+    while _stored(out) < stored:
+        if process.poll() is not None:
+            return False
+        time.sleep(_LOOK)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(moment)
+    return process.poll() is None
 
 
 def _look(out: Path, before: dict[str, bytes], seen: Kills) -> None:
     from reports.examination_record import StoredRecord
 
     until = time.monotonic() + _PATIENCE
-    while (left := processes(out)) and time.monotonic() < until:
+    while (left := family(out)) and time.monotonic() < until:
         time.sleep(0.05)
     if left:
         seen.faults.append(f"after kill {seen.kills}: processes live: {left}")

@@ -9,12 +9,12 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from killed_campaigns import finished, processes, unfinished, untimed
+from standing_cluster import come, standing_cluster
 
 from reports.record import RunRecord
 
@@ -24,29 +24,9 @@ FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")
 HALF = (*FAKES, "-k", "only_good or only_family")
 
 
-def _come(condition) -> None:
-    """Wait for something that comes; the patience only ends a test that has failed."""
-    for _ in range(2400):
-        if condition():
-            return
-        time.sleep(0.1)
-    raise AssertionError("it never came")
-
-
 def _outcomes(out: Path) -> dict[str, tuple[str, str]]:
     records = [RunRecord.model_validate_json(content) for content in finished(out).values()]
     return {record.pipeline: (record.outcome, record.message) for record in records}
-
-
-@contextlib.contextmanager
-def _daemon(words: list[str], log: Path, environment: dict[str, str]) -> Iterator[subprocess.Popen[bytes]]:
-    with open(log, "wb") as file:
-        process = subprocess.Popen([sys.executable, "-m", *words], stdout=file, stderr=file, env=environment, start_new_session=True)
-    try:
-        yield process
-    finally:
-        process.terminate()
-        process.wait()
 
 
 def test_a_lost_worker_is_replaced_as_often_as_dask_allows(cli, tmp_path):
@@ -76,11 +56,11 @@ def test_a_killed_campaign_takes_its_dask_workers_with_it_and_is_resumed_by_anot
     with monkeypatch.context() as patch:
         patch.setitem(cli_environment, "TMPDIR", str(temporary))
         process = start_cli("all", *HALF, "--engine", "dask", "--out", str(out))
-    _come(lambda: len(processes(out)) >= 3)
+    come(lambda: len(processes(out)) >= 3)
     kept = finished(out)
     process.kill()
     process.communicate()
-    _come(lambda: processes(temporary) == [] and unfinished(out) == [] and list(temporary.iterdir()) == [])
+    come(lambda: processes(temporary) == [] and unfinished(out) == [] and list(temporary.iterdir()) == [])
     assert processes(out) == []
     assert finished(out) == kept
     assert len(kept) == 1
@@ -91,18 +71,14 @@ def test_a_killed_campaign_takes_its_dask_workers_with_it_and_is_resumed_by_anot
 
 
 def test_a_lost_scheduler_is_one_sentence_and_what_finished_is_stored(start_cli, cli_environment, tmp_path):
-    out, file, logs = tmp_path / "out", tmp_path / "scheduler.json", tmp_path / "logs"
+    out, logs = tmp_path / "out", tmp_path / "logs"
     logs.mkdir()
-    scheduler = ["distributed.cli.dask_scheduler", "--scheduler-file", str(file), "--port", "0", "--no-dashboard", "--host", "127.0.0.1"]
-    worker = ["distributed.cli.dask_worker", "--scheduler-file", str(file), "--nthreads", "1", "--memory-limit", "0", "--no-dashboard"]
-    with _daemon(scheduler, logs / "scheduler", cli_environment) as lost:
-        _come(file.exists)
-        with _daemon([*worker, "--local-directory", str(logs)], logs / "worker", cli_environment):
-            process = start_cli("all", *HALF, "--engine", f"dask:{file}", "--out", str(out))
-            _come(lambda: len(processes(out)) >= 3 and len(finished(out)) == 1)
-            lost.send_signal(signal.SIGKILL)
-            _, told = process.communicate()
-            _come(lambda: processes(out) == [])
+    with standing_cluster(logs, cli_environment, workers=1) as (file, lost):
+        process = start_cli("all", *HALF, "--engine", f"dask:{file}", "--out", str(out))
+        come(lambda: len(processes(out)) >= 3 and len(finished(out)) == 1)
+        lost.send_signal(signal.SIGKILL)
+        _, told = process.communicate()
+        come(lambda: processes(out) == [])
     assert process.returncode == 3, told
     (sentence,) = [line for line in told.splitlines() if line.startswith("error:")]
     assert sentence == "error: the Dask scheduler is gone; what finished is stored, and the same command goes on from there."

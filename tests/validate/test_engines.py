@@ -6,13 +6,11 @@ import importlib.util
 import os
 import re
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
 from killed_campaigns import finished, processes, unfinished, untimed
+from standing_cluster import come, standing_cluster
 
 from models.errors import MachineError
 from reports.record import RunRecord
@@ -26,37 +24,11 @@ DASK = pytest.param("dask", marks=NEEDS_DASK)
 ENGINES = ["local", DASK]
 
 
-def _come(condition) -> None:
-    """Wait for something that comes; the patience only ends a test that has failed."""
-    for _ in range(1200):
-        if condition():
-            return
-        time.sleep(0.1)
-    raise AssertionError("it never came")
-
-
 @pytest.fixture(scope="module")
-def standing(cli_environment, tmp_path_factory) -> str:
+def standing(cli_environment, tmp_path_factory):
     """A scheduler and two worker processes; the engine's name for them."""
-    folder = tmp_path_factory.mktemp("cluster")
-    path = folder / "scheduler.json"
-    scheduler = ["dask_scheduler", "--scheduler-file", str(path), "--port", "0", "--no-dashboard", "--host", "127.0.0.1"]
-    workers = ["dask_worker", "--scheduler-file", str(path), "--nworkers", "2", "--nthreads", "1", "--memory-limit", "0", "--no-dashboard"]
-    started = []
-    try:
-        for words in (scheduler, [*workers, "--local-directory", str(folder)]):
-            with open(folder / f"{words[0]}.log", "wb") as log:
-                started.append(
-                    subprocess.Popen(
-                        [sys.executable, "-m", f"distributed.cli.{words[0]}", *words[1:]], stdout=log, stderr=log, env=cli_environment
-                    )
-                )
-            _come(path.exists)
-        yield f"dask:{path}"
-    finally:
-        for process in reversed(started):
-            process.terminate()
-            process.wait()
+    with standing_cluster(tmp_path_factory.mktemp("cluster"), cli_environment, workers=2) as (file, _):
+        yield f"dask:{file}"
 
 
 @pytest.fixture
@@ -107,7 +79,7 @@ def test_the_numbers_of_a_real_cell_are_those_of_the_local_engine(cli, engine, t
 def test_ctrl_c_stops_what_runs_and_says_how_to_go_on(start_cli, engine, tmp_path):
     arguments = ("all", *FAKES, "-k", "only_good or only_family", "--engine", engine, "--out", str(tmp_path))
     process = start_cli(*arguments)
-    _come(lambda: len(processes(tmp_path)) >= 3 and len(finished(tmp_path)) == 1)  # the cell and both its children
+    come(lambda: len(processes(tmp_path)) >= 3 and len(finished(tmp_path)) == 1)  # the cell and both its children
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: everything in the foreground hears it
     _, told = process.communicate()
     assert process.returncode == 130, told

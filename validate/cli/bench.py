@@ -54,7 +54,11 @@ def _sizes(context: click.Context, parameter: click.Parameter, values: tuple[str
 @click.command(epilog=_EPILOG)
 @click.option("--quick", is_flag=True, help="A tiny size, two rounds: whether it runs, not how fast it is.")
 @click.option(
-    "-k", "expression", default="", metavar="EXPR", help="Only stages and peers whose names match: words joined with and, or, not."
+    "-k",
+    "expression",
+    default="",
+    metavar="EXPR",
+    help="Only stages and peers whose names match, in upper or lower case: words joined with and, or, not.",
 )
 @click.option("--size", "sizes", multiple=True, metavar="NxT", callback=_sizes, help="Carts x steps, such as 3x500; may be repeated.")
 @click.option("--repeats", type=click.IntRange(min=1), metavar="N", help="Rounds: 5, with --quick 2 (too few for --compare).")

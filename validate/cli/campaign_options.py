@@ -53,7 +53,7 @@ _SELECTING = (
         "expression",
         default="",
         metavar="EXPR",
-        help="Only cells whose scene, pipeline or method names match: words joined with and, or, not; =NAME means the whole name.",
+        help="Only cells whose scene, pipeline or method names match, in upper or lower case: words joined with and, or, not; =NAME means the whole name.",
     ),
     click.option("--fresh", is_flag=True, help="Run cells again that are stored."),
     click.option("--lf", "last_failed", is_flag=True, help="Run what failed when the campaign in DIR last ran, and nothing else."),
