@@ -209,6 +209,7 @@ class StageRecord(_Model):
     options: dict[str, str | int | bool | Finite | list[Finite] | None] = {}
     history: dict[str, Floats] = {}
     certificate: CertificateRecord | None = None
+    certificate_missing: bool = False  # the cell ended while it was made
     starts: tuple[StartRecord, ...] = ()
     front: tuple[FrontPointRecord, ...] = ()
     seconds: SecondsRecord = SecondsRecord()

@@ -62,11 +62,12 @@ def recovered(folder: Path, key: str, lost: Lost) -> RunRecord | None:
 
 def lacks_certificate(record: RunRecord | ExaminationRecord) -> bool:
     """Whether the cell ended while a certificate was made: its outcome does not tell where its time ran out."""
-    return any(_MISSING in stage.message for stage in getattr(record, "stages", ()))
+    # records of older versions say it in their message only
+    return any(stage.certificate_missing or _MISSING in stage.message for stage in getattr(record, "stages", ()))
 
 
 def _without(stage: StageRecord, why: str) -> StageRecord:
-    return stage.model_copy(update={"message": _joined(stage.message, why)})
+    return stage.model_copy(update={"message": _joined(stage.message, why), "certificate_missing": True})
 
 
 def _joined(message: str, why: str) -> str:
