@@ -65,7 +65,7 @@ def test_a_sound_scene_is_accepted():
         ({"contacts": (Contact(name="wall", penetration=sp.Abs(x) - 1, stiffness=k),)}, ["wall", "Abs", "not differentiable", "sqrt"]),
         ({"contacts": (Contact(name="wall", penetration=sp.Max(x, 0) - 1, stiffness=k),)}, ["wall", "Max", "a contact of its own"]),
         ({"contacts": (Contact(name="wall", penetration=sp.Integer(1) * m, stiffness=k),)}, ["wall", "no coordinate"]),
-        ({"contacts": (Contact(name="a", penetration=x, stiffness=k),) * 2}, ["lam_a", "2 times"]),
+        ({"contacts": (Contact(name="a", penetration=x, stiffness=k),) * 2}, ["2 contacts are named 'a'", "a name of its own"]),
         ({"inputs": (Input(symbol=x, unit="N"),)}, ["'x'", "2 times"]),
         ({"coordinates": ()}, ["no coordinates"]),
         ({"name": "two words"}, ["two words", "identifier"]),

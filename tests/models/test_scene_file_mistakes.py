@@ -38,17 +38,17 @@ ENERGY = "kinetic_energy=m * (vx**2 + vy**2) / 2"
 GOAL = "goal=(0.5, None, 0.0, None)"
 # what is wrong: (the text of the sound file, what stands there instead, words of the sentence)
 MISTAKES = {
-    "a definition by itself": ("m, k, mu = sp", "from own import m\nm, k, mu = sp", ["ModuleNotFoundError", "line 7", "own"]),
+    "a definition by itself": ("m, k, mu = sp", "from own import m\nm, k, mu = sp", ["ImportError", "line 7", "circular import"]),
     "an energy of the scene itself": ("potential_energy=sp.Integer(0)", "potential_energy=SCENE.kinetic_energy", ["SCENE", "not defined"]),
     "two contacts of one name": (
         "contacts=(",
         'contacts=(Contact(name="wall", penetration=-x - 1, stiffness=k), ',
-        ["lam_wall", "2 times"],
+        ["2 contacts are named 'wall'", "a name of its own"],
     ),
     "two frictions of one name": (
         "frictions=(",
         'frictions=(Friction(name="wall", slip=vy, coefficient=mu, contact="wall"), ',
-        ["friction_wall", "2 times"],
+        ["2 frictions are named 'wall'", "a name of its own"],
     ),
     "an asymmetric mass matrix": (
         ENERGY,
