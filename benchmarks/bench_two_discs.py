@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 
 from formulations.catalog import load_method
+from formulations.grids import on_grid
 from formulations.solution import Solution
-from formulations.windows.grids import on_grid
 from models.codegen.kernel import load_kernel
 from models.fmu import build_fmu
 from models.scene import Scene

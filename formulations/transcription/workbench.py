@@ -61,6 +61,14 @@ class Account:
             for name in _COLUMNS:
                 self.history[name].append(getattr(line, name))
 
+    def include(self, earlier: Account) -> None:
+        """What was spent on other grids before, in this account's time."""
+        self.iterations += earlier.iterations
+        self.work += earlier.work
+        for name in ("build", "translate", "evaluate", "linear_algebra"):
+            setattr(self, name, getattr(self, name) + getattr(earlier, name))
+        self.history = {name: earlier.history[name] + values for name, values in self.history.items()}
+
     def seconds(self) -> Seconds:
         return Seconds(
             build=self.build,

@@ -9,11 +9,11 @@ from typing import Any, cast
 
 import numpy as np
 
+from formulations.grids import coarse_scene, on_grid
 from formulations.solution import Outcome
 from formulations.transcription.reach import nearest
 from formulations.transcription.workbench import Account
 from formulations.windows.approach import approach
-from formulations.windows.grids import coarse_scene, on_grid
 from formulations.windows.homotopy import PATIENCE
 from formulations.windows.landing import land, land_by_softplus, miss_of
 from formulations.windows.nonlinear import NlpAnswer, NonlinearModes
