@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Protocol
 from validate.chosen import CampaignError, Entry, Examined, Settings, select, with_stored
 from validate.engine import Running, Site, check_engine, open_engine
 from validate.results import write_examinations, write_results
-from validate.shared_stages import beginnings_of, must_wait, wanted_of
+from validate.shared_stages import beginnings_of, forget, must_wait, wanted_of
 from validate.standing_report import campaign_text, of_content, standing_report
 from validate.store import Store, write_durably
 from validate.stored import CAMPAIGN, only_last_failed, stored_campaign
@@ -168,6 +168,8 @@ def _run(
 ) -> Generator[RunRecord | ExaminationRecord, None, None]:
     if not entries:
         return
+    if settings.fresh:
+        forget((entry.cell for entry in entries), store)
     by_key = {entry.cell.key: entry for entry in entries}
     crashes: Counter[str] = Counter()
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from reports.record import ProvenanceRecord, RunRecord
 
 # Of a cell's time limit, what is kept for certificates, replaying and scoring: a quarter, but no more than 60 s. The paper's scene needs 2 s;
-# the certificate of two fingers takes 25 CPU s.
+# the certificate of two fingers takes 3 CPU s.
 _JUDGING_SHARE, _JUDGING_MOST = 0.25, 60.0
 
 

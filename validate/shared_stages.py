@@ -132,6 +132,13 @@ def must_wait(wanted: Sequence[Beginning], running: Sequence[Sequence[Beginning]
     return any(item.key in theirs and not any((store.stages / key).exists() for key in (item.key, item.late_key(limit))) for item in wanted)
 
 
+def forget(jobs: Iterable[object], store: Store) -> None:
+    """Take away what these would take over: they are to be run anew. What cannot be removed is used again."""
+    for key in {item.key for job in jobs for item in wanted_of(job)}:
+        for folder in store.stages.glob(f"{key}*"):
+            shutil.rmtree(folder, ignore_errors=True)
+
+
 def take_over(wanted: Sequence[Beginning], scene: Scene, stages: int, folder: Path, limit: float = 0.0) -> TakenOver:
     """The longest of these that is stored, its files copied into the folder of a cell of so many stages and this time limit [s], its records
     with the numbers the stages have there. One that is damaged is put aside."""

@@ -107,6 +107,13 @@ def test_a_beginning_runs_once(whole):
     assert [stage.shared_from for stage in records["late+two"].stages] == ["", ""]
 
 
+def test_fresh_takes_nothing_over(whole, fakes):
+    shutil.copytree(whole.out, whole.out.with_name("anew"))
+    again = fakes("anew", "--fresh")
+    assert _counted(again.counts) == ONCE, again.done.stderr
+    assert _untimed(again.out) == _untimed(whole.out)
+
+
 def test_a_session_that_leaves_its_plan_is_the_beginning_of_another(whole, lost):
     """The stage in the midst and the cold one are one and the same, whichever ran first, and what follows starts from its plan."""
     for ran, owner in ((whole, "cold"), (lost, "begin+cold+two")):
@@ -198,23 +205,29 @@ def test_killed_in_between_and_resumed(whole, fakes, method):
     assert {path.name for path in (again.out / "runs").iterdir()} == {record.key for record in _records(again.out).values()}
 
 
-def _taken(out: Path, stages: int, folder: Path):
-    """What a cell of so many stages would take over of the campaign in `out`."""
+def _of_three_stages(out: Path) -> str | None:
+    """The key of a beginning of three stages that the campaign in `out` shares."""
+    kept = sorted((out / "stages").iterdir())
+    return next((path.name for path in kept if (path / "trajectory_3.nc").exists() and not (path / "trajectory_4.nc").exists()), None)
+
+
+def _taken(out: Path, stages: int, folder: Path, key: str | None):
+    """What a cell of so many stages would take over of it; None if it is no longer there."""
     folder.mkdir(parents=True, exist_ok=True)
-    keys = [
-        path.name for path in (out / "stages").iterdir() if (path / "trajectory_3.nc").exists() and not (path / "trajectory_4.nc").exists()
-    ]
-    return take_over((Beginning(3, keys[0]),), load_scene("three_cart"), stages, folder) if keys else None
+    is_there = key is not None and (out / "stages" / key).exists()
+    return take_over((Beginning(3, key),), load_scene("three_cart"), stages, folder) if is_there else None
 
 
 @pytest.mark.parametrize("damage", ["content", "plan", "missing", "empty", "another"])
 def test_a_damaged_beginning_is_put_aside(whole, tmp_path, damage):
     shutil.copytree(whole.out / "stages", tmp_path / "stages")
     folder = tmp_path / "runs" / "cell"
-    good = _taken(tmp_path, 4, folder)
+    key = _of_three_stages(tmp_path)
+    good = _taken(tmp_path, 4, folder, key)
     assert good is not None
+    assert key is not None
     assert len(good.stages) == 3
-    stored = next(path for path in (tmp_path / "stages").iterdir() if not (path / "trajectory_4.nc").exists())
+    stored = tmp_path / "stages" / key
     content = json.loads((stored / "stages.json").read_text())
     if damage == "content":
         (stored / "stages.json").write_text(json.dumps({**content, "stages": content["stages"][:2]}))
@@ -226,10 +239,10 @@ def test_a_damaged_beginning_is_put_aside(whole, tmp_path, damage):
         (stored / "stages.json").write_text("")
     else:
         (stored / "stages.json").write_text(json.dumps({**content, "key": "0" * 64}))
-    found = _taken(tmp_path, 4, folder)
+    found = _taken(tmp_path, 4, folder, key)
     assert found is not None
     assert found.stages == ()
-    assert _taken(tmp_path, 4, folder) is None  # no cell meets it again
+    assert _taken(tmp_path, 4, folder, key) is None  # no cell meets it again
 
 
 def test_plans_of_stages_taken_over_lie_in_the_cell(whole):
