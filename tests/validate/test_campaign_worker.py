@@ -112,7 +112,10 @@ def test_nothing_is_left_behind(misbehaved):
         assert {Path(name).suffix for name in names - KEPT} <= {".nc"}
     told = {"campaign.json", "results.csv", "violation.csv", "report.html"}
     assert {path.name for path in out.iterdir()} == {"runs", "stages", *told}
-    assert len(list((out / "stages").iterdir())) == 1  # what `soft_alone` is and `broken_chain` begins with
+    shared = [json.loads(path.read_text())["stages"][0]["shared_from"] for path in (out / "stages").glob("*/stages.json")]
+    # what `broken_chain` begins with, and what `soft+good` would run again if its start were none
+    assert sorted(shared) == ["only_good", "soft_alone"]
+    assert len(list((out / "stages").iterdir())) == len(shared)
 
 
 def test_crashes_fail_the_campaign_and_honest_endings_do_not(misbehaved):
