@@ -9,6 +9,9 @@ import sympy as sp
 from sympy.printing.c import C99CodePrinter
 from sympy.printing.precedence import PRECEDENCE
 
+# (symbol, value) pairs, each value in terms of the arguments and of symbols before it.
+Definitions = Sequence[tuple[sp.Symbol, sp.Expr]]
+
 # Integer powers up to this one are written as products: exact, faster than pow(), and equal on every libm.
 _LARGEST_PRODUCT = 4
 
@@ -75,15 +78,21 @@ def c_function(
     *,
     operator: str = "=",
     tail: str = "",
+    definitions: Definitions = (),
 ) -> str:
     """A static inline C function.
 
     output: the name of the array written from `expressions`; or several (name, column) pairs; or None to return the one
-    expression. operator: "=" or "+=". tail: a last statement.
+    expression. operator: "=" or "+=". tail: a last statement. definitions: of symbols in which the expressions are written.
     """
     outputs = [(output, expressions)] if isinstance(output, str) else list(output or [])
     columns = [sp.Matrix(column) for _, column in outputs if column is not None] if outputs else [sp.Matrix(expressions)]
-    shared, reduced = sp.cse([entry for column in columns for entry in column], symbols=sp.numbered_symbols("shared"), order="canonical")
+    entries = [entry for column in columns for entry in column]
+    values = [value for _, value in definitions]
+    shared, reduced = sp.cse([*values, *entries], symbols=sp.numbered_symbols("shared"), order="canonical")
+    symbols, reduced = [symbol for symbol, _ in definitions], list(reduced)
+    shared = _needed([*shared, *zip(symbols, reduced[: len(symbols)], strict=True)], reduced[len(symbols) :]) if symbols else shared
+    reduced = reduced[len(symbols) :]
     used = set().union(*(entry.free_symbols for entry in [*reduced, *(value for _, value in shared)]), set())
 
     parameters = [f"const double *{vector.name}" for vector in arguments] + [f"double *{target}" for target, _ in outputs]
@@ -111,3 +120,23 @@ def c_function(
     if tail:
         lines.append(f"    {tail}")
     return "\n".join([*lines, "}", ""])
+
+
+def _needed(definitions: Definitions, entries: Sequence[sp.Expr]) -> list[tuple[sp.Symbol, sp.Expr]]:
+    """Those definitions of which the entries make use, each after those in whose symbols it is written."""
+    values, ordered = dict(definitions), {}
+    waiting = [(symbol, False) for entry in reversed(entries) for symbol in _by_name(entry)]
+    while waiting:
+        symbol, ready = waiting.pop()
+        if symbol in ordered or symbol not in values:
+            continue
+        if ready:
+            ordered[symbol] = values[symbol]
+        else:
+            waiting.append((symbol, True))
+            waiting += [(part, False) for part in _by_name(values[symbol])]
+    return list(ordered.items())
+
+
+def _by_name(expression: sp.Expr) -> list[sp.Symbol]:
+    return sorted(expression.free_symbols, key=lambda symbol: symbol.name)

@@ -11,6 +11,7 @@ from pathlib import Path
 import sympy as sp
 
 from models.codegen.c_function import Vector, c_function
+from models.codegen.chain_rule import backward_function, forward_function, tangent
 from models.codegen.vectors import SceneVectors
 from models.scene import Scene
 
@@ -60,9 +61,7 @@ def damping_functions(x: SceneVectors) -> list[str]:
         return []
     laws = ", ".join(str(contact.damping_law.value if contact.is_damped else 0) for contact in d.scene.contacts)
     rate, rate_bar = penetration_rate(x), Vector.of("rate_bar", x.contacts)
-    dq, dv = x.q.like("dq"), x.v.like("dv")
-    along = rate.jacobian(x.q.column) * dq.column + rate.jacobian(x.v.column) * dv.column
-    bars = [(f"{vector.name}_bar", rate.jacobian(vector.column).T * rate_bar.column) for vector in (x.q, x.v)]
+    state = (x.q, x.v)
     return [
         "#define DAMPING",
         "#define DAMPED(...) __VA_ARGS__",
@@ -72,6 +71,6 @@ def damping_functions(x: SceneVectors) -> list[str]:
         f"static const int scene_damped[] SCENE_UNUSED = {{{', '.join(map(str, d.scene.damped))}}};",
         "",
         c_function("void", "scene_damping", (x.p,), "c", x.local(d.damping)),
-        c_function("void", "scene_penetration_rate_jvp", (x.q, x.v, x.p, dq, dv), "d_rate", along),
-        c_function("void", "scene_penetration_rate_vjp", (x.q, x.v, x.p, rate_bar), bars, operator="+="),
+        forward_function("void scene_penetration_rate_jvp", (*state, x.p, *map(tangent, state)), "d_rate", rate, state),
+        backward_function("void scene_penetration_rate_vjp", (*state, x.p, rate_bar), rate, rate_bar, state),
     ]

@@ -9,12 +9,11 @@ Within the C functions every entry of a vector has a name of its own, `<vector>_
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import sympy as sp
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
 from models.codegen.c_function import Vector, c_function
+from models.codegen.chain_rule import backward_function, forward_function, tangent
 from models.codegen.cholesky import cholesky_function
 from models.codegen.damping import damping_functions
 from models.codegen.friction import friction_functions
@@ -91,30 +90,25 @@ def _head(scene: Scene, defaults: bool) -> str:
 def _contact_functions(x: SceneVectors) -> list[str]:
     d = x.dynamics
     phi, stiffness = x.local(d.penetration), x.local(d.stiffness)
-    dq, phi_bar = x.q.like("dq"), Vector.of("phi_bar", x.contacts)
-    slope = phi.jacobian(x.q.column) if phi.rows else sp.zeros(0, len(x.q.symbols))
+    phi_bar = Vector.of("phi_bar", x.contacts)
     return [
         c_function("void", "scene_penetration", (x.q, x.p), "phi", phi),
         c_function("void", "scene_stiffness", (x.p,), "k", stiffness),
-        c_function("void", "scene_penetration_jvp", (x.q, x.p, dq), "d_phi", slope * dq.column),
-        c_function("void", "scene_penetration_vjp", (x.q, x.p, phi_bar), "q_bar", slope.T * phi_bar.column, operator="+="),
+        forward_function("void scene_penetration_jvp", (x.q, x.p, tangent(x.q)), "d_phi", phi, [x.q]),
+        backward_function("void scene_penetration_vjp", (x.q, x.p, phi_bar), phi, phi_bar, [x.q]),
     ]
 
 
 def _energy_functions(x: SceneVectors) -> list[str]:
     d = x.dynamics
     cost, cost_bar = x.local(d.running_cost), Vector.of("cost", ["bar"])
-    bars = [
-        (f"{vector.name}_bar", cost.jacobian(vector.column).T * cost_bar.symbols[0] if vector.symbols else sp.zeros(0, 1))
-        for vector in (x.q, x.v, x.u)
-    ]
     return [
         c_function("double", "scene_kinetic_energy", (x.q, x.v, x.p), None, x.local(d.kinetic_energy)),
         c_function("double", "scene_potential_energy", (x.q, x.p), None, x.local(d.potential_energy)),
         c_function("double", "scene_input_power", (x.q, x.v, x.u, x.p), None, x.local(d.input_power)),
         c_function("double", "scene_dissipated_power", (x.q, x.v, x.p), None, x.local(d.dissipated_power)),
         c_function("double", "scene_running_cost", (x.q, x.v, x.u, x.p), None, cost),
-        c_function("void", "scene_running_cost_vjp", (x.q, x.v, x.u, x.p, cost_bar), bars, operator="+="),
+        backward_function("void scene_running_cost_vjp", (x.q, x.v, x.u, x.p, cost_bar), cost, cost_bar, [x.q, x.v, x.u]),
         *_final_cost_functions(x, cost_bar),
     ]
 
@@ -124,43 +118,25 @@ def _final_cost_functions(x: SceneVectors, cost_bar: Vector) -> list[str]:
     if x.dynamics.final_cost == 0:
         return []
     cost = x.local(x.dynamics.final_cost)
-    bars = [(f"{vector.name}_bar", cost.jacobian(vector.column).T * cost_bar.symbols[0]) for vector in (x.q, x.v)]
     return [
         "#define FINAL_COST",
         c_function("double", "scene_final_cost", (x.q, x.v, x.p), None, cost),
-        c_function("void", "scene_final_cost_vjp", (x.q, x.v, x.p, cost_bar), bars, operator="+="),
+        backward_function("void scene_final_cost_vjp", (x.q, x.v, x.p, cost_bar), cost, cost_bar, [x.q, x.v]),
     ]
 
 
 def _acceleration_functions(x: SceneVectors) -> list[str]:
-    tangents = tuple(vector.like(f"d{vector.name}") for vector in (x.q, x.v, x.u, x.lam))
     closed = x.dynamics.acceleration
-    if closed is not None:
-        return _closed_acceleration(x, x.local(closed), tangents)
-    return _factorised_acceleration(x, tangents)
+    return _factorised_acceleration(x) if closed is None else _closed_acceleration(x, x.local(closed))
 
 
-def _directional(function: sp.Matrix, x: SceneVectors, tangents: Sequence[Vector]) -> sp.Matrix:
-    """Jacobian-vector product of a column in direction (dq, dv, du, dlam)."""
-    total = sp.zeros(function.rows, 1)
-    for vector, tangent in zip((x.q, x.v, x.u, x.lam), tangents, strict=True):
-        if vector.symbols:
-            total += function.jacobian(vector.column) * tangent.column
-    return total
-
-
-def _closed_acceleration(x: SceneVectors, acceleration: sp.Matrix, tangents: Sequence[Vector]) -> list[str]:
-    a_bar = x.q.like("a_bar")
-    bars = [
-        (f"{vector.name}_bar", acceleration.jacobian(vector.column).T * a_bar.column if vector.symbols else sp.zeros(0, 1))
-        for vector in (x.q, x.v, x.u, x.lam)
-    ]
+def _closed_acceleration(x: SceneVectors, acceleration: sp.Matrix) -> list[str]:
+    a_bar, moving = x.q.like("a_bar"), (x.q, x.v, x.u, x.lam)
+    along = (*x.arguments, *map(tangent, moving))
     return [
         c_function("int", "scene_acceleration", x.arguments, "a", acceleration, tail="return 0;"),
-        c_function(
-            "int", "scene_acceleration_jvp", (*x.arguments, *tangents), "d_a", _directional(acceleration, x, tangents), tail="return 0;"
-        ),
-        c_function("int", "scene_acceleration_vjp", (*x.arguments, a_bar), bars, operator="+=", tail="return 0;"),
+        forward_function("int scene_acceleration_jvp", along, "d_a", acceleration, moving, tail="return 0;"),
+        backward_function("int scene_acceleration_vjp", (*x.arguments, a_bar), acceleration, a_bar, moving, tail="return 0;"),
     ]
 
 
@@ -200,21 +176,17 @@ SCENE_FUNCTION int scene_acceleration_vjp(const double *q, const double *v, cons
 """
 
 
-def _factorised_acceleration(x: SceneVectors, tangents: Sequence[Vector]) -> list[str]:
+def _factorised_acceleration(x: SceneVectors) -> list[str]:
     d = x.dynamics
     mass, force = x.local(d.mass_matrix), x.local(d.generalised_force)
-    a, w = x.q.like("a"), x.q.like("w")
+    a, w, moving = x.q.like("a"), x.q.like("w"), (x.q, x.v, x.u, x.lam)
     # For fixed a, the residual f - M a has the Jacobian that both products below need.
     residual = force - mass * a.column
-    bars = [
-        (f"{vector.name}_bar", residual.jacobian(vector.column).T * w.column if vector.symbols else sp.zeros(0, 1))
-        for vector in (x.q, x.v, x.u, x.lam)
-    ]
     return [
         cholesky_function(d.mass_matrix),
         c_function("void", "scene_mass", (x.q, x.p), "M", sp.Matrix(list(mass))),
         c_function("void", "scene_force", x.arguments, "f", force),
-        c_function("void", "scene_force_jvp", (*x.arguments, a, *tangents), "d_f", _directional(residual, x, tangents)),
-        c_function("void", "scene_force_vjp", (*x.arguments, a, w), bars, operator="+="),
+        forward_function("void scene_force_jvp", (*x.arguments, a, *map(tangent, moving)), "d_f", residual, moving),
+        backward_function("void scene_force_vjp", (*x.arguments, a, w), residual, w, moving),
         _SOLVES,
     ]

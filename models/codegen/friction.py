@@ -7,6 +7,7 @@ from pathlib import Path
 import sympy as sp
 
 from models.codegen.c_function import Vector, c_function
+from models.codegen.chain_rule import backward_function
 from models.codegen.vectors import SceneVectors
 
 
@@ -23,15 +24,13 @@ def friction_functions(x: SceneVectors) -> list[str]:
     names = [friction.name for friction in d.scene.frictions]
     slip, limit = x.local(d.slip), x.local(d.friction_limit)
     slip_bar, limit_bar = Vector.of("slip_bar", names), Vector.of("limit_bar", names)
-    slip_bars = [(f"{vector.name}_bar", slip.jacobian(vector.column).T * slip_bar.column) for vector in (x.q, x.v)]
-    limit_bars = [(f"{vector.name}_bar", limit.jacobian(vector.column).T * limit_bar.column) for vector in (x.q, x.lam)]
     a = x.q.like("a")
     return [
         c_function("void", "scene_slip", (x.q, x.v, x.p), "slip", slip),
         c_function("void", "scene_slip_rate", (x.q, x.v, a, x.p), "rate", slip_rate(x, a)),
-        c_function("void", "scene_slip_vjp", (x.q, x.v, x.p, slip_bar), slip_bars, operator="+="),
+        backward_function("void scene_slip_vjp", (x.q, x.v, x.p, slip_bar), slip, slip_bar, [x.q, x.v]),
         c_function("void", "scene_friction_limit", (x.q, x.lam, x.p), "limit", limit),
-        c_function("void", "scene_friction_limit_vjp", (x.q, x.lam, x.p, limit_bar), limit_bars, operator="+="),
+        backward_function("void scene_friction_limit_vjp", (x.q, x.lam, x.p, limit_bar), limit, limit_bar, [x.q, x.lam]),
     ]
 
 

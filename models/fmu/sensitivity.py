@@ -17,7 +17,8 @@ from collections.abc import Sequence
 
 import sympy as sp
 
-from models.codegen.c_function import Vector, c_function
+from models.codegen.c_function import Vector
+from models.codegen.chain_rule import backward_function, forward_function, tangent
 from models.codegen.damping import penetration_rate
 from models.codegen.friction import slip_rate
 from models.codegen.kept import kept_text
@@ -78,50 +79,27 @@ def sensitivity_source(scene: Scene) -> str:
     return kept_text(scene, "scene_sensitivity.h", lambda: emit_sensitivity(scene))
 
 
-def _jvp(function: sp.Matrix, vectors: Sequence[Vector]) -> sp.Matrix:
-    """Jacobian-vector product of a column along d<vector> of each of `vectors`."""
-    total = sp.zeros(function.rows, 1)
-    for vector in vectors:
-        if vector.symbols and function.rows:
-            total += function.jacobian(vector.column) * _tangent(vector).column
-    return total
-
-
-def _vjp(function: sp.Matrix, weights: Vector, vectors: Sequence[Vector]) -> list[tuple[str, sp.Matrix]]:
-    """(name of the adjoint, Jacobian' weights) for each of `vectors`."""
-    return [
-        (f"{vector.name}_bar", function.jacobian(vector.column).T * weights.column if vector.symbols and function.rows else sp.zeros(0, 1))
-        for vector in vectors
-    ]
-
-
-def _tangent(vector: Vector) -> Vector:
-    return vector.like(f"d{vector.name}")
-
-
 def _parameter_functions(x: SceneVectors) -> list[str]:
-    d, dp = x.dynamics, _tangent(x.p)
+    d, dp = x.dynamics, tangent(x.p)
     phi, stiffness = x.local(d.penetration), x.local(d.stiffness)
     a, a_bar, phi_bar, k_bar = x.q.like("a"), x.q.like("a_bar"), Vector.of("phi_bar", x.contacts), Vector.of("k_bar", x.contacts)
     functions = [
-        c_function("void", "scene_penetration_parameter_jvp", (x.q, x.p, dp), "d_phi", _jvp(phi, [x.p])),
-        c_function("void", "scene_penetration_parameter_vjp", (x.q, x.p, phi_bar), _vjp(phi, phi_bar, [x.p]), operator="+="),
-        c_function("void", "scene_stiffness_parameter_jvp", (x.p, dp), "d_k", _jvp(stiffness, [x.p])),
-        c_function("void", "scene_stiffness_parameter_vjp", (x.p, k_bar), _vjp(stiffness, k_bar, [x.p]), operator="+="),
+        forward_function("void scene_penetration_parameter_jvp", (x.q, x.p, dp), "d_phi", phi, [x.p]),
+        backward_function("void scene_penetration_parameter_vjp", (x.q, x.p, phi_bar), phi, phi_bar, [x.p]),
+        forward_function("void scene_stiffness_parameter_jvp", (x.p, dp), "d_k", stiffness, [x.p]),
+        backward_function("void scene_stiffness_parameter_vjp", (x.p, k_bar), stiffness, k_bar, [x.p]),
     ]
     if d.acceleration is not None:
         closed, back = x.local(d.acceleration), (*x.arguments, a, a_bar)
-        name = "scene_acceleration_parameter"
         functions += [
-            c_function("int", f"{name}_jvp", (*x.arguments, a, dp), "d_a", _jvp(closed, [x.p]), tail="return 0;"),
-            c_function("int", f"{name}_vjp", back, _vjp(closed, a_bar, [x.p]), operator="+=", tail="return 0;"),
+            forward_function("int scene_acceleration_parameter_jvp", (*x.arguments, a, dp), "d_a", closed, [x.p], tail="return 0;"),
+            backward_function("int scene_acceleration_parameter_vjp", back, closed, a_bar, [x.p], tail="return 0;"),
         ]
     else:
         residual, w = x.local(d.generalised_force) - x.local(d.mass_matrix) * a.column, x.q.like("w")
-        name = "scene_residual_parameter"
         functions += [
-            c_function("void", f"{name}_jvp", (*x.arguments, a, dp), "d_f", _jvp(residual, [x.p])),
-            c_function("void", f"{name}_vjp", (*x.arguments, a, w), _vjp(residual, w, [x.p]), operator="+="),
+            forward_function("void scene_residual_parameter_jvp", (*x.arguments, a, dp), "d_f", residual, [x.p]),
+            backward_function("void scene_residual_parameter_vjp", (*x.arguments, a, w), residual, w, [x.p]),
             _SOLVES,
         ]
     return functions
@@ -129,17 +107,17 @@ def _parameter_functions(x: SceneVectors) -> list[str]:
 
 def _damping_functions(x: SceneVectors) -> list[str]:
     """Rates of penetration and damping coefficients along the parameters, of a scene with damped contacts."""
-    d, dp = x.dynamics, _tangent(x.p)
+    d, dp = x.dynamics, tangent(x.p)
     if not d.structure.contact_damping:
         return []
     rate, damping = penetration_rate(x), x.local(d.damping)
     rate_bar, c_bar = (Vector.of(name, x.contacts) for name in ("rate_bar", "c_bar"))
     moving = (x.q, x.v, x.p)
     return [
-        c_function("void", "scene_penetration_rate_parameter_jvp", (*moving, dp), "d_rate", _jvp(rate, [x.p])),
-        c_function("void", "scene_penetration_rate_parameter_vjp", (*moving, rate_bar), _vjp(rate, rate_bar, [x.p]), operator="+="),
-        c_function("void", "scene_damping_parameter_jvp", (x.p, dp), "d_c", _jvp(damping, [x.p])),
-        c_function("void", "scene_damping_parameter_vjp", (x.p, c_bar), _vjp(damping, c_bar, [x.p]), operator="+="),
+        forward_function("void scene_penetration_rate_parameter_jvp", (*moving, dp), "d_rate", rate, [x.p]),
+        backward_function("void scene_penetration_rate_parameter_vjp", (*moving, rate_bar), rate, rate_bar, [x.p]),
+        forward_function("void scene_damping_parameter_jvp", (x.p, dp), "d_c", damping, [x.p]),
+        backward_function("void scene_damping_parameter_vjp", (x.p, c_bar), damping, c_bar, [x.p]),
     ]
 
 
@@ -154,18 +132,15 @@ def _friction_functions(x: SceneVectors) -> list[str]:
     moving, turning, pressing = (x.q, x.v, x.p), (x.q, x.v, a, x.p), (x.q, x.lam, x.p)
 
     def jvp(name: str, function: sp.Matrix, vectors: Sequence[Vector], result: str) -> str:
-        return c_function("void", name, (*vectors, *(_tangent(vector) for vector in vectors)), result, _jvp(function, vectors))
-
-    def vjp(name: str, function: sp.Matrix, vectors: Sequence[Vector], weights: Vector, back: Sequence[Vector]) -> str:
-        return c_function("void", name, (*vectors, weights), _vjp(function, weights, back), operator="+=")
+        return forward_function(f"void {name}", (*vectors, *(tangent(vector) for vector in vectors)), result, function, vectors)
 
     return [
         jvp("scene_slip_jvp", slip, moving, "d_slip"),
-        vjp("scene_slip_parameter_vjp", slip, moving, slip_bar, [x.p]),
+        backward_function("void scene_slip_parameter_vjp", (*moving, slip_bar), slip, slip_bar, [x.p]),
         jvp("scene_slip_rate_jvp", rate, turning, "d_rate"),
-        vjp("scene_slip_rate_vjp", rate, turning, rate_bar, turning),
+        backward_function("void scene_slip_rate_vjp", (*turning, rate_bar), rate, rate_bar, turning),
         jvp("scene_friction_limit_jvp", limit, pressing, "d_limit"),
-        vjp("scene_friction_limit_parameter_vjp", limit, pressing, limit_bar, [x.p]),
+        backward_function("void scene_friction_limit_parameter_vjp", (*pressing, limit_bar), limit, limit_bar, [x.p]),
     ]
 
 
@@ -180,7 +155,7 @@ def _energy_functions(x: SceneVectors) -> list[str]:
         ("dissipated_power", d.dissipated_power, (x.q, x.v, x.p)),
     ):
         local = x.local(expression)
-        arguments = (*vectors, *(_tangent(vector) for vector in vectors))
-        functions.append(c_function("double", f"scene_{name}_jvp", arguments, None, _jvp(local, vectors)))
-        functions.append(c_function("void", f"scene_{name}_vjp", (*vectors, w), _vjp(local, w, vectors), operator="+="))
+        arguments = (*vectors, *(tangent(vector) for vector in vectors))
+        functions.append(forward_function(f"double scene_{name}_jvp", arguments, None, local, vectors))
+        functions.append(backward_function(f"void scene_{name}_vjp", (*vectors, w), local, w, vectors))
     return functions
