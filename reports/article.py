@@ -15,6 +15,7 @@ from reports.parcels import CLOSES, OPENS, Parcels, Token
 from reports.record import RunRecord
 from reports.templating import Templates
 
+TEMPLATE = "article.html"
 # Marks that are filled on the page: its parts by number, the anchor, whether it is open, the row of each stage.
 ANCHOR, OPEN = Token(f"{OPENS}a{CLOSES}"), Token(f"{OPENS}o{CLOSES}")
 _MARK = re.compile(f"{OPENS}(\\d+|a|o|r\\d+){CLOSES}")
@@ -60,5 +61,5 @@ def written(templates: Templates, run: RunRecord) -> Article:
     """The section of a run, from its whole record."""
     parcels = Parcels()
     rows = [Token(f"{OPENS}r{place}{CLOSES}") for place in range(len(run.stages))]
-    text = templates.render("article.html", parcels, view=view_of(run), anchor=ANCHOR, opened=OPEN, rows=rows)
+    text = templates.render(TEMPLATE, parcels, view=view_of(run), anchor=ANCHOR, opened=OPEN, rows=rows)
     return Article(text, parcels.parts)

@@ -13,6 +13,7 @@ import hashlib
 import os
 import platform
 import socket
+import time
 import uuid
 from collections.abc import Callable, Iterable
 from importlib import metadata
@@ -24,10 +25,14 @@ _HERE = Path(__file__).parent
 # A change of one of these may change a text.
 _LIBRARIES = ("jinja2", "markupsafe", "numpy", "pydantic", "pydantic-core")
 
+# Changes closer to one another than this may carry the same time [ns].
+_TICK = 2_000_000_000
+
 
 def kept(folder: Path, name: str, make: Callable[[], str], *, sources: Iterable[Path] = ()) -> str:
     """The text that `make` makes of a campaign's folder; sources: files outside this room that decide it too. Raises what `make` raises."""
     sources = tuple(sources)
+    seen, began = _stamps(folder, sources), time.time_ns()
     content = content_digest(folder, sources)
     if content is None:
         return make()
@@ -36,18 +41,28 @@ def kept(folder: Path, name: str, make: Callable[[], str], *, sources: Iterable[
     if found is not None:
         return found
     text = make()
-    if content_digest(folder, sources) == content:  # nothing was written into the folder meanwhile
+    settled = bool(seen) and seen == _stamps(folder, sources) and max(seen.values())[0] < began - _TICK
+    if settled or content_digest(folder, sources) == content:  # nothing was written into the folder meanwhile
         _write(place, content, text)
     return text
+
+
+def _stamps(folder: Path, sources: Iterable[Path]) -> dict[Path, tuple[int, ...]]:
+    """Of each file that decides a text about this folder, when it was last changed, which nobody can set, and what it is; none where it cannot
+    be said."""
+    try:
+        told = {path: path.stat() for path in (*_of_folder(folder), *sources, *_of_room()) if path.exists()}
+    except OSError:
+        return {}
+    return {path: (stat.st_ctime_ns, stat.st_mtime_ns, stat.st_ino, stat.st_size) for path, stat in told.items()}
 
 
 def content_digest(folder: Path, sources: Iterable[Path] = ()) -> str | None:
     """Digest of all that a text about this folder is made of; None where something cannot be read."""
     whole = hashlib.sha256()
     try:
-        of_folder = [folder / "campaign.json", *record_files(folder), *bench_files(folder)]
         said = [folder.name, code_digest(), *(f"{path} {_digest(path)}" for path in sources)]
-        said += [f"{path.relative_to(folder)} {_digest(path)}" for path in of_folder]
+        said += [f"{path.relative_to(folder)} {_digest(path)}" for path in _of_folder(folder)]
     except OSError:
         return None
     for text in said:
@@ -55,10 +70,21 @@ def content_digest(folder: Path, sources: Iterable[Path] = ()) -> str | None:
     return whole.hexdigest()
 
 
+def _of_folder(folder: Path) -> list[Path]:
+    return [folder / "campaign.json", *record_files(folder), *bench_files(folder)]
+
+
+def _of_room() -> list[Path]:
+    return sorted(path for path in _HERE.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
+
+
 def code_digest() -> str:
     """Digest of the files of this room and of the versions of what it stands on. Raises OSError."""
-    rooms = sorted(path for path in _HERE.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
-    said = [platform.python_version(), *(f"{name} {_version(name)}" for name in _LIBRARIES), *(f"{path} {_digest(path)}" for path in rooms)]
+    said = [
+        platform.python_version(),
+        *(f"{name} {_version(name)}" for name in _LIBRARIES),
+        *(f"{path} {_digest(path)}" for path in _of_room()),
+    ]
     return hashlib.sha256("\0".join(said).encode("utf-8", "surrogateescape")).hexdigest()
 
 

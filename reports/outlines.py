@@ -10,7 +10,6 @@ What was read once is told again from DIR/.told as long as the record is the sam
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -24,6 +23,8 @@ from reports.record import RunRecord
 from reports.shelf import Shelf
 
 _TRACES = {"plan_trace": None, "replay_trace": None, "tracked_trace": None, "history": {}}
+# Stands in no JSON.
+_BETWEEN = "\0"
 
 
 class Outlines:
@@ -41,8 +42,7 @@ class Outlines:
         if found is None:
             found = self._outlined(record_of(text))
             record, article = found
-            told = [record.model_dump_json(), article.to_json() if article else ""]
-            self.shelf.put(json.dumps(told, ensure_ascii=False), "record", digest)
+            self.shelf.put(record.model_dump_json() + _BETWEEN + (article.to_json() if article else ""), "record", digest)
         record, article = found
         if isinstance(record, RunRecord):
             self._read[id(record)] = (record, digest, article)
@@ -79,7 +79,7 @@ class Outlines:
         text = self.shelf.text("record", digest)
         if text is None:
             return None
-        record, article = json.loads(text)
+        record, _, article = text.partition(_BETWEEN)
         return record_of(record.encode()), Article.from_json(article) if article else None
 
     def _outlined(self, record: RunRecord | ExaminationRecord) -> tuple[RunRecord | ExaminationRecord, Article | None]:

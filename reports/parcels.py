@@ -26,6 +26,7 @@ OPENS, CLOSES = "\x01", "\x02"
 _TOKEN = re.compile(f"{OPENS}(\\d+){CLOSES}")
 _FIGURE = re.compile(r"<figure .*?</figure>", re.DOTALL)
 _LINE = re.compile(r'(?<= d=")M-?[\d.]+,-?[\d.]+(?:L-?[\d.]+,-?[\d.]+)*(?=")')
+_ANCHOR = re.compile(' id="([^"]+)"')
 _ANCHOR_OR_TOKEN = re.compile(f' id="([^"]+)"|{_TOKEN.pattern}')
 
 
@@ -106,7 +107,10 @@ class Parcels:
         """The anchors in a part, in order, with those of the parts inside it."""
         if number not in self._anchors:
             found: list[str] = []
-            for anchor, inner in _ANCHOR_OR_TOKEN.findall(self._parts[number][1]):
+            text = self._parts[number][1]
+            # Most parts hold no other: what begins with one fixed text is found far sooner than what begins with either of two.
+            pairs = _ANCHOR_OR_TOKEN.findall(text) if OPENS in text else [(anchor, "") for anchor in _ANCHOR.findall(text)]
+            for anchor, inner in pairs:
                 found += self._held(int(inner)) if inner else (anchor,)
             self._anchors[number] = tuple(found)
         return self._anchors[number]

@@ -40,6 +40,11 @@ class Templates:
         self._environment.globals["windows"] = tolerance.windows_text
         self._environment.globals["fold"] = lambda block, caller: self._parcels.keep(block, caller())
 
+    def compile(self, *names: str) -> None:
+        """Compile templates before they are needed."""
+        for name in names:
+            self._environment.get_template(name)
+
     def render(self, name: str, parcels: Parcels, **values: Any) -> str:
         """The text of one template; no two renderings may run at once."""
         self._parcels = parcels

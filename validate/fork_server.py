@@ -48,7 +48,7 @@ MODULES = (
         "validate.replay.run",
     ),
     *("models.catalog", "models.scene_checks", "models.codegen.kernel", "models.fmu", "models.trajectory_netcdf"),
-    *("reports.examination_record", "formulations.mpec", "formulations.ipopt", "formulations.transcription.strict"),
+    *("reports.examination_record", "reports.telling", "formulations.mpec", "formulations.ipopt", "formulations.transcription.strict"),
     *("formulations.windows.session", "formulations.shooting.session", "formulations.multiple_shooting.session"),
 )
 # Longest folder that is shown in a child's environment; a longer one only the child itself knows.

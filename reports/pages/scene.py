@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import json
+
+from markupsafe import Markup
+
 from reports.mathml import safe_mathml
 from reports.pages.section import Report, Section
 from reports.pages.sizes import method_sizes
+from reports.record import SceneRecord
 from reports.wording import listing, number
 
 
@@ -25,6 +30,16 @@ def time_step(report: Report, scene: str) -> str:
     )
 
 
+def _equations(report: Report, scene: SceneRecord) -> list[tuple[str, Markup | None, str]]:
+    """Caption, markup (None where it cannot be trusted) and text of each equation."""
+    texts = [equation.mathml for equation in scene.equations]
+    told = json.loads(report.kept(lambda: json.dumps(list(map(safe_mathml, texts))), (), "equations", *texts))
+    return [
+        (equation.caption, None if markup is None else Markup(markup), equation.mathml)
+        for equation, markup in zip(scene.equations, told, strict=True)
+    ]
+
+
 def build(report: Report) -> Section | None:
     if not report.scenes:
         return None
@@ -32,7 +47,7 @@ def build(report: Report) -> Section | None:
         (
             f"scene-{place}",
             scene,
-            [(equation.caption, safe_mathml(equation.mathml), equation.mathml) for equation in scene.equations],
+            _equations(report, scene),
             method_sizes(report, scene.name),
             time_step(report, scene.name),
         )

@@ -247,6 +247,7 @@ def _fake_tools(score=_score) -> Tools:
         replay=_replay,
         score=score,
         write_replay=lambda path, replay, scene: None,
+        tell=lambda folder, text: None,
         write_report=_write_report,
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 
 import pytest
 
@@ -10,6 +11,9 @@ from models.catalog import load_scene
 from models.trajectory import write_csv
 from models.trajectory_netcdf import read_netcdf
 from reports.record import RunRecord
+from reports.shelf import PLACE, Shelf
+from validate import child
+from validate.tools import Tools
 
 CHOICE = ("all", "--scene", "three_cart", "-k", "softplus_gd+relu_gd")
 
@@ -65,6 +69,26 @@ def test_the_folder_holds_everything(twice):
     assert max(len(last.replay_trace.t), len(last.plan_trace.t)) <= 1500
     assert last.seconds.total == pytest.approx(sum(stage.seconds.stage for stage in record.stages))
     assert (first / "report.html").stat().st_size > 10_000
+
+
+def test_the_cell_itself_told_what_the_report_needs_of_it(twice):
+    """Before the campaign's own files were written, so that the report was only put together."""
+    (_, second), _ = twice
+    (path,) = second.glob("runs/*/record.json")
+    shelf = Shelf(second)
+    assert shelf.text("record", hashlib.sha256(path.read_bytes()).hexdigest())
+    (name,) = shelf.used
+    assert (second / PLACE / name).stat().st_mtime_ns < (second / "campaign.json").stat().st_mtime_ns
+
+
+def test_telling_that_fails_spoils_no_cell(tmp_path, monkeypatch):
+    def refuses(folder, text):
+        raise RuntimeError(f"{folder} {text}")
+
+    monkeypatch.setattr("validate.tools.load_tools", lambda _: Tools(tell=refuses))
+    child._tell("any:TOOLS", tmp_path / "runs" / "partial", b"{}")
+    with pytest.raises(RuntimeError, match=str(tmp_path)):
+        Tools(tell=refuses).tell(tmp_path, b"{}")
 
 
 def test_a_stored_plan_scores_the_same_from_outside(twice, cli, tmp_path):
