@@ -6,9 +6,13 @@ import sys
 
 
 def main() -> None:
-    from validate.cli.group import run
+    try:
+        from validate.cli.group import run
 
-    sys.exit(run(sys.argv[1:]))
+        code = run(sys.argv[1:])
+    except KeyboardInterrupt:  # before there was anything that hears it
+        code = 130
+    sys.exit(code)
 
 
 if __name__ == "__main__":

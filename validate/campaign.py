@@ -9,7 +9,7 @@ Cells are content-addressed: a stored one is used again, unless it crashed, or r
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -129,6 +129,9 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
                 if settings.stop_early and fails(record):
                     break
     finally:
+        for record in _untold([entry.cell.key for entry in entries if entry.cell.key not in records], store, provenance):
+            records[record.key] = record
+            narrator.finished(record)
         narrator.ends()
         done, examinations = write()
     stands = standing_report(settings.out, before) if settings.tools == DEFAULT_TOOLS and not ran else None
@@ -141,6 +144,13 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
         left_out=left_out,
         report=report,
     )
+
+
+def _untold(keys: Sequence[str], store: Store, provenance: ProvenanceRecord) -> Iterator[RunRecord | ExaminationRecord]:
+    """What this campaign stored and nobody was told of: it was stopped at that moment."""
+    for record in filter(None, map(store.read, keys)):
+        if record.provenance.started == provenance.started:
+            yield record
 
 
 def _violation(entries: Sequence[Entry | Examined]) -> tuple[ViolationPoint, ...]:

@@ -7,14 +7,16 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from killed_campaigns import HERE, processes, unfinished, untimed
+from standing_cluster import come
 
 from reports.record import RunRecord
-from validate.reaper import TOKEN_VARIABLE
+from validate.campaign import Settings, run_campaign
+from validate.cli.narrator import PlainNarrator
+from validate.store import Store
 
 FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")
 KEPT = {"cell.json", "log.txt", "record.json"}
@@ -23,28 +25,6 @@ KEPT = {"cell.json", "log.txt", "record.json"}
 def _records(out: Path) -> dict[str, RunRecord]:
     records = [RunRecord.model_validate_json(path.read_bytes()) for path in out.glob("runs/*/record.json")]
     return {record.pipeline: record for record in records}
-
-
-def _cell_processes(out: Path) -> list[str]:
-    """Commands of living processes that belong to a cell of this folder, or that such a cell started."""
-    found = []
-    for entry in Path("/proc").glob("[0-9]*"):
-        try:
-            environment = (entry / "environ").read_bytes().decode(errors="replace")
-            if TOKEN_VARIABLE in environment and str(out) in environment:  # TMPDIR lies in the folder
-                found.append((entry / "cmdline").read_bytes().decode(errors="replace"))
-        except OSError:
-            continue
-    return found
-
-
-def _wait_until(condition: Callable[[], bool]) -> None:
-    """Wait for something that comes; a machine may be slow, so the patience is long and only ends a test that has failed."""
-    for _ in range(1200):
-        if condition():
-            return
-        time.sleep(0.1)
-    raise AssertionError("it never came")
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +84,7 @@ def test_stages_after_a_failed_one_are_rows_too(cli, tmp_path):
 
 def test_nothing_is_left_behind(misbehaved):
     out, _ = misbehaved
-    assert _cell_processes(out) == []
+    assert processes(out) == []
     assert [path.name for path in (out / "runs").iterdir() if path.name.startswith(".")] == []
     for record in _records(out).values():
         names = {path.name for path in (out / "runs" / record.key).iterdir()}
@@ -154,25 +134,44 @@ def test_a_hanging_cell_ends_at_its_time_limit_with_its_family(cli, tmp_path):
     assert {record.outcome for record in records.values()} == {"time_limit"}
     assert all("time" in record.message for record in records.values())
     assert done.returncode == 1
-    assert _cell_processes(tmp_path) == []
+    assert processes(tmp_path) == []
     assert sorted(path.name for path in (tmp_path / "runs").iterdir()) == sorted(record.key for record in records.values())
 
 
-@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_campaign_keeps_what_finished_and_resumes(cli, start_cli, tmp_path, ending):
-    arguments = ("all", *FAKES, "--out", str(tmp_path), "-k", "only_good or only_family")
+@pytest.mark.parametrize(("ending", "jobs"), [(signal.SIGINT, ("-j", "1")), (signal.SIGTERM, ())])
+def test_an_interrupted_campaign_keeps_what_finished_and_resumes(cli, start_cli, tmp_path, ending, jobs):
+    arguments = ("all", *FAKES, "--out", str(tmp_path), *jobs, "-k", "only_good or only_family")
     process = start_cli(*arguments)
-    _wait_until(lambda: len(_cell_processes(tmp_path)) >= 3)  # the cell and both its children
+    come(lambda: len(processes(tmp_path)) >= 3)  # the cell and both its children
     process.send_signal(ending)
     _, told = process.communicate()
     assert process.returncode == 130
     assert "interrupted: 1 of 2 cells are stored" in told
     assert f"resume with: python -m validate all {' '.join(FAKES)} --out {tmp_path}" in told
-    assert _cell_processes(tmp_path) == []
+    assert processes(tmp_path) == []
     assert [path.name for path in (tmp_path / "runs").iterdir()] == [_records(tmp_path)["only_good"].key]
     assert len((tmp_path / "results.csv").read_text().splitlines()) == 2
     again = cli("all", *FAKES, "--out", str(tmp_path), "-k", "only_good")
     assert "1 stored, 0 to run" in again.stderr
+
+
+def test_what_is_stored_when_ctrl_c_comes_is_told_of(tmp_path, monkeypatch):
+    """Nobody has heard of the cell by then."""
+    commit, heard = Store.commit, PlainNarrator()
+
+    def interrupted(store: Store, partial: Path, key: str) -> Path:
+        commit(store, partial, key)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Store, "commit", interrupted)
+    monkeypatch.setenv("PYTHONPATH", str(HERE))
+    settings = Settings(out=tmp_path, tools=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible")
+    with pytest.raises(KeyboardInterrupt):
+        run_campaign(settings, heard)
+    (record,) = _records(tmp_path).values()
+    assert (heard.stored, heard.done, heard.total) == (0, 1, 2)
+    assert [row["pipeline"] for row in untimed(tmp_path)] == [record.pipeline]
+    assert unfinished(tmp_path) == []
 
 
 def test_what_nohup_ignores_stays_ignored(cli_environment, tmp_path):
@@ -193,10 +192,10 @@ def test_what_nohup_ignores_stays_ignored(cli_environment, tmp_path):
 
 def test_a_killed_campaign_leaves_nothing_and_loses_nothing(cli, start_cli, tmp_path):
     process = start_cli("all", *FAKES, "--out", str(tmp_path), "-k", "only_good or only_family")
-    _wait_until(lambda: len(_cell_processes(tmp_path)) >= 3)
+    come(lambda: len(processes(tmp_path)) >= 3)
     process.kill()
     process.communicate()
-    _wait_until(lambda: _cell_processes(tmp_path) == [] and len(os.listdir(tmp_path / "runs")) == 1)
+    come(lambda: processes(tmp_path) == [] and len(os.listdir(tmp_path / "runs")) == 1)
     again = cli("all", *FAKES, "--out", str(tmp_path), "-k", "only_good")
     assert again.returncode == 0
     assert "1 stored, 0 to run" in again.stderr
