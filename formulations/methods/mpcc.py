@@ -41,6 +41,13 @@ class Mpcc(Method):
             unit="millions",
             lower=0.0,
         ),
+        OptionSpec(
+            name="first_work",
+            default=25.0,
+            description="most of this work until a start has a plan: those of the bank that had one needed up to 10, and what has spent more goes on in vain",
+            unit="millions",
+            lower=0.0,
+        ),
         FIRST_SHARPNESS,
         OptionSpec(
             name="last_sharpness",

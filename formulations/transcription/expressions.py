@@ -16,14 +16,10 @@ from typing import Any
 import pyomo.environ as pyo
 import sympy as sp
 
+from formulations.transcription.smooth import SMOOTH, check_smooth
 from models.dynamics import Dynamics
-from models.errors import SceneError
 
-_SMOOTH = {
-    name: getattr(pyo, name)
-    for name in ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "exp", "log", "sqrt")
-}
-_NAMESPACE = {**_SMOOTH, "pi": math.pi, "E": math.e}
+_NAMESPACE = {**{name: getattr(pyo, name) for name in SMOOTH}, "pi": math.pi, "E": math.e}
 
 Entries = Callable[..., Sequence[Any]]
 
@@ -47,11 +43,5 @@ class SceneExpressions:
 
 
 def _function(dynamics: Dynamics, what: str, expressions: list[sp.Expr], *groups: Sequence[sp.Symbol]) -> Entries:
-    for expression in expressions:
-        for call in sp.sympify(expression).atoms(sp.Function, sp.Piecewise, sp.Max, sp.Min):
-            if call.func.__name__ not in _SMOOTH:
-                raise SceneError(
-                    f"scene {dynamics.scene.name}: {what} contains {call}, which has no smooth Pyomo form; "
-                    f"use {', '.join(_SMOOTH)} and powers."
-                )
+    check_smooth(dynamics.scene, what, expressions)
     return sp.lambdify([list(group) for group in groups], expressions, modules=[_NAMESPACE], cse=True)

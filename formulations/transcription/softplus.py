@@ -11,6 +11,7 @@ from formulations.transcription.contact_laws import ContactLaw
 from formulations.transcription.opening import Watch
 from formulations.transcription.reach import Patience
 from formulations.transcription.tightened import TightenedSession, Work
+from formulations.transcription.workbench import Account, Workbench
 from models.contact_law import ContactLaw as ForceLaw
 from models.contact_law import sharpness
 from models.trajectory import Trajectory
@@ -20,8 +21,9 @@ from models.trajectory import Trajectory
 _KEEP_THE_BAND = {"mumps_permuting_scaling": 0}
 
 
-# Of a stage that starts from a plan: those of the bank that ended well took up to 1.5e6 (transport: 951 iterations, of 1604 unknowns).
-_WORK = Work(1.6e6, 200)
+# Of a stage that starts from a plan, in nonzeros, which is what an iteration's time grows with: friction and many contacts have three times as many a
+# unknown. Those of the bank that ended well took up to 6.3e6 (transport: 951 iterations, of 6608), and where they were larger up to 136 iterations.
+_WORK = Work(6.5e6, 130)
 # A last iterate that misses its own time step [m/s], contact or friction law [N] by more is no plan: the next stage starts better from the one before.
 _BROKEN = 1e-2
 
@@ -34,6 +36,9 @@ class SoftplusSession(TightenedSession):
 
     def work(self, warm_start: Trajectory | None) -> Work | None:
         return None if warm_start is None else _WORK
+
+    def size(self, bench: Workbench, account: Account) -> int:
+        return bench.problem(account).nonzeros
 
     def is_vain(self, failed: Outcome, start: Trajectory | None) -> Outcome | None:
         """A cold start at a smaller eps is another one: contact acts from less far away."""

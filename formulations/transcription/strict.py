@@ -25,6 +25,8 @@ from formulations.transcription.contact_laws import ContactLaw, hold_modes, rele
 from formulations.transcription.friction import pressed_columns
 from formulations.transcription.plans import load_first_guess, load_plan, read_plan
 from formulations.transcription.session import Ending, TranscriptionSession, cold_barrier
+from formulations.transcription.size import size_on_paper
+from formulations.transcription.tightened import Work
 from formulations.transcription.workbench import Account, Workbench, primal_dual
 from models.codegen.kernel import Kernel, load_kernel
 from models.dynamics import derive
@@ -42,9 +44,12 @@ _NEAR = {"mu_init": 1e-4, "bound_push": 1e-6, "bound_frac": 1e-6}
 # Bounds of lam * v on the way to the attack's, where the scene is not linear: two fingers that carry a disc need 63, 60 and 13 iterations for
 # 1e-2, 1e-3 and 1e-4, and have no plan after 500 at 1e-4 alone. A linear scene is solved at once in fewer.
 _FIRST_BOUND, _NARROWING = 1e-2, 0.1
-# Most iterations at the first of these bounds from a given plan with Ipopt's own barrier: a soft plan of two fingers that lift a disc leads
-# nowhere in ten times as many, and is solved in 89 with the barrier of a cold start.
-_FROM_PLAN = 200
+# Most iterations at the first of these bounds from a given plan with Ipopt's own barrier: those that were solved took up to 121. A soft plan of two
+# fingers that lift a disc leads nowhere in ten times as many, and is solved in 89 with the barrier of a cold start.
+_FROM_PLAN = 130
+# Of each solve of the attack, beside its option: those that were solved took up to 4.8e6 (acrobot_limits: 529 iterations, of 9004 unknowns) or up to
+# 801 iterations. What is cut off has its modes tried.
+_ATTACK = Work(5e6, 1000)
 # A plan that misses its own time step by more than this was never one: the first guess is a better start.
 _BROKEN = 1e-2
 # Part of the remaining time an attack may take: a cut-off attack leaves modes that can still be solved exactly, in a twentieth of its time.
@@ -187,8 +192,8 @@ class StrictSession(TranscriptionSession):
         return self.attempt(bench, account, None, {**self._attack_options(account, start), **self.cold_options()}, share=_ATTACK_SHARE)
 
     def _attack_options(self, account: Account, warm_start: Trajectory | None) -> dict[str, Any]:
-        options = self.ipopt_options(warm_start)
-        return {**options, "max_iter": min(options["max_iter"], account.iterations + int(self.number("attack_iterations")))}
+        options, most = self.ipopt_options(warm_start), _ATTACK.iterations(size_on_paper(self._scene, self.contact).unknowns)
+        return {**options, "max_iter": min(options["max_iter"], account.iterations + min(most, int(self.number("attack_iterations"))))}
 
     def _solve_modes(self, bench: Workbench, account: Account, closed: np.ndarray) -> IpoptResult:
         """Step 2: the last solved problem without complementarity, its plan left in the model."""

@@ -8,20 +8,21 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 from formulations.solution import Outcome, Solution
-from formulations.transcription.session import TranscriptionSession
+from formulations.transcription.session import Ending, TranscriptionSession
 from formulations.transcription.size import size_on_paper
+from formulations.transcription.workbench import Account, Workbench
 from models.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
 class Work:
-    """Most iterations of a stage, times unknowns of the model by hand, and the fewest iterations it may have however large the model."""
+    """Most iterations of a solve, times the size of its model, and the fewest iterations it may have however large the model."""
 
     most: float
     fewest: int
 
-    def iterations(self, unknowns: int) -> int:
-        return max(self.fewest, int(self.most / unknowns))
+    def iterations(self, size: int) -> int:
+        return max(self.fewest, int(self.most / size))
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,11 @@ class TightenedSession(TranscriptionSession):
     """See the module docstring."""
 
     _failure: _Failure | None = None
+    _size = 0
+
+    def size(self, bench: Workbench, account: Account) -> int:
+        """Of the model, as `work` counts it: unknowns by hand."""
+        return size_on_paper(self._scene, self.contact).unknowns
 
     @abstractmethod
     def work(self, warm_start: Trajectory | None) -> Work | None:
@@ -59,8 +65,12 @@ class TightenedSession(TranscriptionSession):
             self._failure = _Failure(cast(float, eps), warm_start, found.outcome)
         return found
 
+    def run(self, bench: Workbench, account: Account, eps: float | None, warm_start: Trajectory | None) -> Ending:
+        self._size = self.size(bench, account)
+        return super().run(bench, account, eps, warm_start)
+
     def ipopt_options(self, warm_start: Trajectory | None) -> dict[str, Any]:
         options, work = super().ipopt_options(warm_start), self.work(warm_start)
         if work is None:
             return options
-        return {**options, "max_iter": min(options["max_iter"], work.iterations(size_on_paper(self._scene, self.contact).unknowns))}
+        return {**options, "max_iter": min(options["max_iter"], work.iterations(self._size))}

@@ -52,12 +52,16 @@ class Finder:
     def __init__(self, scene: Scene, kernel: Kernel, options: Mapping[str, object], structures: Structures) -> None:
         self._scene, self._kernel, self._options, self._structures = scene, kernel, options, structures
         self._is_linear = structures.is_linear
+        self._random_is_vain = False  # all random inputs were steered once, and none of them gave a plan
+        self._on_coarse: Finder | None = None
 
     def find(self, account: Account, modes_of: Trajectory | None = None, start: Trajectory | None = None) -> Search:
         """The best plan. modes_of: a plan whose modes are tried first; start: where the homotopy begins (None: the paper's first guess)."""
         begin = perf_counter()
         problem = self._modes_problem(account)
         account.build += perf_counter() - begin
+        self._most_work = account.most_work
+        account.most_work = min(self._most_work, account.work + 1e6 * self._number("first_work"))
         self._ending = (Outcome.FAILED, "no source of contact modes gave a plan.")
         self._near: list[tuple[float, np.ndarray]] = []  # (miss, modes) of rollouts that do not quite reach the goal
         answer, stride, is_refined = None, max(1, self._scene.task.steps // _STRIDES), False
@@ -66,12 +70,19 @@ class Finder:
             if answer is not None or account.is_over:
                 stride, is_refined = fineness or stride, fineness > 0
                 break
+        is_given_up, account.most_work = account.is_over, self._most_work
         if answer is None:
             outcome, message = self._ending
             if account.is_late:
                 outcome, message = Outcome.TIME_LIMIT, "no contact modes with a plan were found in the time given."
             elif account.is_over:
                 outcome, message = Outcome.ITERATION_LIMIT, "no contact modes with a plan were found by the work it may do."
+            elif is_given_up:
+                millions = self._number("first_work")
+                message = (
+                    f"no contact modes with a plan were found by the work it may do until there is one (first_work, {millions:g} million)."
+                )
+                outcome = Outcome.ITERATION_LIMIT
             return Search(answer=None, outcome=outcome, message=message)
         return self._searched(account, problem, answer, stride, far=not is_refined)
 
@@ -102,6 +113,7 @@ class Finder:
         for plan in self._steered(account, first):
             yield plan, 0
         yield None, 0
+        self._random_is_vain = True
         if had_plan:
             for plan in self._stages(account, first, int(self._number("max_iterations"))):
                 yield plan, 0
@@ -120,9 +132,11 @@ class Finder:
     def _steered(self, account: Account, first: Trajectory | None) -> Iterator[Trajectory]:
         """Random inputs, and those of a plan, steered to the goal through softplus contact that grows sharper."""
         task, ball, seed = self._scene.task, self._number("goal_tolerance"), int(self._number("seed"))
-        plans = [first, *(random_plan(self._scene, self._kernel, (seed, index)) for index in range(_RANDOM))]
-        for plan in plans:
-            if plan is None or account.is_over:
+        for index in range(-1, 0 if self._random_is_vain else _RANDOM):  # whatever the start, these are the same
+            if account.is_over:
+                return
+            plan = first if index < 0 else random_plan(self._scene, self._kernel, (seed, index))
+            if plan is None:
                 continue
             bounds = (np.array([item.lower for item in self._scene.inputs]), np.array([item.upper for item in self._scene.inputs]))
             sharpness = self._number("first_sharpness")
@@ -147,7 +161,12 @@ class Finder:
             return None
         task = coarse.task
         begin_at = None if start is None else on_grid(start, coarse)
-        found = Finder(coarse, self._kernel, self._options, self._structures.coarser(coarse)).find(account, start=begin_at)
+        begun, allowed = account.work, account.most_work
+        account.most_work = self._most_work  # what it searches once it has a plan is no search for a first one
+        if self._on_coarse is None:
+            self._on_coarse = Finder(coarse, self._kernel, self._options, self._structures.coarser(coarse))
+        found = self._on_coarse.find(account, start=begin_at)
+        account.most_work = min(self._most_work, allowed + account.work - begun)
         if found.answer is None:
             return None
         rollout = self._kernel.rollout(np.array(task.start), found.answer.u, task.step)

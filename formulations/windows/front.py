@@ -76,10 +76,16 @@ def front(
         found, _ = solve(ordered[place], start)
         sweep(found.trajectory, ordered[place + 1 :])
         sweep(found.trajectory, ordered[:place][::-1])
-    for tolerance in ordered:  # a sweep may have ended before it got here
-        if tolerance not in best and perf_counter() < end:
+    vain: dict[float, Solution] = {}
+    for tolerance in reversed(ordered):  # a sweep may have ended before it got here
+        if tolerance in best or perf_counter() >= end:
+            continue
+        without = next((larger for larger in ordered if larger > tolerance and larger in best and best[larger].trajectory is None), None)
+        if without is None:
             solve(tolerance, start)
-    return _falling(ordered, best)
+        else:
+            vain[tolerance] = _vain(without)
+    return _falling(ordered, {**vain, **best})
 
 
 def _falling(ordered: tuple[float, ...], best: Mapping[float, Solution]) -> tuple[FrontPoint, ...]:
@@ -90,6 +96,12 @@ def _falling(ordered: tuple[float, ...], best: Mapping[float, Solution]) -> tupl
         cheaper = points and _cost(points[-1].solution) < _cost(own)
         points.append(FrontPoint(tolerance=tolerance, solution=points[-1].solution if cheaper else own))
     return tuple(points)
+
+
+def _vain(larger: float) -> Solution:
+    """Plans within a tolerance are among those within a larger one: where none of these was found, none is looked for."""
+    message = f"Not tried: within the larger tolerance {larger:g} no plan was found either."
+    return Solution(method="mpcc", outcome=Outcome.STALLED, message=message)
 
 
 def _cost(solution: Solution) -> float:

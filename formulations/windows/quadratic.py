@@ -15,6 +15,7 @@ there is none.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from hashlib import blake2b
 
 import numpy as np
 
@@ -34,6 +35,7 @@ _VIOLATED = 1e-12  # [m], [N]: rounding of the banded solution
 _PULLING = 1e-9  # a multiplier below minus this asks for its condition to be dropped
 _BIACTIVE = 1e-11  # [m] penetration or gap below which a pair touches without pressing
 _ENORMOUS = 1e100  # what a singular matrix that was not found out leaves
+_SAME = 1e-10  # part of a cost by which two are the same
 _SOLVED = 1e-8  # largest residual of the linear system that still counts as a solution
 
 
@@ -95,6 +97,7 @@ class ModesProblem:
         self.linear, self.ball = linear, ball
         self.kkt = BandedKKT(linear)
         self.solves, self.softness = 0, 0.0
+        self._floors: dict[tuple[float, float, bytes], float] = {}  # by ball, softness and modes: no plan costs less
         self._barrier, self._dual = BarrierMethod(linear, self.kkt), DualRounds(linear, self.kkt)
 
     def empty_set(self) -> ActiveSet:
@@ -102,9 +105,20 @@ class ModesProblem:
         return ActiveSet(side=np.zeros((lin.steps, lin.nu), dtype=int), touching=np.zeros((lin.steps, lin.nc), dtype=bool))
 
     def solve(self, closed: np.ndarray, *, near: ModesAnswer | None = None, below: float = np.inf) -> ModesAnswer | None:
-        """The optimum, or None where these modes have no plan of a cost below `below`. near: the answer of similar modes."""
+        """The optimum, or None where these modes have no plan of a cost below `below`. near: the answer of similar modes.
+
+        What modes were found to cost at least is kept, since searches from other starts end among the same windows."""
         closed = self._whole(closed)
         self.solves += 1
+        key = (self.ball, self.softness, blake2b(np.packbits(closed).tobytes(), digest_size=16).digest())
+        floor = self._floors.get(key, -np.inf)
+        if floor == np.inf or (np.isfinite(below) and floor >= below - _SAME * abs(below)):
+            return None
+        found = self._optimum(closed, near, below)
+        self._floors[key] = max(floor, below if found is None else found.cost)
+        return found
+
+    def _optimum(self, closed: np.ndarray, near: ModesAnswer | None, below: float) -> ModesAnswer | None:
         if near is not None and near.active.count > _MANY:
             found = self._rounds(closed, near.active, _WARM_ROUNDS, below)
             if found is not None:

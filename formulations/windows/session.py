@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from time import perf_counter, process_time
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -28,6 +28,9 @@ from models.errors import TrajectoryError
 from models.goal import distance, goal_state
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
+
+if TYPE_CHECKING:
+    from formulations.mpec.certificate.certificate import Certificate
 
 
 class MpccSession(Session):
@@ -98,8 +101,12 @@ class MpccSession(Session):
         if missed and outcome is Outcome.SOLVED:
             worst = ", ".join(f"{name} is {residuals[name]:.3g} (limit {limit:g})" for name, limit in missed.items())
             outcome, message = Outcome.STALLED, f"{message} Checked on the plan itself, {worst}."
+        certificate = None
         if outcome is Outcome.SOLVED and stationarity.letter != "S":
-            outcome, message = self._judged(plan, message)
+            from formulations.mpec.certificate.plan import certify_plan
+
+            certificate = certify_plan(self._scene, plan, goal_tolerance=self._number("goal_tolerance"))
+            outcome, message = _judged(certificate, message)
         residuals |= {
             "dual_infeasibility": answer.dual_infeasibility,
             "biactive_pairs": float(stationarity.biactive),
@@ -116,24 +123,8 @@ class MpccSession(Session):
             seconds=account.seconds(),
             residuals=residuals,
             history=_columns(account),
+            certificate=certificate,
         )
-
-    def _judged(self, plan: Trajectory, message: str) -> tuple[Outcome, str]:
-        """Touching pairs pull, and no other mode of theirs was found to be cheaper: whether the plan can be left downhill after all.
-
-        Where conditions depend on each other the multipliers are not the only ones, and others may have the right signs.
-        """
-        from formulations.mpec.certificate.plan import certify_plan
-
-        found = certify_plan(self._scene, plan, goal_tolerance=self._number("goal_tolerance"))
-        if found.b_stationary:
-            return Outcome.SOLVED, f"{message} These multipliers are not the only ones: no direction leads downhill (B-stationary)."
-        known = (
-            "it is not B-stationary, so that cheaper plans lie next to it"
-            if found.b_stationary is False
-            else "whether it is B-stationary is not known"
-        )
-        return Outcome.STALLED, f"{message} The plan holds, but {known}: {found.sentence}."
 
     def landed(self, u: np.ndarray) -> Trajectory:
         """The plan of these inputs, corrected to end on the goal: their rollout through the true contact law."""
@@ -165,6 +156,21 @@ class MpccSession(Session):
 
     def _number(self, option: str) -> float:
         return float(cast(float, self._options[option]))  # checked by filled_options
+
+
+def _judged(found: Certificate, message: str) -> tuple[Outcome, str]:
+    """Touching pairs pull, and no other mode of theirs was found to be cheaper: whether the plan can be left downhill after all.
+
+    Where conditions depend on each other the multipliers are not the only ones, and others may have the right signs.
+    """
+    if found.b_stationary:
+        return Outcome.SOLVED, f"{message} These multipliers are not the only ones: no direction leads downhill (B-stationary)."
+    known = (
+        "it is not B-stationary, so that cheaper plans lie next to it"
+        if found.b_stationary is False
+        else "whether it is B-stationary is not known"
+    )
+    return Outcome.STALLED, f"{message} The plan holds, but {known}: {found.sentence}."
 
 
 def _columns(account: Account) -> dict[str, tuple[Any, ...]]:

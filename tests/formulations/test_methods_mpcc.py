@@ -9,7 +9,7 @@ import pytest
 
 from formulations.catalog import load_method
 from formulations.method import OptionError
-from formulations.mpec.certificate.plan import certify_plan
+from formulations.mpec.certificate.plan import certify_plan, certify_solution
 from formulations.solution import Outcome, Solution
 from formulations.windows.moves import windows_of
 from models.catalog import load_scene
@@ -114,6 +114,9 @@ def test_a_plan_that_can_be_left_downhill_is_not_solved() -> None:
     assert solution.trajectory is not None
     assert solution.residuals["least_biactive_multiplier"] < -1.0
     assert "not B-stationary" in solution.message
+    assert solution.certificate is not None, "what said so is kept"
+    assert solution.certificate.b_stationary is False
+    assert certify_solution(scene, solution) is solution, "and nothing is certified twice"
 
 
 def test_a_search_without_time_still_switches_the_pairs_that_pull() -> None:

@@ -8,8 +8,12 @@ import pytest
 from formulations.catalog import load_method
 from formulations.method import OptionError
 from formulations.solution import Outcome, Solution
+from formulations.transcription import strict
+from formulations.transcription.contact_laws import ContactLaw as TranscribedLaw
 from formulations.transcription.residuals import PlanResiduals
+from formulations.transcription.size import size_on_paper
 from formulations.transcription.strict import StrictSession
+from formulations.transcription.tightened import Work
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw, worst_case_violation
@@ -179,6 +183,16 @@ def test_a_strict_attack_cut_off_still_has_its_modes_solved() -> None:
     assert "cut off" in cut.message
     assert "cut off" not in whole.message
     assert physics(cut, SMALL) <= 1e-9
+
+
+def test_a_strict_attack_may_do_so_much_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Counted in iterations times unknowns: cut off there, as by its option, and its modes tried."""
+    monkeypatch.setattr(strict, "_ATTACK", Work(40.5 * size_on_paper(SMALL, TranscribedLaw.COMPLEMENTARITY).unknowns, 1))
+    by_work = chain("strict_lcp", (None,), SMALL)[0]
+    monkeypatch.setattr(strict, "_ATTACK", Work(0.0, 1000))
+    by_option = chain("strict_lcp", (None,), SMALL, attack_iterations=40)[0]
+    assert "cut off" in by_work.message
+    assert (by_work.iterations, by_work.cost) == (by_option.iterations, by_option.cost)
 
 
 @pytest.mark.parametrize("eps", [0.0, 1.0, -1e-3, float("nan"), None])

@@ -36,12 +36,14 @@ def certify_plan(scene: Scene | str, plan: Trajectory, *, goal_tolerance: float 
 
 
 def certify_solution(scene: Scene, solution: Solution) -> Solution:
-    """The same solution with its certificate, and those of its front; unchanged if it has no plan. A ball around the goal is read off its
-    options."""
+    """The same solution with its certificate, and those of its front; unchanged if it has no plan, or has its certificate already. A ball around
+    the goal is read off its options."""
     points = tuple(replace(point, solution=certify_solution(scene, point.solution)) for point in solution.front)
     if solution.trajectory is None:
         return replace(solution, front=points)
     if points:  # its plan is that of the smallest tolerance
         return replace(solution, certificate=points[0].solution.certificate, front=points)
+    if solution.certificate is not None:
+        return solution
     ball = float(cast(float, solution.options.get("goal_tolerance", 0.0)))
     return replace(solution, certificate=certify_plan(scene, solution.trajectory, goal_tolerance=ball))

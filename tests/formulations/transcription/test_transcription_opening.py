@@ -10,7 +10,7 @@ import pytest
 
 from formulations import ContactLaw, build_model, load_plan
 from formulations.catalog import load_method
-from formulations.ipopt import Iteration
+from formulations.ipopt import Iteration, compile_model
 from formulations.solution import Outcome
 from formulations.transcription import relaxed, softplus
 from formulations.transcription.contact_laws import tighten
@@ -69,6 +69,18 @@ def test_what_misses_its_own_time_step_starts_no_other_stage(monkeypatch):
         assert "Not tried" in harder.message
         softer = session.solve(eps=5e-4, warm_start=first.trajectory, time_limit=60.0)
         assert softer.iterations > 0
+
+
+def test_the_work_of_a_soft_stage_is_counted_in_nonzeros(monkeypatch):
+    """Those of its own model: friction and many contacts make an iteration dearer than its unknowns say."""
+    scene = load_scene("three_cart").with_task(steps=200, step=0.025)
+    nonzeros = compile_model(build_model(scene, ContactLaw.SOFTPLUS, eps=1e-5)).nonzeros
+    monkeypatch.setattr(softplus, "_WORK", Work(7.5 * nonzeros, 1))
+    with load_method("softplus_dc").open(scene) as session:
+        first = session.solve(eps=EPS, warm_start=None, time_limit=60.0)
+        cut = session.solve(eps=1e-5, warm_start=first.trajectory, time_limit=60.0)
+    assert first.outcome is Outcome.SOLVED
+    assert (cut.outcome, cut.iterations) == (Outcome.ITERATION_LIMIT, 7)
 
 
 def test_a_relaxed_stage_without_a_plan_ends_the_chain_from_that_start(monkeypatch):

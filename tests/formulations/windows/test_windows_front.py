@@ -11,6 +11,7 @@ from formulations.mpec import certify_solution
 from formulations.solution import Outcome, Solution
 from formulations.windows.front import front
 from formulations.windows.goal_ball import cheapest_in_ball
+from formulations.windows.session import MpccSession
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.goal import goal_state
@@ -58,6 +59,21 @@ def test_a_front_falls() -> None:
     assert len(set(costs)) == 3
     for point in points:
         assert miss(point.solution, SMALL) <= point.tolerance + 1e-10
+
+
+def test_where_a_larger_tolerance_had_no_plan_none_is_looked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cold starts in the middle and at both ends; the others are not tried, and say why."""
+    tried: list[float] = []
+
+    def nothing(self: MpccSession, **_given: object) -> Solution:
+        tried.append(self._number("goal_tolerance"))
+        return Solution(method="mpcc", outcome=Outcome.FAILED)
+
+    monkeypatch.setattr(MpccSession, "solve", nothing)
+    points = front(SMALL, (0.0, 1e-5, 1e-4, 1e-3, 2e-3, 5e-3))
+    assert tried == [1e-3, 0.0, 5e-3]
+    assert [point.tolerance for point in points if "Not tried" in point.solution.message] == [1e-5, 1e-4, 2e-3]
+    assert "tolerance 0.001 no plan" in points[1].solution.message
 
 
 @pytest.mark.parametrize("wrong", [(), (-0.1,), (float("nan"),), ("0.1",), (True,), "0.1"])

@@ -131,3 +131,26 @@ def test_scenes_that_are_not_convex_say_why() -> None:
     u1, u3 = (item.symbol for item in SCENE.inputs)
     assert "not convex" in (why_not_linear(SCENE.with_task(running_cost=u1**2 - u3**2)) or "")
     assert "not quadratic" in (why_not_linear(SCENE.with_task(running_cost=u1**4 + u3**2)) or "")
+
+
+def test_what_modes_cost_is_found_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Asked for less than they were found to cost, nothing is solved; asked for more, or within another ball, they are."""
+    problem = ModesProblem(linear_scene(SCENE))
+    factored: list[None] = []
+    factor = problem.kkt.factor
+    monkeypatch.setattr(problem.kkt, "factor", lambda *given, **named: (factored.append(None), factor(*given, **named))[1])
+    answer = problem.solve(BEST)
+    assert answer is not None
+    once = len(factored)
+    assert problem.solve(BEST, near=answer, below=answer.cost) is None
+    assert problem.solve(BEST, below=0.9 * answer.cost) is None
+    assert len(factored) == once
+    assert problem.solves == 3, "it counts as tried all the same"
+    again = problem.solve(BEST, near=answer, below=1.1 * answer.cost)
+    assert again is not None
+    assert again.cost == pytest.approx(answer.cost, rel=1e-12)
+    problem.ball = 0.05
+    nearer = problem.solve(BEST, below=answer.cost)
+    assert nearer is not None
+    assert nearer.cost < answer.cost
+    assert len(factored) > once

@@ -10,6 +10,8 @@ import pytest
 from formulations.catalog import load_method
 from formulations.method import OptionError
 from formulations.solution import Outcome, Solution
+from formulations.windows import finder
+from formulations.windows.quadratic import ModesProblem
 from formulations.windows.starts import descended_plan, mirrored, random_plan
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
@@ -99,3 +101,19 @@ def test_impossible_numbers_are_refused() -> None:
     for wrong in ({"starts": 0}, {"first_start": -1}, {"starts": 2.5}):
         with pytest.raises(OptionError, match="start"):
             load_method("mpcc").open(SMALL, wrong)
+
+
+def test_random_inputs_that_led_nowhere_are_not_steered_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are the same whatever a start is: the second start without a plan has only its own to steer."""
+    drawn: list[tuple[int, ...]] = []
+
+    def noted(scene, kernel, seed):
+        drawn.append(seed)
+        return random_plan(scene, kernel, seed)
+
+    monkeypatch.setattr(finder, "random_plan", noted)
+    monkeypatch.setattr(ModesProblem, "solve", lambda *_given, **_named: None)  # no modes have a plan
+    opened = load_method("mpcc").open(SMALL)
+    for _ in range(2):
+        assert opened.solve(eps=None, warm_start=None, time_limit=600.0).trajectory is None
+        assert len(drawn) == len(set(drawn)) == 6

@@ -93,3 +93,16 @@ def test_the_clock_decides_nothing() -> None:
     assert found[2].outcome is Outcome.ITERATION_LIMIT
     assert found[2].trajectory is None
     assert "by the work it may do" in found[2].message
+
+
+def test_a_first_plan_has_less_work_than_the_search_around_it() -> None:
+    """What is given up says why; what has a plan by then is searched with all of the work."""
+    found = []
+    for first_work in (0.01, 1.0, 1.5):
+        with load_method("mpcc").open(SCENE, {"work": 1.5, "first_work": first_work}) as session:
+            found.append(session.solve(eps=None, warm_start=None, time_limit=600.0))
+    given_up, bounded, free = found
+    assert (given_up.outcome, given_up.trajectory) == (Outcome.ITERATION_LIMIT, None)
+    assert "until there is one" in given_up.message
+    assert given_up.iterations < bounded.iterations
+    assert (bounded.cost, bounded.iterations, bounded.message) == (free.cost, free.iterations, free.message)

@@ -1,0 +1,31 @@
+"""Whether contact windows apply is said without deriving anything."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import sympy as sp
+
+from formulations.catalog import load_method
+from models import dynamics
+from models.catalog import load_scene
+
+SCENE = load_scene("hopper")
+
+
+@pytest.mark.parametrize("method", ["mpcc", "mpcc_front"])
+def test_nothing_is_derived_to_say_so(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def derived(_scene: object) -> None:
+        raise AssertionError("a scene was derived")
+
+    monkeypatch.setattr(dynamics, "_build", derived)
+    assert load_method(method).accepts(replace(SCENE)) is None
+
+
+@pytest.mark.parametrize(("field", "words"), [("potential_energy", "the potential energy"), ("kinetic_energy", "the kinetic energy")])
+def test_a_function_that_is_not_smooth_is_named(field: str, words: str) -> None:
+    bent = replace(SCENE, **{field: getattr(SCENE, field) * (2 + sp.Abs(SCENE.coordinates[0].symbol))})
+    reason = load_method("mpcc").accepts(bent)
+    assert reason is not None
+    assert f"{words} contains Abs(" in reason
