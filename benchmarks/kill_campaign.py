@@ -1,9 +1,10 @@
 """A campaign killed with signal 9 at random moments and resumed, over and over: nothing finished is lost, nothing damaged, nothing left behind.
 
-    python benchmarks/kill_campaign.py [--kills 25] [--seed 0] [--engine local|dask|standing] [-j 2] [--out FILE.json]
+    python benchmarks/kill_campaign.py [--kills 25] [--seed 0] [--engine local|dask|standing] [--signal kill|int] [-j 2] [--out FILE.json]
 
 The cells are those of tests/validate/campaign_fakes.py, which take little time, so that many moments are of the store. With `standing`, the workers of a
-cluster that goes on end what a killed campaign had begun. Prints the figures as JSON; exit code 1 where a promise was broken, or nothing that finished was found again.
+cluster that goes on end what a killed campaign had begun. `--signal int` is Ctrl-C: the campaign must also say how to go on, and count rightly. Prints
+the figures as JSON; exit code 1 where a promise was broken, or nothing that finished was found again.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import argparse
 import contextlib
 import json
 import os
+import signal
 import sys
 import tempfile
 import time
@@ -29,6 +31,7 @@ def main() -> int:
     parser.add_argument("--kills", type=int, default=25)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--engine", default="local", choices=["local", "dask", "standing"], help="standing: a cluster by its address")
+    parser.add_argument("--signal", default="kill", choices=["kill", "int"], help="int: as Ctrl-C, which must also end in words")
     parser.add_argument("-j", "--jobs", type=int, default=2)
     parser.add_argument("--out", type=Path)
     chosen = parser.parse_args()
@@ -40,12 +43,14 @@ def main() -> int:
             (folder / "cluster").mkdir()
             file, cluster = standing.enter_context(standing_cluster(folder / "cluster", environment(cache), chosen.jobs))
             engine = f"dask:{file}"
-        seen = kill_and_resume(folder, cache, chosen.kills, chosen.seed, "--engine", engine, "-j", str(chosen.jobs))
+        number = signal.SIGKILL if chosen.signal == "kill" else signal.SIGINT
+        seen = kill_and_resume(folder, cache, chosen.kills, chosen.seed, "--engine", engine, "-j", str(chosen.jobs), number=number)
         if cluster is not None and cluster.poll() is not None:
             seen.faults.append("the cluster that stands by itself did not live on")
     now = os.times()
     told = {
         "engine": chosen.engine,
+        "signal": chosen.signal,
         "kills": seen.kills,
         "campaigns_brought_to_their_end": seen.campaigns,
         "finished_cells_found_again": seen.kept,

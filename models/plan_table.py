@@ -73,7 +73,14 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
     lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip() and not line.startswith("#")]
     header = lines[0][1] if lines else ""
     mark = next((mark for mark in ";\t" if mark in header), ",")
-    rows = [(number, [cell.strip() for cell in next(csv.reader([line], delimiter=mark, skipinitialspace=True))]) for number, line in lines]
+    rows = [(number, _cells(path, number, line, mark)) for number, line in lines]
     if mark == ";":
         return [(number, [cell.replace(",", ".") for cell in row]) for number, row in rows]
     return rows
+
+
+def _cells(path: Path, number: int, line: str, mark: str) -> list[str]:
+    try:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=mark, skipinitialspace=True))]
+    except csv.Error as error:
+        raise TrajectoryError(f"plan {path}: line {number} cannot be read ({error}); separate its cells by {mark!r}.") from error

@@ -38,7 +38,7 @@ def recovered(folder: Path, key: str, lost: Lost) -> RunRecord | None:
     try:
         content = json.loads((folder / _PROVISIONAL).read_bytes())
         record, awaiting = RunRecord.model_validate(content["record"]), frozenset(content["awaiting"])
-    except (OSError, ValueError, KeyError, TypeError):  # none, or not ours; pydantic's and JSON's are ValueErrors
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):  # none, or not ours; pydantic's and JSON's are ValueErrors
         return None
     if record.key != key:
         return None

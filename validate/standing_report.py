@@ -18,18 +18,20 @@ from validate.stored import CAMPAIGN
 REPORT = "report.html"
 # What a campaign that ran nothing leaves as it was told: the report says when its results were made.
 _OF_THE_CALL = ("command", "started", "provenance")
+# What damaged content raises where it is read.
+_NO_CAMPAIGN = (ValueError, AttributeError, RecursionError)
 
 
 def campaign_text(folder: Path) -> str:
     """What a folder's campaign is, apart from the call; empty if there is none that can be read."""
     try:
         return of_content((folder / CAMPAIGN).read_bytes())
-    except (OSError, ValueError, AttributeError):
+    except (OSError, *_NO_CAMPAIGN):
         return ""
 
 
 def of_content(campaign: str | bytes) -> str:
-    """Of the text of a campaign.json, what is not of the call. Raises ValueError, AttributeError for what is no campaign."""
+    """Of the text of a campaign.json, what is not of the call. Raises one of _NO_CAMPAIGN for what is none."""
     return json.dumps({name: value for name, value in json.loads(campaign).items() if name not in _OF_THE_CALL}, sort_keys=True)
 
 

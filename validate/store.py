@@ -69,12 +69,20 @@ def progress(folder: Path, text: str) -> None:
     (folder / PROGRESS).write_text(text, encoding="utf-8")
 
 
-def write_durably(path: Path, text: str) -> None:
-    """Write a text file so that after this call either the old or the new content is there, whatever happens."""
+def make_folder(path: Path) -> None:
+    """Make a folder and those it lies in. Raises MachineError where the disk refuses."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise disk_error(path, error) from error
+
+
+def write_durably(path: Path, content: str | bytes) -> None:
+    """Write a file so that after this call either the old or the new content is there, whatever happens. Raises MachineError."""
     aside = path.with_name(_aside("file", uuid.uuid4().hex))
     try:
-        with open(aside, "w", encoding="utf-8") as file:
-            file.write(text)
+        with open(aside, "wb") as file:
+            file.write(content.encode("utf-8") if isinstance(content, str) else content)
             file.flush()
             os.fsync(file.fileno())
         os.replace(aside, path)

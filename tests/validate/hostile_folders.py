@@ -65,13 +65,17 @@ def resume(path: Path) -> None:
     from reports.load import load
     from validate.chosen import Settings, reasons, with_stored
     from validate.compare import compare
+    from validate.standing_report import campaign_text, standing_report
     from validate.store import Store
-    from validate.stored import only_last_failed
+    from validate.stored import CAMPAIGN, only_last_failed
+    from validate.time_steps import time_steps
 
     store, settings = Store(path), Settings(out=path)
     store.prepare()
     found = with_stored([_entry()], store, settings)
     reasons(found, store)
+    time_steps((), path / CAMPAIGN)
+    standing_report(path, campaign_text(path))
     good = path.with_name("good")
     if not good.exists():
         spare = spoilt_campaign(_Unspoilt(), path.with_name("spare"))

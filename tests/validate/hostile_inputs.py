@@ -1,6 +1,6 @@
 """Hostile files for every reader, by seeded mutation of good ones, and what each reader does with them.
 
-    outcome = tried(READERS["plan"], seed, folder)       # "read", "refused", or the traceback; "hang" after HANG seconds
+    outcome = tried(READERS["plan"], seed, folder)       # "read", "refused", or the traceback; "hang" after HANG seconds of CPU
 
 A reader may read a file or refuse it by one of our own errors; anything else is a fault. The benchmark `fuzz_readers.py` counts many, the tests a few.
 """
@@ -21,11 +21,24 @@ import numpy as np
 from hostile_folders import compare_suite, read_scheduler, resume, spoilt_folder, spoilt_scheduler, spoilt_stages, spoilt_suite, take_stages
 from hostile_mutations import spoilt_bytes, spoilt_data, spoilt_text
 from hostile_records import read_record, spoilt_campaign
+from hostile_results import (
+    read_answer,
+    read_spoilt_library,
+    read_spoilt_replay,
+    read_table,
+    recover,
+    spoilt_answer,
+    spoilt_library,
+    spoilt_provisional,
+    spoilt_replay,
+    spoilt_table,
+)
 
 from models.errors import TouchstoneError
 from reports.load import ReportError
 
-HANG = 20.0  # [s]; every good file is read in less than a tenth
+HANG = 20.0  # [s of CPU]; every good file is read in less than a tenth
+_ASLEEP = 600.0  # [s]; whoever waits for something needs no CPU
 ROOT = Path(__file__).parents[2]
 
 
@@ -48,8 +61,9 @@ def tried(reader: Reader, seed: int, folder: Path) -> str:
         raise Hang
 
     path = reader.make(random.Random(seed), folder)
-    before = signal.signal(signal.SIGALRM, ring)
-    signal.setitimer(signal.ITIMER_REAL, HANG)
+    before = {number: signal.signal(number, ring) for number in (signal.SIGPROF, signal.SIGALRM)}
+    signal.setitimer(signal.ITIMER_PROF, HANG)
+    signal.setitimer(signal.ITIMER_REAL, _ASLEEP)
     try:
         reader.read(path)
     except (TouchstoneError, ReportError) as error:
@@ -59,8 +73,10 @@ def tried(reader: Reader, seed: int, folder: Path) -> str:
     except BaseException:  # noqa: BLE001 - whatever it is, it is what is looked for
         return traceback.format_exc()
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        for timer in (signal.ITIMER_PROF, signal.ITIMER_REAL):
+            signal.setitimer(timer, 0.0)
+        for number, handler in before.items():
+            signal.signal(number, handler)
     return "read"
 
 
@@ -265,4 +281,9 @@ READERS: dict[str, Reader] = {
     "shared stages": Reader(spoilt_stages, take_stages),
     "scheduler file": Reader(spoilt_scheduler, read_scheduler),
     "bench figures": Reader(spoilt_suite, compare_suite),
+    "replay NetCDF": Reader(spoilt_replay, read_spoilt_replay),
+    "foreign plan CSV": Reader(spoilt_table, read_table),
+    "library": Reader(spoilt_library, read_spoilt_library),
+    "provisional record": Reader(spoilt_provisional, recover),
+    "isolated answer": Reader(spoilt_answer, read_answer),
 }

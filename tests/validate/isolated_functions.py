@@ -39,6 +39,10 @@ def lacks(request, arrays):
     raise MachineError("there is no compiler.")
 
 
+def finds_no_room(request, arrays):
+    raise OSError(request, os.strerror(request))
+
+
 def stumbles(request, arrays):
     raise KeyError("lost")
 

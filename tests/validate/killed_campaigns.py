@@ -1,4 +1,4 @@
-"""Campaigns whose process is killed at random moments, and what must be true of their folder at any moment, and in the end."""
+"""Campaigns whose process is killed, or interrupted, at random moments, and what must be true of their folder at any moment, and in the end."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import contextlib
 import csv
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -48,6 +49,8 @@ def family(out: Path) -> list[str]:
 
 
 def start(out: Path, cache: Path, cells: str, *more: str) -> subprocess.Popen[bytes]:
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in the background of a shell, which what it starts would inherit
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     chosen = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart", "-k", cells)
     command = [sys.executable, "-m", "validate", "all", *chosen, "--out", str(out), *more]
     with open(out.with_suffix(".log"), "ab") as log:
@@ -92,9 +95,11 @@ def _living(*words: bytes) -> list[str]:
     return found
 
 
-def kill_and_resume(folder: Path, cache: Path, kills: int, seed: int, *more: str, cells: str = CELLS) -> Kills:
+def kill_and_resume(
+    folder: Path, cache: Path, kills: int, seed: int, *more: str, cells: str = CELLS, number: signal.Signals = signal.SIGKILL
+) -> Kills:
     """Run campaigns in `folder`, killed with signal 9, until so many were; one that was killed is resumed in the same folder until it comes to its
-    end, and is then compared with one that nobody killed.
+    end, and is then compared with one that nobody killed. number: another signal, as a terminal sends it; the campaign must then end in words.
 
     When a kill comes is drawn as: how many cells are stored first, 0 to all that are missing, then how long after that, up to the longest pause
     between two of them in the whole campaign - or, before the first, up to when that was stored. So kills fall everywhere on a busy machine too.
@@ -109,13 +114,21 @@ def kill_and_resume(folder: Path, cache: Path, kills: int, seed: int, *more: str
             before = finished(out)
             wanted = draw.randint(0, len(whole - set(before)))
             moment = draw.uniform(0.0, pause if wanted else first)
+            told = _log(out)
             process = start(out, cache, cells, *more)
             ended = not _reaches(process, out, len(before) + wanted, moment) if seen.kills < kills else process.wait() >= 0
             if not ended:
-                process.send_signal(signal.SIGKILL)
-                process.wait()
+                if number == signal.SIGKILL:
+                    process.kill()
+                else:
+                    os.killpg(process.pid, number)  # all in the foreground hear it
+                code = process.wait()
                 seen.kills += 1
                 seen.moments.append((len(before) + wanted, moment))
+                if number != signal.SIGKILL:
+                    _look_at_words(out, code, _log(out).removeprefix(told), before, seen)
+            elif seen.kills < kills:  # it was faster than the whole one: the machine was busy then
+                first, pause = 0.7 * first, 0.7 * pause
             _look(out, before, seen)
             if ended:
                 break
@@ -152,6 +165,36 @@ def _reaches(process: subprocess.Popen[bytes], out: Path, stored: int, moment: f
     return process.poll() is None
 
 
+def _log(out: Path) -> str:
+    path = out.with_suffix(".log")
+    return path.read_text(encoding="utf-8") if path.exists() else ""
+
+
+_SAID = re.compile(r"^interrupted: (\d+) of \d+ cells are stored in \S+; resume with: python -m validate all ", re.MULTILINE)
+
+
+def _look_at_words(out: Path, code: int, told: str, before: dict[str, bytes], seen: Kills) -> None:
+    """Of a campaign that was interrupted: how it ended, what it said and wrote."""
+    begun, said = " to run\n" in told, _SAID.search(told)
+    if code not in (130, *(() if "report:" not in told else (0, 1))) or "Traceback" in told or (begun and code == 130 and said is None):
+        seen.faults.append(f"interrupt {seen.kills}: exit code {code}, {told[-2000:]!r}")
+    if left := unfinished(out):
+        seen.faults.append(f"interrupt {seen.kills}: left behind {left}")
+    if said is not None:
+        again = {key for key, content in before.items() if _outcomes(content) & _RUN_AGAIN}
+        now = finished(out)
+        stored = len([key for key in now if key not in again or now[key] != before[key]])
+        rows = {row["pipeline"] for row in untimed(out)}
+        if not int(said[1]) == stored == len(rows):
+            seen.faults.append(f"interrupt {seen.kills}: {said[0]!r}, but {stored} are stored and {len(rows)} in results.csv")
+
+
+def _outcomes(content: bytes) -> set[str]:
+    from reports.examination_record import StoredRecord
+
+    return {stage.outcome for stage in getattr(StoredRecord.model_validate_json(content).root, "stages", ())}
+
+
 def _look(out: Path, before: dict[str, bytes], seen: Kills) -> None:
     from reports.examination_record import StoredRecord
 
@@ -170,8 +213,7 @@ def _look(out: Path, before: dict[str, bytes], seen: Kills) -> None:
         if record.key != key:
             seen.faults.append(f"after kill {seen.kills}: {key} holds the record of another cell")
     for key, content in before.items():
-        outcomes = {stage.outcome for stage in getattr(StoredRecord.model_validate_json(content).root, "stages", ())}
-        if outcomes & _RUN_AGAIN:
+        if _outcomes(content) & _RUN_AGAIN:
             continue
         if now.get(key) == content:
             seen.kept += 1

@@ -75,8 +75,8 @@ def test_the_numbers_of_a_real_cell_are_those_of_the_local_engine(cli, engine, t
     assert rows[0]["verdict"] == "holds"
 
 
-@pytest.mark.parametrize("engine", ENGINES, indirect=True)
-def test_ctrl_c_stops_what_runs_and_says_how_to_go_on(start_cli, engine, tmp_path):
+@pytest.mark.parametrize("engine", [*ENGINES, pytest.param("standing", marks=NEEDS_DASK)], indirect=True)
+def test_ctrl_c_stops_what_runs_and_says_how_to_go_on(cli, start_cli, engine, tmp_path):
     arguments = ("all", *FAKES, "-k", "only_good or only_family", "--engine", engine, "--out", str(tmp_path))
     process = start_cli(*arguments)
     come(lambda: len(processes(tmp_path)) >= 3 and len(finished(tmp_path)) == 1)  # the cell and both its children
@@ -91,6 +91,13 @@ def test_ctrl_c_stops_what_runs_and_says_how_to_go_on(start_cli, engine, tmp_pat
     assert "Traceback" not in told
     assert processes(tmp_path) == []
     assert unfinished(tmp_path) == []
+    assert [row["pipeline"] for row in untimed(tmp_path)] == ["only_good"]
+    if engine.startswith("dask:"):  # the cluster goes on, and runs what comes next
+        kept = finished(tmp_path)
+        resumed = cli("all", *FAKES, "-k", "only_good or only_infeasible", "--engine", engine, "--out", str(tmp_path))
+        assert "1 stored, 1 to run" in resumed.stderr
+        assert resumed.returncode == 0, resumed.stderr
+        assert kept.items() < finished(tmp_path).items()
 
 
 @pytest.mark.parametrize("engine", ["local", pytest.param("standing", marks=NEEDS_DASK)], indirect=True)

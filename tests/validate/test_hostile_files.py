@@ -22,6 +22,16 @@ def test_a_hostile_file_is_read_or_refused(name: str, tmp_path: Path):
     assert Counter(outcomes.values())["refused"] > EACH / 4, "most mutations do harm, or nothing was tried"
 
 
+def test_what_is_spoilt_was_good(tmp_path: Path):
+    """Else every mutation is refused for what was wrong before it."""
+    from hostile_results import library
+
+    from validate.fmu_check.elf import read_library
+
+    made = read_library(library())
+    assert (made.machine, made.exported, made.needed, made.glibc) == ("x86_64", {"fmi3DoStep"}, ("libc.so.6",), "2.34")
+
+
 def test_a_fault_is_found(tmp_path: Path):
     """The judge of this file itself."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
@@ -13,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from models.errors import MachineError
 from validate.isolation import Ending, Limits, run_isolated
 from validate.isolation.run import FOLDER_PREFIX
 from validate.reaper import TOKEN_VARIABLE
@@ -62,6 +64,8 @@ def test_values_and_arrays_go_in_and_come_out():
     [
         ("refuses", None, {}, Ending.ERROR, "there is no such thing; choose another."),
         ("lacks", None, {}, Ending.MACHINE, "there is no compiler."),
+        ("finds_no_room", errno.ENOSPC, {}, Ending.MACHINE, "the disk is full"),
+        ("finds_no_room", errno.ENOENT, {}, Ending.EXCEPTION, "FileNotFoundError"),
         ("stumbles", None, {}, Ending.EXCEPTION, "KeyError: 'lost'"),
         ("nan_value", None, {}, Ending.EXCEPTION, "not JSON compliant"),
         ("hangs", None, {"seconds": 1.0}, Ending.TIME_LIMIT, "time limit of 1 s"),
@@ -82,6 +86,16 @@ def test_each_misbehaviour_has_its_own_ending(name, request_, limits, ending, wo
     assert processes_of(own_place) == []
     assert list(own_place.iterdir()) == []
     assert call("sums").value == 3.0
+
+
+def test_no_result_on_a_full_disk_is_not_put_down_to_the_model(monkeypatch: pytest.MonkeyPatch, own_place: Path):
+    def refused(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", refused)
+    with pytest.raises(MachineError, match="the disk is full"):
+        call("leaves", 0)
+    assert list(own_place.iterdir()) == []
 
 
 def test_what_it_prints_is_kept_and_not_believed():

@@ -96,7 +96,7 @@ def command(
     from validate.bench.run import QUICK_REPEATS, REPEATS, Settings, failures, run_suite
     from validate.bench.suite import FULL_SIZES, QUICK_SIZES
     from validate.provenance import command_line
-    from validate.store import write_durably
+    from validate.store import make_folder, write_durably
 
     before = None if earlier is None else read_suite(earlier)
     settings = Settings(
@@ -108,16 +108,17 @@ def command(
         campaign=out if (out / "campaign.json").is_file() else None,
         command=command_line(context.obj or ["bench"]),
     )
+    make_folder((out / _FILE).parent)  # better refused now than when all is measured
     record = run_suite(settings, lambda sentence: click.echo(one_line(sentence), err=True))
     comparison = None if before is None else compare(before, record)
     if before is not None and comparison is not None and not comparison.pairs:
         raise click.UsageError(f"{earlier}: it has no stage and size in common with this run; compare runs with the same --size and -k.")
-    (out / _FILE).parent.mkdir(parents=True, exist_ok=True)
-    write_durably(out / _FILE, record.model_dump_json(indent=1))
     if as_json:
         click.echo(record.model_dump_json(indent=1))
     else:
         _tell(record)
+    write_durably(out / _FILE, record.model_dump_json(indent=1))
+    if not as_json:
         click.echo(f"\nwritten: {out / _FILE}; `python -m validate report {out}` shows it")
     if comparison is not None:
         _tell_comparison(comparison, err=as_json)

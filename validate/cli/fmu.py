@@ -41,7 +41,7 @@ def command(scene: str, output: Path, version: str, platforms: tuple[str, ...], 
     """Export a scene as an FMU: Co-Simulation and Model Exchange in one file."""
     from models.catalog import load_scene
     from models.fmu import build_fmu
-    from validate.store import disk_error
+    from validate.store import disk_error, make_folder, write_durably
 
     if coupled and (version != "2" or platforms):
         raise click.UsageError("--coupled writes FMI 2.0 for this machine; leave out --fmi and --platform.")
@@ -51,10 +51,13 @@ def command(scene: str, output: Path, version: str, platforms: tuple[str, ...], 
         built = build_ssp(load_scene(scene))
     else:
         built = build_fmu(load_scene(scene), version=f"{version}.0", platforms=platforms)
-    try:
-        output.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(built, output)
-    except OSError as error:
-        raise disk_error(output, error) from error
+    make_folder(output.parent)
+    if output.is_file() or not output.exists():
+        write_durably(output, built.read_bytes())
+    else:  # a pipe or a device
+        try:
+            shutil.copyfile(built, output)
+        except OSError as error:
+            raise disk_error(output, error) from error
     click.echo(str(output))
     return 0

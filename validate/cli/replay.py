@@ -160,12 +160,9 @@ def _write(out: Path, told: dict[str, Any], replay: Replay, subject: Subject, pl
     from models.scene import Scene
     from models.trajectory_netcdf import write_netcdf
     from validate.replay.netcdf import write_replay
-    from validate.store import disk_error, write_durably
+    from validate.store import make_folder, write_durably
 
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise disk_error(out, error) from error
+    make_folder(out)
     write_durably(out / "score.json", json.dumps(told, indent=1))
     if len(replay.t):
         write_replay(out / "replay.nc", replay, subject)

@@ -42,7 +42,7 @@ def read_library(data: bytes) -> Library:
         raise NotElf("its class or byte order is unknown")
     try:
         return _read(data, bits, order)
-    except (struct.error, IndexError, UnicodeDecodeError) as error:
+    except (struct.error, IndexError, ValueError, OverflowError) as error:
         raise NotElf(f"its tables cannot be read ({error})") from error
 
 
@@ -53,6 +53,8 @@ def _read(data: bytes, bits: int, order: str) -> Library:
     size, count, _ = struct.unpack_from(f"{order}HHH", data, 58 if wide else 46)
     header = f"{order}IIQQQQIIQQ" if wide else f"{order}IIIIIIIIII"
     sections = [struct.unpack_from(header, data, table + number * size) for number in range(count)]
+    if sum(section[5] for section in sections if section[1] in (_DYNAMIC_SECTION, _SYMBOL_SECTION)) > len(data):
+        raise NotElf("its tables are larger than the file")
     exported: set[str] = set()
     needed: list[str] = []
     texts = b""

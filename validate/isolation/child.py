@@ -16,6 +16,7 @@ from models.errors import MachineError, TouchstoneError
 from validate.isolation.ending import Ending, ModelFault
 from validate.isolation.guards import adopt_orphans, die_with_parent, limit_resources, mark_refused_memory
 from validate.isolation.run import ANSWER, GIVEN, REFUSED, REQUEST, TAKEN
+from validate.store import raise_if_disk_ended
 
 
 def _call(folder: Path, request: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
@@ -66,7 +67,12 @@ def main(folder: Path, first: int) -> None:
         import traceback
 
         traceback.print_exc()
-        _answer(folder, Ending.EXCEPTION, sentence=f"{type(error).__name__}: {next(iter(str(error).splitlines()), '')}")
+        try:
+            raise_if_disk_ended(folder, error)
+        except MachineError as refusal:
+            _answer(folder, Ending.MACHINE, sentence=str(refusal))
+        else:
+            _answer(folder, Ending.EXCEPTION, sentence=f"{type(error).__name__}: {next(iter(str(error).splitlines()), '')}")
 
 
 def _end_copies(first: int) -> None:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from models.errors import MachineError
 from validate.isolation.ending import Ending
 from validate.isolation.process import ChildProcess, Ended, exit_in_words, shared_watchdog
+from validate.store import raise_if_disk_ended
 
 if TYPE_CHECKING:
     import numpy as np
@@ -26,6 +27,8 @@ REQUEST, ANSWER, OUTPUT, TEMPORARY = "request.json", "answer.json", "output.txt"
 GIVEN, TAKEN, REFUSED = "given.npz", "answer.npz", "memory-refused"
 # The reaper removes folders of this name, and no others.
 FOLDER_PREFIX = ".partial-isolated-"
+# Written to see whether there is room [bytes].
+_ROOM, _ROOM_BYTES = "room", 2**16
 # How often the memory of the child is looked at [s], and from which share of its limit on a crash is put down to it.
 _LOOK, _NEAR = 0.02, 0.8
 # What C++ says last where nobody catches a refused allocation, and how far from the end of the output it is looked for [bytes].
@@ -104,13 +107,32 @@ def _write_request(folder: Path, function: str, request: Any, arrays: Mapping[st
 
             np.savez(folder / GIVEN, allow_pickle=False, **arrays)
     except OSError as error:
-        raise MachineError(f"cannot write {folder} ({error.strerror}); make room or set TMPDIR.") from error
+        raise _refused_by_disk(folder, error) from error
+
+
+def _refused_by_disk(folder: Path, error: OSError) -> MachineError:
+    return MachineError(f"cannot write {folder} ({error.strerror}); make room or set TMPDIR.")
+
+
+def _see_room(folder: Path) -> None:
+    """Raises MachineError where the folder takes no more: what the child would have left then, nobody knows."""
+    try:
+        with open(folder / _ROOM, "wb") as file:
+            file.write(bytes(_ROOM_BYTES))
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        raise_if_disk_ended(folder, error)
 
 
 def _run(folder: Path, token: str, limits: Limits, what: str) -> Isolated:
     began = time.monotonic()
     peak, over_time = 0, False
-    with open(folder / OUTPUT, "wb") as output:
+    try:
+        output = open(folder / OUTPUT, "wb")  # noqa: SIM115 - closed below, once the child has it
+    except OSError as error:
+        raise _refused_by_disk(folder, error) from error
+    with output:
         child = ChildProcess("validate.isolation.child", [str(folder)], token=token, temporary=folder / TEMPORARY, output=output)
     try:
         while not child.wait(min(_LOOK, began + limits.seconds - time.monotonic())):
@@ -122,14 +144,16 @@ def _run(folder: Path, token: str, limits: Limits, what: str) -> Isolated:
     finally:
         ended = child.end()
     peak = max(peak, ended.memory)
-    answer = _answer(folder)
+    answer, arrays = left_by(folder)
+    if not answer:
+        _see_room(folder)
     refused = (folder / REFUSED).exists() or (ended.code == -signal.SIGABRT and _BAD_ALLOC in _tail(folder / OUTPUT, _LAST_WORDS))
     ending, sentence = _classify(answer, ended, over_time, peak, limits, what, refused)
     return Isolated(
         ending=ending,
         sentence=sentence,
         value=answer.get("value") if ending is Ending.OK else None,
-        arrays=_arrays(folder) if ending is Ending.OK else {},
+        arrays=arrays,
         output=_tail(folder / OUTPUT, limits.output),
         code=ended.code,
         strays=ended.strays,
@@ -139,13 +163,25 @@ def _run(folder: Path, token: str, limits: Limits, what: str) -> Isolated:
     )
 
 
+def left_by(folder: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """The child's answer and its arrays; empty if it left none that are whole. Foreign code ran beside ours, and may have written there."""
+    answer = _answer(folder)
+    if answer.get("ending") != Ending.OK.name:
+        return answer, {}
+    try:
+        return answer, _arrays(folder)
+    except Exception:  # noqa: BLE001 - of any type: numpy, zipfile and zlib have many
+        return {}, {}
+
+
 def _answer(folder: Path) -> dict[str, Any]:
-    """The child's answer; empty if it left none that is whole."""
     try:
         answer = json.loads((folder / ANSWER).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return {}
-    return answer if isinstance(answer, dict) and answer.get("ending") in Ending.__members__ else {}
+    if not isinstance(answer, dict) or not isinstance(answer.get("ending"), str) or answer["ending"] not in Ending.__members__:
+        return {}
+    return {"value": None, "sentence": "", **answer}
 
 
 def _classify(

@@ -131,14 +131,21 @@ def read_replay(path: Path, scene: Scene) -> Replay:
             seconds_reference=float(facts["seconds_reference"]),
             seconds_everyday=float(facts["seconds_everyday"]),
             fmu=str(attributes.get("fmu_sha256", "")),
-            growth=None if facts.get("growth") is None else Growth(**facts["growth"]),
+            growth=None if facts.get("growth") is None else _growth(facts["growth"]),
             effort=None if facts.get("effort") is None else _effort(facts["effort"]),
             applied=None if facts.get("effort") is None else _applied(path, columns, scene),
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise TrajectoryError(
             f"file {path}: its facts are not those of a replay ({type(error).__name__}: {error}); replay the plan again."
         ) from error
+
+
+def _growth(stored: dict[str, Any]) -> Growth:
+    growth = Growth(**{name: float(value) for name, value in stored.items()})
+    if not growth.duration > 0:
+        raise ValueError(f"the plan lasts {growth.duration:g} s")
+    return growth
 
 
 def _effort(stored: dict[str, Any]) -> Effort:
@@ -167,7 +174,7 @@ def _error(stored: dict[str, Any]) -> ReplayError:
 def _facts(path: Path, attributes: dict[str, str | int | float]) -> dict[str, Any]:
     try:
         facts = json.loads(str(attributes.get("facts", "")))
-    except json.JSONDecodeError as error:
+    except (ValueError, RecursionError) as error:  # no JSON, or a number of thousands of digits, or nested without end
         raise TrajectoryError(f"file {path}: its facts cannot be read ({error}); replay the plan again.") from error
     if not isinstance(facts, dict) or "has_impulse" not in facts:
         raise TrajectoryError(f"file {path}: its facts are not those of a replay; replay the plan again.")

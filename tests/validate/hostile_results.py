@@ -1,0 +1,184 @@
+"""Spoilt results - of a replay, a planner, a compiler, a cell, an isolated call - and what reads them."""
+
+from __future__ import annotations
+
+import json
+import random
+import struct
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from hostile_mutations import spoilt_bytes, spoilt_data, spoilt_text
+from hostile_records import KEY, good_record
+
+from models.errors import TouchstoneError
+
+
+def _spoilt_json(rng: random.Random, data: Any) -> bytes:
+    return spoilt_text(rng, json.dumps(data)) if rng.random() < 0.5 else json.dumps(spoilt_data(rng, data)).encode()
+
+
+# ---- a replay's file --------------------------------------------------------------------------------------------------------------------------
+
+
+@cache
+def _replayed() -> Any:
+    """(scene, a replay of it)"""
+    from models.catalog import load_scene
+    from validate.replay.feedback import Effort
+    from validate.replay.growth import Growth
+    from validate.replay.result import Difference, Event, Replay, ReplayError, ReplayOutcome
+
+    scene, times = load_scene("three_cart").with_task(steps=6), 7
+    arrays: dict[str, Any] = {name: np.zeros((times, 3)) for name in ("q", "v")}
+    arrays |= {name: np.zeros((times, 2)) for name in ("lam", "gap", "contact_impulse")}
+    energies = ("kinetic_energy", "potential_energy", "contact_energy", "input_work", "dissipated_work")
+    arrays |= {name: np.zeros(times) for name in energies}
+    difference = Difference(position=1e-9, state=1e-9, gap=1e-9)
+    return scene, Replay(
+        scene=scene.name,
+        outcome=ReplayOutcome.OK,
+        message="",
+        method="reference",
+        t=np.arange(times) / 100,
+        knots=np.arange(times),
+        friction=np.zeros((times, 0)),
+        **arrays,
+        events=(Event(time=0.03, contact="left", closes=True),),
+        event_budget=100,
+        error=ReplayError(estimate=difference, tolerance=difference),
+        seconds_reference=0.1,
+        seconds_everyday=0.1,
+        fmu="0" * 64,
+        growth=Growth(amplification=2.0, begin=0.0, end=0.05, duration=0.06),
+        applied=np.zeros((6, 2)),
+        effort=Effort(rms=(0.1, 0.2), peak=(0.1, 0.2), rms_share=0.1, peak_share=0.1, saturated=0.0),
+    )
+
+
+def spoilt_replay(rng: random.Random, folder: Path) -> Path:
+    """Its bytes are spoilt, or the facts that stand beside its columns, or which columns there are."""
+    from models.netcdf import read_columns, write_columns
+    from validate.replay.netcdf import write_replay
+
+    good, path = folder / "replay.nc", folder / "hostile.nc"
+    if not good.exists():
+        scene, replay = _replayed()
+        write_replay(good, replay, scene)
+    if rng.random() < 0.3:
+        path.write_bytes(spoilt_bytes(rng, good.read_bytes()))
+        return path
+    columns, attributes = read_columns(good)
+    facts = _spoilt_json(rng, json.loads(str(attributes["facts"]))).decode("utf-8", "replace").replace("\0", "")
+    if rng.random() < 0.2:
+        columns.pop(rng.choice(list(columns)))
+    write_columns(path, columns.values(), {**attributes, "facts": facts[:60_000]})  # HDF5 takes no longer ones
+    return path
+
+
+def read_spoilt_replay(path: Path) -> None:
+    from validate.replay.netcdf import read_replay
+
+    replay = read_replay(path, _replayed()[0])
+    assert replay.growth is None or replay.growth.rate is not None
+
+
+# ---- somebody's plan --------------------------------------------------------------------------------------------------------------------------
+
+
+def spoilt_table(rng: random.Random, folder: Path) -> Path:
+    mark = rng.choice([",", ";", "\t"])
+    rows = [["t", "x", "v_x", "F"], *([f"{0.1 * row:.1f}", "0", "1e-3", "" if row == 5 else "1"] for row in range(6))]
+    path = folder / "foreign.csv"
+    path.write_bytes(spoilt_text(rng, "# a plan\n" + "\n".join(mark.join(row) for row in rows)))
+    return path
+
+
+def read_table(path: Path) -> None:
+    from models.plan_table import PlanTable
+
+    table = PlanTable(path)
+    table.check_form()
+    for name in {"t", "x", "v_x", "F"} & set(table.names):
+        table.column(name, last_is_open=name == "F")
+
+
+# ---- a library --------------------------------------------------------------------------------------------------------------------------------
+
+
+def library() -> bytes:
+    """A library for 64 bits, of nothing but its tables: it exports one function and needs the C library."""
+    texts = b"\0fmi3DoStep\0libc.so.6\0GLIBC_2.34\0"
+    symbols = struct.pack("<IBBHQQ", 0, 0, 0, 0, 0, 0) + struct.pack("<IBBHQQ", 1, 0x12, 0, 7, 64, 8)
+    dynamic = struct.pack("<QQ", 1, 12) + struct.pack("<QQ", 0, 0)
+    content, at, places = b"", 64, []
+    for part in (texts, symbols, dynamic):
+        places.append((at + len(content), len(part)))
+        content += part
+    table = [(0, 0, 0, 0, 0), (3, *places[0], 0, 0), (11, *places[1], 1, 24), (6, *places[2], 1, 16)]
+    sections = b"".join(
+        struct.pack("<IIQQQQIIQQ", 0, kind, 0, 0, offset, size, link, 0, 0, entry) for kind, offset, size, link, entry in table
+    )
+    identity = b"\x7fELF\x02\x01\x01" + bytes(9)
+    header = identity + struct.pack("<HHIQQQIHHHHHH", 3, 62, 1, 0, 0, at + len(content), 0, 64, 0, 0, 64, len(table), 1)
+    return header + content + sections
+
+
+def spoilt_library(rng: random.Random, folder: Path) -> Path:
+    path = folder / "hostile.so"
+    data = bytearray(library())
+    for _ in range(rng.randint(1, 3)):  # a number of a table, which random bytes seldom make small, or large
+        at, size = rng.randrange(len(data) - 8), rng.choice([2, 4, 8])
+        data[at : at + size] = rng.choice([0, 1, 2, 2**15, 2**31, 2**63 - 1, 2**64 - 1]).to_bytes(8, "little")[:size]
+    path.write_bytes(spoilt_bytes(rng, bytes(data)) if rng.random() < 0.3 else bytes(data))
+    return path
+
+
+def read_spoilt_library(path: Path) -> None:
+    from validate.fmu_check.elf import NotElf, read_library
+
+    try:
+        read_library(path.read_bytes())
+    except NotElf as error:
+        raise TouchstoneError(str(error)) from error
+
+
+# ---- what a child left ------------------------------------------------------------------------------------------------------------------------
+
+
+def spoilt_provisional(rng: random.Random, folder: Path) -> Path:
+    """What a cell set aside before its certificate."""
+    content = {"awaiting": [0], "record": {**good_record(), "profile": {"solve": 1.0}}}
+    (folder / "provisional.json").write_bytes(_spoilt_json(rng, content))
+    return folder
+
+
+def recover(path: Path) -> None:
+    from validate.provisional import recovered
+    from validate.worker import Lost
+
+    lost = Lost(outcome=("crashed", "time_limit")[len(str(path)) % 2], message="it is a test.", wall=1.0, cpu=1.0, log="")
+    if recovered(path, KEY, lost) is None:
+        raise TouchstoneError("there is none")
+
+
+def spoilt_answer(rng: random.Random, folder: Path) -> Path:
+    """What an isolated call left: foreign code runs in the same process, and may write there, too."""
+    from validate.isolation.run import ANSWER, TAKEN
+
+    np.savez(folder / TAKEN, allow_pickle=False, t=np.arange(3.0), q=np.zeros((3, 2)))
+    if rng.random() < 0.5:
+        (folder / TAKEN).write_bytes(spoilt_bytes(rng, (folder / TAKEN).read_bytes()))
+    told = {"ending": rng.choice(["OK", "ERROR", "MACHINE", "EXCEPTION"]), "value": {"a": 1}, "sentence": "a sentence"}
+    (folder / ANSWER).write_bytes(json.dumps(told).encode() if rng.random() < 0.3 else _spoilt_json(rng, told))
+    return folder
+
+
+def read_answer(path: Path) -> None:
+    from validate.isolation.run import left_by
+
+    answer, arrays = left_by(path)
+    if not answer or not {"value", "sentence"} <= answer.keys() or any(not isinstance(array, np.ndarray) for array in arrays.values()):
+        raise TouchstoneError("it left no result")

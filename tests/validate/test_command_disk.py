@@ -1,0 +1,118 @@
+"""A disk that refuses a command: at each request that the command makes, one after the other. It does what it was asked, or ends with one sentence;
+what was there before is whole."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from killed_campaigns import HERE, finished, unfinished
+
+from models.codegen.compiler import find_compiler
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="LD_PRELOAD is for Linux")
+_FOR_EVER = 2**62
+_FAKES = ("--tools", "refused_commands:TOOLS", "--scene", "three_cart", "-k", "only_good or only_infeasible")
+_ERRORS = (errno.ENOSPC, errno.EROFS, errno.EIO)
+# Pages are all written alike: of the requests of that command, every fifth is refused.
+_EACH = {"pages": 5}
+# What follows --out, or stands beside it: {out} is the folder whose disk refuses.
+_COMMANDS = {
+    "a campaign": ("all", *_FAKES, "--out", "{out}"),
+    "a report": ("report", "{out}"),
+    "pages": ("report", "{out}", "--split"),
+    "an FMU": ("fmu", "three_cart", "-o", "{out}/three_cart.fmu"),
+}
+Ask = Callable[[tuple[str, ...], Path, int, int], tuple[int, str, int]]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> Path:
+    """Where a campaign will be that nothing was refused."""
+    return tmp_path_factory.mktemp("whole")
+
+
+@pytest.fixture(scope="module")
+def ask(cli_environment, whole, tmp_path_factory):
+    """ask(words, out, number, error) runs a command with that request refused: its exit code, what it said, how many requests there were."""
+    folder = tmp_path_factory.mktemp("refusing")
+    library, told = folder / "refusing_disk.so", folder / "told.txt"
+    subprocess.run(
+        [*find_compiler().command, "-O1", "-shared", "-fPIC", "-o", str(library), str(HERE / "refusing_disk.c"), "-ldl"], check=True
+    )
+    environment = {**cli_environment, "LD_PRELOAD": str(library), "CELLS": str(whole / "runs")}
+    command = [sys.executable, "-m", "refused_commands"]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment, cwd=HERE.parents[1]
+    ) as server:
+        assert server.stdin is not None
+        assert server.stdout is not None
+
+        def asked(words: tuple[str, ...], out: Path, number: int, error: int) -> tuple[int, str, int]:
+            request = {"words": [word.format(out=out) for word in words], "below": str(out), "first": number, "last": number}
+            print(json.dumps({**request, "error": error, "told": str(told)}), file=server.stdin, flush=True)
+            code, requests = json.loads(server.stdout.readline())
+            return code, told.read_text(), requests
+
+        yield asked
+        server.stdin.close()
+
+
+@pytest.fixture(scope="module")
+def stored(ask: Ask, whole: Path) -> Path:
+    """The folder of a campaign of two cells."""
+    code, told, _ = ask(_COMMANDS["a campaign"], whole, _FOR_EVER, 0)
+    assert code == 0, told
+    return whole
+
+
+@pytest.mark.parametrize("name", _COMMANDS)
+def test_each_request_of_a_command_is_refused_in_turn(ask: Ask, stored: Path, tmp_path: Path, name: str):
+    old, out = tmp_path / "old", tmp_path / "out"
+    shutil.copytree(stored, old)
+    (old / "three_cart.fmu").write_text("an earlier one")
+    if name == "a campaign":
+        shutil.rmtree(old / "runs" / min(finished(old)))
+    for kept in (".report.kept", ".results.kept", "report.html", "results.csv"):
+        (old / kept).unlink(missing_ok=True)
+    (old / "results.csv").write_text("an earlier one")
+    records = finished(old)
+
+    def tried(number: int, error: int) -> tuple[int, str, int]:
+        shutil.rmtree(out, ignore_errors=True)
+        shutil.copytree(old, out)
+        return ask(_COMMANDS[name], out, number, error)
+
+    code, told, requests = tried(_FOR_EVER, 0)
+    assert code == 0, told
+    assert requests >= 3
+    new = {path: (out / path).read_bytes() for path in ("results.csv", "three_cart.fmu")}
+    outcomes = set()
+    for number in range(1, requests + 1, _EACH.get(name, 1)):
+        error = _ERRORS[number % len(_ERRORS)]
+        code, told, _ = tried(number, error)
+        outcomes.add(code)
+        sentences = [line for line in told.splitlines() if line.startswith("error:")]
+        assert "Traceback" not in told
+        assert "this should not have happened" not in told
+        if code:
+            assert (code, len(sentences)) == (3, 1), told
+            assert os.strerror(error).lower() in sentences[0].lower() or "the disk is full" in sentences[0]
+        assert records.items() <= finished(out).items()
+        assert [path for path in unfinished(out) if ".partial" in path] == []
+        for path, content in new.items():
+            found = (out / path).read_bytes()
+            if code:  # the old one, or the new one, of which a table has what is stored by then
+                assert found == (old / path).read_bytes() or set(found.splitlines()) <= set(content.splitlines()), path
+            else:
+                assert found == content, path
+        if (out / "report.html").exists():
+            assert (out / "report.html").read_text().rstrip().endswith("</html>")
+    assert 3 in outcomes, "nothing was refused"
