@@ -39,7 +39,9 @@ class Row:
         before = self.methods[:-1]
         eps = f" ε = {small(self.stage.eps)}" if self.stage.eps else ""
         after = f" after {', '.join(before)}" if before else ""
-        return f"{self.stage.method}{eps}{after}" + (f" ({self.run.pipeline})" if self.twin else "")
+        return f"{self.stage.method}{eps}{after}" + (
+            f" ({self.run.pipeline})" if self.twin and self.run.pipeline != self.stage.method else ""
+        )
 
     @property
     def paper_total(self) -> float | None:

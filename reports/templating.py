@@ -17,7 +17,7 @@ from reports.parcels import CLOSES, OPENS, Parcels, Token
 
 _FILTERS = (
     *("number", "cost", "error", "seconds", "percent", "plain", "spaced", "clean", "verdict"),
-    *("count", "small", "product", "unit", "capital", "exact"),
+    *("count", "small", "product", "unit", "capital", "exact", "prose"),
 )
 
 

@@ -19,6 +19,9 @@ _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 # Escape sequences of terminals, control characters, and the marks that turn the direction of text: none of them belongs on a page.
 _TERMINAL = re.compile(r"\x1b(\[[0-9;?]*[ -/]*[@-~]|[@-Z\\-_])")
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ufeff\ud800-\udfff]")
+# Numbers in sentences as programs write them: 1.2e-02, 1e+08, and a nought with a sign.
+_PROGRAM = re.compile(r"(?<![\w.])([-+]?)(\d+(?:\.\d+)?)[eE]([-+]?\d+)(?![\w.]*\w)")
+_SIGNED_NOUGHT = re.compile(r"(?<![\w.,)\]-])-0(?:\.0+)?(?![\d.]*\d|\w)")
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,23 @@ def error(value: float | None) -> str:
     if -4 <= int(exponent) <= 5:
         return _grouped(f"{float(f'{value:.1e}'):.{max(0, 1 - int(exponent))}f}")
     return f"{mantissa.replace('-', '−')}×{power(int(exponent))}"
+
+
+def prose(text: str) -> str:
+    """A sentence of a record with its numbers as a person would write them, digit by digit the same: 0.012, 9×10²²⁸ and 0 for 1.2e-02, 9e+228 and -0."""
+    return _SIGNED_NOUGHT.sub("0", _PROGRAM.sub(_as_written, text))
+
+
+def _as_written(found: re.Match[str]) -> str:
+    sign, mantissa, exponent = ("−" if found[1] == "-" else found[1]), found[2], int(found[3])
+    if not mantissa.strip("0."):
+        return "0"
+    whole, _, fraction = mantissa.partition(".")
+    if -4 <= exponent <= 5 and len(whole) == 1:
+        places = max(0, len(fraction) - exponent)
+        if exponent <= len(fraction) or not fraction:  # else digits would be made up, but for those of a round number
+            return sign + _grouped(f"{float(f'{mantissa}e{exponent}'):.{places}f}")
+    return f"{sign}{power(exponent)}" if mantissa == "1" else f"{sign}{mantissa}×{power(exponent)}"
 
 
 def product(value: float | None) -> str:

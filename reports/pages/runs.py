@@ -8,7 +8,7 @@ from reports.again import again
 from reports.judged import is_tracked, judged_figure
 from reports.pages.player import Film, film
 from reports.pages.section import Report, Section
-from reports.pages.stage_plots import StagePlots, stage_plots
+from reports.pages.stage_plots import StagePlots, is_empty, stage_plots
 from reports.pages.starts import Spread, spread
 from reports.record import FigureRecord, RunRecord, StageRecord
 from reports.wording import tail
@@ -19,7 +19,8 @@ _FEW = 12
 
 @dataclass(frozen=True)
 class StageView:
-    """A stage and what is drawn of it; missed: where the judged replay ends, tracked: whether that is the one with feedback."""
+    """A stage and what is drawn of it; missed: where the judged replay ends, tracked: whether that is the one with feedback; empty: it left no
+    plan, idle: it did not even run."""
 
     stage: StageRecord
     plots: StagePlots
@@ -27,6 +28,8 @@ class StageView:
     last: bool
     missed: FigureRecord | None
     tracked: bool
+    empty: bool
+    idle: bool
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,8 @@ def view_of(run: RunRecord) -> RunView:
             place == last,
             judged_figure(stage, "replay_terminal_error"),
             is_tracked(stage),
+            is_empty(stage),
+            is_empty(stage) and stage.seconds.stage == 0 and stage.iterations == 0,
         )
         for place, stage in enumerate(run.stages)
     ]

@@ -46,16 +46,23 @@ class StagePlots:
     absent: list[str]
 
 
+def is_empty(stage: StageRecord) -> bool:
+    """Whether it left nothing to draw or to score: the reason stands in its sentence."""
+    return not (stage.figures or stage.replay or any(trace and trace.t for trace in (stage.plan_trace, stage.replay_trace)))
+
+
 def stage_plots(scene: SceneRecord, stage: StageRecord) -> StagePlots:
     plan = stage.plan_trace if stage.plan_trace is not None and stage.plan_trace.t else None
     replay = judged_trace(stage)
     absent = []
-    if plan is None:
-        absent.append("No planned trajectory is stored: " + (stage.why or stage.advice or "the stage came back without a plan."))
-    if replay is None:
+    if is_empty(stage):
+        absent.append("There is no plan, so nothing is drawn, replayed or scored.")
+    elif plan is None:
+        absent.append("No planned trajectory is stored.")
+    if replay is None and not is_empty(stage):
         said = stage.replay.message if stage.replay is not None and stage.replay.message else ""
         absent.append("No replay is stored: " + (said or ("there is no plan to replay." if plan is None else "the plan was not replayed.")))
-    if not stage.history:
+    if not stage.history and not is_empty(stage):
         absent.append("The method kept no history of its iterations.")
     motion: list[Plot | None] = []
     times = [t for trace in (plan, replay) if trace is not None for t in (trace.t[0], trace.t[-1])]
