@@ -16,11 +16,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from validate.chosen import CampaignError, Entry, Examined, Settings, select, with_stored
+from validate.disk import write_durably
 from validate.engine import Running, Site, check_engine, open_engine
 from validate.results import write_examinations, write_results
 from validate.shared_stages import beginnings_of, forget, must_wait, wanted_of
 from validate.standing_report import campaign_text, of_content, standing_report
-from validate.store import Store, write_durably
+from validate.store import Store
 from validate.stored import CAMPAIGN, only_last_failed, stored_campaign
 from validate.sweeps import write_sweeps
 from validate.tools import DEFAULT_TOOLS, load_tools

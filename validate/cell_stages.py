@@ -16,12 +16,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from models.errors import MachineError, TouchstoneError
+from validate.disk import raise_if_disk_ended
 from validate.judging import Judge, Solved, certified, first_line, has_plans
 from validate.open_session import OpenSession, prepare, stage_name
 from validate.profile import Profile
 from validate.provisional import set_aside
 from validate.shared_stages import Beginning, TakenOver, is_late, is_sure, share, take_over
-from validate.store import progress, raise_if_disk_ended
+from validate.store import progress
 
 if TYPE_CHECKING:
     from formulations.solution import Outcome

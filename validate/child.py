@@ -38,9 +38,10 @@ def main(folder: Path) -> int:
     from models.errors import MachineError
     from reports.record import ProvenanceRecord
     from validate.cell import Cell, run_cell
+    from validate.disk import disk_error, disk_refuses, write_durably
     from validate.examination import Examination, run_examination
     from validate.provenance import SEED
-    from validate.store import RECORD, REQUEST, disk_error, disk_refuses, write_durably
+    from validate.store import RECORD, REQUEST
 
     random.seed(SEED)
     np.random.seed(SEED)

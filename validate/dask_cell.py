@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.errors import MachineError
-from validate.store import Store, disk_error
+from validate.disk import disk_error
+from validate.store import Store
 
 if TYPE_CHECKING:
     from reports.examination_record import ExaminationRecord

@@ -24,10 +24,11 @@ from typing import TYPE_CHECKING, Any
 from models.errors import MachineError
 from validate.dask_cell import run_on_worker
 from validate.dask_cluster import local_cluster, quieten, remote_cluster
+from validate.disk import write_durably
 from validate.engine import Site
 from validate.fork_server import WORTH
 from validate.isolation.process import Watchdog
-from validate.store import LOG, PROGRESS, RECORD, REQUEST, Store, write_durably
+from validate.store import LOG, PROGRESS, RECORD, REQUEST, Store
 
 if TYPE_CHECKING:
     from reports.examination_record import ExaminationRecord

@@ -20,7 +20,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.errors import MachineError, TouchstoneError
-from validate.store import LOG, PROGRESS, raise_if_disk_ended
+from validate.disk import raise_if_disk_ended
+from validate.store import LOG, PROGRESS
 
 if TYPE_CHECKING:
     from models.scene import Scene

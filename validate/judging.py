@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from models.errors import MachineError
+from validate.disk import raise_if_disk_ended
 from validate.profile import Profile
 from validate.shared_stages import stage_files
-from validate.store import raise_if_disk_ended
 
 if TYPE_CHECKING:
     from formulations.solution import Solution

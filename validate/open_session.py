@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from models.errors import MachineError
+from validate.disk import raise_if_disk_ended
 from validate.judging import Solved
 from validate.profile import Profile
-from validate.store import progress, raise_if_disk_ended
+from validate.store import progress
 
 if TYPE_CHECKING:
     from formulations.method import Method, Session

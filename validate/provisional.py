@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from validate.store import write_durably
+from validate.disk import write_durably
 
 if TYPE_CHECKING:
     from reports.examination_record import ExaminationRecord

@@ -14,7 +14,7 @@ from typing import Any
 
 from reports.examination_record import ExaminationRecord
 from reports.record import RunRecord, StageRecord
-from validate.store import remove, write_durably
+from validate.disk import remove, write_durably
 
 _FIGURES_FIRST = ("terminal_error", "physics", "physics_scaled", "defect", "discrete_terminal_error", "replay_terminal_error")
 _FIGURES_LAST = ("replay_error", "ghost_impulse", "missed_impulse", "energy_residual")

@@ -26,7 +26,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.errors import TouchstoneError
-from validate.store import Store, fsync
+from validate.disk import fsync
+from validate.store import Store
 
 if TYPE_CHECKING:
     from models.scene import Scene

@@ -19,77 +19,24 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from models.errors import MachineError, TouchstoneError
+from models.errors import TouchstoneError
+from validate.disk import PARTIAL, aside_name, disk_error, fsync
 
 if TYPE_CHECKING:
     from reports.examination_record import ExaminationRecord
     from reports.record import RunRecord
 
 RECORD, LOG, REQUEST, PROGRESS, MACHINE = "record.json", "log.txt", "cell.json", "progress.txt", "machine.txt"
-_PARTIAL, _OLD = ".partial-", "-old"
-# What the operating system says when a disk will take no more, as opposed to a mistake of ours.
-_DISK_REFUSES = frozenset({errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG, errno.ENOTDIR})
-# Of these, what no method and no examination does by a mistake of its own.
-_DISK_ENDS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO})
+_OLD = "-old"
 
 
 class StoreError(TouchstoneError):
     """A folder that cannot be a campaign's folder."""
 
 
-def disk_error(path: Path, error: OSError) -> MachineError:
-    """One sentence for a disk that refuses."""
-    what = "the disk is full" if error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG} else (error.strerror or str(error)).lower()
-    return MachineError(f"cannot write {path} ({what}); make room or permit it, or write elsewhere.")
-
-
-def disk_refuses(error: OSError) -> bool:
-    return error.errno in _DISK_REFUSES
-
-
-def raise_if_disk_ended(path: Path, error: BaseException) -> None:
-    """Raise a MachineError if what went wrong in a cell, or what it came of, is a disk that takes no more. path: named where the error names none."""
-    cause: BaseException | None = error
-    while cause is not None:
-        if isinstance(cause, OSError) and cause.errno in _DISK_ENDS:
-            raise disk_error(Path(cause.filename) if isinstance(cause.filename, str) else path, cause) from error
-        cause = cause.__cause__ or cause.__context__
-
-
-def remove(path: Path) -> None:
-    """Remove a file if it is there. Raises MachineError where the disk refuses."""
-    try:
-        path.unlink(missing_ok=True)
-    except OSError as error:
-        raise disk_error(path, error) from error
-
-
 def progress(folder: Path, text: str) -> None:
     """Say where a cell is, for the parent to read if it never comes back."""
     (folder / PROGRESS).write_text(text, encoding="utf-8")
-
-
-def make_folder(path: Path) -> None:
-    """Make a folder and those it lies in. Raises MachineError where the disk refuses."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise disk_error(path, error) from error
-
-
-def write_durably(path: Path, content: str | bytes) -> None:
-    """Write a file so that after this call either the old or the new content is there, whatever happens. Raises MachineError."""
-    aside = path.with_name(_aside("file", uuid.uuid4().hex))
-    try:
-        with open(aside, "wb") as file:
-            file.write(content.encode("utf-8") if isinstance(content, str) else content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(aside, path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            aside.unlink()
-        raise disk_error(path, error) from error
 
 
 class Store:
@@ -110,18 +57,18 @@ class Store:
             raise StoreError(f"--out {self.folder}: there is a file of that name; a campaign needs a folder.")
         try:
             self.runs.mkdir(parents=True, exist_ok=True)
-            probe = self.runs / f"{_PARTIAL}probe-{uuid.uuid4().hex}"
+            probe = self.runs / f"{PARTIAL}probe-{uuid.uuid4().hex}"
             probe.mkdir()
             with contextlib.suppress(FileNotFoundError):  # another campaign tidied it away
                 probe.rmdir()
         except OSError as error:
             raise disk_error(self.folder, error) from error
-        for left in self.runs.glob(f"{_PARTIAL}*"):
+        for left in self.runs.glob(f"{PARTIAL}*"):
             if not _owner_lives(left.name):
                 if left.name.endswith(_OLD):
                     self._put_back(left)
                 shutil.rmtree(left, ignore_errors=True)
-        for aside in (*self.folder.glob(f"{_PARTIAL}*"), *self.folder.glob(f"report/{_PARTIAL}*")):
+        for aside in (*self.folder.glob(f"{PARTIAL}*"), *self.folder.glob(f"report/{PARTIAL}*")):
             if not _owner_lives(aside.name):
                 with contextlib.suppress(OSError):
                     aside.unlink()
@@ -154,7 +101,7 @@ class Store:
 
     def open_partial(self, key: str, token: str) -> Path:
         """A new folder for a cell that is about to run."""
-        folder = self.runs / _aside(key[:12], token)
+        folder = self.runs / aside_name(key[:12], token)
         try:
             folder.mkdir()
         except OSError as error:
@@ -203,11 +150,6 @@ def _renamed(partial: Path, target: Path) -> bool:
     return True
 
 
-def _aside(what: str, token: str) -> str:
-    """The name of what is not finished; it says whose it is."""
-    return f"{_PARTIAL}{what}-{token}-{os.getpid()}-{socket.gethostname()}"
-
-
 def _owner_lives(name: str) -> bool:
     """Whether the process that is at work on something unfinished may still be at work: a living one here, or any on another machine."""
     parts = name.split("-", 4)
@@ -222,12 +164,3 @@ def _owner_lives(name: str) -> bool:
     except PermissionError:
         return True
     return True
-
-
-def fsync(path: Path) -> None:
-    """Have a file or folder on the disk before this returns."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

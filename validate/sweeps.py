@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from reports.record import CertificateRecord, RunRecord
-from validate.store import remove, write_durably
+from validate.disk import remove, write_durably
 
 STARTS, FRONT = "starts.csv", "front.csv"
 

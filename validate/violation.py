@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from reports.record import ViolationPoint
-from validate.store import write_durably
+from validate.disk import write_durably
 
 if TYPE_CHECKING:  # to write what was measured needs no SymPy
     from models.codegen.kernel import Kernel

@@ -22,10 +22,11 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from models.errors import MachineError
 from validate import reaper
+from validate.disk import disk_error, remove, write_durably
 from validate.fork_server import ForkServer, ForkServerError
 from validate.isolation.process import ChildProcess, Ended, Watchdog, exit_in_words
 from validate.provisional import recovered
-from validate.store import LOG, MACHINE, PROGRESS, RECORD, REQUEST, Store, disk_error, remove, write_durably
+from validate.store import LOG, MACHINE, PROGRESS, RECORD, REQUEST, Store
 
 if TYPE_CHECKING:
     from reports.examination_record import ExaminationRecord

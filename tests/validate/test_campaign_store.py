@@ -11,12 +11,13 @@ import pytest
 from models.errors import MachineError
 from reports.record import RunRecord
 from validate.campaign import Settings, select, with_stored
+from validate.disk import disk_error, write_durably
 from validate.provenance import gather
 from validate.provisional import recovered, set_aside
 from validate.records import run_record, unfinished_stage
 from validate.results import COLUMNS, results_text
 from validate.scene_record import scene_record
-from validate.store import Store, StoreError, disk_error, write_durably
+from validate.store import Store, StoreError
 from validate.worker import Lost
 
 

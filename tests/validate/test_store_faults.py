@@ -17,13 +17,15 @@ import pytest
 
 from models.errors import MachineError
 from reports.record import RunRecord
+from validate import disk as disk_module
 from validate import store as store_module
 from validate.campaign import Settings, run_campaign, select
 from validate.cli.narrator import PlainNarrator
+from validate.disk import write_durably
 from validate.provenance import gather
 from validate.records import run_record, unfinished_stage
 from validate.scene_record import scene_record
-from validate.store import RECORD, Store, write_durably
+from validate.store import RECORD, Store
 
 FAKES = {"tools": "campaign_fakes:TOOLS", "scenes": ("three_cart",), "expression": "only_good or only_refuses"}
 _ASKED = ("rename", "replace", "fsync", "mkdir", "open", "unlink")
@@ -37,7 +39,7 @@ class Disk:
         self.asked, self.refused_at, self.error = 0, -1, errno.ENOSPC
         for name in _ASKED:
             monkeypatch.setattr(os, name, self._refusing(name, getattr(os, name)))
-        monkeypatch.setattr(store_module, "open", self._file, raising=False)
+        monkeypatch.setattr(disk_module, "open", self._file, raising=False)
 
     def refuse(self, number: int, error: int) -> None:
         self.asked, self.refused_at, self.error = 0, number, error

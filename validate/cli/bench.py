@@ -95,8 +95,8 @@ def command(
     from validate.bench.compare import compare
     from validate.bench.run import QUICK_REPEATS, REPEATS, Settings, failures, run_suite
     from validate.bench.suite import FULL_SIZES, QUICK_SIZES
+    from validate.disk import make_folder, write_durably
     from validate.provenance import command_line
-    from validate.store import make_folder, write_durably
 
     before = None if earlier is None else read_suite(earlier)
     settings = Settings(

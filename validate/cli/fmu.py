@@ -41,7 +41,7 @@ def command(scene: str, output: Path, version: str, platforms: tuple[str, ...], 
     """Export a scene as an FMU: Co-Simulation and Model Exchange in one file."""
     from models.catalog import load_scene
     from models.fmu import build_fmu
-    from validate.store import disk_error, make_folder, write_durably
+    from validate.disk import disk_error, make_folder, write_durably
 
     if coupled and (version != "2" or platforms):
         raise click.UsageError("--coupled writes FMI 2.0 for this machine; leave out --fmi and --platform.")

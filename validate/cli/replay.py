@@ -159,8 +159,8 @@ def _facts(replay: Replay) -> dict[str, Any]:
 def _write(out: Path, told: dict[str, Any], replay: Replay, subject: Subject, plan: Trajectory) -> None:
     from models.scene import Scene
     from models.trajectory_netcdf import write_netcdf
+    from validate.disk import make_folder, write_durably
     from validate.replay.netcdf import write_replay
-    from validate.store import make_folder, write_durably
 
     make_folder(out)
     write_durably(out / "score.json", json.dumps(told, indent=1))

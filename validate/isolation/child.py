@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from models.errors import MachineError, TouchstoneError
+from validate.disk import raise_if_disk_ended
 from validate.isolation.ending import Ending, ModelFault
 from validate.isolation.guards import adopt_orphans, die_with_parent, limit_resources, mark_refused_memory
 from validate.isolation.run import ANSWER, GIVEN, REFUSED, REQUEST, TAKEN
-from validate.store import raise_if_disk_ended
 
 
 def _call(folder: Path, request: dict[str, Any]) -> tuple[Any, dict[str, Any]]:

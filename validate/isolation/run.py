@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.errors import MachineError
+from validate.disk import raise_if_disk_ended
 from validate.isolation.ending import Ending
 from validate.isolation.process import ChildProcess, Ended, exit_in_words, shared_watchdog
-from validate.store import raise_if_disk_ended
 
 if TYPE_CHECKING:
     import numpy as np

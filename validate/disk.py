@@ -1,0 +1,83 @@
+"""Files on a disk that may be full, read-only or gone: written whole or not at all, and one sentence where it refuses."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import socket
+import uuid
+from pathlib import Path
+
+from models.errors import MachineError
+
+# How the name of what is not finished begins.
+PARTIAL = ".partial-"
+# What the operating system says when a disk will take no more, as opposed to a mistake of ours.
+_DISK_REFUSES = frozenset({errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG, errno.ENOTDIR})
+# Of these, what no method and no examination does by a mistake of its own.
+_DISK_ENDS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO})
+
+
+def disk_error(path: Path, error: OSError) -> MachineError:
+    """One sentence for a disk that refuses."""
+    what = "the disk is full" if error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG} else (error.strerror or str(error)).lower()
+    return MachineError(f"cannot write {path} ({what}); make room or permit it, or write elsewhere.")
+
+
+def disk_refuses(error: OSError) -> bool:
+    return error.errno in _DISK_REFUSES
+
+
+def raise_if_disk_ended(path: Path, error: BaseException) -> None:
+    """Raise a MachineError if what went wrong in a cell, or what it came of, is a disk that takes no more. path: named where the error names none."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, OSError) and cause.errno in _DISK_ENDS:
+            raise disk_error(Path(cause.filename) if isinstance(cause.filename, str) else path, cause) from error
+        cause = cause.__cause__ or cause.__context__
+
+
+def remove(path: Path) -> None:
+    """Remove a file if it is there. Raises MachineError where the disk refuses."""
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise disk_error(path, error) from error
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder and those it lies in. Raises MachineError where the disk refuses."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise disk_error(path, error) from error
+
+
+def write_durably(path: Path, content: str | bytes) -> None:
+    """Write a file so that after this call either the old or the new content is there, whatever happens. Raises MachineError."""
+    unfinished = path.with_name(aside_name("file", uuid.uuid4().hex))
+    try:
+        with open(unfinished, "wb") as file:
+            file.write(content.encode("utf-8") if isinstance(content, str) else content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(unfinished, path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            unfinished.unlink()
+        raise disk_error(path, error) from error
+
+
+def fsync(path: Path) -> None:
+    """Have a file or folder on the disk before this returns."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def aside_name(what: str, token: str) -> str:
+    """The name of what is not finished; it says whose it is."""
+    return f"{PARTIAL}{what}-{token}-{os.getpid()}-{socket.gethostname()}"
