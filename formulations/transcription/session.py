@@ -182,7 +182,10 @@ class TranscriptionSession(Session):
         return f"no plan of {task.steps} steps of {task.step:g} s was found that reaches the goal within the bounds"
 
     def ending(self, result: IpoptResult) -> Ending:
-        return Ending(outcome=result.outcome, message=result.message, dual_infeasibility=result.residuals.dual_infeasibility)
+        message = (
+            result.message if not result.message or result.message.endswith(".") else f"{result.message}."
+        )  # more may be said after it
+        return Ending(outcome=result.outcome, message=message, dual_infeasibility=result.residuals.dual_infeasibility)
 
     def ipopt_options(self, warm_start: Trajectory | None) -> dict[str, Any]:
         return {**self.common_options(), **({} if warm_start is not None else self.cold_options())}

@@ -62,6 +62,15 @@ def test_no_complaint_no_request_no_sideways_scrolling(chromium, page_file, widt
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == ("rgb(20, 23, 27)" if dark else "rgb(255, 255, 255)")
 
 
+def test_a_long_row_of_figures_wraps_on_a_telephone(chromium, page_file):
+    """The efforts of a scene with four inputs are wider than the screen."""
+    page = chromium.open(page_file, width=390)
+    page.evaluate("document.querySelectorAll('details').forEach((item) => { item.open = true; })")
+    page.evaluate("document.querySelectorAll('.pairs td.n').forEach((cell) => { cell.textContent = '0.00714 N m, '.repeat(8); })")
+    assert page.evaluate("document.querySelectorAll('.pairs td.n').length") > 0
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+
+
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 def test_all_text_has_contrast(chromium, page_file, dark):
     page = chromium.open(page_file, dark=dark)
