@@ -93,7 +93,7 @@ def command(
 ) -> int:
     """Measure each stage - compile, build, translate, evaluate, solve, descend, replay, report - and its peers: median, spread, memory, over n T."""
     from validate.bench.compare import compare
-    from validate.bench.run import QUICK_REPEATS, REPEATS, Settings, failures, run_suite
+    from validate.bench.run import QUICK_REPEATS, REPEATS, Settings, failures, plan, run_suite
     from validate.bench.suite import FULL_SIZES, QUICK_SIZES
     from validate.disk import make_folder, write_durably
     from validate.provenance import command_line
@@ -108,6 +108,7 @@ def command(
         campaign=out if (out / "campaign.json").is_file() else None,
         command=command_line(context.obj or ["bench"]),
     )
+    plan(settings)  # refuses what selects nothing
     make_folder((out / _FILE).parent)  # better refused now than when all is measured
     record = run_suite(settings, lambda sentence: click.echo(one_line(sentence), err=True))
     comparison = None if before is None else compare(before, record)
