@@ -54,6 +54,7 @@ class Finder:
         self._is_linear = structures.is_linear
         self._random_is_vain = False  # all random inputs were steered once, and none of them gave a plan
         self._on_coarse: Finder | None = None
+        self._most_work = 0.0  # of the search under way, once it has a plan
 
     def find(self, account: Account, modes_of: Trajectory | None = None, start: Trajectory | None = None) -> Search:
         """The best plan. modes_of: a plan whose modes are tried first; start: where the homotopy begins (None: the paper's first guess)."""
