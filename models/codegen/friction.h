@@ -89,20 +89,19 @@ SCENE_FUNCTION double slip_at_end(const FrictionStep *step, const double *f, int
 
 SCENE_FUNCTION double friction_sharpness(double b, int j) { return 0.5 * b * SCENE_LENGTH / scene_friction_nominals[j]; }
 
-/* The root in [-1, 1] of x + tanh(c (rest + w x)), c, w >= 0: the left side increases, Newton within a bracket. */
+/* The root in [-1, 1] of x + tanh(c (rest + w x)), c, w >= 0: x = -tanh(y) with y + c w tanh(y) = c rest. For rest > 0 the left side is concave
+ * between 0 and its root: Newton from below comes to it from below, never beyond, and is there when it does not rise any more. */
 SCENE_FUNCTION double regularised_root(double c, double rest, double w)
 {
-    double low = -1.0, high = 1.0, x = -tanh(c * rest) / (1.0 + c * w);
+    const double cw = c * w, right = c * fabs(rest);
+    double y = fmax(right / (1.0 + cw), right - cw), g = tanh(y);
     for (int n = 0; n < 200; n++) {
-        const double g = tanh(c * (rest + w * x)), value = x + g;
-        if (value > 0.0) high = x;
-        else low = x;
-        double next = x - value / (1.0 + c * w * (1.0 - g * g));
-        if (!(next > low && next < high)) next = 0.5 * (low + high);
-        if (fabs(next - x) <= 1e-16) return next;
-        x = next;
+        const double next = y + (right - y - cw * g) / (1.0 + cw * (1.0 - g * g));
+        if (!(next > y)) break;
+        y = next;
+        g = tanh(y);
     }
-    return x;
+    return rest > 0.0 ? -g : g;
 }
 
 /* One force, the others held. */

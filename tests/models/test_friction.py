@@ -107,6 +107,19 @@ def test_regularised_friction_is_the_logistic_function_of_the_slip() -> None:
     assert np.allclose(result.lam[:, 1:], -limit * np.tanh(sharpness(1e-3) * slip / (2 * 0.1)), rtol=0, atol=1e-13)
 
 
+@pytest.mark.parametrize("eps", [1e-1, 1e-3, 1e-7, 1e-24])
+def test_regularised_friction_is_found_from_stick_to_slip(eps: float) -> None:
+    """Densely where sticking turns into slipping: there Newton's method on tanh goes round in circles for one speed in a thousand."""
+    scene = block_on_a_cart(slip=w2, normal_force=m * g)
+    kernel, c = load_kernel(scene), sharpness(eps) / (2 * 0.1)
+    limit, grip = 0.3 * 2.0 * 10.0, STEP * 0.3 * 10.0  # mu m g; the speed that it takes away within a step
+    for speed in np.concatenate([np.linspace(0.0, 3.0 * grip, 2000), grip * (1.0 + np.linspace(-1.0, 1.0, 2000) / (1.0 + c * grip))]):
+        result = kernel.rollout(np.array([0.0, 0.0, 0.0, 0.0, speed, 0.0]), np.zeros((1, 1)), STEP, ContactLaw.SOFTPLUS, eps)
+        force, slip = result.lam[0, 1], result.v[1, 1]
+        # the slip is a difference, of which c makes something of the size of the force
+        assert abs(force + limit * np.tanh(c * slip)) <= 1e-14 * limit * (1.0 + c * grip)
+
+
 @pytest.mark.parametrize(("law", "eps"), LAWS)
 def test_adjoint_is_the_derivative(law: ContactLaw, eps: float | None) -> None:
     scene = two_coupled_frictions()
