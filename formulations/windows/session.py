@@ -103,9 +103,7 @@ class MpccSession(Session):
             outcome, message = Outcome.STALLED, f"{message} Checked on the plan itself, {worst}."
         certificate = None
         if outcome is Outcome.SOLVED and stationarity.letter != "S":
-            from formulations.mpec.certificate.plan import certify_plan
-
-            certificate = certify_plan(self._scene, plan, goal_tolerance=self._number("goal_tolerance"))
+            certificate = self._structures.judge().certify(plan, goal_tolerance=self._number("goal_tolerance"))
             outcome, message = _judged(certificate, message)
         residuals |= {
             "dual_infeasibility": answer.dual_infeasibility,

@@ -7,7 +7,7 @@ what it was used for before.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from formulations.transcription.workbench import Account
 from formulations.windows.homotopy import SoftplusHomotopy
@@ -16,6 +16,9 @@ from formulations.windows.nonlinear import NonlinearModes
 from formulations.windows.quadratic import ModesProblem
 from models.codegen.kernel import Kernel
 from models.scene import Scene
+
+if TYPE_CHECKING:
+    from formulations.mpec.certificate.plan import PlanJudge
 
 
 class Structures:
@@ -27,6 +30,7 @@ class Structures:
         self._nonlinear: dict[bool, NonlinearModes] = {}
         self._linear: ModesProblem | None = None
         self._coarser: dict[int, Structures] = {}
+        self._judge: PlanJudge | None = None
         self.is_linear = why_not_linear(scene) is None
 
     def coarser(self, scene: Scene) -> Structures:
@@ -56,3 +60,11 @@ class Structures:
         else:
             self._nonlinear[is_ball].begin(ball, account, options)
         return self._nonlinear[is_ball]
+
+    def judge(self) -> PlanJudge:
+        """What certifies plans of this scene."""
+        if self._judge is None:
+            from formulations.mpec.certificate.plan import PlanJudge
+
+            self._judge = PlanJudge(self._scene)
+        return self._judge

@@ -15,7 +15,7 @@ from typing import Any, cast
 from formulations.mpec.certificate.certificate import Certificate, Tolerances, certify
 from formulations.solution import Solution
 from formulations.transcription.build import build_model
-from formulations.transcription.goal import open_goal
+from formulations.transcription.goal import move_ball, open_goal
 from formulations.transcription.plans import load_plan
 from models.scene import Scene
 from models.trajectory import Trajectory
@@ -24,21 +24,41 @@ from models.trajectory import Trajectory
 PLAN_TOLERANCES = Tolerances(feasibility=1e-8, complementarity=1e-7)
 
 
+class PlanJudge:
+    """Judges plans of one scene; its strict model is built once for a goal that is a point, and once for one that is a ball."""
+
+    def __init__(self, scene: Scene | str) -> None:
+        self._scene = scene
+        self._models: dict[bool, Any] = {}
+
+    def certify(self, plan: Trajectory, *, goal_tolerance: float = 0.0) -> Certificate:
+        """See `certify_plan`."""
+        is_ball = goal_tolerance > 0.0
+        if is_ball not in self._models:
+            self._models[is_ball] = build_model(self._scene)
+            open_goal(self._models[is_ball], goal_tolerance)
+        model = self._models[is_ball]
+        move_ball(model, goal_tolerance)
+        load_plan(model, plan)
+        return certify(model, tolerances=PLAN_TOLERANCES)
+
+
 def certify_plan(scene: Scene | str, plan: Trajectory, *, goal_tolerance: float = 0.0) -> Certificate:
     """Judge a plan as a solution of the scene's exact problem. Raises TrajectoryError where it does not fit the scene.
 
     goal_tolerance: norm of (q, v)[T] - goal within which the plan may end; then the problem is the one with that ball for a goal.
     """
-    model: Any = build_model(scene)
-    open_goal(model, goal_tolerance)
-    load_plan(model, plan)
-    return certify(model, tolerances=PLAN_TOLERANCES)
+    return PlanJudge(scene).certify(plan, goal_tolerance=goal_tolerance)
 
 
 def certify_solution(scene: Scene, solution: Solution) -> Solution:
     """The same solution with its certificate, and those of its front; unchanged if it has no plan, or has its certificate already. A ball around
     the goal is read off its options."""
-    points = tuple(replace(point, solution=certify_solution(scene, point.solution)) for point in solution.front)
+    return _certified(PlanJudge(scene), solution)
+
+
+def _certified(judge: PlanJudge, solution: Solution) -> Solution:
+    points = tuple(replace(point, solution=_certified(judge, point.solution)) for point in solution.front)
     if solution.trajectory is None:
         return replace(solution, front=points)
     if points:  # its plan is that of the smallest tolerance
@@ -46,4 +66,4 @@ def certify_solution(scene: Scene, solution: Solution) -> Solution:
     if solution.certificate is not None:
         return solution
     ball = float(cast(float, solution.options.get("goal_tolerance", 0.0)))
-    return replace(solution, certificate=certify_plan(scene, solution.trajectory, goal_tolerance=ball))
+    return replace(solution, certificate=judge.certify(solution.trajectory, goal_tolerance=ball))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pyomo.environ as pyo
@@ -16,6 +16,7 @@ from formulations.catalog import load_method
 from formulations.mpec import Certificate, Stationarity, certify, certify_plan, certify_solution
 from formulations.mpec.certificate import decision, programs, stationarity
 from formulations.mpec.certificate.multipliers import least_squares
+from formulations.mpec.certificate.plan import PlanJudge
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.errors import TrajectoryError
@@ -113,6 +114,15 @@ def test_a_ball_around_the_goal_is_part_of_the_problem() -> None:
     assert isinstance(certified.certificate, Certificate)
     assert certified.certificate.holds, certified.certificate.sentence
     assert not certify_plan(SCENE, plan_of(solution)).feasible
+
+
+def test_a_judge_that_judged_others_before_says_the_same(best: Solution) -> None:
+    """The strict model is kept: neither a plan nor a ball that it held before may shine through."""
+    plan, judge = plan_of(best), PlanJudge(SCENE)
+    moved = replace(plan, lam=np.roll(plan.lam, 1, axis=0))
+    for other, ball in ((moved, 0.0), (plan, 0.02), (moved, 0.5), (plan, 0.0), (plan, 0.02)):
+        kept, new = (asdict(item) for item in (judge.certify(other, goal_tolerance=ball), certify_plan(SCENE, other, goal_tolerance=ball)))
+        assert str(kept) == str(new)  # NaN is NaN
 
 
 def test_without_a_plan_there_is_nothing_to_certify() -> None:
