@@ -26,6 +26,9 @@ _ITERATIONS, _TO_THE_BOUNDARY = 60, 0.995
 _INSIDE = 1e-2
 # Solved where the sum of y z is this share of |rest|^2 and the conditions hold to this share of |rest|; or this share of the gradient is left.
 _GAP, _DUAL, _NOTHING_LEFT = 1e-12, 1e-10, 1e-10
+# Where the sum of y z is that small, but gradients depend on each other so nearly that the damping holds y back (for 60 steps and more), least squares
+# with the columns that count may be the answer already: to this share of the lengths that are subtracted.
+_ROUNDING = 1e-14
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,6 +86,7 @@ def _interior_point(matrix: sparse.csc_matrix, gradient: np.ndarray, signed: np.
     y = solve(gradient, np.zeros(columns))
     z = np.maximum(np.abs(matrix[:, signed].T @ (gradient - matrix @ y)), _INSIDE * size)
     y[signed] = np.maximum(np.abs(y[signed]), _INSIDE * size)
+    looked_at = np.zeros(0, dtype=bool)
     for _ in range(_ITERATIONS):
         rest = gradient - matrix @ y
         off = matrix.T @ rest
@@ -90,6 +94,12 @@ def _interior_point(matrix: sparse.csc_matrix, gradient: np.ndarray, signed: np.
         left, gap = float(np.linalg.norm(rest)), float(y[signed] @ z)
         if left <= _NOTHING_LEFT * size or (gap <= _GAP * left**2 and np.max(np.abs(off)) <= _DUAL * left):
             break
+        counts = y[signed] > z
+        if gap <= _GAP * left**2 and not np.array_equal(counts, looked_at):
+            looked_at = counts
+            exact = _settled(matrix, gradient, signed, counts)
+            if exact is not None:
+                return exact
         diagonal[signed] = z / y[signed] + _DAMPING
         solve = _factorised(matrix, diagonal)
         if solve is None:
@@ -112,6 +122,25 @@ def _interior_point(matrix: sparse.csc_matrix, gradient: np.ndarray, signed: np.
     used = np.ones(columns, dtype=bool)
     used[signed] = y[signed] > z
     return y, used
+
+
+def _settled(
+    matrix: sparse.csc_matrix, gradient: np.ndarray, signed: np.ndarray, counts: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Least squares with the signed columns that count and all others, and which these are; None where that is not the projection."""
+    used = np.ones(matrix.shape[1], dtype=bool)
+    used[signed] = counts
+    part = proximal_least_squares(matrix[:, used], gradient)
+    if part is None:
+        return None
+    y = np.zeros(len(used))
+    y[used] = part
+    rest = gradient - matrix @ y
+    products = matrix.T @ rest
+    products[used] = np.abs(products[used])  # of the others only those that would shorten the rest count
+    lengths = float(np.linalg.norm(gradient)) + float(np.max(np.abs(y), initial=0.0))
+    enough = max(_DUAL * float(np.linalg.norm(rest)), _ROUNDING * lengths)
+    return (y, used) if np.all(y[signed] >= 0.0) and np.max(products, initial=0.0) <= enough else None
 
 
 def _factorised(matrix: sparse.csc_matrix, diagonal: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray] | None:

@@ -103,6 +103,7 @@ def _by_signs(active: ActiveSet, tolerance: float, given: Stationarity) -> Verdi
         weak = weak if weak.exists else least_residual(*question, *limits(active, any_signs), tolerance)
     if not weak.exists:
         return Verdict(kind=Stationarity.NONE, residual=weak.residual, descent=math.nan if weak.polar is None else weak.slope)
+    known = {tuple(any_signs): weak}
     pairs = pairs_of(active, weak.y)
     own = class_of(pairs, tolerance)
     for kind, choices in CHOICES.items():
@@ -110,21 +111,22 @@ def _by_signs(active: ActiveSet, tolerance: float, given: Stationarity) -> Verdi
             return Verdict(kind=kind, residual=max(weak.residual, *(wrong_by(pair, choices) for pair in pairs), 0.0), least=none)
         if kind is given:
             return Verdict(kind=kind, residual=weak.residual, least=none)
-        residual = _pattern(active, kind, tolerance)
+        residual = _pattern(active, kind, tolerance, known)
         if residual is not None:
             return Verdict(kind=kind, residual=residual, least=none)
     raise AssertionError("every point with multipliers is weakly stationary")
 
 
-def _pattern(active: ActiveSet, kind: Stationarity, tolerance: float) -> float | None:
-    """Residual of multipliers with the signs of a class, if there are some: pair after pair is decided, the one that is most wrong first."""
+def _pattern(active: ActiveSet, kind: Stationarity, tolerance: float, known: dict[tuple[Signs, ...], Decision]) -> float | None:
+    """Residual of multipliers with the signs of a class, if there are some: pair after pair is decided, the one that is most wrong first.
+    known: what was decided for other classes."""
     choices = CHOICES[kind]
     stack: list[tuple[Signs, ...]] = [(choices[0] if len(choices) == 1 else ANY,) * len(active.both)]
     for _ in range(affordable(active, len(choices))):
         if not stack:
             break
         signs = stack.pop()
-        found = _with(active, signs, tolerance)
+        found = known[signs] = known.get(signs) or _with(active, signs, tolerance)
         if not found.exists:
             continue
         wrong = [wrong_by(pair, choices) for pair in pairs_of(active, found.y)]

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import nnls
 
-from formulations.mpec.certificate import pieces, stationarity
+from formulations.mpec.certificate import pieces, projection, stationarity
 from formulations.mpec.certificate.active import ActiveSet
 from formulations.mpec.certificate.decision import decide
 from formulations.mpec.certificate.pieces import steepest_piece
@@ -46,6 +46,23 @@ def test_the_projection_is_that_of_nonnegative_least_squares(seed):
     assert np.all((found.y >= low) & (found.y <= high))
     assert np.linalg.norm(found.polar) == pytest.approx(distance, abs=1e-7)
     assert np.max(np.abs(found.rest)) <= np.max(np.abs(found.polar)) + 1e-7
+
+
+@pytest.mark.parametrize("apart", [1e-4, 1e-5])
+def test_gradients_that_nearly_depend_on_each_other_do_not_keep_it_going(monkeypatch, apart):
+    """Two long multipliers of nearly the same gradient: the damping lets them grow by a share of what is missing, for hundreds of iterations."""
+    calls: list[int] = []
+    monkeypatch.setattr(projection, "_factorised", lambda *given, own=projection._factorised: calls.append(1) or own(*given))
+    random = np.random.default_rng(0)
+    matrix = random.normal(size=(40, 12))
+    matrix[:, 1] = matrix[:, 0] + apart * random.normal(size=40)
+    y = np.abs(random.normal(size=12))
+    y[:2] = 30.0, -29.0  # free, the others not negative
+    low = np.array([-np.inf, -np.inf, *[0.0] * 10])
+    found = project(sparse.csc_matrix(matrix), matrix @ y, low, np.full(12, np.inf))
+    assert np.max(np.abs(found.rest)) <= 1e-9
+    assert np.allclose(found.y, y, rtol=0.0, atol=1e-9 / apart)
+    assert len(calls) <= 25
 
 
 @settings(max_examples=25, deadline=None)
