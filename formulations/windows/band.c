@@ -19,6 +19,8 @@ EXPORT int band_factor(int size, int width, double *band, int *pivots, int first
 EXPORT void band_gather(int size, int height, int shift, int top, int bottom, const double *band, int first, struct nonzeros *found);
 EXPORT void band_solve(int size, const int *pivots, const struct nonzeros *lower, const struct nonzeros *upper, double *x);
 EXPORT void band_product(int size, const struct nonzeros *matrix, const double *x, double *y);
+EXPORT void band_solve_several(int size, int several, const int *pivots, const struct nonzeros *lower, const struct nonzeros *upper, double *x);
+EXPORT void band_product_several(int size, int several, const struct nonzeros *matrix, const double *x, double *y);
 
 static int smaller(int a, int b) { return a < b ? a : b; }
 
@@ -137,4 +139,57 @@ EXPORT void band_product(int size, const struct nonzeros *matrix, const double *
         if (x[j] != 0.0)
             for (int at = matrix->starts[j]; at < matrix->starts[j + 1]; at++)
                 y[matrix->rows[at]] += matrix->values[at] * x[j];
+}
+
+/* row -= factor * of, of `several` numbers each. */
+static void subtract(int several, double factor, const double *restrict of, double *restrict row)
+{
+    for (int k = 0; k < several; k++)
+        row[k] -= factor * of[k];
+}
+
+static int is_zero(int several, const double *row)
+{
+    int k = 0;
+    while (k < several && row[k] == 0.0)
+        k++;
+    return k == several;
+}
+
+/* As band_solve, for several right-hand sides at once: x (size, several), row by row, each column by the same operations. */
+EXPORT void band_solve_several(int size, int several, const int *pivots, const struct nonzeros *lower, const struct nonzeros *upper, double *x)
+{
+    for (int j = 0; j < size; j++) {
+        double *row = x + (ptrdiff_t)j * several, *other = row + (ptrdiff_t)pivots[j] * several;
+        for (int k = 0; other != row && k < several; k++) {
+            const double value = other[k];
+            other[k] = row[k];
+            row[k] = value;
+        }
+        if (!is_zero(several, row))
+            for (int at = lower->starts[j]; at < lower->starts[j + 1]; at++)
+                subtract(several, lower->values[at], row, x + (ptrdiff_t)lower->rows[at] * several);
+    }
+    for (int j = size - 1; j >= 0; j--) {
+        double *row = x + (ptrdiff_t)j * several;
+        if (is_zero(several, row))
+            continue;
+        const int diagonal = upper->starts[j + 1] - 1;
+        for (int k = 0; k < several; k++)
+            row[k] /= upper->values[diagonal];
+        for (int at = upper->starts[j]; at < diagonal; at++)
+            subtract(several, upper->values[at], row, x + (ptrdiff_t)upper->rows[at] * several);
+    }
+}
+
+/* y = matrix x for several x at once, both (size, several), row by row. */
+EXPORT void band_product_several(int size, int several, const struct nonzeros *matrix, const double *x, double *y)
+{
+    memset(y, 0, (size_t)size * (size_t)several * sizeof *y);
+    for (int j = 0; j < size; j++) {
+        const double *row = x + (ptrdiff_t)j * several;
+        if (!is_zero(several, row))
+            for (int at = matrix->starts[j]; at < matrix->starts[j + 1]; at++)
+                subtract(several, -matrix->values[at], row, y + (ptrdiff_t)matrix->rows[at] * several);
+    }
 }

@@ -29,6 +29,8 @@ _SIGNATURES = {
     "band_gather": (None, (_INT, _INT, _INT, _INT, _INT, _POINTER, _INT, _POINTER)),
     "band_solve": (None, (_INT, _POINTER, _POINTER, _POINTER, _POINTER)),
     "band_product": (None, (_INT, _POINTER, _POINTER, _POINTER)),
+    "band_solve_several": (None, (_INT, _INT, _POINTER, _POINTER, _POINTER, _POINTER)),
+    "band_product_several": (None, (_INT, _INT, _POINTER, _POINTER, _POINTER)),
 }
 
 
@@ -90,18 +92,24 @@ class BandedLU:
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solution of the factorised system for right (size,) or (size, m), refined once by its own residual."""
-        if right.ndim == 2:
-            return np.stack([self.solve(column) for column in right.T], axis=1)
         found = self._back(right)
         return found + self._back(right - self.product(found))
 
     def product(self, x: np.ndarray) -> np.ndarray:
-        """The matrix of the last factorisation times x (size,)."""
-        x, y = np.ascontiguousarray(x, dtype=np.float64), np.empty(self._size)
-        self._library.band_product(self._size, self._entries.pointer, x.ctypes.data, y.ctypes.data)
+        """The matrix of the last factorisation times x (size,) or (size, m)."""
+        x = np.ascontiguousarray(x, dtype=np.float64)
+        y, matrix = np.empty(x.shape), self._entries.pointer
+        if x.ndim == 1:
+            self._library.band_product(self._size, matrix, x.ctypes.data, y.ctypes.data)
+        else:
+            self._library.band_product_several(self._size, x.shape[1], matrix, x.ctypes.data, y.ctypes.data)
         return y
 
     def _back(self, right: np.ndarray) -> np.ndarray:
-        x = np.array(right, dtype=np.float64)
-        self._library.band_solve(self._size, self._pivots.ctypes.data, self._lower.pointer, self._upper.pointer, x.ctypes.data)
+        x = np.array(right, dtype=np.float64, order="C")
+        factors = (self._pivots.ctypes.data, self._lower.pointer, self._upper.pointer, x.ctypes.data)
+        if x.ndim == 1:
+            self._library.band_solve(self._size, *factors)
+        else:
+            self._library.band_solve_several(self._size, x.shape[1], *factors)
         return x

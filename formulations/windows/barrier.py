@@ -17,6 +17,9 @@ _ITERATIONS = 60
 _GAP = 1e-13  # mean product of slack and multiplier at which the active conditions are named
 _STEP = 0.99  # part of the way to the nearest bound
 _ENORMOUS = 1e100  # what a singular matrix that was not found out leaves
+# Mean product of slack and multiplier, in units of the cost's largest coefficient, beyond which nothing is feasible: it begins at 1; where there was an
+# optimum it came to 500, where there is none the multipliers grow without end.
+_DIVERGES = 1e12
 _INFEASIBLE = 1e-7  # a slack that still misses its condition by more when the gap is closed
 
 Triple = list[np.ndarray]  # one array a kind of condition: u - lower (steps, nu), upper - u (steps, nu), sign * phi (steps, nc)
@@ -55,7 +58,7 @@ class BarrierMethod:
 
     def active_set(self, closed: np.ndarray, goal: np.ndarray, ball: float, softness: float = 0.0) -> tuple[np.ndarray, np.ndarray] | None:
         """(side (steps, nu), touching (steps, nc)) at the optimum, or None where none was found."""
-        kinds = self._kinds
+        kinds, cost = self._kinds, max(1.0, *(float(np.abs(part).max(initial=0.0)) for part in (self._linear.H, self._linear.g)))
         here = _Iterate(
             [np.ones(kind.shape) for kind in kinds],
             [kind.astype(float) for kind in kinds],
@@ -63,6 +66,8 @@ class BarrierMethod:
         )
         for _ in range(_ITERATIONS):
             gap = here.gap(kinds)
+            if gap > _DIVERGES * cost:
+                return None
             columns = self._factor(closed, here, ball, softness)
             if columns is None:
                 return None

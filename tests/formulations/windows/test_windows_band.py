@@ -39,6 +39,18 @@ def test_it_solves_and_multiplies_as_numpy_does(seed: int, size: int, width: int
         assert not is_regular or np.linalg.cond(dense) > 1e8
 
 
+@pytest.mark.parametrize("several", [1, 2, 5, 13])
+def test_several_right_hand_sides_at_once_are_each_alone(several: int) -> None:
+    random, lu = np.random.default_rng(several), BandedLU(60, 7)
+    assert lu.factor(random_band(0, 60, 7)[1])
+    right = random.normal(size=(60, several)) * (random.uniform(size=(60, several)) < 0.2)  # with rows that are zero
+    for order in ("C", "F"):
+        together = lu.solve(np.array(right, order=order))
+        for k in range(several):
+            assert np.array_equal(together[:, k], lu.solve(right[:, k]))
+            assert np.array_equal(lu.product(np.array(right, order=order))[:, k], lu.product(right[:, k]))
+
+
 def test_a_matrix_with_an_empty_column_is_singular() -> None:
     band = np.zeros((3, 5), order="F")
     band[1] = 1.0
