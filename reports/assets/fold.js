@@ -117,17 +117,19 @@
   addEventListener("hashchange", follow);
   follow();
 
-  // Printing waits for nothing: blocks are inflated when the page has nothing else to do, so that every part can be put in its place at once.
+  // Printing waits for nothing: blocks are inflated when the page has nothing else to do, so that a part can be put in its place at once.
   const idle = window.requestIdleCallback || ((done) => setTimeout(done, 200));
   const prepare = (names) => {
     if (names.length) idle(() => block(names[0]).finally(() => prepare(names.slice(1))));
   };
   addEventListener("load", () => prepare([...document.querySelectorAll("script[data-block]")].map((item) => item.dataset.block)));
   const folded = (known) => [...document.querySelectorAll(".parcel[data-part]")].filter((place) => known(place.dataset.block));
-  addEventListener("beforeprint", () => {
-    for (let places = folded((name) => ready.has(name)); places.length; places = folded((name) => ready.has(name))) places.forEach((place) => fill(place));
-    document.querySelectorAll("i[data-figure]").forEach(draw);
-  }, { capture: true });
+  // Motion, stages and log of hundreds of runs would be a thousand pages: of those, paper has what is open.
+  document.addEventListener("printing", () => {
+    const wanted = () => folded((name) => ready.has(name)).filter((place) => !place.closest("details.whole:not([open])"));
+    for (let places = wanted(); places.length; places = wanted()) places.forEach((place) => fill(place));
+    [...document.querySelectorAll("i[data-figure]")].filter((spot) => !spot.closest("details.whole:not([open])")).forEach(draw);
+  });
   // Browsers search what is on the page, in closed details too: who is about to search gets the text of every part, one block a turn.
   const search = async () => {
     for (let [place] = folded(() => true); place; [place] = folded(() => true)) {

@@ -101,9 +101,10 @@
 
   const open = (wanted) => document.querySelectorAll("article.run:not([hidden]) details:is(.whole, .stage)").forEach((item) => { item.open = wanted; });
   document.querySelectorAll("[data-all]").forEach((button) => button.addEventListener("click", () => open(button.dataset.all === "open")));
-  // Paper has no disclosure triangles: everything is opened for print and put back afterwards (fold.js has put what was folded in its place before).
+  // Paper has no disclosure triangles: all is opened for print and put back afterwards, but for what fold.js keeps folded.
   let closed = [];
   addEventListener("beforeprint", () => {
+    document.dispatchEvent(new CustomEvent("printing")); // fold.js puts in its place what goes on paper, now
     closed = [...document.querySelectorAll("main details:not([open])")].filter((item) => !item.querySelector(":scope > .parcel[data-part]"));
     closed.forEach((item) => { item.open = true; });
   });

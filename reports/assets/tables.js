@@ -13,7 +13,7 @@
     const data = cell.querySelectorAll("data");
     if (data.length === 1 && data[0].textContent.trim() === cell.textContent.trim()) return data[0].value;
     const copy = cell.cloneNode(true);
-    copy.querySelectorAll("button, svg").forEach((part) => part.remove());
+    copy.querySelectorAll("button.take, svg").forEach((part) => part.remove());
     copy.querySelectorAll(".sub, .sr").forEach((part) => part.prepend(" "));
     const text = copy.textContent.replace(/[ \n\t]+/g, " ").trim();
     const plain = number(text);
@@ -27,6 +27,7 @@
     rows.forEach((row, down) => {
       let across = 0;
       for (const cell of row.cells) {
+        if (cell.hidden) continue;
         while (grid[across] && grid[across][down] !== undefined) across += 1;
         for (let column = across; column < across + cell.colSpan; column += 1) {
           grid[column] = grid[column] || [];

@@ -1,0 +1,106 @@
+"""A campaign of many scenes in headless Chromium: all of it on paper, on a telephone, and in the tables that are saved."""
+
+from __future__ import annotations
+
+import csv
+
+import pytest
+
+from reports.examination_record import ExaminationRecord
+from reports.render import render, write_report
+
+# A4 across, less the margins of 12 mm, in pixels of CSS.
+_PAPER = 1032
+
+
+@pytest.fixture(scope="module")
+def many(factory, tmp_path_factory):
+    """The folder of one pipeline's runs on sixteen scenes, and of hard cases whose sentences are long."""
+    one = factory.run("strict", None, "strict_lcp")
+    runs = [
+        one.model_copy(update={"key": f"strict-{place:016d}", "scene": factory.scene(f"a_scene_of_number_{place}")}) for place in range(16)
+    ]
+    cases = [
+        ExaminationRecord(
+            key=f"{place:064d}",
+            kind="hard case",
+            name=f"{place:02d} A case",
+            expected="What is expected of it, at some length. " * 4,
+            outcome="answered",
+            passed=True,
+            found="What happened to it, with figures of every kind. " * 5,
+            wall_seconds=2.0,
+            cpu_seconds=1.5,
+            provenance=factory.provenance(),
+        )
+        for place in (1, 2)
+    ]
+    keys = tuple(item.key for item in (*runs, *cases))
+    return factory.store(tmp_path_factory.mktemp("many") / "all", [*runs, *cases], factory.campaign(runs, keys=keys))
+
+
+@pytest.fixture(scope="module")
+def many_file(many):
+    return write_report(many)
+
+
+def test_paper_has_the_verdicts_of_all_scenes(chromium, many_file):
+    page = chromium.open(many_file, width=_PAPER)
+    page.call("Emulation.setEmulatedMedia", media="print")
+    past = page.evaluate("""(() => {
+      const cells = [...document.querySelectorAll("#matrix-table th, #matrix-table td")];
+      const over = cells.filter((cell) => cell.scrollWidth > cell.clientWidth + 1 || cell.getBoundingClientRect().right > innerWidth);
+      return [cells.length, over.length];
+    })()""")
+    assert past == [2 * 18, 0]
+
+
+def test_one_word_opens_for_paper_what_is_folded_but_the_runs(chromium, many, tmp_path):
+    """Motion, stages and log of hundreds of runs would be a thousand pages; a run that is open is printed whole."""
+    path = tmp_path / "report.html"
+    path.write_text(render(many, largest=0), encoding="utf-8")
+    page = chromium.open(path)
+    page.evaluate("document.querySelector('#run-2 details.whole > summary').click()")
+    told = page.evaluate("""(async () => {
+      const wait = () => new Promise((done) => setTimeout(done, 50));
+      for (let turn = 0; turn < 1200 && document.querySelector("#run-2 > details > .parcel[data-part]"); turn += 1) await wait();
+      const open = document.querySelectorAll("main details[open]").length;
+      const folded = () => [...document.querySelectorAll(".parcel[data-part]")].filter((place) => !place.closest(".whole:not([open])")).length;
+      let [before, after, shut, inside] = [0, 1, [], 0];
+      for (let turn = 0; turn < 1200 && after; turn += 1) {  // what is not inflated yet cannot be put in its place
+        await wait();
+        before = folded();
+        dispatchEvent(new Event("beforeprint"));
+        after = folded();
+        shut = [...document.querySelectorAll("main details:not([open])")];
+        inside = document.querySelectorAll("#run-2 details:not([open]), #run-2 i[data-figure]").length;
+        dispatchEvent(new Event("afterprint"));
+      }
+      return [shut.length, shut.every((item) => item.matches("article.run > .whole")), inside, after, before,
+        open - document.querySelectorAll("main details[open]").length];
+    })()""")
+    assert told[:4] == [15, True, 0, 0]
+    assert told[4] > 0, "the word that put the last in its place opened it, too"
+    assert told[5] <= 0, "what was open is open"
+    assert page.messages == []
+
+
+def test_hard_cases_are_read_on_a_telephone_without_scrolling_sideways(chromium, many_file):
+    page = chromium.open(many_file, width=390)
+    assert page.evaluate(
+        "(() => { const box = document.querySelector('.cases').parentElement; return box.scrollWidth <= box.clientWidth; })()"
+    )
+    texts = page.evaluate("[...document.querySelectorAll('.cases td.text')].map((cell) => cell.getBoundingClientRect().width)")
+    assert len(texts) == 6
+    assert min(texts) > 250
+
+
+def test_a_filtered_matrix_is_saved_as_it_is_shown(chromium, many_file):
+    page = chromium.open(many_file, fragment="#matrix?scene=number_1")
+    page.evaluate(
+        "window.saved = []; URL.createObjectURL = (blob) => { saved.push(blob); return 'blob:none'; };"
+        "HTMLAnchorElement.prototype.click = function () {}; document.querySelector('#matrix button.take').click()"
+    )
+    rows = list(csv.reader(page.evaluate("saved[0].text()").lstrip("\ufeff").splitlines()))
+    assert rows[0] == ["Pipeline", "Holds on", *(f"a_scene_of_number_{place}" for place in (1, 10, 11, 12, 13, 14, 15))]
+    assert {len(row) for row in rows} == {9}
