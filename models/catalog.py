@@ -74,7 +74,8 @@ def load_scene(reference: str) -> Scene:
             sys.modules[module_name] = module
     scene = getattr(module, "SCENE", None)
     if not isinstance(scene, Scene):
-        raise SceneError(f"scene file {path}: it must define SCENE, a models.scene.Scene; found {type(scene).__name__}.")
+        found = f"found {type(scene).__name__}" if hasattr(module, "SCENE") else "there is none"
+        raise SceneError(f"scene file {path}: it must define SCENE, a models.scene.Scene; {found}.")
     if scene.name != path.stem:
         raise SceneError(f"scene file {path}: SCENE.name is {scene.name!r} but must equal the file's name {path.stem!r}.")
     return scene

@@ -22,7 +22,10 @@ class PlanTable:
         self.path = path
         rows = _rows(path)
         if len(rows) < 3:
-            raise TrajectoryError(f"plan {path}: it has {max(len(rows) - 1, 0)} rows; a header and at least two rows are needed.")
+            below = max(len(rows) - 1, 0)
+            raise TrajectoryError(f"plan {path}: it has {below} row{'' if below == 1 else 's'}; a header and at least two rows are needed.")
+        if all(map(_is_number, rows[0][1])):
+            raise TrajectoryError(f"plan {path}: its first line holds numbers; a header with the columns' names is needed above them.")
         self._rows = rows[1:]
         self.rows = len(self._rows)
         self.units: dict[str, str] = {}
@@ -35,8 +38,12 @@ class PlanTable:
         self.names = tuple(names)
 
     def check_form(self) -> None:
-        """Raise TrajectoryError for a column that stands there twice, or a line with more cells than there are columns."""
+        """Raise TrajectoryError for a column without a name or that stands there twice, or a line with more cells than there are columns."""
         for name in self.names:
+            if not name:
+                raise TrajectoryError(
+                    f"plan {self.path}: column {self.names.index(name) + 1} has no name; an index, as pandas writes it, is left out by index=False."
+                )
             if self.names.count(name) > 1:
                 raise TrajectoryError(f"plan {self.path}: the column {name!r} stands there twice.")
         for number, row in self._rows:
@@ -68,8 +75,12 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
     """(line number, cells) of the lines that hold any."""
     try:
         text = path.read_text(encoding="utf-8-sig")  # Excel writes a byte order mark
-    except (OSError, UnicodeDecodeError) as error:
-        raise TrajectoryError(f"plan {path}: it cannot be read ({error}).") from error
+    except OSError as error:
+        raise TrajectoryError(f"plan {path}: it cannot be read ({error.strerror or error}).") from error
+    except UnicodeDecodeError as error:
+        raise TrajectoryError(
+            f"plan {path}: it is not text in UTF-8 (byte {error.start} is none of it); save it as CSV in UTF-8."
+        ) from error
     lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip() and not line.startswith("#")]
     header = lines[0][1] if lines else ""
     mark = next((mark for mark in ";\t" if mark in header), ",")
@@ -77,6 +88,14 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
     if mark == ";":
         return [(number, [cell.replace(",", ".") for cell in row]) for number, row in rows]
     return rows
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def _cells(path: Path, number: int, line: str, mark: str) -> list[str]:

@@ -15,6 +15,7 @@ NetCDF-4: the same arrays with units, for the store.
 from __future__ import annotations
 
 import difflib
+import math
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -98,6 +99,13 @@ class Trajectory:
             if found != expected:
                 raise TrajectoryError(f"plan: {field} has {found} columns, but scene {scene.name} has {expected} {what}.")
 
+    def other_duration(self, scene: Scene) -> str:
+        """A sentence if the plan does not last as long as the scene's task, else nothing: what is asked by then is not asked later."""
+        lasts, asked = float(self.t[-1] - self.t[0]), scene.task.horizon
+        if math.isclose(lasts, asked, rel_tol=1e-9):
+            return ""
+        return f"it lasts {lasts:.6g} s, but the task of scene {scene.name} {asked:.6g} s."
+
     def has_uniform_grid(self) -> bool:
         """Whether all steps are equal to rounding."""
         return bool(np.allclose(np.diff(self.t), (self.t[-1] - self.t[0]) / self.steps, rtol=1e-9, atol=0.0))
@@ -145,12 +153,11 @@ def read_csv(path: Path, scene: Scene, hold: Hold = Hold.ZERO_ORDER) -> Trajecto
     table = PlanTable(path)
     header, names = table.names, column_names(scene)
     known = ["t", *(name for group in names.values() for name in group)]
+    table.check_form()
     for column in header:
         if column not in known:
-            close = difflib.get_close_matches(column, known, n=1)
-            hint = f"did you mean {close[0]!r}? " if close else ""
+            hint = _meant(column, known)
             raise TrajectoryError(f"plan {path}: the column {column!r} is unknown; {hint}scene {scene.name} has {', '.join(known)}.")
-    table.check_form()
     for column in ("t", *names["q"], *names["u"]):
         if column not in header:
             raise TrajectoryError(f"plan {path}: the column {column!r} is missing; it has {', '.join(header)}.")
@@ -174,6 +181,14 @@ def read_csv(path: Path, scene: Scene, hold: Hold = Hold.ZERO_ORDER) -> Trajecto
         return Trajectory(t=t, q=q, v=v, u=u, lam=lam, hold=hold, missing=missing)
     except TrajectoryError as error:
         raise TrajectoryError(f"{error} (file {path})") from error
+
+
+def _meant(column: str, known: list[str]) -> str:
+    """What somebody who wrote this may have meant, as the beginning of a sentence; nothing if no name is near."""
+    folded = {name.lower(): name for name in known}
+    folded.setdefault("time", "t")
+    close = difflib.get_close_matches(column.lower(), folded, n=1)
+    return f"did you mean {folded[close[0]]!r}? " if close else ""
 
 
 def _units(scene: Scene) -> dict[str, str]:

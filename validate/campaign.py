@@ -73,6 +73,7 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
     from reports.examination_record import divided
     from reports.rule import fails, failures, findings
     from validate.provenance import gather
+    from validate.scene_doubts import doubts
     from validate.violation import write_violation
 
     check_engine(settings.engine)
@@ -119,9 +120,11 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
 
     before, ran = campaign_text(settings.out), len(records) < len(entries)
     narrator.begins(len(entries), len(records))
-    for item in steps:
-        if item.warning:
-            narrator.warns(item.warning)
+    for sentence in (
+        *(item.warning for item in steps if item.warning),
+        *doubts(entry.scene for entry in entries if isinstance(entry, Entry)),
+    ):
+        narrator.warns(sentence)
     try:
         with closing(_run([entry for entry in entries if entry.stored is None], store, provenance, settings, narrator)) as finished:
             for record in finished:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from models.errors import MachineError
+from models.errors import MachineError, TrajectoryError
 from validate.disk import raise_if_disk_ended
 from validate.judging import Solved
 from validate.profile import Profile
@@ -64,8 +64,9 @@ class OpenSession:
         return cold
 
     def run(self, planned: Planned, warm_start: Trajectory | None, time_limit: float) -> Solved:
-        """Run a stage. Raises what its method raises, TypeError for an answer that is no Solution, TrajectoryError for a plan of another scene."""
-        from formulations.solution import Solution
+        """Run a stage. Raises what its method raises, TypeError for an answer that is no Solution, TrajectoryError for a plan of another scene or of
+        another duration."""
+        from formulations.solution import Outcome, Solution
 
         wall, cpu = time.perf_counter() - self._asked[0], time.process_time() - self._asked[1]
         self._asked = (0.0, 0.0)
@@ -73,8 +74,13 @@ class OpenSession:
         solved = Solved(planned, solution, time.perf_counter() - wall, time.process_time() - cpu)
         if not isinstance(solution, Solution):
             raise TypeError(f"it must hand back a Solution, not {type(solution).__name__}.")
+        if not isinstance(solution.outcome, Outcome):
+            raise TypeError(f"the outcome of its Solution must be an Outcome, not {type(solution.outcome).__name__}.")
         if solution.trajectory is not None:
             solution.trajectory.check_fits(self._scene)
+            other = solution.trajectory.other_duration(self._scene)
+            if other:
+                raise TrajectoryError(f"plan: {other}")
         return solved
 
     def close(self) -> None:

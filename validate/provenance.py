@@ -43,6 +43,7 @@ _NO_INFLUENCE = (
     "validate/engine.py",
     "validate/fork_server.py",
     "validate/results.py",
+    "validate/scene_doubts.py",
     "validate/selection.py",
     "validate/standing_report.py",
     "validate/stored.py",
@@ -223,5 +224,6 @@ def machine() -> dict[str, Any]:
 
 
 def command_line(arguments: Iterable[str]) -> str:
-    """The command as the user can type it again."""
-    return shlex.join(["python", "-m", "validate", *arguments])
+    """The command as the user can type it again, into any shell: zsh takes an unquoted =word for the path of a program."""
+    words = (f"'{word}'" if word.startswith("=") and shlex.quote(word) == word else shlex.quote(word) for word in arguments)
+    return " ".join(["python", "-m", "validate", *words])

@@ -124,6 +124,7 @@ def test_the_catalog_names_what_there_is():
     [
         ("", "must define SCENE"),
         ("SCENE = 3", "found int"),
+        ("SCENES = 3", "there is none"),
         ("1/0", "ZeroDivisionError"),
         ("def (", "SyntaxError"),
         ("from models.scenes.three_cart import SCENE", "must equal the file's name"),

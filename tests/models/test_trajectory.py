@@ -85,7 +85,7 @@ def test_what_other_programs_write_is_read(tmp_path: Path, scene, text: str):
     ("text", "words"),
     [
         ("", ["0 rows"]),
-        ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n", ["1 rows"]),
+        ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n", ["1 row;"]),
         ("t,q1,q2,q3,u1,u3,w\n0,0,1,2,1,0,1\n1,1,2,3,1,0,1\n", ["'w'", "unknown"]),
         ("t,q1,q2,q3,u1\n0,0,1,2,1\n1,1,2,3,1\n", ["'u3'", "missing"]),
         ("t,q1,q1,q3,u1,u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n", ["'q1'", "twice"]),
@@ -95,6 +95,10 @@ def test_what_other_programs_write_is_read(tmp_path: Path, scene, text: str):
         ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1\n", ["line 3"]),
         ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0,7\n1,1,2,3,1,0\n", ["line 2", "7 cells", "6 columns"]),
         ("# mine\n\nt,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,x,2,3,1,0\n", ["line 5", "'x'"]),
+        ("0,0,1,2,1,0\n1,1,2,3,1,0\n2,1,2,3,1,0\n", ["first line holds numbers", "header"]),
+        (",t,q1,q2,q3,u1,u3\n0,0,0,1,2,1,0\n1,1,1,2,3,1,0\n", ["column 1 has no name", "index=False"]),
+        ("time,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n", ["'time'", "did you mean 't'?"]),
+        ("t,Q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n", ["'Q1'", "did you mean 'q1'?"]),
     ],
 )
 def test_a_bad_file_is_told_where(tmp_path: Path, scene, text: str, words: list[str]):
@@ -109,8 +113,10 @@ def test_a_bad_file_is_told_where(tmp_path: Path, scene, text: str, words: list[
 def test_a_file_that_is_no_text(tmp_path: Path, scene):
     path = tmp_path / "plan.csv"
     path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(TrajectoryError, match="cannot be read"):
+    with pytest.raises(TrajectoryError, match="not text in UTF-8"):
         read_csv(path, scene)
+    with pytest.raises(TrajectoryError, match=r"it cannot be read \(Is a directory\)"):
+        read_csv(tmp_path, scene)
 
 
 @pytest.mark.parametrize(

@@ -183,6 +183,13 @@ def test_a_scene_plan_with_another_unit_is_refused(command: Command, folder: Pat
     assert (code, "did you mean 'u3'" in err) == (2, True)
 
 
+def test_a_plan_of_another_duration_is_told(command: Command, folder: Path):
+    text = "t,q1,q2,q3,u1,u3\n0,2,3,4,0,0\n0.5,2,3,4,0,0\n1,2,3,4,0,0\n"
+    code, _, err = command(write(folder / "brief.csv", text), "--scene", "three_cart", "--json")
+    assert code in (0, 1)
+    assert err == "warning: plan " + str(folder / "brief.csv") + ": it lasts 1 s, but the task of scene three_cart 5 s.\n"
+
+
 def _entries(path: Path, change: Callable[[str, bytes], bytes | None], source: Path) -> str:
     with zipfile.ZipFile(source) as old, zipfile.ZipFile(path, "w") as new:
         for item in old.infolist():

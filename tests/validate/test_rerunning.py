@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from validate.provenance import command_line
 from validate.selection import matches
 
 FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")
@@ -99,3 +100,10 @@ def test_a_whole_name():
     assert matches('="three_cart x relaxed+strict"', names, "three_cart x relaxed+strict")
     assert not matches('="three_cart x strict"', names, "three_cart x relaxed+strict")
     assert not matches("x", ("strict",), "two x strict")  # a title is no name of which a part would do
+
+
+def test_the_command_can_be_typed_again_in_any_shell():
+    """zsh takes =strict for the path of a program called strict."""
+    told = command_line(["all", "-k", "=strict", "--out", "my runs", "--scene", "it's.py", "-k", ""])
+    assert shlex.split(told) == ["python", "-m", "validate", "all", "-k", "=strict", "--out", "my runs", "--scene", "it's.py", "-k", ""]
+    assert "-k '=strict' --out 'my runs'" in told

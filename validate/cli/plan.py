@@ -37,11 +37,14 @@ def command(as_json: bool, **options: Any) -> int:
 
 def tell_plan(settings: Settings, as_json: bool) -> int:
     """Print it. Raises TouchstoneError."""
-    from validate.chosen import reasons, select, with_stored
+    from validate.chosen import Entry, reasons, select, with_stored
+    from validate.scene_doubts import doubts
     from validate.store import Store
     from validate.stored import only_last_failed
 
     entries, left_out = select(settings)
+    for sentence in doubts(entry.scene for entry in entries if isinstance(entry, Entry)):
+        click.echo(one_line(f"warning: {sentence}"), err=True)
     store = Store(settings.out)
     entries = with_stored(entries, store, settings)
     if settings.last_failed:

@@ -104,6 +104,9 @@ def _of_scene(scene: str, plan: Path, hold: str | None, limits: Any, track: bool
 
     loaded = load_scene(scene)
     trajectory = read_csv(plan, loaded, Hold.LINEAR if hold == "linear" else Hold.ZERO_ORDER)
+    other = trajectory.other_duration(loaded)
+    if other:
+        click.echo(one_line(f"warning: plan {plan}: {other}"), err=True)
     return loaded, trajectory, replay(loaded, build_fmu(loaded), trajectory, limits=limits, track=track or None)
 
 

@@ -8,6 +8,7 @@ The judge knows no method: it sees a plan and what the plan's inputs do.
 
 from __future__ import annotations
 
+import difflib
 import math
 from pathlib import Path
 
@@ -42,7 +43,9 @@ def check_limits(scene: Subject, file: Path | None = None) -> None:
             )
     for limit in scene.limits:
         if limit.figure not in figure_names():
-            raise SceneError(f"{where}: there is a limit on {limit.figure!r}, but the figures are {', '.join(figure_names())}.")
+            close = difflib.get_close_matches(limit.figure, figure_names(), n=1)
+            hint = f"did you mean {close[0]}?" if close else f"the figures are {', '.join(figure_names())}."
+            raise SceneError(f"{where}: there is a limit on {limit.figure!r}, which is no figure; {hint}")
 
 
 def score(scene: Subject, trajectory: Trajectory | None, replay: Replay | None) -> Score:

@@ -1,0 +1,45 @@
+"""What is possible in a scene but hardly meant is told before anything runs; the bank gives no cause."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import sympy as sp
+
+from models.catalog import load_scene, scene_names
+from models.scene import Input, Parameter
+from validate.cli.group import run
+from validate.scene_doubts import doubts, scene_doubts
+
+WRONG_SIGN = """from dataclasses import replace
+from models.catalog import load_scene
+bank = load_scene("wall_pendulum")
+SCENE = replace(bank, name="wrong_sign", limits=(), answers=(), contacts=tuple(replace(c, penetration=-10 * c.penetration) for c in bank.contacts))
+"""
+
+
+def test_no_scene_of_the_bank_gives_cause():
+    assert not list(doubts(map(load_scene, scene_names())))
+
+
+def test_what_changes_nothing_is_named():
+    bank = load_scene("wall_pendulum")
+    idle = Parameter(symbol=sp.Symbol("spare"), value=1.0, unit="m")
+    brake = Input(symbol=sp.Symbol("brake", real=True), unit="N")
+    said = scene_doubts(replace(bank, parameters=(*bank.parameters, idle), inputs=(*bank.inputs, brake)))
+    assert said == (
+        "scene wall_pendulum: parameter spare changes nothing; nothing of the scene contains it.",
+        "scene wall_pendulum: input brake moves nothing; no force contains it.",
+    )
+
+
+@pytest.mark.parametrize("form", [(), ("--json",)])
+def test_a_start_deep_in_contact_is_asked_about(tmp_path, capsys, form):
+    path = tmp_path / "wrong_sign.py"
+    path.write_text(WRONG_SIGN, encoding="utf-8")
+    assert run(["plan", "--scene", str(path), "-k", "=strict", "--out", str(tmp_path / "out"), *form]) == 0
+    said = capsys.readouterr().err
+    assert said.startswith("warning: scene wrong_sign: contact wall is ")
+    assert "is the sign of its penetration right?" in said
+    assert said.count("\n") == 1

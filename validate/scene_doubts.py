@@ -1,0 +1,64 @@
+"""What is possible in a scene, but hardly meant: told before anything runs, and nothing more.
+
+scene_doubts(scene)     # ("scene own: contact wall is 0.4 m deep at the start, 8 times its nominal 0.05 m; ...",)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
+
+import sympy as sp
+
+if TYPE_CHECKING:
+    from models.scene import Scene
+
+# Scenes of the bank start at most one nominal penetration deep.
+DEEP = 3.0
+
+
+def scene_doubts(scene: Scene) -> tuple[str, ...]:
+    """Sentences: contacts that are deep at the start, parameters that change nothing, inputs that move nothing."""
+    return (*_deep_starts(scene), *_idle(scene))
+
+
+def doubts(scenes: Iterable[Scene]) -> Iterator[str]:
+    """Those of several scenes, each scene once."""
+    for scene in {scene.name: scene for scene in scenes}.values():
+        yield from scene_doubts(scene)
+
+
+def _deep_starts(scene: Scene) -> list[str]:
+    start = {**scene.parameter_values, **{item.symbol: value for item, value in zip(scene.coordinates, scene.task.start, strict=False)}}
+    found = []
+    for contact in scene.contacts:
+        depth = float(contact.penetration.subs(start).evalf())
+        if depth > DEEP * contact.nominal:
+            found.append(
+                f"scene {scene.name}: contact {contact.name} is {depth:.3g} m deep at the start, {depth / contact.nominal:.3g} times its nominal "
+                f"{contact.nominal:.3g} m; is the sign of its penetration right? It is positive in contact."
+            )
+    return found
+
+
+def _idle(scene: Scene) -> list[str]:
+    physics: list[sp.Expr | None] = [scene.kinetic_energy, scene.potential_energy, *scene.forces]
+    physics += [part for contact in scene.contacts for part in (contact.penetration, contact.stiffness, contact.damping)]
+    physics += [part for friction in scene.frictions for part in (friction.slip, friction.coefficient, friction.normal_force)]
+    drawn = [part for shape in scene.shapes for part in (shape.x, shape.y, shape.angle, *shape.size)]
+    asked = [scene.task.running_cost, scene.task.final_cost]
+    used = _symbols([*physics, *asked, *drawn])
+    moving = _symbols(scene.forces)
+    found = [
+        f"scene {scene.name}: parameter {item.name} changes nothing; nothing of the scene contains it."
+        for item in scene.parameters
+        if item.symbol not in used
+    ]
+    found += [
+        f"scene {scene.name}: input {item.name} moves nothing; no force contains it." for item in scene.inputs if item.symbol not in moving
+    ]
+    return found
+
+
+def _symbols(parts: Iterable[object]) -> set[sp.Basic]:
+    return {symbol for part in parts if isinstance(part, sp.Basic) for symbol in part.free_symbols}
