@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Protocol
 from validate.chosen import CampaignError, Entry, Examined, Settings, select, with_stored
 from validate.disk import write_durably
 from validate.engine import Running, Site, check_engine, open_engine
+from validate.interrupts import interrupts_wait
 from validate.results import write_examinations, write_results
 from validate.shared_stages import beginnings_of, forget, must_wait, wanted_of
 from validate.standing_report import campaign_text, of_content, standing_report
@@ -133,11 +134,12 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
                 if settings.stop_early and fails(record):
                     break
     finally:
-        for record in _untold([entry.cell.key for entry in entries if entry.cell.key not in records], store, provenance):
-            records[record.key] = record
-            narrator.finished(record)
-        narrator.ends()
-        done, examinations = write()
+        with interrupts_wait():
+            for record in _untold([entry.cell.key for entry in entries if entry.cell.key not in records], store, provenance):
+                records[record.key] = record
+                narrator.finished(record)
+            narrator.ends()
+            done, examinations = write()
     stands = standing_report(settings.out, before) if settings.tools == DEFAULT_TOOLS and not ran else None
     report = stands or load_tools(settings.tools).write_report(settings.out)
     return Outcome(

@@ -176,6 +176,8 @@ _SAID = re.compile(r"^interrupted: (\d+) of \d+ cells are stored in \S+; resume 
 def _look_at_words(out: Path, code: int, told: str, before: dict[str, bytes], seen: Kills) -> None:
     """Of a campaign that was interrupted: how it ended, what it said and wrote."""
     begun, said = " to run\n" in told, _SAID.search(told)
+    # A shell says 130 of a death by the signal too; so ends Python where it came while text was compiled, whatever is done about it.
+    code = 130 if code == -signal.SIGINT else code
     if code not in (130, *(() if "report:" not in told else (0, 1))) or "Traceback" in told or (begun and code == 130 and said is None):
         seen.faults.append(f"interrupt {seen.kills}: exit code {code}, {told[-2000:]!r}")
     if left := unfinished(out):

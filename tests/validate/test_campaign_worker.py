@@ -16,6 +16,7 @@ from standing_cluster import come
 from reports.record import RunRecord
 from validate.campaign import Settings, run_campaign
 from validate.cli.narrator import PlainNarrator
+from validate.interrupts import interrupts_wait
 from validate.store import Store
 
 FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")
@@ -209,3 +210,47 @@ def test_a_cell_knows_how_it_was_run(misbehaved):
     assert record.provenance.threads == 1
     assert record.provenance.command.startswith("python -m validate all --tools")
     assert record.provenance.packages["numpy"]
+
+
+@pytest.fixture
+def ctrl_c():
+    """A function that is Ctrl-C, which what runs in the background of a shell would not hear."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield lambda: os.kill(os.getpid(), signal.SIGINT)
+    signal.signal(signal.SIGINT, before)
+
+
+class _Interrupting(PlainNarrator):
+    """Ctrl-C comes when the last cell has finished and the tables are about to be written."""
+
+    def __init__(self, ctrl_c) -> None:
+        super().__init__()
+        self._ctrl_c = ctrl_c
+
+    def ends(self) -> None:
+        self._ctrl_c()
+
+
+def test_ctrl_c_while_the_tables_are_written_is_heard_when_they_are(tmp_path, monkeypatch, ctrl_c):
+    monkeypatch.setenv("PYTHONPATH", str(HERE))
+    settings = Settings(out=tmp_path, tools=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible")
+    with pytest.raises(KeyboardInterrupt):
+        run_campaign(settings, _Interrupting(ctrl_c))
+    assert sorted(row["pipeline"] for row in untimed(tmp_path)) == ["only_good", "only_infeasible"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_second_ctrl_c_is_not_held_back(ctrl_c):
+    reached = []
+
+    def twice() -> None:
+        with interrupts_wait():
+            ctrl_c()
+            reached.append("the first waits")
+            ctrl_c()
+            reached.append("never")
+
+    with pytest.raises(KeyboardInterrupt):
+        twice()
+    assert reached == ["the first waits"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

@@ -34,6 +34,12 @@ def run_and_tell(settings: Settings, arguments: Sequence[str], as_json: bool) ->
     resume = command_line([word for word in arguments if word not in _ONCE])
     try:
         outcome = run_campaign(settings, teller)
+        if settings.stop_early and teller.stored + teller.done < teller.total:
+            click.echo(f"stopped at the first failure (-x), {teller.stored + teller.done} of {teller.total} cells are stored", err=True)
+        if as_json:
+            _print_json(outcome, settings)
+        else:
+            _print_table(outcome, settings, resume)
     except (KeyboardInterrupt, MachineError) as error:
         done = teller.stored + teller.done
         kept = f"{done} of {teller.total} cells are stored in {settings.out}" if teller.total else "nothing was run yet"
@@ -43,12 +49,6 @@ def run_and_tell(settings: Settings, arguments: Sequence[str], as_json: bool) ->
             raise
         click.echo(f"interrupted: {kept}; resume with: {resume}", err=True)
         return 130
-    if settings.stop_early and teller.stored + teller.done < teller.total:
-        click.echo(f"stopped at the first failure (-x), {teller.stored + teller.done} of {teller.total} cells are stored", err=True)
-    if as_json:
-        _print_json(outcome, settings)
-    else:
-        _print_table(outcome, settings, resume)
     return outcome.exit_code
 
 
