@@ -60,5 +60,5 @@ def _idle(scene: Scene) -> list[str]:
     return found
 
 
-def _symbols(parts: Iterable[object]) -> set[sp.Basic]:
-    return {symbol for part in parts if isinstance(part, sp.Basic) for symbol in part.free_symbols}
+def _symbols(parts: Iterable[sp.Expr | None]) -> set[sp.Basic]:
+    return {symbol for part in parts if part is not None for symbol in part.free_symbols}

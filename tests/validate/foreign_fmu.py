@@ -22,7 +22,7 @@ DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
     <ScalarVariable name="drive.force" valueReference="20" causality="input" variability="continuous"><Real unit="kN" start="0" min="-1" max="1"/></ScalarVariable>
     <ScalarVariable name="stop.push" valueReference="30" causality="output" variability="continuous"><Real unit="N"/></ScalarVariable>
     <ScalarVariable name="stop.gap" valueReference="31" causality="output" variability="continuous"><Real unit="mm"/></ScalarVariable>
-    <ScalarVariable name="body.mass" valueReference="40" causality="parameter" variability="fixed" initial="exact"><Real unit="kg" start="2"/></ScalarVariable>
+    <ScalarVariable name="body.mass" valueReference="40" causality="parameter" variability="fixed" initial="exact"><Real unit="kg" start="2" min="0"/></ScalarVariable>
     <ScalarVariable name="label" valueReference="1" causality="local" variability="constant"><String start="cart"/></ScalarVariable>
   </ModelVariables>
   <ModelStructure>

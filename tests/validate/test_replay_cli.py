@@ -74,6 +74,14 @@ def test_what_is_not_named_is_said_and_not_shown(command: Command, folder: Path)
     assert figures["missed_impulse"]["value"] is not None
 
 
+def test_an_input_that_the_plan_does_not_drive_is_said(command: Command, folder: Path):
+    bare = '[positions]\nx = { variable = "body.pos", scale = 0.001 }\n'
+    write_plan(folder / "idle.csv", "t,x")
+    code, out, _ = command("idle.csv", "--fmu", "cart.fmu", "--map", write(folder / "idle.toml", bare), "--json")
+    assert code == 1
+    assert "drive.force" in json.loads(out)["not_shown"]["inputs"]
+
+
 def test_equal_names_need_no_map(command: Command, folder: Path):
     (folder / "own.fmu").write_bytes(build_fmu(load_scene("three_cart")).read_bytes())
     rows = [[0.01 * n, 2, 3, 4, 0, 0, 0, 1.0, -1.0] for n in range(6)]
@@ -96,13 +104,16 @@ def test_equal_names_need_no_map(command: Command, folder: Path):
         (("[goal]", "[start]\nlabel = 1\n[goal]"), "start.label: 'label' is of type String"),
         (("[goal]", '[start]\n"body.vel" = "w"\n[goal]'), "start.body.vel: the plan has no column 'w'"),
         (("scale = 0.001, unit = \"N\"", 'scale = "big", factor = 2'), "inputs.F.scale: input should be a valid number"),
-        (("scale = 0.001, unit = \"N\"", 'scale = "big", factor = 2'), "inputs.F.factor: extra inputs are not permitted"),
-        (("[goal]", "[goals]"), "goals: extra inputs are not permitted"),
+        (("scale = 0.001, unit = \"N\"", 'scale = "big", factor = 2'), "inputs.F.factor: there is no such key; there are variable, scale, offset, unit"),
+        (("[goal]", "[goals]"), "goals: there is no such key; did you mean goal?"),
         (("[positions]", 'x = "drive.force"\n[positions]'), "inputs.x: 'drive.force' is driven by the column 'F' already"),
         (("[goal]", '[parameters]\n"stop.push" = 1\n[goal]'), "parameters.stop.push: 'stop.push' is no parameter of the FMU, but output"),
         (("[goal]", '[start]\n"der(body.pos)" = 1\n[goal]'), "start.der(body.pos): 'der(body.pos)' has no start value that can be set"),
         (("\n[inputs]", 'internal_step = "body.pos"\n[inputs]'), "internal_step: 'body.pos' is no parameter of the FMU"),
         (("[goal]", "[goal"), "it is not TOML"),
+        (("[goal]\nx", "[goal]\nheight"), "goal.height: there is no position or velocity of that name; there are x, v_x."),
+        (("[goal]", '[plan]\nholds = "zero"\n[goal]'), "plan.holds: there is no such key; did you mean hold?"),
+        (("[goal]", '[parameters]\n"body.mass" = -1\n[goal]'), "parameters.body.mass: -1 is not possible: the FMU allows at least"),
     ],
 )  # fmt: skip
 def test_a_mistake_in_the_map_is_one_sentence_with_its_path(command: Command, folder: Path, change: tuple[str, str], words: str):

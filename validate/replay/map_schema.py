@@ -9,6 +9,7 @@ See docs/replay.md for all sections.
 
 from __future__ import annotations
 
+import difflib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -98,5 +99,23 @@ def read_map(path: Path) -> MapFile:
     try:
         return MapFile.model_validate(data)
     except ValidationError as error:
-        found = "; ".join(f"{'.'.join(map(str, item['loc']))}: {item['msg'][:1].lower()}{item['msg'][1:]}" for item in error.errors())
-        raise MapError(f"map {path}: {found}.") from error
+        found = "; ".join(_sentence(item["loc"], item["type"], item["msg"]) for item in error.errors(include_url=False))
+        raise MapError(f"map {path}: {found}{'' if found.endswith('?') else '.'}") from error
+
+
+def _sentence(place: tuple[str | int, ...], kind: str, words: str) -> str:
+    where = ".".join(map(str, place))
+    if kind == "extra_forbidden":
+        known = list(_model_at(place).model_fields)
+        close = difflib.get_close_matches(str(place[-1])[:100], known, n=1)
+        hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(known)}"
+        return f"{where}: there is no such key; {hint}"
+    return f"{where}: {words[:1].lower()}{words[1:]}"
+
+
+def _model_at(place: tuple[str | int, ...]) -> type[BaseModel]:
+    """The model of which the last part of this place would be a key."""
+    if len(place) == 1:
+        return MapFile
+    inside: dict[str, type[BaseModel]] = {"plan": PlanEntry, "velocities": VelocitySignal, "limits": LimitEntry, "contacts": ContactEntry}
+    return Signal if len(place) == 4 else inside.get(str(place[0]), Signal)

@@ -61,10 +61,14 @@ class _Wiring:
     def _reference(self, path: str, name: str) -> int:
         return int(self._variable(path, name).valueReference)
 
-    def _parameter(self, path: str, name: str) -> int:
+    def _parameter(self, path: str, name: str, value: float | None = None) -> int:
         variable = self._variable(path, name)
         if variable.causality != "parameter":
             raise self._fail(path, f"{name!r} is no parameter of the FMU, but {variable.causality}.")
+        if value is not None:
+            for sign, name_of, end in ((-1, "least", variable.min), (1, "most", variable.max)):
+                if end is not None and sign * value > sign * float(end):
+                    raise self._fail(path, f"{value:g} is not possible: the FMU allows at {name_of} {float(end):g}.")
         return int(variable.valueReference)
 
     def _startable(self, path: str, name: str) -> int:
@@ -96,7 +100,8 @@ class _Wiring:
         known = [*given.positions, *(self._velocity_column(name) for name in given.velocities)]
         for name in given.goal:
             if name not in known:
-                raise self._fail(f"goal.{name}", f"there is no position or velocity of that name{hint(name, known)}.")
+                near = hint(name, known) or f"; there are {', '.join(known)}"
+                raise self._fail(f"goal.{name}", f"there is no position or velocity of that name{near}.")
 
     def _check_unit(self, path: str, column: str, signal: Signal) -> None:
         """A unit that the map or the plan's header says, against the FMU's; where they differ, a scale must say how."""
@@ -138,6 +143,16 @@ class _Wiring:
         given, names = self.map, self._table.names
         contacts = given.contacts.values()
         lacks = {}
+        driven = {signal.variable for signal in given.inputs.values()}
+        idle = [
+            name
+            for name, variable in self._by_name.items()
+            if variable.causality == "input" and variable.type in REAL and name not in driven
+        ]
+        if idle:
+            lacks["inputs"] = (
+                f"the plan says nothing of inputs of the FMU, which keep their start values: {', '.join(idle[:5])}{' ...' * (len(idle) > 5)}"
+            )
         if not given.positions:
             lacks["q"] = "no positions are named"
         elif not any(name in names for name in given.positions):
@@ -181,7 +196,7 @@ class _Wiring:
                 energies={},
                 powers={},
                 zero=frozenset(),
-                parameters=tuple((self._parameter(f"parameters.{name}", name), value) for name, value in given.parameters.items()),
+                parameters=tuple((self._parameter(f"parameters.{name}", name, value), value) for name, value in given.parameters.items()),
                 start=tuple(reference for reference, _ in settings),
                 internal_step=None if internal is None else self._parameter("internal_step", internal),
             ),
