@@ -30,6 +30,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from validate.interrupts import interrupts_wait
 from validate.isolation.environment import PARENT_VARIABLE, child_environment
 from validate.isolation.guards import die_with_parent
 from validate.isolation.process import ChildProcess, Ended, end_family
@@ -93,14 +94,16 @@ class ForkServer:
         return self._process.pid
 
     def ask(self, request: dict[str, Any]) -> dict[str, Any]:
-        """The answer to a request. Raises ForkServerError if the server is gone."""
+        """The answer to a request; Ctrl-C waits for it, or the next would have the answer of this. Raises ForkServerError if the server is gone."""
         stdin, stdout = self._process.stdin, self._process.stdout
         if stdin is None or stdout is None:
             raise ForkServerError("the server has no pipes")
         try:
-            stdin.write(json.dumps(request) + "\n")
-            stdin.flush()
-            return json.loads(stdout.readline())
+            with interrupts_wait():
+                stdin.write(json.dumps(request) + "\n")
+                stdin.flush()
+                answer = stdout.readline()
+            return json.loads(answer)
         except (OSError, ValueError) as error:
             raise ForkServerError("the server is gone") from error
 
@@ -125,6 +128,7 @@ class ForkedChild(ChildProcess):
         self._server, self.pid, self.token = server, pid, token
         self._family = {}
         self._handle = os.pidfd_open(pid)
+        self._ended: Ended | None = None
 
     def has_ended(self) -> bool:
         return bool(select.select([self._handle], [], [], 0.0)[0])
@@ -133,7 +137,13 @@ class ForkedChild(ChildProcess):
         return bool(select.select([self._handle], [], [], max(0.0, seconds))[0])
 
     def end(self) -> Ended:
-        """End the child and all it started, wherever they went."""
+        """End the child and all it started, wherever they went; once more, it says the same."""
+        with interrupts_wait():
+            if self._ended is None:
+                self._ended = self._end()
+        return self._ended
+
+    def _end(self) -> Ended:
         self.look()
         strays = end_family(self.token, self.pid, self._family)
         select.select([self._handle], [], [])

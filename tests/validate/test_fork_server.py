@@ -8,6 +8,8 @@ import signal
 import sys
 import time
 import uuid
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -171,3 +173,36 @@ def test_where_there_can_be_no_server_there_is_none(monkeypatch):
     monkeypatch.setattr(module.sys, "platform", "win32")
     with fork_server(100) as server:
         assert server is None
+
+
+def test_ctrl_c_between_a_request_and_its_answer_leaves_no_answer_for_the_next(server, tmp_path, monkeypatch):
+    """It is heard when the answer is there; the cell it fell upon is ended by its token, and told of once more if it is asked twice."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    child, _, _ = _start(server, tmp_path, "seven")
+    flush = server._process.stdin.flush
+
+    def interrupted() -> None:
+        flush()
+        os.kill(os.getpid(), signal.SIGINT)
+
+    try:
+        with monkeypatch.context() as patch:
+            patch.setattr(server._process, "stdin", _Stream(server._process.stdin.write, interrupted))
+            with pytest.raises(KeyboardInterrupt):
+                _start(server, tmp_path, "zero")
+        _wait(child)
+        with monkeypatch.context() as patch:
+            patch.setattr(server._process, "stdin", _Stream(server._process.stdin.write, interrupted))
+            with pytest.raises(KeyboardInterrupt):
+                child.end()
+        assert child.end().code == 7
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@dataclass
+class _Stream:
+    """What is written, and what else happens."""
+
+    write: Callable[[str], object]
+    flush: Callable[[], None]
