@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 
 from formulations.catalog import load_method
+from formulations.solution import Outcome
+from formulations.transcription import strict
+from formulations.transcription.strict import StrictSession
 from models.catalog import load_scene
+from models.codegen.kernel import load_kernel
 from models.errors import TrajectoryError
 from models.trajectory import Trajectory, uniform_grid
 
@@ -55,3 +59,29 @@ def test_a_plan_that_is_one_is_started_from(cold):
 def test_a_plan_of_another_grid_is_refused_before_it_is_looked_at(cold):
     with load_method("strict_lcp").open(SCENE) as session, pytest.raises(TrajectoryError, match="warm start"):
         session.solve(eps=None, warm_start=replace(line(1.0), t=uniform_grid(2 * STEP, STEPS)), time_limit=60.0)
+
+
+def test_a_plan_that_leads_nowhere_with_ipopts_own_barrier_is_tried_once_more_from_inside_its_bounds(monkeypatch):
+    """A nonlinear scene's attack goes by way of looser bounds, the first of them from the plan: cut off here after so many iterations that it cannot be done."""
+    scene = load_scene("acrobot_limits").with_task(steps=100, step=0.01)
+    task = scene.task
+    motion = load_kernel(scene).rollout(np.array(task.start), np.zeros((task.steps, scene.nu)), task.step)
+    plan = Trajectory(t=uniform_grid(task.step, task.steps), q=motion.q, v=motion.v, u=np.zeros((task.steps, scene.nu)), lam=motion.lam)
+    asked: list[tuple[int, float, float]] = []
+
+    def attempt(self, bench, account, eps, options, *rest, own=StrictSession.attempt, **named):
+        begun = account.iterations
+        result = own(self, bench, account, eps, options, *rest, **named)
+        asked.append((options["max_iter"] - begun, options.get("bound_push", -1.0), account.iterations - begun))
+        return result
+
+    monkeypatch.setattr(strict, "_FROM_PLAN", 3)
+    monkeypatch.setattr(StrictSession, "attempt", attempt)
+    with load_method("strict_lcp").open(scene) as session:
+        found = session.solve(eps=None, warm_start=plan, time_limit=600.0)
+        inside = session.cold_options()["bound_push"]
+    assert found.outcome is Outcome.SOLVED, found.message
+    (first, its_push, spent), (second, inside_push, _) = asked[:2]
+    assert (first, spent) == (3, 3)
+    assert second > 3
+    assert its_push != inside_push == inside
