@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 import click
 
+from validate.cli.completion import scenes
 from validate.tools import DEFAULT_TOOLS
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
@@ -35,6 +36,7 @@ _CHOOSING = (
         "scenes",
         multiple=True,
         metavar="NAME|FILE.py",
+        shell_complete=scenes,
         help="Only this scene, by name or by the path of a scene file; may be repeated.",
     ),
     click.option(

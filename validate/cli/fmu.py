@@ -7,6 +7,8 @@ from pathlib import Path
 
 import click
 
+from validate.cli.completion import scenes
+
 
 @click.command(
     epilog="""\b
@@ -20,7 +22,7 @@ Exit codes: 0 written; 2 usage, or a scene that no FMU can carry; 3 no compiler,
 or it cannot be written.
 """
 )
-@click.argument("scene", metavar="NAME|FILE.py")
+@click.argument("scene", metavar="NAME|FILE.py", shell_complete=scenes)
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path, dir_okay=False), required=True, metavar="FILE", help="Where to write the FMU."
 )

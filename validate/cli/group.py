@@ -15,11 +15,14 @@ import traceback
 from collections.abc import Sequence
 
 import click
+from click.shell_completion import shell_complete
 
 from models.errors import TouchstoneError
 from validate.cli.table import one_line
 
 PROGRAM = "python -m validate"
+INSTALLED = "touchstone"  # the same as a program of its own, which shells can complete
+_COMPLETE = "_TOUCHSTONE_COMPLETE"
 INTERRUPTED = 130
 # name -> what the overview says; the command itself is `command` in validate/cli/<name>.py.
 _COMMANDS = {
@@ -69,7 +72,7 @@ class _Group(click.Group):
         return importlib.import_module(f"validate.cli.{cmd_name}").command
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
-        if args and args[0] not in _COMMANDS and not args[0].startswith("-"):
+        if args and args[0] not in _COMMANDS and not args[0].startswith("-") and not ctx.resilient_parsing:
             close = difflib.get_close_matches(args[0], _COMMANDS, n=1)
             hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(_COMMANDS)}."
             raise click.UsageError(f"there is no command {args[0]!r}; {hint}", ctx=ctx)
@@ -94,6 +97,8 @@ def run(arguments: Sequence[str]) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without our characters shows others instead of failing
+    if wanted := os.environ.get(_COMPLETE):
+        return shell_complete(group, {}, INSTALLED, _COMPLETE, wanted)
     try:
         code = group.main(list(arguments), prog_name=PROGRAM, standalone_mode=False, obj=tuple(arguments))
         sys.stdout.flush()

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from validate.cli.completion import scenes
 from validate.cli.numbers import FiniteRange
 from validate.cli.table import one_line, short, table, use_colour
 
@@ -32,7 +33,7 @@ in plan, map or FMU; 3 this machine cannot.
 """
 )
 @click.argument("plan", type=click.Path(path_type=Path), metavar="PLAN.csv")
-@click.option("--scene", metavar="NAME|FILE.py", help="The scene the plan is for.")
+@click.option("--scene", metavar="NAME|FILE.py", shell_complete=scenes, help="The scene the plan is for.")
 @click.option("--fmu", type=click.Path(path_type=Path), metavar="FILE.fmu", help="Somebody's FMU (2.0 or 3.0) instead of a scene's own.")
 @click.option(
     "--map",
