@@ -111,10 +111,11 @@ class Certificate:
     @property
     def sentence(self) -> str:
         b = {True: "B-stationary", False: f"not B-stationary (slope {self.descent:.1e})", None: "B-stationarity unknown"}[self.b_stationary]
-        return (
-            f"primal {self.primal:.1e}, complementarity {self.complementarity:.1e}, dual {self.dual:.1e} (unscaled, recomputed from the model); "
-            f"class {self.stationarity.letter}, {b}, {self.biactive} of {self.pairs} pairs biactive{self._signs}"
-        )
+        measured = f"primal {self.primal:.1e}, complementarity {self.complementarity:.1e}, dual {self.dual:.1e} (unscaled, recomputed from the model)"
+        if not self._within:
+            where = f", most in {self.worst}" if self.worst and not self.primal_relative <= self.tolerances.feasibility else ""
+            return f"{measured}; not feasible{where}, so it is stationary in no class"
+        return f"{measured}; class {self.stationarity.letter}, {b}, {self.biactive} of {self.pairs} pairs biactive{self._signs}"
 
     @property
     def _signs(self) -> str:
