@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -26,7 +27,7 @@ def named(name: str) -> tuple[Trial, ...]:
 def test_this_machine_runs_the_main_job(tmp_path):
     done = doctor("--out", str(tmp_path / "not" / "yet" / "there"), "--json")
     found = {finding["name"]: finding for finding in json.loads(done.stdout)["findings"]}
-    assert {"Python", "store", "C compiler", "Ipopt", "PyTorch", "FMU"} <= set(found)
+    assert {"Python", "store", "C compiler", "cache", "Ipopt", "PyTorch", "FMU"} <= set(found)
     assert all(finding["state"] == "works" for name, finding in found.items() if "extra" not in name), found
     assert done.returncode == 0
     assert list(tmp_path.iterdir()) == [], "nothing is left behind"
@@ -38,6 +39,14 @@ def test_without_a_compiler_the_remedy_is_named(tmp_path, monkeypatch):
     assert finding.state is State.BROKEN
     assert "CC is '/nonexistent/cc'" in finding.sentence
     assert "touchstone-contact[compiler]" in finding.remedy
+
+
+def test_what_rests_on_something_broken_is_not_to_be_installed_again(tmp_path, monkeypatch):
+    monkeypatch.setenv("TOUCHSTONE_CACHE", str(Path(__file__) / "below_a_file"))
+    cache, fmu = list(examine_machine(tmp_path, (*named("cache"), *named("FMU"))))[-2:]
+    assert (cache.state, cache.remedy) == (State.BROKEN, "set TOUCHSTONE_CACHE to a folder you can write")
+    assert str(Path(__file__) / "below_a_file") in cache.sentence
+    assert (fmu.state, fmu.remedy) == (State.BROKEN, "mend cache first")
 
 
 def test_a_compiler_that_computes_something_else_is_found(tmp_path, monkeypatch):

@@ -26,7 +26,7 @@ _COLOURS = {"works": "green", "not installed": "yellow", "does not work": "red"}
 )
 @click.option("--json", "as_json", is_flag=True, help="The findings as JSON on stdout.")
 def command(out: Path, as_json: bool) -> int:
-    """Try each thing the main job needs - compiler, Ipopt, PyTorch, an FMU in a child, the store - and say how to mend what fails."""
+    """Try each thing the main job needs - compiler, cache, Ipopt, PyTorch, an FMU in a child, the store - and say how to mend what fails."""
     from validate.doctor import State, examine_machine
 
     findings = []

@@ -8,7 +8,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 
@@ -40,27 +40,31 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
-    """needed: the main job does not work without it; absent: what an empty answer means; remedy: how to mend it."""
+    """needed: the main job does not work without it; absent: what an empty answer means; remedy: how to mend it; rests_on: trials that it cannot
+    pass if they fail."""
 
     name: str
     function: str
     remedy: str
     needed: bool = True
     absent: str = ""
+    rests_on: tuple[str, ...] = ()
 
 
 TRIALS = (
     Trial(name="C compiler", function="compiler", remedy="pip install 'touchstone-contact[compiler]', or set CC to a compiler you have"),
+    Trial(name="cache", function="cache", remedy="set TOUCHSTONE_CACHE to a folder you can write"),
     Trial(
         name="Ipopt",
         function="ipopt",
         remedy="pip install --force-reinstall cyipopt-wheels==1.7.0.dev0; TOUCHSTONE_IPOPT=cyipopt leaves the other one out",
     ),
-    Trial(name="PyTorch", function="gradient", remedy="pip install --force-reinstall 'torch>=2.4'"),
+    Trial(name="PyTorch", function="gradient", remedy="pip install --force-reinstall 'torch>=2.4'", rests_on=("C compiler", "cache")),
     Trial(
         name="FMU",
         function="fmu",
         remedy="pip install --force-reinstall fmpy scikit-sundae; a temporary folder that allows execution (TMPDIR)",
+        rests_on=("C compiler", "cache"),
     ),
     Trial(
         name="proofs (extra [global])",
@@ -76,8 +80,15 @@ def examine_machine(out: Path, trials: tuple[Trial, ...] = TRIALS) -> Iterator[F
     """One finding after the other, as they are made. out: the folder a campaign would write to."""
     yield _interpreter()
     yield _store(out)
+    broken = set()
     for trial in trials:
-        yield _tried(trial)
+        finding = _tried(trial)
+        if finding.state is State.BROKEN:
+            first = [name for name in trial.rests_on if name in broken]
+            if first:
+                finding = replace(finding, remedy=f"mend {' and '.join(first)} first")
+            broken.add(trial.name)
+        yield finding
 
 
 def _interpreter() -> Finding:

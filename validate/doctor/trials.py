@@ -47,6 +47,19 @@ def compiler(request: Any, arrays: Any) -> str:
     return found.describe()
 
 
+def cache(request: Any, arrays: Any) -> str:
+    """Write where compiled scenes and FMUs are kept, and leave nothing."""
+    from models.codegen.cache import cache_folder
+
+    folder = cache_folder()
+    try:
+        with tempfile.TemporaryDirectory(dir=folder, prefix="touchstone-doctor-") as inside:
+            Path(inside, "file").write_bytes(b"touchstone")
+    except OSError as error:
+        raise MachineError(f"the cache folder {folder} cannot be written to ({error.strerror}).") from error
+    return f"compiled scenes and FMUs are kept in {folder}"
+
+
 def ipopt(request: Any, arrays: Any) -> str:
     """Solve problem 71 of Hock and Schittkowski through Pyomo."""
     import pyomo.environ as pyo
