@@ -292,17 +292,3 @@ def test_class_letters_by_multipliers():
         certificate = certify(m)
         assert certificate.stationarity.letter == letter
         assert certificate.b_stationary is (letter == "S")
-
-
-def test_a_point_that_is_not_feasible_is_of_no_class():
-    m = two(near, start=0.5)
-    m.apart = pyo.Constraint(expr=m.x * m.y >= 1)
-    assert certify(m).sentence.endswith("; not feasible, most in apart, so it is stationary in no class")
-    m.x.value = m.y.value = None
-    assert certify(m).sentence.endswith("so it is stationary in no class")
-    assert "class S, B-stationary" in certify(solved(two(near))).sentence
-
-
-def solved(model: pyo.ConcreteModel) -> pyo.ConcreteModel:
-    solver().solve(model)
-    return model

@@ -1,0 +1,36 @@
+"""What a certificate says of a point in words."""
+
+from __future__ import annotations
+
+import pyomo.environ as pyo
+import pytest
+from pyomo.mpec import Complementarity, complements
+
+from formulations.mpec import certify
+
+
+def at(x: float | None, y: float | None) -> str:
+    """Of min (x - 1)^2 + (y - 2)^2, where x and y complement each other and x <= 3."""
+    m = pyo.ConcreteModel()
+    m.x, m.y = pyo.Var(initialize=x), pyo.Var(initialize=y)
+    m.least = pyo.Constraint(expr=m.x <= 3)
+    m.cost = pyo.Objective(expr=(m.x - 1) ** 2 + (m.y - 2) ** 2)
+    m.pair = Complementarity(expr=complements(m.x >= 0, m.y >= 0))
+    return certify(m).sentence
+
+
+def test_a_stationary_point_has_a_class():
+    assert at(0.0, 2.0).endswith("class S, B-stationary, 0 of 1 pairs biactive")
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "end"),
+    [
+        (5.0, 0.0, "; not feasible, most in least, so it is stationary in no class"),
+        (0.5, 0.5, "; not feasible, so it is stationary in no class"),
+        (None, None, "so it is stationary in no class"),
+    ],
+)
+def test_a_point_that_is_not_feasible_is_of_no_class(x, y, end):
+    assert at(x, y).endswith(end)
+    assert "B-stationar" not in at(x, y)
