@@ -6,7 +6,10 @@ import contextlib
 import errno
 import os
 import socket
+import tempfile
 import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from models.errors import MachineError
@@ -44,6 +47,25 @@ def remove(path: Path) -> None:
         path.unlink(missing_ok=True)
     except OSError as error:
         raise disk_error(path, error) from error
+
+
+def no_temporary_folder(error: OSError) -> MachineError:
+    """One sentence for a machine on which no temporary folder can be made."""
+    where = f": {error.filename}" if error.filename else ""
+    return MachineError(
+        f"no temporary folder can be made ({error.strerror or error}{where}); make room or set TMPDIR to a folder you can write."
+    )
+
+
+@contextmanager
+def temporary_folder(prefix: str) -> Iterator[Path]:
+    """A folder that is gone afterwards. Raises MachineError where none can be made."""
+    try:
+        folder = tempfile.TemporaryDirectory(prefix=prefix, ignore_cleanup_errors=True)
+    except OSError as error:
+        raise no_temporary_folder(error) from error
+    with folder as name:
+        yield Path(name)
 
 
 def make_folder(path: Path) -> None:

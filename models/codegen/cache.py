@@ -20,17 +20,20 @@ from models.errors import MachineError
 _BUILDING = "building-"
 
 
-def cache_folder() -> Path:
-    """The cache folder, created if needed. Raises MachineError if it cannot be written."""
+def _place() -> Path:
     given = os.environ.get("TOUCHSTONE_CACHE")
     if given:
-        folder = Path(given)
-    elif sys.platform == "win32":
-        folder = Path(os.environ.get("LOCALAPPDATA", str(Path.home()))) / "touchstone"
-    elif sys.platform == "darwin":
-        folder = Path.home() / "Library" / "Caches" / "touchstone"
-    else:
-        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "touchstone"
+        return Path(given)
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", str(Path.home()))) / "touchstone"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "touchstone"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "touchstone"
+
+
+def cache_folder() -> Path:
+    """The cache folder, created if needed. Raises MachineError if it cannot be written."""
+    folder = _place()
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -57,15 +60,16 @@ def _lives(process: int) -> bool:
 
 
 def cached(key_text: str, suffix: str, build: Callable[[Path], None]) -> Path:
-    """The file for this content: found, or made by `build(path)` in a temporary place and renamed.
+    """The file for this content: found, be it in a folder that cannot be written, or made by `build(path)` in a temporary place and renamed.
 
     Two processes may build the same file at once; both end with a whole one. What a process left that was killed while it built goes with
     the next one that builds. Raises MachineError when the disk refuses.
     """
     key = hashlib.sha256(key_text.encode()).hexdigest()
-    target = cache_folder() / f"{key[:32]}{suffix}"
+    target = _place() / f"{key[:32]}{suffix}"
     if target.exists():
         return target
+    cache_folder()
     _remove_what_the_dead_left(target.parent)
     try:
         with tempfile.TemporaryDirectory(dir=target.parent, prefix=f"{_BUILDING}{os.getpid()}-{socket.gethostname()}-") as folder:

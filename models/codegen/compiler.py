@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib.util
 import os
 import shlex
@@ -117,4 +118,6 @@ def compile_shared(
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode != 0 or not output.exists():
         lines = "; ".join(done.stderr.strip().splitlines()[:3]) or "it ended without writing a library"
+        if os.strerror(errno.ENOSPC) in done.stderr:
+            raise MachineError(f"the C compiler ({compiler.version}) had no room for its files ({lines}); make room there.")
         raise MachineError(f"the C compiler ({compiler.version}) refused the generated code of {', '.join(units)}: {lines}")

@@ -50,7 +50,9 @@ def build_fmu(scene: Scene, version: str = "2.0", platforms: Sequence[str] = ())
 
     def build(path: Path) -> None:
         content = {name: text.encode() for name, text in (files | experiment_texts(scene)).items()}
-        pack(path, content | _icons(standard) | _binaries(files, standard, identifier, compilers), first="modelDescription.xml")
+        pack(
+            path, content | _icons(standard) | _binaries(files, standard, identifier, compilers, path.parent), first="modelDescription.xml"
+        )
 
     return cached(key, f".{identifier}.fmu", build)
 
@@ -93,10 +95,13 @@ def _icons(standard: Standard) -> dict[str, bytes]:
     return icons | ({"model.png": pixels} if standard.version == "2.0" else {})
 
 
-def _binaries(files: Mapping[str, str], standard: Standard, identifier: str, compilers: Mapping[Platform, Compiler]) -> dict[str, bytes]:
+def _binaries(
+    files: Mapping[str, str], standard: Standard, identifier: str, compilers: Mapping[Platform, Compiler], place: Path
+) -> dict[str, bytes]:
+    """Compiled in a folder below `place`, which goes with it if we are killed."""
     sources = {name.removeprefix("sources/"): text for name, text in files.items() if name.startswith("sources/")}
     binaries = {}
-    with tempfile.TemporaryDirectory(prefix="touchstone-fmu-") as temporary:
+    with tempfile.TemporaryDirectory(prefix="touchstone-fmu-", dir=place) as temporary:
         for platform, compiler in compilers.items():
             library = Path(temporary) / f"{platform.name}{platform.suffix}"
             compile_shared(compiler, sources, library, include_dirs=[Path(standard.header_folder)], flags=platform.flags)

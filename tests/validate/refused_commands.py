@@ -1,6 +1,7 @@
 """Command lines whose disk refuses: each in a fork of this process, which has tests/validate/refusing_disk.c in LD_PRELOAD.
 
-    {"words": [..], "below": folder, "first": number, "last": number, "error": errno, "told": file}  ->  [exit code, number of requests]
+    {"words": [..], "below": folder, "first": number, "last": number, "error": errno, "told": file, "environment": {..}}
+        ->  [exit code, number of requests]
 
 A line of JSON each. What the command says is in the file `told`. Cells do not run: what an earlier campaign stored of them, in the folder that CELLS
 names, is copied by their process.
@@ -14,6 +15,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -50,6 +52,9 @@ class _Copied(ChildProcess):
 def _run(request: dict[str, Any]) -> list[int]:
     disk = ctypes.CDLL(None)
     disk.requests.restype = ctypes.c_long
+    os.environ.update(request.get("environment", {}))
+    tempfile.tempdir = None  # found anew
+    tempfile.gettempdir()
     told = os.open(request["told"], os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     os.dup2(told, 1)
     os.dup2(told, 2)

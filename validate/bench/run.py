@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from reports.suite_record import SuiteRecord, SuiteRow
 from validate.bench.case import OURS, Case, Sample, Size
 from validate.bench.figures import figures
 from validate.bench.suite import CASES, FULL_SIZES, YARDSTICK
+from validate.disk import temporary_folder
 from validate.isolation import Limits, run_isolated
 from validate.selection import matches
 
@@ -84,12 +84,12 @@ def run_suite(settings: Settings, narrate: Callable[[str], None] = lambda senten
 
     jobs, left_out = plan(settings, cases)
     before = _load()
-    with tempfile.TemporaryDirectory(prefix="touchstone-bench-") as folder:
+    with temporary_folder("touchstone-bench-") as folder:
         if settings.campaign is not None:
             from validate.bench.stages.command_line import copy_records
 
-            copy_records(settings.campaign, Path(folder))
-        samples = _measured(jobs, settings, folder, narrate)
+            copy_records(settings.campaign, folder)
+        samples = _measured(jobs, settings, str(folder), narrate)
     after = _load()
     rows = tuple(_row(case, size, found) for (case, size), found in samples.items())
     return SuiteRecord(

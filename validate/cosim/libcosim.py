@@ -13,12 +13,13 @@ import importlib.util
 import json
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 from time import process_time
 from typing import Any
 
 import numpy as np
+
+from validate.disk import disk_error, temporary_folder
 
 FIXED, ECCO = "fixed", "ecco"
 # ECCO may shorten its step to this share of the longest one.
@@ -38,14 +39,17 @@ def libcosim_refusal() -> str | None:
 def run_libcosim(
     scene: Any, start: np.ndarray, u: np.ndarray, h: float, times: np.ndarray, inner_step: float, algorithm: str
 ) -> tuple[np.ndarray, np.ndarray, float, int] | str:
-    """(time reached [s] (n,), motion there (n, 2 nq), CPU seconds, steps), or a sentence why it failed.
+    """(time reached [s] (n,), motion there (n, 2 nq), CPU seconds, steps), or a sentence why it failed. Raises MachineError where its files cannot be written.
 
     times: when the motion is wanted; ECCO's own steps pass them by less than h. h: the step, of ECCO the longest one.
     """
     job = _job(scene, start, u, h, times, inner_step, algorithm)
-    with tempfile.TemporaryDirectory(prefix="touchstone-cosim-") as folder:
-        paths = [Path(folder) / name for name in ("job.json", "result.json")]
-        paths[0].write_text(json.dumps(job), encoding="utf-8")
+    with temporary_folder("touchstone-cosim-") as folder:
+        paths = [folder / name for name in ("job.json", "result.json")]
+        try:
+            paths[0].write_text(json.dumps(job), encoding="utf-8")
+        except OSError as error:
+            raise disk_error(paths[0], error) from error
         command = [sys.executable, "-m", "validate.cosim.libcosim", *map(str, paths)]
         try:
             done = subprocess.run(command, capture_output=True, timeout=_PATIENCE, check=False)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import tempfile
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
 from models.errors import MachineError, UnknownNameError
+from validate.disk import temporary_folder
 from validate.fmu_check.archive import ARCHIVE_CHECKS, archive
 from validate.fmu_check.catalog import NAMES
 from validate.fmu_check.result import CheckReport, Row, Status
@@ -40,7 +40,7 @@ def check_fmu(path: Path, *, names: Sequence[str] | None = None, seconds: float 
 
 
 def _unpacked(path: Path, names: Sequence[str] | None, seconds: float, unrunnable: bool) -> CheckReport:
-    with tempfile.TemporaryDirectory(prefix="touchstone-check-", ignore_cleanup_errors=True) as folder:
+    with temporary_folder("touchstone-check-") as folder:
         try:
             with zipfile.ZipFile(path) as packed:
                 packed.extractall(folder)
@@ -48,7 +48,7 @@ def _unpacked(path: Path, names: Sequence[str] | None, seconds: float, unrunnabl
             raise IntakeError(Problem("zip", f"FMU {path}: it cannot be unpacked ({error}); it is damaged.")) from error
         except OSError as error:
             raise MachineError(f"FMU {path}: it cannot be unpacked to {folder} ({error.strerror or error}).") from error
-        request = {"path": str(path.resolve()), "folder": folder, "names": None if names is None else list(names), "seconds": seconds}
+        request = {"path": str(path.resolve()), "folder": str(folder), "names": None if names is None else list(names), "seconds": seconds}
         limits = Limits(seconds=60.0 + 2 * len(NAMES) * seconds, memory=_MEMORY)
         done = run_isolated("validate.fmu_check.host:run_checks", request, limits=limits, what=f"the check of {path}")
     if not done.ok:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.errors import MachineError
-from validate.disk import raise_if_disk_ended
+from validate.disk import no_temporary_folder, raise_if_disk_ended
 from validate.isolation.ending import Ending
 from validate.isolation.process import ChildProcess, Ended, exit_in_words, shared_watchdog
 
@@ -82,9 +82,7 @@ def run_isolated(
     try:
         folder = Path(tempfile.mkdtemp(prefix=FOLDER_PREFIX)).resolve()
     except OSError as error:
-        raise MachineError(
-            f"no temporary folder can be made in {tempfile.gettempdir()} ({error.strerror}); make room or set TMPDIR."
-        ) from error
+        raise no_temporary_folder(error) from error
     dog = shared_watchdog()
     dog.tell("start", token, str(folder))
     try:

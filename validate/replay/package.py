@@ -7,7 +7,6 @@ with unpacked(package) as package: ...
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -16,6 +15,7 @@ from typing import Any
 
 from models.dynamics import derive
 from models.scene import Scene
+from validate.disk import temporary_folder
 from validate.isolation.intake import FmuError, Intake, examine, unpack
 from validate.replay.wiring import ENERGIES, INTERNAL_STEP, POWERS, Variables
 
@@ -72,9 +72,9 @@ def unpacked(package: Package) -> Iterator[Package]:
     if package.folder is not None:
         yield package
         return
-    with tempfile.TemporaryDirectory(prefix="touchstone-replay-", ignore_cleanup_errors=True) as folder:
-        unpack(package.intake, Path(folder), leave_out=_NOT_RUN)
-        yield replace(package, folder=Path(folder))
+    with temporary_folder("touchstone-replay-") as folder:
+        unpack(package.intake, folder, leave_out=_NOT_RUN)
+        yield replace(package, folder=folder)
 
 
 def find_variables(package: Package, scene: Scene, names: Mapping[str, str] | None = None) -> Variables:

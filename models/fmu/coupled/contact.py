@@ -48,7 +48,7 @@ def build_contact(part: ContactPart) -> Path:
         content["model.png"] = content["terminalsAndIcons/icon.png"] = (_ICON / "icon.png").read_bytes()
         content["terminalsAndIcons/icon.svg"] = (_ICON / "icon.svg").read_bytes()
         sources = {name.removeprefix("sources/"): text for name, text in texts.items() if name.startswith("sources/")}
-        with tempfile.TemporaryDirectory(prefix="touchstone-fmu-") as folder:
+        with tempfile.TemporaryDirectory(prefix="touchstone-fmu-", dir=path.parent) as folder:
             for platform, compiler in compilers.items():
                 library = Path(folder) / f"{platform.name}{platform.suffix}"
                 compile_shared(compiler, sources, library, flags=platform.flags)
