@@ -1,6 +1,6 @@
 """What is possible in a scene, but hardly meant: told before anything runs, and nothing more.
 
-scene_doubts(scene)     # ("scene own: contact wall is 0.4 m deep at the start, 8 times its nominal 0.05 m; ...",)
+scene_doubts(scene)     # ("scene own: contact wall is 0.4 deep at the start, 8 times its nominal 0.05; ...",)
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ def _deep_starts(scene: Scene) -> list[str]:
         depth = float(contact.penetration.subs(start).evalf())
         if depth > DEEP * contact.nominal:
             found.append(
-                f"scene {scene.name}: contact {contact.name} is {depth:.3g} m deep at the start, {depth / contact.nominal:.3g} times its nominal "
-                f"{contact.nominal:.3g} m; is the sign of its penetration right? It is positive in contact."
+                f"scene {scene.name}: contact {contact.name} is {depth:.3g} deep at the start, {depth / contact.nominal:.3g} times its nominal "
+                f"{contact.nominal:.3g}; is the sign of its penetration right? It is positive in contact."
             )
     return found
 

@@ -59,6 +59,8 @@ def read_settings(options: Mapping[str, Any]) -> Settings:
             close = difflib.get_close_matches(name, [*_OWN, *known_options()], n=1)
             if close and close[0] in _OWN:
                 raise UnknownOptionError(f"there is no option '{name}': did you mean '{close[0]}'?")
+            if not close:
+                raise UnknownOptionError(f"there is no option '{name}', neither Ipopt's nor one of mpec_ipopt: {', '.join(_OWN)}")
     checked_options(ipopt)
     return Settings(**{name: _checked(name, value) for name, value in own.items()}, ipopt=MappingProxyType(ipopt))
 

@@ -30,6 +30,7 @@ def solver(**options):
     [
         ({"strategy": "magic"}, ["'strategy'", "scholtes", "'magic'"]),
         ({"strateg": "scholtes"}, ["'strateg'", "'strategy'"]),
+        ({"zzzz": 1}, ["'zzzz'", "neither Ipopt's", "strategy, eps_start, eps_end"]),
         ({"eps_start": -1.0}, ["'eps_start'", "positive"]),
         ({"eps_end": "small"}, ["'eps_end'", "number"]),
         ({"polish": "maybe"}, ["'polish'", "True or False"]),
