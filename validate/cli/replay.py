@@ -105,10 +105,11 @@ def _of_scene(scene: str, plan: Path, hold: str | None, limits: Any, track: bool
 
     loaded = load_scene(scene)
     trajectory = read_csv(plan, loaded, Hold.LINEAR if hold == "linear" else Hold.ZERO_ORDER)
+    replayed = replay(loaded, build_fmu(loaded), trajectory, limits=limits, track=track or None)
     other = trajectory.other_duration(loaded)
     if other:
         click.echo(one_line(f"warning: plan {plan}: {other}"), err=True)
-    return loaded, trajectory, replay(loaded, build_fmu(loaded), trajectory, limits=limits, track=track or None)
+    return loaded, trajectory, replayed
 
 
 def _of_fmu(
