@@ -42,4 +42,4 @@ def test_a_plan_that_takes_its_time_is_refused():
 
 def test_an_outcome_in_words_is_refused():
     with pytest.raises(TypeError, match="must be an Outcome, not str"):
-        run(Solution(method="m", outcome="solved"))  # type: ignore[arg-type]
+        run(Solution(method="m", outcome="solved"))  # type: ignore[arg-type] - what a method of somebody else may hand back
