@@ -136,6 +136,7 @@ def _hash(content: Mapping[str, Any]) -> str:
         "threads": THREADS,
         "libraries": library_versions(),
         "ipopt": os.environ.get("TOUCHSTONE_IPOPT", ""),
+        "linear_solver": os.environ.get("TOUCHSTONE_LINEAR_SOLVER", ""),
         "compiler": compiler_text(),
         "machine": platform.machine(),
     }

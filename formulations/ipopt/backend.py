@@ -55,6 +55,10 @@ class Backend(Protocol):
         """Whether its Ipopt has an option of that name."""
         ...
 
+    def takes_ldlt(self) -> bool:
+        """Whether its Ipopt can be handed our factorisation."""
+        ...
+
     @property
     def evaluation_error(self) -> type[Exception]: ...
 

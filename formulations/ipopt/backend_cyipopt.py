@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from functools import cache
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from formulations.ipopt.backend import Answer
 from formulations.ipopt.errors import UnknownOptionError
 from formulations.ipopt.evaluations import Evaluations
 from formulations.ipopt.guard import Guard
+from formulations.ipopt.linear_solver import LDLT, available, ldlt_library
 
 
 class Cyipopt:
@@ -33,6 +35,9 @@ class Cyipopt:
     def knows(self, option: str) -> bool:
         return True  # `options.known_options` is the list of its Ipopt
 
+    def takes_ldlt(self) -> bool:
+        return available() and _loads_solvers()
+
     @property
     def evaluation_error(self) -> type[Exception]:
         from cyipopt import CyIpoptEvaluationError
@@ -55,7 +60,8 @@ class Cyipopt:
         )
         try:
             for name, value in options.items():
-                _set_option(nlp, name, value)
+                for part, setting in _settings(name, value):
+                    _set_option(nlp, part, setting)
             duals = {} if start.lagrange is None else {"lagrange": start.lagrange, "zl": start.zl, "zu": start.zu}
             x, info = nlp.solve(start.x, **duals)
         finally:
@@ -70,6 +76,39 @@ class Cyipopt:
             zl=np.array(info["mult_x_L"], dtype=float),
             zu=np.array(info["mult_x_U"], dtype=float),
         )
+
+
+def _settings(name: str, value: str | int | float) -> tuple[tuple[str, str | int | float], ...]:
+    """Our factorisation stands behind the calls of MA27."""
+    if name == "linear_solver" and value == LDLT:
+        return (("hsllib", str(ldlt_library())), ("linear_solver", "ma27"))
+    return ((name, value),)
+
+
+@cache
+def _loads_solvers() -> bool:
+    """Whether this Ipopt was built to load linear solvers at run time, as those of the wheels are."""
+    import cyipopt
+
+    nlp = cyipopt.Problem(1, 0, _Nothing(), [0.0], [1.0])
+    try:
+        nlp.add_option("hsllib", str(ldlt_library()))
+        nlp.add_option("linear_solver", "ma27")
+    except TypeError:
+        return False
+    finally:
+        nlp.close()
+    return True
+
+
+class _Nothing:
+    """A problem that is never solved."""
+
+    def objective(self, x: np.ndarray) -> float:
+        return 0.0
+
+    def gradient(self, x: np.ndarray) -> np.ndarray:
+        return 0.0 * x
 
 
 def _set_option(nlp, name: str, value: str | int | float) -> None:

@@ -1,7 +1,8 @@
-"""Ipopt through ipyopt: an older Ipopt (3.12) whose linear algebra is three to four times faster on banded problems.
+"""Ipopt through ipyopt: an older Ipopt (3.12) whose MUMPS is three to four times faster on banded problems.
 
-Measured on `three_cart`, T = 500, strict complementarity after softplus collocation: 118 iterations in 4.7 CPU s with cyipopt, 110 in 1.2
-with this one, the same optimum to 1e-13 - the MUMPS in its wheel amalgamates the elimination tree, the other one does not.
+Measured with MUMPS on `three_cart`, T = 500, strict complementarity after softplus collocation: 118 iterations in 4.7 CPU s with cyipopt, 110 in
+1.2 with this one, the same optimum to 1e-13 - the MUMPS in its wheel amalgamates the elimination tree, the other one does not. With our own
+factorisation (`linear_solver`) the two are nearly equal.
 
 ipyopt knows no wall-time limit and no way to say that a point cannot be evaluated but NaN; `Guard` and the adapters below see to both.
 """
@@ -20,10 +21,12 @@ from formulations.ipopt.backend import Answer, Intermediate, Start
 from formulations.ipopt.errors import UnknownOptionError
 from formulations.ipopt.evaluations import Evaluations
 from formulations.ipopt.guard import Guard
+from formulations.ipopt.linear_solver import LDLT, available, hand_to
 from formulations.ipopt.problem import IpoptProblem
 from formulations.ipopt.status import STATUS_NAMES
 
 _USER_STOP, _TIME_LIMIT = 5, -5
+_MA27 = "ma27"  # whose calls our factorisation stands behind
 
 
 class NotFiniteError(ArithmeticError):
@@ -56,6 +59,11 @@ class Ipyopt:
         # The time limit is kept by the guard below; the file of options is never read (its name is set empty).
         return option in {"max_wall_time", "option_file_name"} or option in _known_options()
 
+    def takes_ldlt(self) -> bool:
+        import ipyopt.ipyopt
+
+        return available() and hand_to(str(ipyopt.ipyopt.__file__))
+
     def run(
         self,
         problem: IpoptProblem,
@@ -86,6 +94,8 @@ class Ipyopt:
         )
         # A derivative that is not finite must end the solve, not reach the factorisation.
         for name, value in {"check_derivatives_for_naninf": "yes", **options}.items():
+            if name == "linear_solver" and value == LDLT:
+                value = _MA27
             if name != "max_wall_time":
                 _set_option(nlp, name, value)
         x = _floats(start.x)

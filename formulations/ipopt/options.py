@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import Any
 
 from formulations.ipopt.errors import UnknownOptionError
+from formulations.ipopt.linear_solver import LINEAR_SOLVERS
 
 _YES_NO = ("yes", "no")
 
@@ -111,9 +112,11 @@ def _checked(name: str, value: Any) -> str | int | float:
     if name in _REFUSED:
         raise UnknownOptionError(f"the Ipopt option '{name}' cannot be set here: {_REFUSED[name]}")
     if name == "linear_solver":
-        if value == "mumps":
-            return "mumps"
-        raise UnknownOptionError(f"linear_solver '{value}' is not in the installed Ipopt, which would end the process: use 'mumps'")
+        if value in LINEAR_SOLVERS:
+            return str(value)
+        raise UnknownOptionError(
+            f"linear_solver '{value}' is not in the installed Ipopt, which would end the process: use {' or '.join(map(repr, LINEAR_SOLVERS))}"
+        )
     if name in _CHOICES:
         word = ("yes" if value else "no") if isinstance(value, bool) and _CHOICES[name] == _YES_NO else str(value)
         if word not in _CHOICES[name]:

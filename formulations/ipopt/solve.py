@@ -12,6 +12,7 @@ import numpy as np
 from formulations.ipopt.backend import Answer, Backend, Start
 from formulations.ipopt.backends import default_backend
 from formulations.ipopt.evaluations import Evaluations
+from formulations.ipopt.linear_solver import linear_solver
 from formulations.ipopt.options import DEFAULTS, checked_options
 from formulations.ipopt.problem import IpoptProblem
 from formulations.ipopt.residuals import FEASIBILITY, UNKNOWN, Residuals, residuals
@@ -46,7 +47,12 @@ def solve(
     asked = checked_options(options or {})
     backend = backend or default_backend(asked)
     start, missing = complete_start(problem, warm_start)
-    used: dict[str, str | int | float] = {**DEFAULTS, **warm_options(problem, start), **asked}
+    used: dict[str, str | int | float] = {
+        **DEFAULTS,
+        "linear_solver": linear_solver(str(asked.get("linear_solver", "")), backend),
+        **warm_options(problem, start),
+        **asked,
+    }
     if time_limit is not None:
         if not time_limit > 0:
             raise ValueError(f"time_limit is a positive number of seconds, not {time_limit!r}")

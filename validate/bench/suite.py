@@ -33,6 +33,13 @@ CASES: tuple[Case, ...] = (
     _ours("translate", "Pyomo model to Ipopt's functions", "transcription:translate"),
     _ours("evaluate", "Functions and derivatives of one iteration", "transcription:evaluate"),
     _ours("linear_algebra", "The rest of an iteration of Ipopt", "transcription:linear_algebra", once=True),
+    Case(
+        stage="linear_algebra",
+        title="The same with the MUMPS of the wheel",
+        by="mumps",
+        function=f"{_STAGES}.transcription:with_mumps",
+        once=True,
+    ),
     _ours("softplus_chain", "Softplus collocation at three eps, from Scene to plans", "transcription:softplus_chain", once=True),
     Case(stage="softplus_chain", title="The same by hand", by="casadi", function=f"{_PEERS}.casadi_chain:chain", once=True, needs=_CASADI),
     Case(

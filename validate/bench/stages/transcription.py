@@ -51,12 +51,21 @@ def evaluate(size: Size, folder: Path) -> Work:
 
 def linear_algebra(size: Size, folder: Path) -> Work:
     """An iteration of Ipopt less the functions it asks for, at the first eps from a cold start; its CPU share is that of its wall time."""
+    return _iteration(size, {})
+
+
+def with_mumps(size: Size, folder: Path) -> Work:
+    """`linear_algebra` with the linear solver that came with Ipopt."""
+    return _iteration(size, {"linear_solver": "mumps"})
+
+
+def _iteration(size: Size, options: Mapping[str, Any]) -> Work:
     from formulations.ipopt import compile_model, solve
 
     problem = compile_model(_built(_warm(size)))
 
     def work() -> Mapping[str, Any]:
-        result = solve(problem)
+        result = solve(problem, options=options)
         seconds = result.seconds
         share = seconds.linear_algebra / seconds.wall if seconds.wall > 0 else 1.0
         iterations = max(1, result.iterations)

@@ -1,0 +1,238 @@
+"""Our factorisation, called as Ipopt calls it, against eigenvalues and residuals of numpy."""
+
+from __future__ import annotations
+
+import ctypes
+
+import numpy as np
+import pytest
+import scipy.sparse as sparse
+
+from formulations.ipopt.linear_solver import ldlt_library
+
+SINGULAR, INTEGERS, REALS = -5, -3, -4
+
+
+def _p(array: np.ndarray) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+def _i(number: int):
+    return ctypes.byref(ctypes.c_int(number))
+
+
+class Factor:
+    """What Ipopt's interface to MA27 does: room as it is told, more when asked for. rooms: how often more was asked for."""
+
+    def __init__(self, matrix: sparse.sparray, pivot: float = 1e-8, room: tuple[int, int] | None = None) -> None:
+        lower = sparse.coo_array(sparse.tril(matrix))
+        self.n = int(matrix.shape[0])
+        self.rows, self.columns = (lower.row + 1).astype(np.intc), (lower.col + 1).astype(np.intc)
+        self.keep, self.icntl, self.cntl = np.zeros(3 * self.n, np.intc), np.zeros(30, np.intc), np.zeros(5)
+        self.info, self.spare, self.steps = np.zeros(20, np.intc), np.zeros(2 * self.n + 1, np.intc), ctypes.c_int(0)
+        self.library = ctypes.CDLL(str(ldlt_library()))
+        self.library.ma27id_(_p(self.icntl), _p(self.cntl))
+        self.cntl[0] = pivot
+        self.library.ma27ad_(
+            _i(self.n), _i(lower.nnz), _p(self.rows), _p(self.columns), _p(self.spare), _i(len(self.spare)), _p(self.keep), _p(self.spare),
+            ctypes.byref(self.steps), _i(0), _p(self.icntl), _p(self.cntl), _p(self.info), ctypes.byref(ctypes.c_double(0.0)),
+        )  # fmt: skip
+        reals, integers = room or (5 * int(self.info[4]), 5 * int(self.info[5]))
+        self.rooms = 0
+        self.iw, self.front = np.zeros(integers, np.intc), ctypes.c_int(0)
+        self.a = np.zeros(max(reals, lower.nnz))
+        self.again(lower.data)
+
+    def again(self, values: np.ndarray) -> None:
+        while True:
+            self.a[: len(values)] = values
+            self.library.ma27bd_(
+                _i(self.n), _i(len(values)), _p(self.rows), _p(self.columns), _p(self.a), _i(len(self.a)), _p(self.iw), _i(len(self.iw)),
+                _p(self.keep), ctypes.byref(self.steps), ctypes.byref(self.front), _p(self.spare), _p(self.icntl), _p(self.cntl), _p(self.info),
+            )  # fmt: skip
+            if self.info[0] not in (INTEGERS, REALS):
+                return
+            self.rooms += 1
+            self.a, self.iw = (
+                np.full(max(len(values), self.info[1] if self.info[0] == REALS else len(self.a)), np.nan),
+                np.full(self.info[1] if self.info[0] == INTEGERS else len(self.iw), -1, np.intc),
+            )
+
+    @property
+    def negative(self) -> int:
+        return int(self.info[14])
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        x, work = right.astype(float), np.zeros(self.front.value)
+        self.library.ma27cd_(
+            _i(self.n), _p(self.a), _i(len(self.a)), _p(self.iw), _i(len(self.iw)), _p(work), ctypes.byref(self.front), _p(x), _p(self.spare),
+            ctypes.byref(self.steps), _p(self.icntl), _p(self.info),
+        )  # fmt: skip
+        return x
+
+
+def symmetric(matrix: sparse.sparray) -> sparse.csr_array:
+    return sparse.csr_array(matrix + matrix.T)
+
+
+def saddle(random: np.random.Generator, n: int) -> sparse.csr_array:
+    m = int(random.integers(0, n + 1))
+    hessian = symmetric(sparse.random_array((n, n), density=0.1, rng=random)) + sparse.diags_array(random.normal(size=n))
+    jacobian = sparse.random_array((m, n), density=0.2, rng=random) + sparse.eye_array(m, n)
+    return sparse.csr_array(sparse.block_array([[hessian, jacobian.T], [jacobian, None]]) if m else hessian)
+
+
+def no_diagonal(random: np.random.Generator, n: int) -> sparse.csr_array:
+    matrix = symmetric(sparse.random_array((n, n), density=min(1.0, 4 / n), rng=random))
+    return sparse.csr_array(matrix - sparse.diags_array(matrix.diagonal()))
+
+
+def arrow(random: np.random.Generator, n: int) -> sparse.csr_array:
+    matrix = np.diag(random.normal(size=n) * (np.arange(n) > 1))
+    matrix[0, :] = matrix[:, 0] = random.normal(size=n)
+    return sparse.csr_array(matrix)
+
+
+def wide_range(random: np.random.Generator, n: int) -> sparse.csr_array:
+    diagonal = 10.0 ** random.uniform(-12, 12, n) * np.sign(random.normal(size=n))
+    return sparse.csr_array(symmetric(sparse.random_array((n, n), density=min(1.0, 5 / n), rng=random)) + sparse.diags_array(diagonal))
+
+
+def chain(random: np.random.Generator, steps: int, states: int = 4, inputs: int = 2) -> sparse.csr_array:
+    """The optimality system of a plan, in an order that says nothing of time."""
+    size = states + inputs
+    jacobian = sparse.lil_array((states * (steps - 1), size * steps))
+    for k in range(steps - 1):
+        jacobian[k * states : (k + 1) * states, k * size : (k + 1) * size] = 0.4 * random.normal(size=(states, size))
+        jacobian[k * states : (k + 1) * states, (k + 1) * size : (k + 1) * size + states] = -np.eye(states)
+    is_input = np.arange(size * steps) % size >= states
+    hessian = sparse.diags_array(random.uniform(0.1, 1.0, size * steps) * (is_input | (random.uniform(size=size * steps) < 0.6)))
+    matrix = sparse.csr_array(sparse.block_array([[hessian, jacobian.T], [jacobian, None]]))
+    order = random.permutation(matrix.shape[0])
+    return sparse.csr_array(matrix[order][:, order])
+
+
+def scaled(dense: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    scale = np.ones(len(dense))
+    for _ in range(5):
+        scale /= np.sqrt(np.abs(scale[:, None] * dense * scale).max(axis=0))
+    return scale, scale[:, None] * dense * scale
+
+
+@pytest.mark.parametrize("kind", [saddle, no_diagonal, arrow, wide_range, chain])
+@pytest.mark.parametrize("pivot", [1e-8, 1e-4, 0.5])
+def test_inertia_and_solution_are_those_of_numpy(kind, pivot: float) -> None:
+    checked = 0
+    for seed in range(12):
+        random = np.random.default_rng(seed)
+        matrix = kind(random, int(random.integers(2, 30 if kind is chain else 90)))
+        dense = matrix.toarray()
+        factor = Factor(matrix, pivot)
+        if not np.abs(dense).max(axis=0).all():
+            assert factor.info[0] == SINGULAR
+            continue
+        scale, even = scaled(dense)
+        eigenvalues = np.linalg.eigvalsh(even)
+        if np.abs(eigenvalues).min() < 1e-9:
+            continue
+        right = random.normal(size=factor.n)
+        x = factor.solve(right / scale)
+        error = np.abs(scale * (dense @ x) - right).max() / (np.abs(even).max() * np.abs(x / scale).max() + np.abs(right).max())
+        assert factor.info[0] == 0
+        assert factor.negative == int((eigenvalues < 0.0).sum())
+        assert error < 1e-7 if kind is wide_range else error < 1e-10
+        checked += 1
+    assert checked >= 4
+
+
+def test_a_pivot_that_must_wait_is_put_off_to_the_parent() -> None:
+    # No variable has a diagonal and every neighbour of 0 is taken by a stronger one: pairs alone do not do.
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        tree = sparse.lil_array((41, 41))
+        for i in range(1, 41):
+            parent = (i - 1) // 2
+            tree[i, parent] = tree[parent, i] = random.normal() * 10.0 ** random.uniform(-5, 0)
+        tree[0, 0] = 1.0
+        for i in range(21, 41):
+            tree[i, i] = 1e-9 * random.normal()
+        dense = tree.toarray()
+        factor = Factor(sparse.csr_array(tree))
+        assert factor.info[0] == 0
+        assert factor.negative == int((np.linalg.eigvalsh(scaled(dense)[1]) < 0.0).sum())
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_dependent_rows_that_are_regularised_as_ipopt_does_have_their_inertia(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    jacobian = random.normal(size=(5, 9))
+    jacobian[3] = 0.3 * jacobian[0] - 7.0 * jacobian[2]
+    dense = np.block([[np.diag(random.uniform(0.5, 2.0, 9)), jacobian.T], [jacobian, -1e-8 * np.eye(5)]])
+    factor = Factor(sparse.csr_array(dense))
+    assert (int(factor.info[0]), factor.negative) == (0, 5)
+
+
+def test_a_pivot_is_not_refused_for_being_small() -> None:
+    """An inequality held by an equality of the same row: all that keeps the system regular is the barrier's term, which falls to 1e-18."""
+    dense = np.array([[2.0, 1.0, 1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, -1.0], [0.0, 0.0, -1.0, 1e18]])
+    factor = Factor(sparse.csr_array(dense))
+    assert (int(factor.info[0]), factor.negative) == (0, 2)
+    right = np.array([1.0, 2.0, 2.0, -1.0])  # x = 2: the rows agree, the multipliers stay
+    assert np.allclose(dense @ factor.solve(right), right, atol=1e-12)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_number_that_is_not_finite_is_called_singular(bad: float) -> None:
+    matrix = sparse.csr_array(np.array([[2.0, 1.0], [1.0, bad]]))
+    assert Factor(matrix).info[0] == SINGULAR
+
+
+def test_arrays_that_are_too_short_are_asked_for_longer() -> None:
+    matrix = chain(np.random.default_rng(3), 40)
+    ample, tight = Factor(matrix), Factor(matrix, room=(1, 1))
+    right = np.ones(ample.n)
+    assert ample.rooms == 0
+    assert tight.rooms >= 2
+    assert np.array_equal(ample.solve(right), tight.solve(right))
+
+
+def test_other_values_of_the_same_pattern_and_factors_side_by_side() -> None:
+    random = np.random.default_rng(4)
+    first, second = chain(random, 20), chain(random, 30)
+    one, other = Factor(first), Factor(second)
+    lower = sparse.coo_array(sparse.tril(first))
+    values = lower.data + np.where((lower.row == lower.col) & (lower.data < 0.5), 1e-3, 0.0)
+    one.again(values)
+    changed = sparse.csr_array((values, (lower.row, lower.col)), shape=first.shape)
+    changed = changed + sparse.triu(changed.T, 1)
+    for factor, matrix in ((one, changed), (other, second)):
+        right = random.normal(size=factor.n)
+        assert np.abs(matrix @ factor.solve(right) - right).max() < 1e-7
+
+
+def test_entries_told_twice_are_added() -> None:
+    whole = np.array([[2.0, 1.0, 0.0], [1.0, 0.0, 3.0], [0.0, 3.0, 0.0]])
+    factor = Factor(sparse.csr_array(whole))
+    twice = Factor.__new__(Factor)
+    twice.__dict__.update(factor.__dict__)
+    twice.rows, twice.columns = np.tile(factor.rows, 2), np.tile(factor.columns, 2)
+    twice.rows[len(factor.rows) :], twice.columns[len(factor.rows) :] = factor.columns, factor.rows  # from above the diagonal
+    twice.keep, twice.rooms = np.zeros_like(factor.keep), 0
+    twice.a, twice.iw = np.zeros(500), np.zeros(500, np.intc)
+    lower = sparse.coo_array(sparse.tril(sparse.csr_array(whole)))
+    twice.again(np.concatenate([0.25 * lower.data, 0.75 * lower.data]))
+    right = np.array([1.0, 2.0, 3.0])
+    assert np.allclose(whole @ twice.solve(right), right, atol=1e-14)
+
+
+def test_the_factor_of_a_plan_grows_with_its_steps_alone() -> None:
+    def reals(steps: int) -> float:
+        factor = Factor(chain(np.random.default_rng(7), steps))
+        entries, place = 0, 1 + int(factor.iw[0])
+        for _ in range(factor.steps.value):
+            rows, pivots = factor.iw[place : place + 2].tolist()
+            entries += rows * pivots
+            place += 3 + rows + pivots
+        return entries / steps
+
+    assert reals(800) < 1.15 * reals(100)

@@ -1,0 +1,77 @@
+"""Who factorises: by default ours where it can be had, else MUMPS; both come to the same optimum; what is insisted on is told where it is missing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyomo.environ as pyo
+import pytest
+
+from formulations import ContactLaw, build_model
+from formulations.ipopt import compile_model, linear_solver, solve
+from formulations.ipopt.backends import backends
+from formulations.ipopt.linear_solver import LINEAR_SOLVERS
+from formulations.solution import Outcome
+from models.catalog import load_scene
+from models.errors import MachineError
+
+
+def parabola() -> pyo.ConcreteModel:
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var([1, 2], initialize=1.0, bounds=(0, 2))
+    m.o = pyo.Objective(expr=(m.x[1] - 3) ** 2 + m.x[2] ** 2)
+    m.c = pyo.Constraint(expr=m.x[1] + m.x[2] == 1.5)
+    return m
+
+
+@pytest.fixture
+def no_compiler(monkeypatch):
+    monkeypatch.setenv("CC", "no-such-compiler")
+    linear_solver.ldlt_library.cache_clear()
+    yield
+    linear_solver.ldlt_library.cache_clear()
+
+
+@pytest.mark.parametrize("backend", [b for b in backends() if b.available()], ids=lambda b: b.name)
+def test_both_come_to_the_same_plan(backend):
+    problem = compile_model(build_model(load_scene("three_cart"), ContactLaw.SOFTPLUS, eps=1e-3))
+    ours, theirs = (solve(problem, options={"linear_solver": name}, backend=backend) for name in LINEAR_SOLVERS)
+    assert ours.outcome is theirs.outcome is Outcome.SOLVED
+    assert (ours.options["linear_solver"], theirs.options["linear_solver"]) == LINEAR_SOLVERS
+    assert np.isclose(ours.objective, theirs.objective, rtol=1e-6)
+    assert np.allclose(ours.x, theirs.x, rtol=0, atol=1e-4 * np.abs(theirs.x).max())
+
+
+def test_ours_is_the_default_and_the_environment_names_another(monkeypatch):
+    monkeypatch.delenv("TOUCHSTONE_LINEAR_SOLVER", raising=False)
+    assert solve(compile_model(parabola())).options["linear_solver"] == "ldlt"
+    monkeypatch.setenv("TOUCHSTONE_LINEAR_SOLVER", "mumps")
+    assert solve(compile_model(parabola())).options["linear_solver"] == "mumps"
+    assert solve(compile_model(parabola()), options={"linear_solver": "ldlt"}).options["linear_solver"] == "ldlt"
+    monkeypatch.setenv("TOUCHSTONE_LINEAR_SOLVER", "ma57")
+    with pytest.raises(MachineError, match="'ma57'; there are ldlt and mumps"):
+        solve(compile_model(parabola()))
+
+
+def test_without_a_compiler_mumps_serves(no_compiler, monkeypatch):
+    monkeypatch.delenv("TOUCHSTONE_LINEAR_SOLVER", raising=False)
+    result = solve(compile_model(parabola()))
+    assert result.outcome is Outcome.SOLVED
+    assert result.options["linear_solver"] == "mumps"
+    with pytest.raises(MachineError, match="no C compiler"):
+        solve(compile_model(parabola()), options={"linear_solver": "ldlt"})
+
+
+def test_an_ipopt_that_loads_no_solver_is_left_with_mumps(monkeypatch):
+    backend = backends()[0]
+    monkeypatch.delenv("TOUCHSTONE_LINEAR_SOLVER", raising=False)
+    monkeypatch.setattr(type(backend), "takes_ldlt", lambda self: False)
+    assert solve(compile_model(parabola()), backend=backend).options["linear_solver"] == "mumps"
+    with pytest.raises(MachineError, match="without loading linear solvers"):
+        solve(compile_model(parabola()), backend=backend, options={"linear_solver": "ldlt"})
+
+
+def test_an_extension_that_is_no_ipopt_is_handed_nothing():
+    import _ctypes
+
+    assert not linear_solver.hand_to(_ctypes.__file__ or "")
+    assert not linear_solver.hand_to("no such file")
