@@ -57,7 +57,7 @@ class Outcome:
 class Narrator(Protocol):
     """Who is told how it goes (validate.cli.narrator)."""
 
-    def begins(self, total: int, stored: int) -> None: ...
+    def begins(self, total: int, stored: int, anew: int) -> None: ...
     def warns(self, sentence: str) -> None: ...
     def runs(self, workers: Sequence[Running]) -> None: ...
     def finished(self, record: RunRecord | ExaminationRecord) -> None: ...
@@ -120,7 +120,11 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
         return told, examinations
 
     before, ran = campaign_text(settings.out), len(records) < len(entries)
-    narrator.begins(len(entries), len(records))
+    waiting = [entry.cell.key for entry in entries if entry.stored is None]
+    anew = store.due(waiting) if settings.fresh or settings.last_failed else [key for key in waiting if store.is_due(key)]
+    if ran:  # before the first cell ends: what is stored can be told of while the others run, and if they never end
+        write_durably(settings.out / CAMPAIGN, campaign().model_dump_json(indent=1))
+    narrator.begins(len(entries), len(records), len(anew))
     for sentence in (
         *(item.warning for item in steps if item.warning),
         *doubts(entry.scene for entry in entries if isinstance(entry, Entry)),
@@ -132,6 +136,7 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
                 records[record.key] = record
                 narrator.finished(record)
                 if settings.stop_early and fails(record):
+                    store.spare(key for key in anew if key not in records)
                     break
     finally:
         with interrupts_wait():

@@ -271,6 +271,8 @@ def _usable(store: Store, cell: Cell | Examination, fresh: bool) -> tuple[RunRec
         before = asked if isinstance(asked, (int, float)) else 0.0
         if not before >= cell.time_limit:
             return None, f"stored, but it ran out of {before:g} s and would have {cell.time_limit:g} s now"
+    if store.is_due(cell.key):
+        return None, "stored, but to be run anew, which was interrupted"
     return record, ""
 
 

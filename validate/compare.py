@@ -98,7 +98,7 @@ def _where(key: Any) -> str:
         return " ".join(str(part) for part in key if part)
     scene, pipeline, part, index, method, eps = key
     several = f" part {part}" if part > 1 else ""
-    return f"{scene} {pipeline}{several}, stage {index + 1} {method}" + (f" at {eps:g}" if eps is not None else "")
+    return f"{scene} x {pipeline}{several}, stage {index + 1} {method}" + (f" at {eps:g}" if eps is not None else "")
 
 
 def _stage_changes(where: str, before: StageRecord, after: StageRecord) -> Iterable[Change]:

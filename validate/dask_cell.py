@@ -127,7 +127,7 @@ def _begin(request: Mapping[str, Any]) -> None:
     try:
         sign.touch()
     except OSError as error:
-        raise disk_error(sign, error) from error
+        raise disk_error(Path(request["folder"]), error) from error
 
 
 def _here(provenance: ProvenanceRecord) -> ProvenanceRecord:

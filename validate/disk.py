@@ -25,6 +25,8 @@ _DISK_ENDS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO})
 def disk_error(path: Path, error: OSError) -> MachineError:
     """One sentence for a disk that refuses."""
     what = "the disk is full" if error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG} else (error.strerror or str(error)).lower()
+    if error.errno == errno.ENOENT and not path.parent.exists():
+        return MachineError(f"cannot write {path} (its folder is gone); somebody removed or moved it, or its disk is no longer there.")
     return MachineError(f"cannot write {path} ({what}); make room or permit it, or write elsewhere.")
 
 

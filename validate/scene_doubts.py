@@ -18,8 +18,8 @@ DEEP = 3.0
 
 
 def scene_doubts(scene: Scene) -> tuple[str, ...]:
-    """Sentences: contacts that are deep at the start, parameters that change nothing, inputs that move nothing."""
-    return (*_deep_starts(scene), *_idle(scene))
+    """Sentences: contacts that are deep at the start, parameters that change nothing, inputs that move nothing, limits on nothing."""
+    return (*_deep_starts(scene), *_idle(scene), *_idle_limits(scene))
 
 
 def doubts(scenes: Iterable[Scene]) -> Iterator[str]:
@@ -58,6 +58,17 @@ def _idle(scene: Scene) -> list[str]:
         f"scene {scene.name}: input {item.name} moves nothing; no force contains it." for item in scene.inputs if item.symbol not in moving
     ]
     return found
+
+
+def _idle_limits(scene: Scene) -> list[str]:
+    from validate.score.table import TABLE
+
+    absent = {entry.name: entry.meaning for entry in TABLE if not entry.applies(scene)}
+    return [
+        f"scene {scene.name}: the limit on {limit.figure} judges nothing; nothing here has this figure ({absent[limit.figure]})."
+        for limit in scene.limits
+        if limit.figure in absent
+    ]
 
 
 def _symbols(parts: Iterable[sp.Expr | None]) -> set[sp.Basic]:

@@ -15,18 +15,20 @@ import os
 import shutil
 import socket
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.errors import TouchstoneError
-from validate.disk import PARTIAL, aside_name, disk_error, fsync
+from validate.disk import PARTIAL, aside_name, disk_error, fsync, remove
 
 if TYPE_CHECKING:
     from reports.examination_record import ExaminationRecord
     from reports.record import RunRecord
 
 RECORD, LOG, REQUEST, PROGRESS, MACHINE = "record.json", "log.txt", "cell.json", "progress.txt", "machine.txt"
+# In the folder of a stored run that is to be run anew; the new run takes its place, and has none.
+_DUE = "due"
 _OLD = "-old"
 
 
@@ -94,6 +96,26 @@ class Store:
     def request(self, key: str) -> dict[str, Any]:
         """What was asked for in a stored cell; nothing if that cannot be read."""
         return _request(self.runs / key / REQUEST)
+
+    def due(self, keys: Iterable[str]) -> list[str]:
+        """Mark stored runs as to be run anew, until they are, whatever ends this campaign; the keys of those that are stored. Raises MachineError."""
+        stored = [key for key in keys if (self.runs / key / RECORD).exists()]
+        for key in stored:
+            mark = self.runs / key / _DUE
+            try:
+                with contextlib.suppress(FileNotFoundError):  # another campaign replaces it at this moment
+                    mark.touch()
+            except OSError as error:
+                raise disk_error(mark, error) from error
+        return stored
+
+    def is_due(self, key: str) -> bool:
+        return (self.runs / key / _DUE).exists()
+
+    def spare(self, keys: Iterable[str]) -> None:
+        """Take back what `due` asked for; what was run anew since has no mark."""
+        for key in keys:
+            remove(self.runs / key / _DUE)
 
     def requests(self) -> Iterator[dict[str, Any]]:
         """What was asked for in each stored cell that can be read."""

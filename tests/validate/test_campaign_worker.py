@@ -197,6 +197,11 @@ def test_a_killed_campaign_leaves_nothing_and_loses_nothing(cli, start_cli, tmp_
     process.kill()
     process.communicate()
     come(lambda: processes(tmp_path) == [] and len(os.listdir(tmp_path / "runs")) == 1)
+    shown = cli("show", "only_good", "--in", str(tmp_path))
+    assert shown.returncode == 0, "what finished can be told of, although the campaign never came to its end"
+    told = cli("report", str(tmp_path))
+    assert told.returncode == 0
+    assert told.stderr.startswith("1 of 2 cells have no readable record")
     again = cli("all", *FAKES, "--out", str(tmp_path), "-k", "only_good")
     assert again.returncode == 0
     assert "1 stored, 0 to run" in again.stderr

@@ -107,7 +107,7 @@ def test_a_crash_is_tried_again_and_ends_the_campaign_at_once_where_wanted(cli, 
     )
     assert done.returncode == 1
     assert done.stderr.count("only_segfault crashed and will be tried again") == 1
-    assert "stopped at the first failure (-x), 1 of 2 cells are stored" in done.stderr
+    assert "stopped at the first failure (-x): 1 of 2 cells are stored in " in done.stderr
     assert {name: record.outcome for name, record in _records(tmp_path).items()} == {"only_segfault": "crashed"}
     assert processes(tmp_path) == []
     assert unfinished(tmp_path) == []

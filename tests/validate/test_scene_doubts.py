@@ -8,7 +8,7 @@ import pytest
 import sympy as sp
 
 from models.catalog import load_scene, scene_names
-from models.scene import Input, Parameter
+from models.scene import Input, Limit, Parameter
 from validate.cli.group import run
 from validate.scene_doubts import doubts, scene_doubts
 
@@ -31,6 +31,15 @@ def test_what_changes_nothing_is_named():
     assert said == (
         "scene wall_pendulum: parameter spare changes nothing; nothing of the scene contains it.",
         "scene wall_pendulum: input brake moves nothing; no force contains it.",
+    )
+
+
+def test_a_limit_that_judges_nothing_is_named():
+    bank = load_scene("wall_pendulum")  # its end is free
+    limit = Limit(figure="discrete_terminal_error", value=1.0, reason="as elsewhere")
+    (said,) = scene_doubts(replace(bank, limits=(*bank.limits, limit)))
+    assert said.startswith(
+        "scene wall_pendulum: the limit on discrete_terminal_error judges nothing; nothing here has this figure (norm of"
     )
 
 

@@ -24,9 +24,10 @@ _RULE = "\n\n".join(
 _EPILOG = f"""{_RULE}
 
 \b
-What is stored is used again, except cells that crashed or ran out of a
-shorter time limit than they would have now. A cell's key is the hash of its
-content: scene, pipeline with all options, our sources, library versions.
+What is stored is used again, except cells that crashed, ran out of a shorter
+time limit than they would have now, or were to be run anew (--fresh, --lf)
+when that was interrupted. A cell's key is the hash of its content: scene,
+pipeline with all options, our sources, library versions.
 
 \b
 Examples:

@@ -78,7 +78,7 @@ _ENDING = (
         metavar="local|dask[:ADDRESS|:FILE.json]",
         help="What runs the cells: child processes here; Dask workers here; a Dask cluster by the address of its scheduler, or by the file it wrote.",
     ),
-    click.option("-x", "stop_early", is_flag=True, help="Stop at the first cell that makes the campaign fail."),
+    click.option("-x", "stop_early", is_flag=True, help="Stop at the first cell that runs and makes the campaign fail."),
     click.option(
         "--retry", "retries", type=click.IntRange(min=0), default=0, metavar="N", help="Run a cell that crashes again, up to N times."
     ),

@@ -68,8 +68,9 @@ def command(before: Path, after: Path, as_json: bool) -> int:
             click.echo(click.style(line, fg=colour) if colour else line, color=use_colour())
         click.echo()
     counts = Counter(_WORDS[change.kind.name][0] for change in comparison.changes)
-    told = ", ".join(f"{count} {word}" for word, count in counts.items()) or "no difference"
-    click.echo(f"{comparison.pairs} rows are in both: {told}")
+    told = ", ".join(f"{count} {word}" for word, count in counts.items()) or "none"
+    both = "1 row is" if comparison.pairs == 1 else f"{comparison.pairs} rows are"
+    click.echo(f"{both} in both campaigns; differences: {told}")
     return code
 
 

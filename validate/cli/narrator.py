@@ -6,6 +6,7 @@ import os
 import sys
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -16,6 +17,10 @@ if TYPE_CHECKING:
     from reports.examination_record import ExaminationRecord
     from reports.record import RunRecord
     from validate.engine import Running
+
+
+# Width of the bar [characters]: what runs needs the room.
+_BAR = 12
 
 
 def narrator() -> PlainNarrator:
@@ -29,11 +34,23 @@ class PlainNarrator:
     """One line a finished cell."""
 
     def __init__(self) -> None:
-        self.total = self.stored = self.done = 0
+        self.total = self.stored = self.done = self.anew = 0
 
-    def begins(self, total: int, stored: int) -> None:
-        self.total, self.stored = total, stored
-        self._line(f"{stored} stored, {total - stored} to run")
+    def begins(self, total: int, stored: int, anew: int) -> None:
+        """stored: cells whose records are used again; anew: others of which a record is stored too."""
+        self.total, self.stored, self.anew = total, stored, anew
+        self._line(
+            f"{stored} stored, {total - stored} to run"
+            if not anew
+            else f"{stored} used again, {total - stored} to run, {anew} of them anew"
+        )
+
+    def so_far(self, out: Path) -> str:
+        """How many cells there is a result of, in words."""
+        if not out.is_dir():
+            return f"{out} is gone, and what was stored in it with it"
+        count = f"{self.stored + self.done} of {self.total} cells"
+        return f"{count} are done, what {out} holds of the others is kept" if self.anew else f"{count} are stored in {out}"
 
     def warns(self, sentence: str) -> None:
         """What the user should know before anything runs."""
@@ -56,29 +73,42 @@ class PlainNarrator:
 class BarNarrator(PlainNarrator):
     """The same lines above a bar that says what is running."""
 
-    def begins(self, total: int, stored: int) -> None:
+    def begins(self, total: int, stored: int, anew: int) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+        from rich.table import Column
+
+        def whole() -> Column:  # what runs is cut off where the terminal ends, the numbers never
+            return Column(no_wrap=True)
 
         self._console = Console(stderr=True)
         self._progress = Progress(
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TextColumn("{task.description}", markup=False),
+            BarColumn(bar_width=_BAR),
+            MofNCompleteColumn(table_column=whole()),
+            TimeElapsedColumn(table_column=whole()),
+            TextColumn("{task.fields[left]}", table_column=whole()),
+            TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1)),
             console=self._console,
             transient=True,
+            expand=True,
         )
-        super().begins(total, stored)
-        self._task = self._progress.add_task("", total=total, completed=stored)
+        super().begins(total, stored, anew)
+        self._task = self._progress.add_task("", total=total, completed=stored, left="")
         self._progress.start()
-        self._said = 0.0
+        self._began, self._said = time.monotonic(), 0.0
 
     def runs(self, workers: Sequence[Running]) -> None:
         if time.monotonic() - self._said > 0.25:  # no faster than an eye reads
             self._said = time.monotonic()
             text = "; ".join(f"{worker.cell.title}: {worker.progress()}" for worker in workers)
-            self._progress.update(self._task, description=one_line(text))
+            self._progress.update(self._task, description=one_line(text), left=self._left())
+
+    def _left(self) -> str:
+        """How long the cells that have not finished take, if they take as long as those that have."""
+        if not self.done:
+            return ""
+        each = (time.monotonic() - self._began) / self.done
+        return f"about {in_words(each * (self.total - self.stored - self.done))} left"
 
     def finished(self, record: RunRecord | ExaminationRecord) -> None:
         super().finished(record)
@@ -89,6 +119,13 @@ class BarNarrator(PlainNarrator):
 
     def _line(self, text: str) -> None:
         self._console.print(text, markup=False, highlight=False)
+
+
+def in_words(seconds: float) -> str:
+    """A time as roughly as it is known."""
+    if seconds < 60:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 def _summary(record: RunRecord | ExaminationRecord) -> str:

@@ -17,7 +17,7 @@ Examples:
   python -m validate run --schema > campaign.schema.json
 
 \b
-Three files to begin with are in docs/campaigns; docs/campaigns.md says what may
+Files to begin with are in docs/campaigns; docs/campaigns.md says what may
 stand in one. DIR then holds what `all` leaves there, and campaign.toml (the
 file as it was) and resolved.toml (with everything filled in; it runs too).
 What is changed in a scene or an option is part of a cell's key.

@@ -35,14 +35,14 @@ def run_and_tell(settings: Settings, arguments: Sequence[str], as_json: bool) ->
     try:
         outcome = run_campaign(settings, teller)
         if settings.stop_early and teller.stored + teller.done < teller.total:
-            click.echo(f"stopped at the first failure (-x), {teller.stored + teller.done} of {teller.total} cells are stored", err=True)
+            click.echo(f"stopped at the first failure (-x): {teller.so_far(settings.out)}", err=True)
         if as_json:
             _print_json(outcome, settings)
         else:
             _print_table(outcome, settings, resume)
     except (KeyboardInterrupt, MachineError) as error:
         done = teller.stored + teller.done
-        kept = f"{done} of {teller.total} cells are stored in {settings.out}" if teller.total else "nothing was run yet"
+        kept = teller.so_far(settings.out) if teller.total else "nothing was run yet"
         if isinstance(error, MachineError):
             if done < teller.total:
                 click.echo(f"stopped: {kept}; resume with: {resume}", err=True)

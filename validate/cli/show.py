@@ -84,14 +84,18 @@ def _found(run: str, folder: Path) -> tuple[Path, RunRecord | ExaminationRecord]
         if found:
             shown = "; ".join(f"{names[record.key]} ({record.key[:12]})" for record in found[:8])
             raise CampaignError(f"{run!r} means {len(found)} runs: {shown}{' and more' if len(found) > 8 else ''}. Give one of these keys.")
-    raise CampaignError(f"there is no run {run!r} in {folder}; {_hint(run, list(names.values()))}")
+    raise CampaignError(f"there is no run {run!r} in {folder}; {_hint(run, list(names.values()), folder)}")
 
 
-def _hint(run: str, names: list[str]) -> str:
+def _hint(run: str, names: list[str], folder: Path) -> str:
     import difflib
 
     close = difflib.get_close_matches(run[:200], names, n=1, cutoff=0.4)
-    return f"did you mean {close[0]!r}?" if close else f"its runs are listed in {'results.csv'} and by `python -m validate plan`."
+    return (
+        f"did you mean {close[0]!r}?"
+        if close
+        else f"its runs are listed in {folder / 'results.csv'}, or `python -m validate report {folder}` writes that again."
+    )
 
 
 def _name(record: RunRecord | ExaminationRecord) -> str:
@@ -112,7 +116,7 @@ def _tell_run(record: RunRecord) -> None:
     last = record.stages[-1] if record.stages else None
     if last is None:
         return
-    if last.why:
+    if last.why and last.why != record.message:
         click.echo()
         click.echo(one_line(f"the last stage {last.verdict}: {last.why}" if last.verdict != "no plan" else last.why))
     if last.figures:

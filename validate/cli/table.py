@@ -17,8 +17,8 @@ _COLOURS = {"holds": "green", "violates": "red", "not resolved": "yellow", "no p
 
 
 def use_colour() -> bool | None:
-    """False where the user said NO_COLOR; None leaves it to whether the output is a terminal."""
-    return False if os.environ.get("NO_COLOR") else None
+    """False where the user said NO_COLOR, or the terminal knows no colours; None leaves it to whether the output is a terminal."""
+    return False if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb" else None
 
 
 def one_line(text: str) -> str:

@@ -47,7 +47,9 @@ def _unpacked(path: Path, names: Sequence[str] | None, seconds: float, unrunnabl
         except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError) as error:
             raise IntakeError(Problem("zip", f"FMU {path}: it cannot be unpacked ({error}); it is damaged.")) from error
         except OSError as error:
-            raise MachineError(f"FMU {path}: it cannot be unpacked to {folder} ({error.strerror or error}).") from error
+            raise MachineError(
+                f"FMU {path}: it cannot be unpacked to {folder} ({error.strerror or error}); make room there, or set TMPDIR."
+            ) from error
         request = {"path": str(path.resolve()), "folder": str(folder), "names": None if names is None else list(names), "seconds": seconds}
         limits = Limits(seconds=60.0 + 2 * len(NAMES) * seconds, memory=_MEMORY)
         done = run_isolated("validate.fmu_check.host:run_checks", request, limits=limits, what=f"the check of {path}")

@@ -108,7 +108,9 @@ def unpack(intake: Intake, folder: Path, leave_out: tuple[str, ...] = ()) -> Non
     except (zipfile.BadZipFile, *_DAMAGED) as error:
         raise IntakeError(Problem("zip", f"FMU {intake.path}: it cannot be unpacked ({_first(error)}); it is damaged.")) from error
     except OSError as error:
-        raise MachineError(f"FMU {intake.path}: it cannot be unpacked to {folder} ({error.strerror or error}).") from error
+        raise MachineError(
+            f"FMU {intake.path}: it cannot be unpacked to {folder} ({error.strerror or error}); make room or permit it."
+        ) from error
 
 
 class _Examination:
