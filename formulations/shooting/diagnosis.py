@@ -125,7 +125,11 @@ def stable_rate(objective: Objective, u: np.ndarray) -> float:
 def divergence_message(objective: Objective, learning_rate: float, iteration: int, best: np.ndarray | None) -> str:
     """What went wrong at this iteration, and the growth and the rate measured at the best inputs seen (None if there are none)."""
     work = objective.work
-    where = f"after {iteration} iterations at learning rate {learning_rate:g}" if iteration else "at the first guess"
+    where = (
+        f"after {iteration} {'iteration' if iteration == 1 else 'iterations'} at learning rate {learning_rate:g}"
+        if iteration
+        else "at the first guess"
+    )
     if objective.finite:
         what = f"{where} the loss climbs instead of descending"
     else:

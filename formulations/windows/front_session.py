@@ -8,7 +8,7 @@ from time import perf_counter, process_time
 from typing import cast
 
 from formulations.method import Method, OptionError, Session
-from formulations.solution import Outcome, Seconds, Solution
+from formulations.solution import FrontPoint, Outcome, Seconds, Solution
 from formulations.windows.front import checked_tolerances, front
 from models.scene import Scene
 from models.trajectory import Trajectory
@@ -40,13 +40,22 @@ class FrontSession(Session):
             first,
             method=self._method.name,
             outcome=outcome,
-            message=f"Plans were found within {found} of {len(points)} terminal tolerances; this is the one within {points[0].tolerance:g}. "
-            f"{first.message}",
+            message=told(found, points, first.message),
             options=self._options,
             iterations=sum(solution.iterations for solution in solutions),
             seconds=_together(solutions, perf_counter() - wall, process_time() - cpu),
             front=points,
         )
+
+
+def told(found: int, points: tuple[FrontPoint, ...], message: str) -> str:
+    """How many points have a plan, and how the first of them ended, whose tolerance is the smallest."""
+    if not found:
+        return f"No plan was found within any of {len(points)} terminal tolerances: {message}"
+    began = f"Plans were found within {found} of {len(points)} terminal tolerances"
+    if points[0].solution.trajectory is None:
+        return f"{began}, none within {points[0].tolerance:g}: {message}"
+    return f"{began}; this is the one within {points[0].tolerance:g}. {message[:1].upper()}{message[1:]}"
 
 
 def _together(solutions: list[Solution], wall: float, cpu: float) -> Seconds:

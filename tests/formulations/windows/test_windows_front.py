@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from formulations.catalog import load_method
 from formulations.method import OptionError
 from formulations.mpec import certify_solution
-from formulations.solution import Outcome, Solution
+from formulations.solution import FrontPoint, Outcome, Solution
 from formulations.windows.front import front
+from formulations.windows.front_session import told
 from formulations.windows.goal_ball import cheapest_in_ball
 from formulations.windows.session import MpccSession
 from models.catalog import load_scene
@@ -128,3 +131,15 @@ def test_the_cheapest_point_of_a_ball(seed: int, radius: float) -> None:
     assert shift >= -1e-9
     np.testing.assert_allclose(pull + shift * e, 0.0, atol=1e-8)
     assert shift <= 1e-8 or size == pytest.approx(radius, rel=1e-9)
+
+
+def test_a_front_says_how_many_of_its_points_have_a_plan():
+    t, q, u = np.arange(2.0), np.zeros((2, 1)), np.zeros((1, 1))
+    lost = Solution(method="mpcc", outcome=Outcome.FAILED)
+    plan = replace(lost, outcome=Outcome.SOLVED, trajectory=Trajectory(t=t, q=q, v=q, u=u, lam=u))
+    tight, loose = FrontPoint(tolerance=0.0, solution=lost), FrontPoint(tolerance=0.1, solution=plan)
+    assert told(0, (tight, tight), "no windows.") == "No plan was found within any of 2 terminal tolerances: no windows."
+    assert told(1, (tight, loose), "no windows.") == "Plans were found within 1 of 2 terminal tolerances, none within 0: no windows."
+    assert (
+        told(1, (loose, tight), "it ended.") == "Plans were found within 1 of 2 terminal tolerances; this is the one within 0.1. It ended."
+    )
