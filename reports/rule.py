@@ -112,5 +112,5 @@ def _scene_failure(scene: str, runs: Sequence[RunRecord]) -> list[str]:
     direct = [run for run in runs if run.must_hold and run.outcome != "refused"]
     if not direct or any(run.verdict == "holds" for run in runs):
         return []
-    endings = ", ".join(f"{run.pipeline} {run.outcome.replace('_', ' ')}, {run.verdict}" for run in direct)
+    endings = "; ".join(f"{run.pipeline} {run.outcome.replace('_', ' ')}, {run.verdict}" for run in direct)
     return [f"{scene}: no cell holds ({endings})"]

@@ -7,6 +7,7 @@ Nothing is folded, so that every page can be read without its script. Each page 
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import html
 import json
@@ -24,13 +25,15 @@ _ARTICLE = re.compile(r'<article class="run" id="([^"]+)".*?</article>', re.DOTA
 _WHOLE = re.compile(r'<details class="whole"[^>]*>.*?</details>', re.DOTALL)
 _TITLE = re.compile(r"<h3[^>]*>(.*?)</h3>", re.DOTALL)
 _ANCHOR = re.compile(r' id="([^"]+)"')
+_OF_RUN = re.compile(r"run-\d+\.html")
 _LINK = re.compile(r' href="#([^"]+)"')
 
 
 def write_pages(folder: Path) -> Path:
     """Write the pages to the folder `report` in the campaign's folder; the path of the first. Raises ReportError.
 
-    Pages that are there as they were written, of what is still the same, are left as they are.
+    Pages that are there as they were written, of what is still the same, are left as they are; those of runs that the campaign no longer has are
+    removed, so that no old address tells of them.
     """
     target = folder / "report"
     pages: dict[str, str] = {}
@@ -50,6 +53,10 @@ def write_pages(folder: Path) -> Path:
         ) from problem
     for name, text in pages.items():
         write_page(target / name, text)
+    for page in target.glob("run-*.html"):
+        if page.name not in digests and _OF_RUN.fullmatch(page.name):
+            with contextlib.suppress(OSError):
+                page.unlink()
     return target / INDEX
 
 

@@ -9,14 +9,21 @@
   const body = table.tBodies[0];
   const rows = [...body.rows];
   const columns = [...table.tHead.rows[0].cells].map((cell) => cell.dataset.sort);
-  const buttons = [...table.tHead.querySelectorAll("button")];
+  // Without this script there is nothing to press.
+  const buttons = [...table.tHead.rows[0].cells].map((cell) => {
+    const button = document.createElement("button");
+    button.type = "button";
+    button.append(...cell.childNodes);
+    cell.append(button);
+    return button;
+  });
   let sort = { column: "", down: false };
 
   const rank = (cell) => (cell.dataset.verdict ? RANKS.indexOf(cell.dataset.verdict) : RANKS.length);
   const compare = (column) => {
     const place = columns.indexOf(column);
     if (place === 0) return (one, two) => (one.dataset.name < two.dataset.name ? -1 : 1);
-    if (place === 1) return (one, two) => Number(two.cells[1].dataset.holds) - Number(one.cells[1].dataset.holds);
+    if (place === 1) return (one, two) => Number(one.cells[1].dataset.holds) - Number(two.cells[1].dataset.holds);
     const cost = (cell) => (cell.dataset.cost ? Number(cell.dataset.cost) : Infinity);
     return (one, two) => {
       const [first, second] = [one.cells[place], two.cells[place]];
@@ -66,12 +73,14 @@
     try { history.replaceState(null, "", `#matrix${state.size ? `?${state}` : ""}`); } catch { /* some browsers forbid it for files: the table works without */ }
   };
   const recall = () => {
-    if (!location.hash.startsWith("#matrix?")) return;
+    // The bare address is that of the whole table.
+    if (!/^#matrix(\?|$)/.test(location.hash)) return;
     const state = new URLSearchParams(location.hash.slice(8));
     scene.value = state.get("scene") || "";
     pipeline.value = state.get("pipeline") || "";
     verdict.value = RANKS.includes(state.get("verdict")) ? state.get("verdict") : "";
-    sort = { column: state.get("sort") || "", down: state.get("order") === "down" };
+    const column = columns.includes(state.get("sort")) ? state.get("sort") : "";
+    sort = { column, down: state.get("order") === "down" };
     apply();
     document.getElementById("matrix").scrollIntoView();
   };
@@ -79,9 +88,10 @@
   [scene, pipeline, verdict].forEach((input) => input.addEventListener("input", changed));
   buttons.forEach((button) => button.addEventListener("click", () => {
     const column = button.closest("th").dataset.sort;
-    // First up, then down, then as it was.
-    if (sort.column !== column) sort = { column, down: false };
-    else if (!sort.down) sort.down = true;
+    // First up, then down, then as it was; of what holds most first.
+    const first = column === "holds";
+    if (sort.column !== column) sort = { column, down: first };
+    else if (sort.down === first) sort.down = !first;
     else sort = { column: "", down: false };
     changed();
   }));
@@ -91,6 +101,7 @@
     changed();
   });
   tools.hidden = false;
+  table.querySelector("[data-sorts]").hidden = false;
   addEventListener("hashchange", recall);
   recall();
 })();

@@ -243,6 +243,15 @@
     };
     slider.max = last;
     slider.addEventListener("input", () => { stop(); frame = Number(slider.value); draw(); });
+    // The button steps as the slider does.
+    button.addEventListener("keydown", (event) => {
+      const target = { ArrowRight: frame + 1, ArrowLeft: frame - 1, Home: 0, End: last }[event.key];
+      if (target === undefined || event.altKey || event.ctrlKey || event.metaKey) return;
+      event.preventDefault();
+      stop();
+      frame = Math.min(Math.max(target, 0), last);
+      draw();
+    });
     // The slider steps by arrows of itself; a click on the picture or space on the slider plays.
     slider.addEventListener("keydown", (event) => { if (event.key === " ") { event.preventDefault(); play(); } });
     canvas.addEventListener("click", () => { slider.focus(); play(); });

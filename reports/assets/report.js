@@ -118,6 +118,15 @@
   };
   addEventListener("hashchange", reveal);
   reveal();
+  // A link made on the whole report, or on another of its pages, leads to the page that has the part.
+  const lead = () => {
+    const [, anchor] = /^#([\w-]+)/.exec(location.hash) || [];
+    if (!anchor || document.getElementById(anchor) || document.querySelector(`.parcel[data-holds~="${anchor}"]`)) return;
+    const link = document.querySelector(`nav.contents a[href$="#${/^run-\d+$/.test(anchor) ? "runs" : anchor}"]`);
+    if (link && !link.getAttribute("href").startsWith("#")) location.replace(link.href.split("#")[0] + location.hash);
+  };
+  addEventListener("hashchange", lead);
+  lead();
   const contents = document.getElementById("contents");
   if (contents && matchMedia("(max-width: 60rem)").matches) contents.open = false;
 
@@ -138,13 +147,13 @@
   };
   filter.addEventListener("input", () => {
     apply();
-    const hash = filter.value ? `#runs?${encodeURIComponent(filter.value)}` : "#runs";
-    try { history.replaceState(null, "", hash); } catch { /* some browsers forbid it for files: the filter works without */ }
+    // Some browsers forbid it for files, and half a letter has no address: the filter works without.
+    try { history.replaceState(null, "", filter.value ? `#runs?${encodeURIComponent(filter.value)}` : "#runs"); } catch { /* as it is */ }
   });
   // A link into a run that the filter hides shows it again.
   const follow = () => {
     const hash = location.hash;
-    if (hash.startsWith("#runs?")) {
+    if (/^#runs(\?|$)/.test(hash)) {
       try { filter.value = decodeURIComponent(hash.slice(6)); } catch { filter.value = ""; }
       apply();
       document.getElementById("runs").scrollIntoView();

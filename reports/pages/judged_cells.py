@@ -68,7 +68,8 @@ def scene_by_scene(runs: tuple[RunRecord, ...]) -> list[JudgedScene]:
     for name in dict.fromkeys(run.scene.name for run in judged):
         mine, failing = [run for run in judged if run.scene.name == name], [run for run in bad if run.scene.name == name]
         applying = [run for run in mine if run.outcome != "refused"]
-        words = f"{len(mine) - len(failing)} of {count(len(applying), 'cell')} hold" if applying else "no method applies"
+        held = f"{len(mine) - len(failing)} of {count(len(applying), 'cell')} {'holds' if len(applying) == 1 else 'hold'}"
+        words = held if applying else "no method applies"
         told = [_sentence(run, run.pipeline) for run in failing if run.outcome != "refused"]
         scenes.append(JudgedScene(name, words, told + _refusals([run for run in failing if run.outcome == "refused"])))
     return scenes
@@ -92,7 +93,11 @@ def _verdict(run: RunRecord) -> str:
 
 
 def _sentence(run: RunRecord, name: str) -> Sentence:
-    reason = failure(run) or (_why(run.stages[-1]) if run.stages else "") or "The record gives no reason."
+    # A plan is judged whatever its method says of it: the limit that it breaks comes before how the method ended.
+    why = _why(run.stages[-1]) if run.stages else ""
+    judged = f"{why.rstrip('.')}. " if why and run.verdict != "no plan" else ""
+    ended = failure(run)
+    reason = (judged + ("" if ended.rstrip(".") == judged.strip().rstrip(".") else ended)).strip() or why or "The record gives no reason."
     return Sentence(*_SIGNS.get(run.verdict, ("unresolved", "?")), f"{name}: {run.verdict}. {capital(reason)}")
 
 

@@ -31,6 +31,7 @@ class Shown:
 
     name: str
     value: str
+    unit: str
     limit: str
     reason: str
     meaning: str
@@ -87,8 +88,10 @@ def _row(record: ExaminationRecord) -> Row:
 def _shown(figure: FigureRecord) -> Shown:
     of = f" {unit(figure.unit)}" if unit(figure.unit) else ""
     limit = "" if figure.limit is None else f"{'≥' if figure.at_least else '≤'} {number(figure.limit, 7)}{of}"
-    value = "no number" if figure.value is None else f"{number(figure.value, 3)}{of}"
-    return Shown(figure.name, value, limit, figure.reason, figure.meaning, None if figure.ok is None else PASS if figure.ok else FAIL)
+    value, measured = ("no number", "") if figure.value is None else (number(figure.value, 3), unit(figure.unit))
+    return Shown(
+        figure.name, value, measured, limit, figure.reason, figure.meaning, None if figure.ok is None else PASS if figure.ok else FAIL
+    )
 
 
 def _plot(chart: ChartRecord) -> Plot:

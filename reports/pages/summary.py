@@ -81,18 +81,25 @@ def _time_steps(report: Report) -> list[Sentence]:
 
 
 def _indirect(rows: list[Row]) -> list[Sentence]:
-    relaxed = [row for row in rows if row.stage.kind == "indirect"]
-    if not relaxed:
+    asked = [row for row in rows if row.stage.kind == "indirect"]
+    relaxed = [row for row in asked if row.stage.verdict != "no plan"]
+    if not asked:
         return []
+    lost = f" {count(len(asked) - len(relaxed), 'other')} came back without a plan." if len(relaxed) < len(asked) else ""
+    if not relaxed:
+        return [Sentence("plain", "•", f"No relaxed stage came back with a plan, of {len(asked)}.")]
     violating = [row for row in relaxed if row.stage.verdict == "violates"]
     errors = [value for row in violating if (value := row.figure("replay_terminal_error")) is not None]
     reach = f", missing the goal by {error(min(errors))} to {error(max(errors))} after the replay" if errors else ""
-    text = f"{len(violating)} of {count(len(relaxed), 'relaxed stage')} violate contact physics, as relaxations are expected to{reach}."
+    planned = f"{count(len(relaxed), 'relaxed stage')} with a plan"
+    text = (
+        f"{len(violating)} of {planned} {'violates' if len(violating) == 1 else 'violate'} a limit, as relaxations are expected to{reach}."
+    )
     if len(violating) == len(relaxed):
-        return [Sentence("plain", "•", text)]
+        return [Sentence("plain", "•", text + lost)]
     exempt = [row.label for row in relaxed if row.stage.verdict == "holds"]
     named = listing(exempt) if len(exempt) <= _FEW else f"{len(exempt)} of them"
-    return [Sentence("plain", "•", text + (f" {named} {'keeps' if len(exempt) == 1 else 'keep'} every limit." if exempt else ""))]
+    return [Sentence("plain", "•", text + (f" {named} {'keeps' if len(exempt) == 1 else 'keep'} every limit." if exempt else "") + lost)]
 
 
 def _cheapest(rows: list[Row]) -> list[Sentence]:
@@ -102,7 +109,7 @@ def _cheapest(rows: list[Row]) -> list[Sentence]:
         holding = [row for row in rows if row.run.scene.name == name and row.stage.verdict == "holds" and row.stage.cost is not None]
         if not holding:
             continue
-        exact = [row for row in holding if (row.figure("discrete_terminal_error") or 1.0) <= 1e-4]
+        exact = [row for row in holding if (missed := row.figure("discrete_terminal_error")) is not None and missed <= 1e-4]
         best = min(holding, key=lambda row: row.stage.cost or 0.0)
         parts = [f"On {name} the cheapest plan that holds is row {best.number}, {best.label}: {_price(best)}."]
         if exact:
@@ -117,6 +124,8 @@ def _cheapest(rows: list[Row]) -> list[Sentence]:
 
 def _price(row: Row) -> str:
     missed = row.figure("replay_terminal_error")
+    if missed is None and all(goal is None for goal in row.run.scene.goal):
+        return f"cost {cost(row.stage.cost)}; the scene leaves its end free"
     return f"cost {cost(row.stage.cost)}, terminal error after the replay " + (error(missed) if missed is not None else "not measured")
 
 

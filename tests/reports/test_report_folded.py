@@ -133,6 +133,15 @@ def test_pages_tell_the_same_and_lead_to_each_other(full_folder):
     assert len([name for name in pages if name.startswith("run-")]) == plain.count('<article class="run"')
 
 
+def test_pages_of_runs_that_are_gone_go_too(factory, tmp_path):
+    index = write_pages(factory.store(tmp_path / "once", [factory.run("strict", None, "strict_lcp")]))
+    pages = {path.name for path in index.parent.iterdir()}
+    for name in ("run-7.html", "run-of-mine.html"):
+        (index.parent / name).write_text("old")
+    write_pages(index.parent.parent)
+    assert {path.name for path in index.parent.iterdir()} == pages | {"run-of-mine.html"}
+
+
 def test_a_file_in_the_place_of_the_pages_is_one_sentence(factory, tmp_path):
     folder = factory.store(tmp_path / "blocked", [])
     (folder / "report").write_text("")

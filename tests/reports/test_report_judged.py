@@ -29,7 +29,7 @@ def test_many_cells_are_told_scene_by_scene(factory):
         "scene by scene below."
     )
     bank, hill = scene_by_scene(tuple(runs))
-    assert (bank.words, hill.words, hill.sentences) == ("0 of 10 cells hold", "1 of 1 cell hold", [])
+    assert (bank.words, hill.words, hill.sentences) == ("0 of 10 cells hold", "1 of 1 cell holds", [])
     assert [one.text for one in bank.sentences[-2:]] == ["p9: violates. Too far.", "p10, p11 and p12 do not apply: scene bank has no wall."]
 
 
@@ -49,3 +49,16 @@ def test_a_cold_cost_of_nought_is_no_whole_to_take_a_part_of(factory):
 def test_a_column_longer_than_its_times_is_no_trace():
     with pytest.raises(ValidationError, match="q1 has 3 values at 1 times"):
         TraceRecord.model_validate({"t": [0.0], "columns": {"q1": [0.0, 1.0, 2.0]}})
+
+
+def test_a_plan_that_violates_says_which_limit_however_its_method_ended(factory):
+    (stage,) = factory.run("strict", None, "strict_lcp").stages
+    stage = stage.model_copy(
+        update={"outcome": "stalled", "verdict": "violates", "why": "the replay misses the goal by 0.1 m, limit 0.05 m"}
+    )
+    run = factory.run("p", None, "strict_lcp", verdict="violates", outcome="stalled", message="No step lowers the loss.", stages=(stage,))
+    told = direct((run,), whole=True)[1].text
+    assert told.startswith("p on three_cart: violates. The replay misses the goal by 0.1 m, limit 0.05 m. ")
+    assert told.endswith("No step lowers the loss.")
+    solved = run.model_copy(update={"outcome": "solved", "message": stage.why})
+    assert direct((solved,), whole=True)[1].text == "p on three_cart: violates. The replay misses the goal by 0.1 m, limit 0.05 m."

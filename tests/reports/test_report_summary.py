@@ -1,0 +1,54 @@
+"""Sentences of the summary that tell numbers: of relaxed stages, and of the cheapest plans."""
+
+from __future__ import annotations
+
+from reports.load import Stored
+from reports.pages import summary
+from reports.pages.section import Report
+
+
+def _sentences(*runs) -> list[str]:
+    section = summary.build(Report(Stored("x", None, runs, (), (), 0)))
+    assert section is not None
+    return [one.text for one in section.values["sentences"]]
+
+
+def test_relaxed_stages_without_a_plan_are_no_relaxed_stages_that_keep_their_limits(factory):
+    run = factory.run("relaxed+strict", "relaxed_lcp", "strict_lcp")
+    first, second, third, last = run.stages
+    changed = (
+        first.model_copy(update={"verdict": "no plan", "figures": (), "cost": None}),
+        second.model_copy(update={"verdict": "violates"}),
+        third.model_copy(update={"verdict": "holds"}),
+        last,
+    )
+    (told,) = [text for text in _sentences(run.model_copy(update={"stages": changed})) if "relaxations" in text]
+    assert told.startswith(
+        "1 of 2 relaxed stages with a plan violates a limit, as relaxations are expected to, missing the goal by 0.0050 to 0.0050"
+    )
+    assert told.endswith("keeps every limit. 1 other came back without a plan.")
+    lost = [stage.model_copy(update={"verdict": "no plan", "figures": (), "cost": None}) for stage in run.stages[:3]]
+    assert "No relaxed stage came back with a plan, of 3." in _sentences(run.model_copy(update={"stages": (*lost, last)}))
+
+
+def test_a_plan_that_meets_its_goal_to_the_last_bit_reaches_it(factory):
+    cheap, exact = factory.run("relu_gd", None, "relu_gd"), factory.run("strict", None, "strict_lcp")
+    (stage,) = exact.stages
+    figures = [item.model_copy(update={"value": 0.0}) if item.name == "discrete_terminal_error" else item for item in stage.figures]
+    exact = exact.model_copy(update={"stages": (stage.model_copy(update={"figures": tuple(figures), "verdict": "holds"}),)})
+    (stage,) = cheap.stages
+    cheap = cheap.model_copy(update={"stages": (stage.model_copy(update={"cost": 400.0, "verdict": "holds"}),)})
+    (told,) = [text for text in _sentences(cheap, exact) if "cheapest" in text]
+    assert "The cheapest that also reaches the goal on its own grid is row 2, strict_lcp: cost 496.63" in told
+
+
+def test_a_free_end_is_not_told_as_an_error_that_nobody_measured(factory):
+    run = factory.run("strict", None, "strict_lcp")
+    (stage,) = run.stages
+    stage = stage.model_copy(update={"figures": (), "verdict": "holds"})
+    scene = factory.scene()
+    free = scene.model_copy(update={"goal": (None,) * len(scene.goal)})
+    (told,) = [text for text in _sentences(run.model_copy(update={"stages": (stage,), "scene": free})) if "cheapest" in text]
+    assert told.endswith("cost 496.63; the scene leaves its end free.")
+    (told,) = [text for text in _sentences(run.model_copy(update={"stages": (stage,)})) if "cheapest" in text]
+    assert told.endswith("terminal error after the replay not measured.")
