@@ -62,9 +62,10 @@ class Account:
                 self.history[name].append(getattr(line, name))
 
     def include(self, earlier: Account) -> None:
-        """What was spent on other grids before, in this account's time."""
+        """What was spent before, in this account's time."""
         self.iterations += earlier.iterations
         self.work += earlier.work
+        self.solver = self.solver or earlier.solver
         for name in ("build", "translate", "evaluate", "linear_algebra"):
             setattr(self, name, getattr(self, name) + getattr(earlier, name))
         self.history = {name: earlier.history[name] + values for name, values in self.history.items()}
