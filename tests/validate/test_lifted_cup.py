@@ -45,7 +45,7 @@ def test_the_relaxed_plan_violates_and_says_where_its_forces_come_from(plans):
     found = judged(plans[0])
     assert found.verdict.value == "violates"
     beyond = {figure.name for figure in found.figures if figure.ok is False}
-    assert {"physics_scaled", "ghost_impulse", "friction_dissipation_error", "discrete_terminal_error"} <= beyond
+    assert {"physics_scaled", "friction_dissipation_error", "discrete_terminal_error"} <= beyond
     assert "force from a distance" in found.why
 
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import sympy as sp
 from scipy.linalg import solve_discrete_are
 
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
+from models.contacts import Contact
+from models.scene import Coordinate, Input, Parameter, Scene, Task
 from models.trajectory import Trajectory, uniform_grid
 from validate.replay.feedback import Feedback, measure_effort
 from validate.replay.growth import flow_derivative, largest_growth, measure_growth
@@ -103,6 +108,44 @@ def test_free_masses_do_not_grow():
     assert growth is not None
     assert growth.amplification < 10.0
     assert not growth.is_large
+
+
+def poised() -> Scene:
+    """A mass that a field drives from x = 0, at rest where it just touches a stiff wall: free, an error grows as exp(4 t), held, as the wall's frequency."""
+    x, v, push = sp.symbols("x v push", real=True)
+    k = sp.Symbol("k", positive=True)
+    return Scene(
+        name="poised",
+        title="A mass on the edge of a wall",
+        source="own",
+        coordinates=(Coordinate(symbol=x, velocity=v, unit="m"),),
+        inputs=(Input(symbol=push, unit="N", lower=-10.0, upper=10.0),),
+        parameters=(Parameter(symbol=k, value=4e4, unit="N/m"),),
+        kinetic_energy=v**2 / 2,
+        potential_energy=-8 * x**2,
+        forces=(push,),
+        contacts=(Contact(name="wall", penetration=x, stiffness=k),),
+        task=Task(start=(0.0, 0.0), goal=(0.0, 0.0), running_cost=push**2, step=0.005, steps=400),
+    )
+
+
+@pytest.mark.parametrize("depth", [2e-9, -2e-9])
+def test_a_plan_on_an_edge_grows_as_the_worse_side_does(depth: float):
+    """Two plans nobody can tell apart, one a hair inside the wall, where nothing grows but by its frequency, the other a hair outside."""
+    scene = poised()
+    held = np.full((400, 1), (4e4 - 16.0) * depth if depth > 0 else -16.0 * depth)
+    plan = Trajectory(
+        t=uniform_grid(0.005, 400), q=np.full((401, 1), depth), v=np.zeros((401, 1)), u=held, lam=np.full((400, 1), max(0.0, 4e4 * depth))
+    )
+    growth = measure_growth(load_kernel(scene), scene, plan)
+    assert growth is not None
+    assert growth.amplification > 1000.0
+    assert growth.is_large
+    firm = np.full((401, 1), 1e-3)  # deep enough for all neighbours to be held
+    inside = replace(plan, q=firm, u=np.full((400, 1), (4e4 - 16.0) * 1e-3), lam=np.full((400, 1), 40.0))
+    calm = measure_growth(load_kernel(scene), scene, inside)
+    assert calm is not None
+    assert 100.0 < calm.amplification < 400.0  # a place times the frequency of 200 1/s is a speed
 
 
 def test_steps_are_linearised_in_the_contact_that_is_closed():
