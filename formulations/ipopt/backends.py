@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 from formulations.ipopt.backend import Backend
 from formulations.ipopt.backend_cyipopt import Cyipopt
 from formulations.ipopt.backend_ipyopt import Ipyopt
+from formulations.ipopt.linear_solver import MUMPS, linear_solver
 from models.errors import MachineError
 
 
@@ -32,3 +34,8 @@ def default_backend(options: Iterable[str] = ()) -> Backend:
             f"the environment variable TOUCHSTONE_IPOPT asks for {wanted!r}, which is not installed or lacks an option; there are {known}."
         )
     raise MachineError("no Ipopt is installed; install it with: pip install cyipopt-wheels==1.7.0.dev0")
+
+
+def where_mumps(options: Mapping[str, Any]) -> dict[str, Any]:
+    """These options where MUMPS factorises by default; none where our own does, because an option of MUMPS asks for MUMPS."""
+    return dict(options) if linear_solver("", default_backend()) == MUMPS else {}

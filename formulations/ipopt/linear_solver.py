@@ -8,8 +8,11 @@ dense pieces: a general solver spends most of its time on itself there. An itera
 from __future__ import annotations
 
 import ctypes
+import logging
 import os
-from functools import cache, lru_cache
+import platform
+import sys
+from functools import cache
 from pathlib import Path
 from typing import Protocol
 
@@ -22,24 +25,62 @@ LINEAR_SOLVERS = (LDLT, MUMPS)
 
 _FOLDER = Path(__file__).with_name("ldlt")
 _OPTIMISED = ("-O3",)
+_CALLS = ("ma27ad_", "ma27bd_", "ma27cd_", "ma27id_")
+# What decides which compiler there is and where its work is kept.
+_DECISIVE = ("CC", "PATH", "HOME", "TOUCHSTONE_CACHE", "XDG_CACHE_HOME")
+
+logger = logging.getLogger(__name__)
+_known: dict[tuple[str | None, ...], Path | str] = {}
 
 
-@lru_cache(maxsize=1)
 def ldlt_library() -> Path:
-    """The compiled library, with the entry points ma27id_, ma27ad_, ma27bd_, ma27cd_. Raises MachineError without a compiler or a cache folder."""
+    """The compiled library, with the entry points ma27id_, ma27ad_, ma27bd_, ma27cd_; tried once, and again if it has gone.
+
+    Raises MachineError without a compiler or a cache folder, and where what was compiled cannot be loaded here.
+    """
+    place = tuple(map(os.environ.get, _DECISIVE))
+    known = _known.get(place)
+    if known is None or (isinstance(known, Path) and not known.exists()):
+        try:
+            known = _compiled()
+        except MachineError as error:
+            known = str(error)
+        _known[place] = known
+    if isinstance(known, str):
+        raise MachineError(known)
+    return known
+
+
+def _compiled() -> Path:
     compiler = find_compiler()
     sources = {path.name: path.read_text(encoding="utf-8") for path in sorted(_FOLDER.glob("*.[ch]"))}
-    key = "\n".join([compiler.describe(), " ".join((*FLAGS, *_OPTIMISED)), *(f"{name}\n{text}" for name, text in sources.items())])
-    return cached(key, ".so", lambda path: compile_shared(compiler, sources, path, extra_flags=_OPTIMISED))
+    machine = f"{sys.platform} {platform.machine()}"
+    key = "\n".join([compiler.describe(), machine, " ".join((*FLAGS, *_OPTIMISED)), *(f"{name}\n{text}" for name, text in sources.items())])
+    path = cached(key, ".so", lambda path: compile_shared(compiler, sources, path, extra_flags=_OPTIMISED))
+    try:
+        loaded = ctypes.CDLL(str(path))
+        for name in _CALLS:
+            getattr(loaded, name)
+    except (OSError, AttributeError) as error:
+        raise MachineError(
+            f"the compiled linear solver {path} cannot be loaded ({error}); remove it, or set TOUCHSTONE_CACHE elsewhere."
+        ) from error
+    return path
 
 
 def available() -> bool:
-    """Whether the library can be had here."""
+    """Whether the library can be had here; if not, the log says why, once."""
     try:
         ldlt_library()
-    except MachineError:
+    except MachineError as error:
+        _tell(str(error))
         return False
     return True
+
+
+@cache
+def _tell(why: str) -> None:
+    logger.info("Ipopt's linear systems are factorised by MUMPS: %s", why)
 
 
 class TakesLdlt(Protocol):
@@ -77,7 +118,7 @@ def hand_to(extension: str) -> bool:
     except (OSError, AttributeError):
         return False
     library = ctypes.CDLL(str(ldlt_library()))
-    calls = [getattr(library, name) for name in ("ma27ad_", "ma27bd_", "ma27cd_", "ma27id_")]
+    calls = [getattr(library, name) for name in _CALLS]
     register.restype, register.argtypes = None, [ctypes.c_void_p] * len(calls)
     register(*(ctypes.cast(call, ctypes.c_void_p) for call in calls))
     return True

@@ -12,7 +12,7 @@ import numpy as np
 from formulations.ipopt.backend import Answer, Backend, Start
 from formulations.ipopt.backends import default_backend
 from formulations.ipopt.evaluations import Evaluations
-from formulations.ipopt.linear_solver import linear_solver
+from formulations.ipopt.linear_solver import MUMPS, linear_solver
 from formulations.ipopt.options import DEFAULTS, checked_options
 from formulations.ipopt.problem import IpoptProblem
 from formulations.ipopt.residuals import FEASIBILITY, UNKNOWN, Residuals, residuals
@@ -38,18 +38,19 @@ def solve(
 ) -> IpoptResult:
     """Minimise from `warm_start` (default: the current values of the model's variables); the model is left as it is.
 
-    options: Ipopt options by name; unknown ones raise UnknownOptionError before anything runs
+    options: Ipopt options by name; unknown ones raise UnknownOptionError before anything runs; one of MUMPS asks for MUMPS, unless linear_solver is given
     warm_start: with multipliers (some or all), Ipopt starts primal-dual; `mu_init` defaults to the mean complementarity given
     callback: called after each iteration; returning False stops (Outcome.INTERRUPTED), an exception propagates
     time_limit: wall time [s], checked once an iteration
     """
-    begin, cpu = time.perf_counter(), time.process_time()
     asked = checked_options(options or {})
     backend = backend or default_backend(asked)
+    factorised_by = linear_solver(_asked_for(asked), backend)  # compiled at its first use, which no solve is to blame for
+    begin, cpu = time.perf_counter(), time.process_time()
     start, missing = complete_start(problem, warm_start)
     used: dict[str, str | int | float] = {
         **DEFAULTS,
-        "linear_solver": linear_solver(str(asked.get("linear_solver", "")), backend),
+        "linear_solver": factorised_by,
         **warm_options(problem, start),
         **asked,
     }
@@ -90,6 +91,11 @@ def solve(
         backend=backend.name,
         version=backend.version(),
     )
+
+
+def _asked_for(options: Mapping[str, Any]) -> str:
+    """The linear solver that is named, or whose own options are."""
+    return str(options.get("linear_solver", "") or (MUMPS if any(name.startswith("mumps_") for name in options) else ""))
 
 
 class _Recorder:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, cast
 
+from formulations.ipopt.backends import where_mumps
 from formulations.solution import Outcome
 from formulations.transcription.contact_laws import ContactLaw
 from formulations.transcription.opening import Watch
@@ -45,7 +46,7 @@ class SoftplusSession(TightenedSession):
         return None if start is None else Outcome.STALLED
 
     def common_options(self) -> dict[str, Any]:
-        return {**super().common_options(), **_KEEP_THE_BAND}
+        return {**super().common_options(), **where_mumps(_KEEP_THE_BAND)}
 
     def sharpest(self, eps: float | None) -> float:
         return sharpness(cast(float, eps), self._scene.length)

@@ -23,7 +23,7 @@ _BUILDING = "building-"
 def _place() -> Path:
     given = os.environ.get("TOUCHSTONE_CACHE")
     if given:
-        return Path(given)
+        return Path(given).absolute()
     if sys.platform == "win32":
         return Path(os.environ.get("LOCALAPPDATA", str(Path.home()))) / "touchstone"
     if sys.platform == "darwin":

@@ -1,5 +1,6 @@
 /* From a matrix to its fronts: zero diagonals paired with a neighbour, order, tree, amalgamation, places of the entries. */
 
+#include <limits.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -318,8 +319,11 @@ struct analysis view(int *block)
 
 static int *block_for(int n, int nz, const struct tree *t, int *length)
 {
-    *length = HEADER + 6 * t->fronts + 1 + 2 * t->all_rows + 3 * nz;
-    int *block = calloc((size_t)*length, sizeof(int));
+    int64_t needed = HEADER + 6 * (int64_t)t->fronts + 1 + 2 * (int64_t)t->all_rows + 3 * (int64_t)nz;
+    if (needed > INT_MAX)
+        return NULL;
+    *length = (int)needed;
+    int *block = calloc((size_t)needed, sizeof(int));
     if (block) {
         block[0] = n;
         block[1] = t->fronts;

@@ -15,10 +15,13 @@ enum { SINGLE = 1, FIRST = 2, SECOND = 3 };
 /* No pivot: its inverse is no number. */
 static const double NOTHING = 1e-300;
 
+/* Columns of a front kept up to date while pivots are sought among them; the others follow when these give no more. */
+enum { PANEL = 48 };
+
 /* Pivots are sought with this threshold first, and with the caller's where there are none. */
 static const double CAREFUL = 0.01;
 
-/* A symmetric front, its lower triangle by columns. `choosable` columns may become pivots, k of them are. */
+/* A symmetric front, its lower triangle by columns. The first `choosable` columns may become pivots, k of them are. */
 struct front {
     int rows, choosable;
     double *entry;
@@ -77,12 +80,14 @@ static double largest(const struct front *f, int k, int c, int but, int *inner)
     return most;
 }
 
-/* Brings an acceptable pivot to k: 1 or 2 variables, 0 if there is none. */
+/* Brings an acceptable pivot to k: 1 or 2 variables, 0 if there is none; -1: a column is zero, now and in every front to come. */
 static int choose(struct front *f, int k, double u)
 {
     for (int c = k; c < f->choosable; c++) {
         int r = -1, ignored;
         double most = largest(f, k, c, -1, &r), own = column_of(f, c)[c];
+        if (own == 0.0 && most == 0.0)
+            return -1;
         if (fabs(own) > NOTHING && fabs(own) >= u * most) {
             swap(f, k, c);
             return 1;
@@ -154,30 +159,54 @@ static int eliminate_pair(struct front *f, int k)
     return determinant < 0.0 ? 1 : a + c < 0.0 ? 2 : 0;
 }
 
-/* The columns that are passed on lose what `pivots` eliminated, four at a time. */
-static void update_rest(struct front *f, int pivots)
+/* The columns behind the choosable ones lose what the pivots from `first` to before `pivots` eliminated, four at a time. */
+static void update_rest(struct front *f, int first, int pivots)
 {
-    int rows = f->rows, k = 0;
+    int rows = f->rows;
     size_t ahead = (size_t)rows;
-    for (; k + 3 < pivots; k += 4) {
-        const double *restrict l = column_of(f, k), *restrict p = f->product + (size_t)k * ahead;
-        const double *restrict l2 = l + ahead, *restrict l3 = l2 + ahead, *restrict l4 = l3 + ahead;
-        for (int j = f->choosable; j < rows; j++) {
-            double a = p[j], b = p[j + ahead], c = p[j + 2 * ahead], d = p[j + 3 * ahead], *restrict target = column_of(f, j);
+    for (int j = f->choosable; j < rows; j++) {
+        double *restrict target = column_of(f, j);
+        int k = first;
+        for (; k + 3 < pivots; k += 4) {
+            const double *restrict l = column_of(f, k), *restrict p = f->product + (size_t)k * ahead;
+            const double *restrict l2 = l + ahead, *restrict l3 = l2 + ahead, *restrict l4 = l3 + ahead;
+            double a = p[j], b = p[(size_t)j + ahead], c = p[(size_t)j + 2 * ahead], d = p[(size_t)j + 3 * ahead];
             if (a == 0.0 && b == 0.0 && c == 0.0 && d == 0.0)
                 continue;
             for (int i = j; i < rows; i++)
                 target[i] -= (a * l[i] + b * l2[i]) + (c * l3[i] + d * l4[i]);
         }
-    }
-    for (; k < pivots; k++) {
-        const double *restrict l = column_of(f, k), *restrict p = f->product + (size_t)k * ahead;
-        for (int j = f->choosable; j < rows; j++) {
-            double a = p[j], *restrict target = column_of(f, j);
+        for (; k < pivots; k++) {
+            const double *restrict l = column_of(f, k);
+            double a = f->product[(size_t)k * ahead + (size_t)j];
             if (a != 0.0)
                 for (int i = j; i < rows; i++)
                     target[i] -= a * l[i];
         }
+    }
+}
+
+/* Eliminates what can be of the choosable columns, panel by panel. Returns how many, -1 where the matrix is singular. */
+static int eliminate(struct front *f, double u, int *negative)
+{
+    int all = f->choosable, k = 0, applied = 0;
+    f->choosable = all < PANEL ? all : PANEL;
+    for (;;) {
+        int made = choose(f, k, u > CAREFUL ? u : CAREFUL);
+        if (!made && u < CAREFUL)
+            made = choose(f, k, u);
+        if (made < 0)
+            return -1;
+        if (made > 0) {
+            *negative += made == 1 ? eliminate_one(f, k) : eliminate_pair(f, k);
+            k += made;
+            continue;
+        }
+        update_rest(f, applied, k);
+        if (f->choosable == all)
+            return k;
+        applied = k;
+        f->choosable = all - f->choosable < PANEL ? all : f->choosable + PANEL;
     }
 }
 
@@ -275,7 +304,8 @@ static void keep(const struct front *f, int pivots, double *real, int *index)
     memcpy(real, f->entry, sizeof(double) * (size_t)f->rows * (size_t)pivots);
 }
 
-int factorise(const struct analysis *a, const double *value, double u, double *real, long reals, int *index, long integers, struct outcome *out)
+int factorise(const struct analysis *a, const double *value, double u, double *real, int64_t reals, int *index, int64_t integers,
+              struct outcome *out)
 {
     struct memory memory = {.count = 0};
     struct front f = {.rows = 0};
@@ -292,7 +322,7 @@ int factorise(const struct analysis *a, const double *value, double u, double *r
     if (memory.failed)
         status = NO_MEMORY;
     for (int s = 0; s < a->count && status != NO_MEMORY; s++) {
-        int delayed = 0, k = 0;
+        int delayed = 0;
         for (int c = 1; c <= a->children[s]; c++)
             delayed += w.late[w.children - c];
         f.rows = a->size[s] + delayed;
@@ -302,24 +332,17 @@ int factorise(const struct analysis *a, const double *value, double u, double *r
             break;
         }
         assemble(a, s, value, &f, &w, delayed, place);
-        while (k < f.choosable) {
-            int made = choose(&f, k, u > CAREFUL ? u : CAREFUL);
-            if (!made && u < CAREFUL)
-                made = choose(&f, k, u);
-            if (!made)
-                break;
-            out->negative += made == 1 ? eliminate_one(&f, k) : eliminate_pair(&f, k);
-            k += made;
-        }
-        update_rest(&f, k);
-        if (out->reals + (long)f.rows * k > reals)
+        int k = eliminate(&f, u, &out->negative);
+        if (k < 0) /* the rank is short of n: no front to come can mend that */
+            break;
+        if (out->reals + (int64_t)f.rows * k > reals)
             status = REALS_TOO_SHORT;
         else if (status == FACTORISED && out->integers + 3 + f.rows + k > integers)
             status = INTEGERS_TOO_SHORT;
         if (status == FACTORISED)
             keep(&f, k, real + out->reals, index + out->integers);
         out->rank += k;
-        out->reals += (long)f.rows * k;
+        out->reals += (int64_t)f.rows * k;
         out->integers += 3 + f.rows + k;
         if (f.rows > out->largest)
             out->largest = f.rows;

@@ -4,6 +4,7 @@
 #define TOUCHSTONE_LDLT_H
 
 #include <stddef.h>
+#include <stdint.h>
 
 /* The elimination: fronts, children before parents. One block of integers, so that it can be kept where the caller keeps integers.
  * A front has its pivots first, then the rows it shares with its parent; of an entry (row >= column) the places in its front are told. */
@@ -42,13 +43,13 @@ struct analysis view(int *block);
 
 struct outcome {
     int negative, rank, largest; /* negative eigenvalues, pivots found, rows of the largest front */
-    long reals, integers;        /* room the factor needs, whether it had it or not */
+    int64_t reals, integers;     /* room the factor needs, whether it had it or not */
 };
 
 enum { FACTORISED = 0, NO_MEMORY = -1, INTEGERS_TOO_SHORT = -3, REALS_TOO_SHORT = -4 };
 
-/* value: entries, scaled; u: threshold of the pivots, 0 .. 0.5. */
-int factorise(const struct analysis *analysis, const double *value, double u, double *real, long reals, int *index, long integers,
+/* value: entries, scaled; u: threshold of the pivots, 0 .. 0.5. A rank below n, whatever is answered, is that of a singular matrix. */
+int factorise(const struct analysis *analysis, const double *value, double u, double *real, int64_t reals, int *index, int64_t integers,
               struct outcome *out);
 
 /* x: right side, then solution; work: rows of the largest front. */

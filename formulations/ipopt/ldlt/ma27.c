@@ -101,8 +101,9 @@ static int analysis_in(int n, int nz, const int *irn, const int *icn, const doub
 
 static void ask_for(int *info, int *ikeep, int what, double room)
 {
-    info[0] = what;
-    info[1] = as_int(1.1 * room + 16.0);
+    double most = 1.1 * room + 16.0;
+    info[0] = most > INT_MAX / 2 ? OUT_OF_MEMORY : what; /* callers count in int, and double it */
+    info[1] = as_int(most);
     ikeep[0] = 0;
 }
 
@@ -132,20 +133,20 @@ void ma27bd_(const int *n, const int *nz, const int *irn, const int *icn, double
     }
     if (info[0] == 0) {
         struct analysis analysis = view(iw + 1);
-        int status = factorise(&analysis, value, cntl[0], a + *n, (long)*la - *n, iw + begin, (long)*liw - begin, &out);
+        int status = factorise(&analysis, value, cntl[0], a + *n, (int64_t)*la - *n, iw + begin, (int64_t)*liw - begin, &out);
         *nsteps = analysis.count;
         *maxfrt = out.largest;
         info[NEGATIVE] = out.negative;
         if (status == NO_MEMORY)
             info[0] = OUT_OF_MEMORY;
-        else if (status == REALS_TOO_SHORT)
+        else if (out.rank < *n) { /* more room would not help */
+            info[0] = SINGULAR;
+            info[1] = out.rank;
+        } else if (status == REALS_TOO_SHORT)
             ask_for(info, ikeep, status, (double)out.reals + *n);
         else if (status == INTEGERS_TOO_SHORT)
             ask_for(info, ikeep, status, (double)out.integers + begin);
-        else if (out.rank < *n) {
-            info[0] = SINGULAR;
-            info[1] = out.rank;
-        } else
+        else
             memcpy(a, scale, sizeof(double) * size);
     }
     release(&memory);

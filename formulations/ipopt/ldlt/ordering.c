@@ -1,6 +1,9 @@
 /* Minimum degree on a quotient graph with approximate degrees: Amestoy, Davis and Duff, An approximate minimum degree ordering algorithm, SIAM J.
- * Matrix Anal. Appl. 17 (1996). An eliminated node becomes an element, the list of its neighbours; the elements next to it are absorbed. */
+ * Matrix Anal. Appl. 17 (1996). An eliminated node becomes an element, the list of its neighbours; the elements next to it are absorbed. Hubs, nodes
+ * next to a large part of all, are set aside and come last, together: their lists would be read again at every step. */
 
+#include <limits.h>
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -127,11 +130,13 @@ static int renew(struct graph *graph, int i, int step, struct ordering *out)
     return kept + plain > 0 ? degree : -1;
 }
 
-static int make_room(struct ordering *out, int *capacity, int needed)
+static int make_room(struct ordering *out, int *capacity, int64_t needed)
 {
     if (needed <= *capacity)
         return 1;
-    int *more = realloc(out->list, sizeof(int) * (size_t)(*capacity = 2 * needed));
+    if (needed > INT_MAX / 2)
+        return 0;
+    int *more = realloc(out->list, sizeof(int) * (size_t)(*capacity = 2 * (int)needed));
     if (more)
         out->list = more;
     return more != NULL;
@@ -144,7 +149,7 @@ static int eliminate_all(int n, struct graph *graph, struct queue *queue, int le
         while (queue->head[queue->lowest] < 0)
             queue->lowest++;
         int p = queue->head[queue->lowest], begin = out->first[step];
-        if (!make_room(out, &capacity, begin + n))
+        if (!make_room(out, &capacity, (int64_t)begin + n))
             return 0;
         dequeue(queue, p);
         graph->gone[p] = 1;
@@ -179,11 +184,70 @@ static int eliminate_all(int n, struct graph *graph, struct queue *queue, int le
     return 1;
 }
 
+/* For every step that hub h is next to, through its nodes or the elements it absorbed: one more of its list, in `count`, or at `end` if that is given. */
+static void reach(const struct graph *graph, int h, const struct ordering *out, int *seen, int *count, int *list, int *end)
+{
+    for (int k = 0; k < graph->length[h]; k++) {
+        int i = graph->adjacent[graph->start[h] + k];
+        for (int s = out->leader[i]; s >= 0 && seen[s] != h; s = out->parent[s]) {
+            seen[s] = h;
+            if (end)
+                list[end[s]++] = h;
+            else
+                count[s]++;
+        }
+    }
+}
+
+/* The hubs become the last step; they join the lists of all steps they are next to. seen, count: a place per step and one more. */
+static int append_hubs(const struct graph *graph, const int *hub, int hubs, struct ordering *out, int *seen, int *count)
+{
+    int last = out->count;
+    int64_t length = out->first[last];
+    for (int s = 0; s < last; s++) {
+        seen[s] = -1;
+        count[s] = 0;
+    }
+    for (int q = 0; q < hubs; q++)
+        out->leader[hub[q]] = -1; /* no step yet: a hub next to a hub leads nowhere */
+    for (int q = 0; q < hubs; q++)
+        reach(graph, hub[q], out, seen, count, NULL, NULL);
+    for (int s = 0; s < last; s++)
+        length += count[s];
+    int *list = length > INT_MAX ? NULL : malloc(sizeof(int) * ((size_t)length + 1));
+    if (!list)
+        return 0;
+    int write = 0;
+    for (int s = 0; s < last; s++) {
+        int begin = out->first[s], own = out->first[s + 1] - begin, more = count[s];
+        if (own > 0)
+            memcpy(list + write, out->list + begin, sizeof(int) * (size_t)own);
+        out->first[s] = write;
+        count[s] = write + own; /* where its hubs go */
+        write += own + more;
+        seen[s] = -1;
+    }
+    for (int q = 0; q < hubs; q++)
+        reach(graph, hub[q], out, seen, NULL, list, count);
+    for (int s = 0; s < last; s++)
+        if (out->parent[s] < 0 && count[s] > out->first[s])
+            out->parent[s] = last;
+    for (int q = 0; q < hubs; q++)
+        out->leader[hub[q]] = last;
+    out->parent[last] = -1;
+    out->first[last] = out->first[last + 1] = write;
+    out->count = last + 1;
+    free(out->list);
+    out->list = list;
+    return 1;
+}
+
 int order_nodes(int n, const int *weight, const int *start, int *length, int *adjacent, struct ordering *out)
 {
     struct memory memory = {.count = 0};
     struct graph graph = {.weight = weight, .start = start, .length = length, .adjacent = adjacent};
-    int total = 0, ok = 0;
+    int total = 0, ok = 0, hubs = 0, *hub = take(&memory, (size_t)n, sizeof(int));
+    double many = 10.0 * sqrt((double)n);
     for (int i = 0; i < n; i++)
         total += weight[i];
     struct queue queue = {.lowest = total};
@@ -197,13 +261,23 @@ int order_nodes(int n, const int *weight, const int *start, int *length, int *ad
     if (!memory.failed && out->parent && out->leader && out->first) {
         for (int d = 0; d <= total; d++)
             queue.head[d] = -1;
+        int left = total;
+        for (int i = 0; i < n; i++)
+            if (length[i] > many) {
+                graph.gone[i] = 1;
+                hub[hubs++] = i;
+                left -= weight[i];
+            }
         for (int i = n - 1; i >= 0; i--) {
             graph.mark[i] = graph.met[i] = -1;
+            if (graph.gone[i])
+                continue;
             for (int k = 0; k < length[i]; k++)
-                queue.degree[i] += weight[adjacent[start[i] + k]];
+                if (!graph.gone[adjacent[start[i] + k]])
+                    queue.degree[i] += weight[adjacent[start[i] + k]];
             enqueue(&queue, i);
         }
-        ok = eliminate_all(n, &graph, &queue, total, out);
+        ok = eliminate_all(n, &graph, &queue, left, out) && (hubs == 0 || append_hubs(&graph, hub, hubs, out, graph.mark, graph.outside));
     }
     release(&memory);
     return ok;

@@ -112,6 +112,45 @@ def chain(random: np.random.Generator, steps: int, states: int = 4, inputs: int 
     return sparse.csr_array(matrix[order][:, order])
 
 
+def dense(random: np.random.Generator, n: int) -> sparse.csr_array:
+    """One front of several panels, a part of whose diagonal is zero."""
+    matrix = random.normal(size=(2 * n, 2 * n))
+    matrix = matrix + matrix.T
+    zero = random.permutation(2 * n)[: int(random.integers(0, 2 * n))]
+    matrix[zero, zero] = 0.0
+    if n % 2:
+        matrix[np.ix_(zero[: n // 2], zero[: n // 2])] = 0.0
+    return sparse.csr_array(matrix)
+
+
+def grid(random: np.random.Generator, n: int) -> sparse.csr_array:
+    """A saddle point on a square with large separators."""
+    side = 8 + n // 6
+    line = sparse.diags_array([np.ones(side - 1)], offsets=[1])
+    neighbours = sparse.kron(line, sparse.eye_array(side)) + sparse.kron(sparse.eye_array(side), line)
+    weighted = sparse.coo_array(neighbours)
+    weighted.data = random.normal(size=weighted.nnz)
+    free = random.uniform(size=side * side) < 0.5
+    return sparse.csr_array(symmetric(sparse.csr_array(weighted)) + sparse.diags_array(np.where(free, 1.0, 0.0) + 1e-3))
+
+
+def hubs(random: np.random.Generator, n: int) -> sparse.csr_array:
+    """Chains with rows that touch nearly all of it, one another among them, and a variable that stands in every row."""
+    size, count = 140 + 2 * n, int(random.integers(1, 6))
+    matrix = sparse.lil_array((size + count, size + count))
+    matrix.setdiag(np.concatenate([random.normal(size=size) * (random.uniform(size=size) < 0.8), np.zeros(count)]))
+    for i in range(size - 1):
+        if random.uniform() < 0.9:
+            matrix[i, i + 1] = matrix[i + 1, i] = random.normal()
+    for h in range(size, size + count):
+        touched = np.flatnonzero(random.uniform(size=h) < 0.9)
+        matrix[h, touched] = random.normal(size=len(touched))
+        matrix[touched, h] = matrix[h, touched]
+    order = random.permutation(size + count)
+    matrix = sparse.csr_array(matrix)
+    return sparse.csr_array(matrix[order][:, order])
+
+
 def scaled(dense: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     scale = np.ones(len(dense))
     for _ in range(5):
@@ -119,25 +158,25 @@ def scaled(dense: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return scale, scale[:, None] * dense * scale
 
 
-@pytest.mark.parametrize("kind", [saddle, no_diagonal, arrow, wide_range, chain])
+@pytest.mark.parametrize("kind", [saddle, no_diagonal, arrow, wide_range, chain, dense, grid, hubs])
 @pytest.mark.parametrize("pivot", [1e-8, 1e-4, 0.5])
 def test_inertia_and_solution_are_those_of_numpy(kind, pivot: float) -> None:
     checked = 0
     for seed in range(12):
         random = np.random.default_rng(seed)
         matrix = kind(random, int(random.integers(2, 30 if kind is chain else 90)))
-        dense = matrix.toarray()
+        whole = matrix.toarray()
         factor = Factor(matrix, pivot)
-        if not np.abs(dense).max(axis=0).all():
+        if not np.abs(whole).max(axis=0).all():
             assert factor.info[0] == SINGULAR
             continue
-        scale, even = scaled(dense)
+        scale, even = scaled(whole)
         eigenvalues = np.linalg.eigvalsh(even)
         if np.abs(eigenvalues).min() < 1e-9:
             continue
         right = random.normal(size=factor.n)
         x = factor.solve(right / scale)
-        error = np.abs(scale * (dense @ x) - right).max() / (np.abs(even).max() * np.abs(x / scale).max() + np.abs(right).max())
+        error = np.abs(scale * (whole @ x) - right).max() / (np.abs(even).max() * np.abs(x / scale).max() + np.abs(right).max())
         assert factor.info[0] == 0
         assert factor.negative == int((eigenvalues < 0.0).sum())
         assert error < 1e-7 if kind is wide_range else error < 1e-10
@@ -179,6 +218,58 @@ def test_a_pivot_is_not_refused_for_being_small() -> None:
     assert (int(factor.info[0]), factor.negative) == (0, 2)
     right = np.array([1.0, 2.0, 2.0, -1.0])  # x = 2: the rows agree, the multipliers stay
     assert np.allclose(dense @ factor.solve(right), right, atol=1e-12)
+
+
+@pytest.mark.parametrize("room", [None, (1, 1)])
+@pytest.mark.parametrize("twice", [False, True])
+def test_a_matrix_singular_at_every_step_is_told_at_once(twice: bool, room: tuple[int, int] | None) -> None:
+    """A gradient that is zero, or a row stated twice, at each step: what cannot be eliminated must not gather in ever larger fronts."""
+    steps, random = 400, np.random.default_rng(2)
+    one = np.array([[1.0, 0.5, 1.0, 1.0], [0.5, 0.0, 2.0, 2.0], [1.0, 2.0, 0.0, 0.0], [1.0, 2.0, 0.0, 0.0]])
+    one = one if twice else one * np.outer([1, 1, 1, 0], [1, 1, 1, 0])
+    matrix = sparse.lil_array(sparse.kron(sparse.eye_array(steps), one))
+    for k in range(steps - 1):
+        matrix[4 * k, 4 * k + 5] = matrix[4 * k + 5, 4 * k] = random.normal()
+    lower = sparse.tril(matrix, format="coo")
+    if not twice:  # the places of the zeros are told, as Ipopt tells them
+        zero = 4 * np.arange(steps) + 3
+        rows, columns = np.concatenate([lower.row, zero, zero]), np.concatenate([lower.col, zero - 1, zero])
+        told = sparse.coo_array((np.concatenate([lower.data, np.zeros(2 * steps)]), (rows, columns)), shape=matrix.shape)
+    else:
+        told = sparse.coo_array(lower)
+    factor = Factor(told, room=room)
+    assert factor.info[0] == SINGULAR
+    assert factor.front.value < 40
+
+
+def test_hubs_come_last_and_the_rest_stays_sparse() -> None:
+    """An arrow with twenty heads: a front per variable of the shaft with the heads for rows, and one of the heads."""
+    size, heads, random = 3000, 20, np.random.default_rng(6)
+    wings = sparse.csr_array(random.normal(size=(heads, size)))
+    matrix = sparse.csr_array(
+        sparse.block_array([[sparse.eye_array(size), wings.T], [wings, sparse.csr_array(random.normal(size=(heads, heads)))]])
+    )
+    matrix = sparse.csr_array(sparse.tril(matrix) + sparse.tril(matrix, -1).T)
+    factor = Factor(matrix)
+    assert factor.front.value <= heads + 8
+    right = random.normal(size=factor.n)
+    assert np.abs(matrix @ factor.solve(right) - right).max() < 1e-8
+
+
+def test_values_with_other_zero_diagonals_than_the_order_was_made_for() -> None:
+    """Ipopt's first system has a diagonal of ones."""
+    for seed in range(10):
+        random = np.random.default_rng(seed)
+        first = chain(random, 25)
+        ones = sparse.csr_array(first - sparse.diags_array(first.diagonal()) + 1e3 * sparse.eye_array(first.shape[0]))
+        pattern = sparse.coo_array(sparse.tril(ones))
+        factor = Factor(ones)
+        values = np.asarray(sparse.csr_array(first)[pattern.row, pattern.col]).ravel()
+        factor.again(values)
+        whole = first.toarray()
+        assert (int(factor.info[0]), factor.negative) == (0, int((np.linalg.eigvalsh(scaled(whole)[1]) < 0.0).sum()))
+        right = random.normal(size=factor.n)
+        assert np.abs(whole @ factor.solve(right) - right).max() < 1e-6 * np.abs(right).max()
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])

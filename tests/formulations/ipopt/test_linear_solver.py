@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pyomo.environ as pyo
 import pytest
@@ -26,9 +29,6 @@ def parabola() -> pyo.ConcreteModel:
 @pytest.fixture
 def no_compiler(monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler")
-    linear_solver.ldlt_library.cache_clear()
-    yield
-    linear_solver.ldlt_library.cache_clear()
 
 
 @pytest.mark.parametrize("backend", [b for b in backends() if b.available()], ids=lambda b: b.name)
@@ -75,3 +75,72 @@ def test_an_extension_that_is_no_ipopt_is_handed_nothing():
 
     assert not linear_solver.hand_to(_ctypes.__file__ or "")
     assert not linear_solver.hand_to("no such file")
+
+
+_ANOTHER_PROCESS = """
+import pyomo.environ as pyo
+from formulations.ipopt import compile_model, solve
+from formulations.ipopt.backends import backends
+from models.errors import MachineError
+m = pyo.ConcreteModel()
+m.x = pyo.Var(initialize=1.0)
+m.o = pyo.Objective(expr=(m.x - 3) ** 2)
+for backend in (b for b in backends() if b.available()):
+    result = solve(compile_model(m), backend=backend)
+    print(result.outcome.name, result.options["linear_solver"])
+    try:
+        solve(compile_model(m), backend=backend, options={"linear_solver": "ldlt"})
+    except MachineError as error:
+        print(error)
+"""
+
+
+def test_a_library_that_cannot_be_loaded_leaves_mumps(monkeypatch, tmp_path):
+    monkeypatch.delenv("TOUCHSTONE_LINEAR_SOLVER", raising=False)
+    monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path))
+    (tmp_path / "damaged").write_bytes(b"")
+    (tmp_path / "damaged").replace(linear_solver.ldlt_library())  # not written over: this process has it mapped
+    told = subprocess.run([sys.executable, "-c", _ANOTHER_PROCESS], capture_output=True, text=True, check=True).stdout
+    count = sum(backend.available() for backend in backends())
+    assert told.count("SOLVED mumps") == count
+    assert told.count("cannot be loaded") == count
+
+
+def test_a_library_that_has_gone_is_made_again(monkeypatch, tmp_path):
+    monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path))
+    first = linear_solver.ldlt_library()
+    first.unlink()
+    for backend in (b for b in backends() if b.available()):
+        result = solve(compile_model(parabola()), backend=backend, options={"linear_solver": "ldlt"})
+        assert result.outcome is Outcome.SOLVED
+    assert first.exists()
+
+
+def test_a_cache_named_from_here_is_built_in(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("TOUCHSTONE_CACHE", "beside")
+    assert linear_solver.ldlt_library().parent == tmp_path / "beside"
+
+
+def test_a_compiler_that_fails_is_tried_once(monkeypatch, tmp_path, caplog):
+    tried = []
+
+    def fails():
+        tried.append(1)
+        raise MachineError("no headers here")
+
+    monkeypatch.delenv("TOUCHSTONE_LINEAR_SOLVER", raising=False)
+    monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path))
+    monkeypatch.setattr(linear_solver, "_compiled", fails)
+    with caplog.at_level("INFO"):
+        for _ in range(3):
+            assert solve(compile_model(parabola())).options["linear_solver"] == "mumps"
+    assert len(tried) == 1
+    assert caplog.text.count("no headers here") == 1
+
+
+def test_an_option_of_mumps_asks_for_mumps(monkeypatch):
+    monkeypatch.delenv("TOUCHSTONE_LINEAR_SOLVER", raising=False)
+    assert solve(compile_model(parabola()), options={"mumps_pivtol": 1e-3}).options["linear_solver"] == "mumps"
+    both = {"mumps_pivtol": 1e-3, "linear_solver": "ldlt"}
+    assert solve(compile_model(parabola()), options=both).options["linear_solver"] == "ldlt"
