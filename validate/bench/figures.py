@@ -89,6 +89,8 @@ SECONDS = {
     "all_quick": (180.0, "a quick campaign on two cores: python -m validate all --quick"),
     "all_again": (15.0, "the quick campaign again, everything stored"),
 }
+# How a stage ends that was not cut off.
+_ENDED = ("ok", "solved", "completed")
 # Exponent of n T: (target, what)
 GROWTH = {"time": (1.15, "growth of CPU time with T"), "memory": (1.05, "growth of memory with T")}
 
@@ -111,7 +113,7 @@ def _ratio(ratio: Ratio, rows: Sequence[SuiteRow]) -> list[SuiteFigure]:
         above = [row for row in over if row is not None]
         samples = tuple(sum(tops) / below for *tops, below in zip(*(row.cpu_s for row in above), under.cpu_s, strict=False) if below > 0)
         why = next((row.failed for row in (*above, under) if row.failed), "")
-        stopped = [f"{row.by} ended with {row.outcome!r}" for row in (*above, under) if row.outcome not in ("ok", "solved", "completed")]
+        stopped = [f"{row.by} ended with {row.outcome!r}" for row in (*above, under) if row.outcome not in _ENDED]
         if n != _CARTS or steps < _LEAST_STEPS:
             set_here, why = False, why or f"the target is set for n = {_CARTS}, T >= {_LEAST_STEPS}"
         else:
@@ -133,11 +135,14 @@ def _seconds(stage: str, target: float, what: str, rows: Sequence[SuiteRow]) -> 
 
 
 def _growth(kind: str, target: float, what: str, rows: Sequence[SuiteRow]) -> list[SuiteFigure]:
-    """The largest exponent of all our stages, each over the T of one n; its samples are the exponents of the rounds."""
+    """The largest exponent of all our stages, each over the T of one n; its samples are the exponents of the rounds. What was cut off is left out:
+    how long that took says nothing of its T."""
     worst: tuple[float, str, int, tuple[float, ...], int] | None = None
+    cut = dict.fromkeys(row.stage for row in rows if row.by == OURS and row.n and not row.failed and row.outcome not in _ENDED)
     for stage, n in dict.fromkeys((row.stage, row.n) for row in rows if row.by == OURS and row.n and row.stage != YARDSTICK):
         known = sorted(
-            (row for row in rows if (row.stage, row.by, row.n) == (stage, OURS, n) and not row.failed), key=lambda row: row.steps
+            (row for row in rows if (row.stage, row.by, row.n) == (stage, OURS, n) and not row.failed and row.outcome in _ENDED),
+            key=lambda row: row.steps,
         )
         columns = [(row.steps, row.cpu_s if kind == "time" else row.memory_mib) for row in known]
         columns = [(steps, samples) for steps, samples in columns if samples and (kind == "time" or median(samples) >= _LEAST_MEMORY)]
@@ -154,7 +159,7 @@ def _growth(kind: str, target: float, what: str, rows: Sequence[SuiteRow]) -> li
     if worst is None:
         return []
     _, stage, n, exponents, first = worst
-    why = f"the steepest is {stage}"
+    why = f"the steepest is {stage}" + (f"; cut off in some size, and left out there: {', '.join(cut)}" if cut else "")
     if first < _LEAST_STEPS:
         return [
             _figure(

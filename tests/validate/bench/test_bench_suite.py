@@ -162,6 +162,16 @@ def test_growth_is_that_of_the_steepest_stage():
     assert found["growth_memory"].met is True
 
 
+def test_growth_leaves_out_what_was_cut_off():
+    """A solve that ended at its limit took as long as that is, whatever its size."""
+    rows = [row("translate", steps=steps, cpu=(1e-3 * steps,) * 3) for steps in (500, 1000, 2000)]
+    cut = [row("cold_step", steps=steps, cpu=(1e-6 * steps**2,) * 3, outcome=outcome)
+           for steps, outcome in ((500, "solved"), (1000, "iteration_limit"), (2000, "iteration_limit"))]  # fmt: skip
+    (found,) = (figure for figure in figures([*rows, *cut]) if figure.name == "growth_time")
+    assert found.measured == pytest.approx(1.0)
+    assert "cut off in some size, and left out there: cold_step" in found.why
+
+
 def test_importing_pyomo_to_list_is_a_miss():
     light = row("list", n=0, steps=0, cpu=(0.2,) * 3)
     assert [figure.met for figure in figures([light])] == [True]
