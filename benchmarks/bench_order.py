@@ -36,12 +36,18 @@ from validate.replay import replay
 
 EULER, FINEST = Scheme.SEMI_IMPLICIT_EULER.value, Scheme.RADAU_IIA_3.value
 COLLOCATIONS = (Scheme.IMPLICIT_MIDPOINT.value, Scheme.RADAU_IIA_2.value, FINEST)
-# Steps of the whole horizon: those of Euler, those of collocation; the last of collocation is also the finest plan.
+# Steps of the whole horizon: those of Euler, those of collocation; the last of collocation is also the finest plan. Scenes with friction are not
+# here: neither method plans them, and without inputs there is nothing to plan.
 GRIDS: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {
     "three_cart": ((50, 100, 200, 500, 1000, 2000), (25, 50, 100, 200, 400)),
     "two_discs": ((60, 120, 240, 480, 960), (30, 60, 120, 240, 480)),
     "wall_pendulum": ((10, 20, 40, 80, 160, 320), (5, 10, 20, 40, 80)),
     "cart_pole_walls": ((50, 100, 200, 400, 800), (25, 50, 100, 200)),
+    "hopper": ((100, 200, 400, 800), (50, 100, 200, 400)),
+    "cart_chain": ((125, 250, 500, 1000), (62, 125, 250, 500)),
+    "acrobot_limits": ((500, 1000, 2000), (125, 250, 500, 1000)),
+    "two_discs_wall": ((240, 480, 960), (60, 120, 240, 480)),
+    "two_finger": ((250, 500, 1000), (125, 250, 500)),
 }
 TARGETS = (1e-2, 1e-3, 1e-4)
 # Repeats stop here [CPU s]: longer solves vary little.
