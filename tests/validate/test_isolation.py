@@ -51,6 +51,19 @@ def call(name: str, request=None, **limits):
     return run_isolated(f"isolated_functions:{name}", request, arrays, limits=Limits(**{"seconds": 60.0, **limits}), what="model.fmu")
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="no limits there")
+def test_a_narrow_limit_of_files_leaves_no_bytecode_cut_off(own_place: Path, monkeypatch: pytest.MonkeyPatch):
+    """Python writes as much of a module's bytecode as it may, and takes that for the whole in the next process."""
+    package = own_place / "package"
+    package.mkdir()
+    (package / "long_module.py").write_text(f"text = {'x' * 100_000!r}\ndef length(request, arrays):\n    return len(text)\n")
+    monkeypatch.setenv("PYTHONPATH", str(package))
+    monkeypatch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
+    for limit in (8_000, 512 * 1024**2, 8_000):
+        done = run_isolated("long_module:length", None, limits=Limits(seconds=60.0, file=limit), what="it")
+        assert (done.ending, done.sentence, done.value) == (Ending.OK, "", 100_000)
+
+
 def test_values_and_arrays_go_in_and_come_out():
     done = call("double", {"a": [1, None]})
     assert (done.ending, done.sentence, done.value) == (Ending.OK, "", {"given": {"a": [1, None]}})

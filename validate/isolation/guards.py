@@ -31,8 +31,17 @@ def adopt_orphans() -> None:
         ctypes.CDLL(None, use_errno=True).prctl(_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
+# No module's bytecode is larger [bytes].
+_ANY_BYTECODE = 16 * 1024**2
+
+
 def limit_resources(*, file_bytes: int, memory_bytes: int | None = None, cpu_seconds: float | None = None) -> None:
-    """No core file, no file larger than that; address space and CPU time where given. Limits that are narrower already stay."""
+    """No core file, no file larger than that; address space and CPU time where given. Limits that are narrower already stay.
+
+    Under a narrow limit no bytecode is written: Python would write what fits, and every later process would stumble over it.
+    """
+    if file_bytes < _ANY_BYTECODE:
+        sys.dont_write_bytecode = True
     try:
         import resource
     except ImportError:  # not on Windows
