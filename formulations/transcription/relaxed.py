@@ -77,7 +77,7 @@ class RelaxedSession(TightenedSession):
             self._is_try = index < len(levels) - 1
             ending = self._apart(bench, account, level, None, accounts)
             self._is_try = False
-            if ending.outcome is not Outcome.ITERATION_LIMIT or account.is_over:
+            if ending.outcome is not Outcome.ITERATION_LIMIT or account.is_over or self._spent >= self.number("max_iterations"):
                 break
         return ending, index
 

@@ -54,6 +54,7 @@ def test_no_more_iterations_than_allowed():
         found = cold("hopper", 1e-2, max_iterations=most)
         assert found.outcome is Outcome.ITERATION_LIMIT
         assert found.iterations <= most
+        assert ("softer" in found.message) == (most > 150), "with nothing left there is no other start, and what was found is kept"
 
 
 def test_from_a_small_eps_it_comes_back_through_all_between():
