@@ -160,7 +160,8 @@ class CollocationSession(Session):
         release_modes(bench.model)
         tighten(bench.model, _RELAXED)
         options = {"tol": self._number("homotopy_tolerance"), **where_mumps(_KEEP_THE_BAND), **_NEAR, "mu_init": 1e-2}
-        result = bench.run(account, {**options, "max_iter": account.iterations + int(self._number("max_iterations"))})
+        relaxed = Workbench(bench.model)  # translated anew: the products are rows again
+        result = relaxed.run(account, {**options, "max_iter": account.iterations + int(self._number("max_iterations"))})
         if not result.solved:
             return result
         return self._with_modes(account, _Guess.of(bench.model))

@@ -160,3 +160,13 @@ def test_what_loses_the_order_is_refused_with_a_reason(name: str, word: str) -> 
         build_model(name, ContactLaw.SOFTPLUS, eps=1e-3, scheme=Scheme.RADAU_IIA_2)
     if name != "damped_collision":
         assert word in str(load_method("collocation").accepts(load_scene(name)))
+
+
+def test_where_no_stage_has_modes_with_a_plan_the_relaxed_problem_is_asked_too():
+    """A grid too coarse for a chain of carts: fixed modes switch the products off, and the relaxed problem has them again as rows."""
+    scene = load_scene("cart_chain")
+    coarse = scene.with_task(steps=62, step=scene.task.horizon / 62)
+    with load_method("collocation").open(coarse, {"scheme": "implicit_midpoint"}) as session:
+        found = session.solve(eps=None, warm_start=None, time_limit=300.0)
+    assert found.outcome in (Outcome.STALLED, Outcome.SOLVED)
+    assert (found.trajectory is None) == (found.outcome is Outcome.STALLED)
