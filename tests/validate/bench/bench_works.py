@@ -35,6 +35,18 @@ def heavy(size: Size, folder: Path) -> Work:
     return work
 
 
+def freed_before(size: Size, folder: Path) -> Work:
+    """Preparing needs 40 MiB in pieces and frees all but the last, below which they lie; the work needs the same again."""
+    pieces = _pieces()
+    pinned = [pieces[-1]]
+    del pieces
+    return lambda _pinned=pinned: {"value": float(len(_pieces()))}
+
+
+def _pieces() -> list[bytes]:
+    return [bytes([place % 255 + 1]) * 102_400 for place in range(400)]  # each below what malloc asks the system for anew
+
+
 def broken(size: Size, folder: Path) -> Work:
     raise TouchstoneError("it cannot.")
 

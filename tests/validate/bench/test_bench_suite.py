@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import platform
 from dataclasses import replace
 from pathlib import Path
 
@@ -114,6 +115,13 @@ def test_rounds_take_turns_and_a_failure_costs_only_its_row(monkeypatch, tmp_pat
     assert "SIGSEGV" in rows["dies"].failed
     assert rows["dies"].cpu_s == ()
     assert failures(record) == [rows["broken"].failed], "a peer that dies is no failure of ours"
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc gives back what was freed")
+def test_memory_that_preparing_freed_does_not_hide_what_the_work_needs(monkeypatch, tmp_path: Path):
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
+    record = run_suite(Settings(sizes=(SIZE,), repeats=1), cases=(work("freed_before"),))
+    assert min(record.rows[0].memory_mib) > 35
 
 
 def row(stage: str, by: str = OURS, n: int = 3, steps: int = 500, cpu=(1.0,) * 5, **more) -> SuiteRow:
