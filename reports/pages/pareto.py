@@ -171,13 +171,14 @@ def _concluded(front: list[Point], value: Callable[[float], str], gain: Callable
         if point[1] < steps[-1][1] * (1 - same) or steps[-1][1] <= 0:
             steps.append(point)
     (first, least, row), rest = steps[0], steps[1:]
+    by = f" by more than {100 * same:g} %" if len(steps) < len(front) else ""
     said = f"The least CPU time for a plan that holds is {seconds(first)} s, row {row.number} ({row.label}), {value(least)}."
     if not rest:
-        return f"{said} No other plan that holds is better, whatever time it takes."
+        return f"{said} No other plan that holds is better{by}, whatever time it takes."
     after, better, second = rest[0]
     said += (
-        f" The next better one takes {_longer(after / first)}, {seconds(after)} s: row {second.number} ({second.label}), {value(better)}, "
-        f"{gain(least, better)}."
+        f" The next one that is better{by} takes {_longer(after / first)}, {seconds(after)} s: row {second.number} ({second.label}), "
+        f"{value(better)}, {gain(least, better)}."
     )
     if len(rest) == 1:
         return f"{said} More time buys nothing further."

@@ -81,6 +81,15 @@ def test_errors_that_the_replay_cannot_tell_apart_are_no_gain() -> None:
     assert "No other plan that holds is better" in found.views[0].sentence
 
 
+def test_a_gain_too_small_for_a_sentence_is_told_as_one() -> None:
+    one, hardly = cell("one", 1.0, 0.0100, 490.0, 0.01), cell("hardly", 2.0, 0.0098, 489.9, 0.01)
+    error, cost = (view.sentence for view in page(one, hardly).views)
+    assert "No other plan that holds is better by more than 5 %, whatever" in error
+    assert "No other plan that holds is better by more than 0.1 %, whatever" in cost
+    error = page(one, hardly, cell("far", 3.0, 0.001, 500.0, 0.01)).views[0].sentence
+    assert "The next one that is better by more than 5 % takes 3.0 times as long, 3.00 s: row 3 (far)" in error
+
+
 def test_failures_and_refusals_are_listed() -> None:
     failed = cell("lost", 3.0, None, 490.0, 0.01, "no plan", outcome="stalled", message="no step was left. More words.", figures=())
     refused = cell("refuses", 0.0, None, 490.0, 0.01, "no plan", outcome="refused", figures=())
