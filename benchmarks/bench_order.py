@@ -4,7 +4,8 @@
 
 Each scene is planned on ever finer grids with exact contact: by semi-implicit Euler (`mpcc` without its window search) and by collocation of order 2, 3
 and 5 (`collocation`), all from the paper's first guess, all by the same softplus homotopy. The running cost is weighed with the step, so that every grid
-approximates one problem; collocation minimises its quadrature.
+approximates one problem; collocation minimises its quadrature. Scenes with friction are planned by semi-implicit Euler alone, by softplus collocation and
+then `strict_lcp`: neither of the others knows friction.
 
     replay error   largest position difference between plan and replay at the plan's nodes [m, rad], by the reference replay
     plan error     the same between the plan and the finest plan of the highest order: how far from the optimum of the continuous problem
@@ -18,6 +19,8 @@ from __future__ import annotations
 
 import argparse
 import json
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -36,8 +39,8 @@ from validate.replay import replay
 
 EULER, FINEST = Scheme.SEMI_IMPLICIT_EULER.value, Scheme.RADAU_IIA_3.value
 COLLOCATIONS = (Scheme.IMPLICIT_MIDPOINT.value, Scheme.RADAU_IIA_2.value, FINEST)
-# Steps of the whole horizon: those of Euler, those of collocation; the last of collocation is also the finest plan. Scenes with friction are not
-# here: neither method plans them, and without inputs there is nothing to plan.
+# Steps of the whole horizon: those of Euler, those of collocation; the last of collocation is also the finest plan. Scenes without inputs have
+# nothing to plan.
 GRIDS: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {
     "three_cart": ((50, 100, 200, 500, 1000, 2000), (25, 50, 100, 200, 400)),
     "two_discs": ((60, 120, 240, 480, 960), (30, 60, 120, 240, 480)),
@@ -48,7 +51,12 @@ GRIDS: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {
     "acrobot_limits": ((500, 1000, 2000), (125, 250, 500, 1000)),
     "two_discs_wall": ((240, 480, 960), (60, 120, 240, 480)),
     "two_finger": ((250, 500, 1000), (125, 250, 500)),
+    "transport": ((100, 200, 400, 800, 1600), ()),
+    "push_box": ((25, 50, 100, 200, 400), ()),
+    "two_finger_lift": ((100, 200, 400, 800), ()),
+    "hopper_planar": ((100, 200, 400), ()),
 }
+_FRICTION_CHAIN = (("softplus_dc", 1e-3), ("softplus_dc", 1e-5), ("softplus_dc", 1e-7), ("strict_lcp", None))
 TARGETS = (1e-2, 1e-3, 1e-4)
 # Repeats stop here [CPU s]: longer solves vary little.
 _ENOUGH = 5.0
@@ -65,6 +73,8 @@ def on_grid(scene: Scene, steps: int) -> Scene:
 
 def _solve(scene: Scene, scheme: str, limit: float) -> tuple[Solution, float]:
     began = process_time()
+    if scene.frictions:
+        return _solve_chain(scene, limit), process_time() - began
     if scheme == EULER:
         method, options = load_method("mpcc"), {"search": False}
     else:
@@ -72,6 +82,20 @@ def _solve(scene: Scene, scheme: str, limit: float) -> tuple[Solution, float]:
     with method.open(scene, options) as session:
         solution = session.solve(eps=None, warm_start=None, time_limit=limit)
     return solution, process_time() - began
+
+
+def _solve_chain(scene: Scene, limit: float) -> Solution:
+    """Iterations are those of all stages; the rest is the last one's, or that of the stage that gave no plan."""
+    plan, iterations, solution = None, 0, None
+    with ExitStack() as opened:
+        sessions = {name: opened.enter_context(load_method(name).open(scene, {})) for name in dict(_FRICTION_CHAIN)}
+        for name, eps in _FRICTION_CHAIN:
+            solution = sessions[name].solve(eps=eps, warm_start=plan, time_limit=limit)
+            plan, iterations = solution.trajectory, iterations + solution.iterations
+            if plan is None:
+                break
+    assert solution is not None
+    return replace(solution, iterations=iterations)
 
 
 def _row(scene: Scene, fmu: Path, scheme: str, steps: int, limit: float, repeats: int) -> tuple[dict[str, Any], Trajectory | None]:
@@ -127,8 +151,8 @@ def measure(name: str, most: int, limit: float, repeats: int) -> dict[str, Any]:
     """One scene: all rows of grids of at most so many steps, the order of each scheme, and the answers."""
     scene = load_scene(name)
     fmu, (euler, collocation) = build_fmu(scene), (tuple(steps for steps in grids if steps <= most) for grids in GRIDS[name])
-    for scheme in (EULER, FINEST):  # imports and compilation
-        _solve(on_grid(scene, min(collocation)), scheme, limit)
+    for scheme in (EULER, FINEST) if collocation else (EULER,):  # imports and compilation
+        _solve(on_grid(scene, min(collocation or euler)), scheme, limit)
     found = [
         _row(scene, fmu, scheme, steps, limit, repeats)
         for scheme, grids in ((EULER, euler), *((scheme, collocation) for scheme in COLLOCATIONS))
@@ -141,7 +165,7 @@ def measure(name: str, most: int, limit: float, repeats: int) -> dict[str, Any]:
             if plan is not None and plan is not finest:
                 row["plan_error"] = float(np.abs(plan.q - reference(plan.t)).max())
     rows = [row for row, _ in found]
-    orders = {scheme: _order([row for row in rows if row["scheme"] == scheme]) for scheme in (EULER, *COLLOCATIONS)}
+    orders = {scheme: _order([row for row in rows if row["scheme"] == scheme]) for scheme in dict.fromkeys(row["scheme"] for row in rows)}
     for scheme, order in orders.items():
         print(f"  {scheme:20s} order {'-' if order is None else f'{order:.2f}'}", flush=True)
     answers = [_answer(rows, target) for target in TARGETS]
