@@ -46,6 +46,9 @@ struct outcome {
     int64_t reals, integers;     /* room the factor needs, whether it had it or not */
 };
 
+/* Of a pivot: alone, or one of a pair. */
+enum { SINGLE = 1, FIRST = 2, SECOND = 3 };
+
 enum { FACTORISED = 0, NO_MEMORY = -1, INTEGERS_TOO_SHORT = -3, REALS_TOO_SHORT = -4 };
 
 /* value: entries, scaled; u: threshold of the pivots, 0 .. 0.5. A rank below n, whatever is answered, is that of a singular matrix. */

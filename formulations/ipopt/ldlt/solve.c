@@ -2,8 +2,6 @@
 
 #include "ldlt.h"
 
-enum { SINGLE = 1 };
-
 static void forward(int rows, int pivots, const int *kind, const double *l, double *w)
 {
     for (int k = 0; k < pivots; k++, l += rows) {
