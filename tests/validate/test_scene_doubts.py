@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import sympy as sp
 
 from models.catalog import load_scene, scene_names
 from models.scene import Input, Limit, Parameter
+from models.trajectory import Trajectory, write_csv
 from validate.cli.group import run
 from validate.scene_doubts import doubts, scene_doubts
 
@@ -43,11 +45,31 @@ def test_a_limit_that_judges_nothing_is_named():
     )
 
 
-@pytest.mark.parametrize("form", [(), ("--json",)])
-def test_a_start_deep_in_contact_is_asked_about(tmp_path, capsys, form):
+@pytest.fixture
+def wrong_sign(tmp_path):
     path = tmp_path / "wrong_sign.py"
     path.write_text(WRONG_SIGN, encoding="utf-8")
-    assert run(["plan", "--scene", str(path), "-k", "=strict", "--out", str(tmp_path / "out"), *form]) == 0
+    return path
+
+
+def standing_still(scene):
+    task = scene.task
+    start, steps = np.array(task.start), task.steps
+    state = np.tile(start, (steps + 1, 1))
+    nothing = np.zeros((steps, len(scene.inputs)))
+    lam = np.zeros((steps, len(scene.contacts)))
+    return Trajectory(t=task.step * np.arange(steps + 1), q=state[:, : scene.nq], v=state[:, scene.nq :], u=nothing, lam=lam)
+
+
+PLAN = ("plan", "--scene", "{scene}", "-k", "=strict", "--out", "{folder}/out")
+REPLAY = ("replay", "{folder}/plan.csv", "--scene", "{scene}")
+
+
+@pytest.mark.parametrize("arguments", [PLAN, (*PLAN, "--json"), ("fmu", "{scene}", "-o", "{folder}/made.fmu"), (*REPLAY, "--json")])
+def test_a_start_deep_in_contact_is_asked_about(tmp_path, capsys, wrong_sign, arguments):
+    scene = load_scene(str(wrong_sign))
+    write_csv(tmp_path / "plan.csv", standing_still(scene), scene)
+    assert run([word.format(scene=wrong_sign, folder=tmp_path) for word in arguments]) in (0, 1)
     said = capsys.readouterr().err
     assert said.startswith("warning: scene wrong_sign: contact wall is ")
     assert "is the sign of its penetration right?" in said

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from validate.cli.completion import scenes
+from validate.cli.doubts import tell_doubts
 
 
 @click.command(
@@ -47,12 +48,14 @@ def command(scene: str, output: Path, version: str, platforms: tuple[str, ...], 
 
     if coupled and (version != "2" or platforms):
         raise click.UsageError("--coupled writes FMI 2.0 for this machine; leave out --fmi and --platform.")
+    loaded = load_scene(scene)
+    tell_doubts([loaded])
     if coupled:
         from models.fmu.coupled import build_ssp
 
-        built = build_ssp(load_scene(scene))
+        built = build_ssp(loaded)
     else:
-        built = build_fmu(load_scene(scene), version=f"{version}.0", platforms=platforms)
+        built = build_fmu(loaded, version=f"{version}.0", platforms=platforms)
     make_folder(output.parent)
     if output.is_file() or not output.exists():
         write_durably(output, built.read_bytes())

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from validate.cli.campaign_options import campaign_options
+from validate.cli.doubts import tell_doubts
 from validate.cli.table import one_line, table
 
 if TYPE_CHECKING:
@@ -38,13 +39,11 @@ def command(as_json: bool, **options: Any) -> int:
 def tell_plan(settings: Settings, as_json: bool) -> int:
     """Print it. Raises TouchstoneError."""
     from validate.chosen import Entry, reasons, select, with_stored
-    from validate.scene_doubts import doubts
     from validate.store import Store
     from validate.stored import only_last_failed
 
     entries, left_out = select(settings)
-    for sentence in doubts(entry.scene for entry in entries if isinstance(entry, Entry)):
-        click.echo(one_line(f"warning: {sentence}"), err=True)
+    tell_doubts(entry.scene for entry in entries if isinstance(entry, Entry))
     store = Store(settings.out)
     entries = with_stored(entries, store, settings)
     if settings.last_failed:

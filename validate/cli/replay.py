@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from validate.cli.completion import scenes
+from validate.cli.doubts import tell_doubts
 from validate.cli.numbers import FiniteRange
 from validate.cli.table import one_line, short, table, use_colour
 
@@ -104,6 +105,7 @@ def _of_scene(scene: str, plan: Path, hold: str | None, limits: Any, track: bool
     from validate.replay import replay
 
     loaded = load_scene(scene)
+    tell_doubts([loaded])
     trajectory = read_csv(plan, loaded, Hold.LINEAR if hold == "linear" else Hold.ZERO_ORDER)
     replayed = replay(loaded, build_fmu(loaded), trajectory, limits=limits, track=track or None)
     other = trajectory.other_duration(loaded)
