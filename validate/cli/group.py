@@ -24,6 +24,7 @@ PROGRAM = "python -m validate"
 INSTALLED = "touchstone"  # the same as a program of its own, which shells can complete
 _COMPLETE = "_TOUCHSTONE_COMPLETE"
 INTERRUPTED = 130
+READER_GONE = 141  # as a shell tells SIGPIPE
 # name -> what the overview says; the command itself is `command` in validate/cli/<name>.py.
 _COMMANDS = {
     "all": "Run every scene by every pipeline, replay and score each plan, write the report.",
@@ -52,11 +53,14 @@ Exit codes:
   2    wrong usage or configuration, or nothing selected
   3    this machine cannot: what is missing, and how to get it
   130  interrupted; the same command resumes
+  141  whoever read the output went away (`| head`), so not all of it was told
 
 \b
 Environment:
   TOUCHSTONE_CACHE   where compiled scenes and FMUs are kept
   TOUCHSTONE_DEBUG   1 shows the traceback of an unexpected error
+  TOUCHSTONE_LINEAR_SOLVER
+                     what factorises Ipopt's linear systems: ldlt (ours) or mumps
   NO_COLOR           no colours
   CC                 the C compiler
 """
@@ -100,6 +104,13 @@ def run(arguments: Sequence[str]) -> int:
     if wanted := os.environ.get(_COMPLETE):
         return shell_complete(group, {}, INSTALLED, _COMPLETE, wanted)
     try:
+        return _run(arguments)
+    except BrokenPipeError:
+        return _reader_gone()
+
+
+def _run(arguments: Sequence[str]) -> int:
+    try:
         code = group.main(list(arguments), prog_name=PROGRAM, standalone_mode=False, obj=tuple(arguments))
         sys.stdout.flush()
     except click.exceptions.NoArgsIsHelpError as error:
@@ -117,14 +128,30 @@ def run(arguments: Sequence[str]) -> int:
         for mistake in mistakes:
             click.echo(f"  {one_line(mistake)}", err=True)
         return code
-    except BrokenPipeError:  # whoever read our output has enough of it
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+    except BrokenPipeError:
+        raise
+    except SystemExit:  # click's end of a broken pipe: 1, as if something did not hold, and streams of its own
+        if isinstance(sys.stdout, io.TextIOBase):
+            raise
+        return _reader_gone()
     except Exception as error:
         if os.environ.get("TOUCHSTONE_DEBUG") == "1":
             raise
         return _say(_unexpected(error), 1)
     return code if isinstance(code, int) else 0
+
+
+def _reader_gone() -> int:
+    """Whoever read our output has enough of it; what is written from now on, as the interpreter ends too, goes nowhere."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (sys.__stdout__, sys.__stderr__):
+        if stream is None:
+            continue
+        try:
+            stream.flush()
+        except BrokenPipeError:
+            os.dup2(nowhere, stream.fileno())
+    return READER_GONE
 
 
 def _say(sentence: str, code: int) -> int:

@@ -1,0 +1,63 @@
+"""`.. | head`: whoever reads the output goes away. The exit code says that, never that all holds or that something does not; nothing stays behind."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from validate.cli.group import READER_GONE
+
+FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")
+# One line each on stdout; on stderr (with stdout, as `2>&1 | head` has it) the second too.
+COMMANDS = {
+    "list": ("list",),
+    "help": ("--help",),
+    "plan": ("plan", *FAKES, "-k", "only_good"),
+    "a typo": ("lsit",),
+    "a campaign": ("all", *FAKES, "-k", "only_good"),
+}
+
+
+# The sentence on a typo is on stderr alone.
+CASES = [(command, together) for command in COMMANDS for together in (False, True) if together or command != "a typo"]
+
+
+@pytest.mark.parametrize(("command", "together"), CASES)
+def test_a_reader_that_is_gone_is_told_as_that(command: str, together: bool, cli_environment, tmp_path):
+    reads, writes = os.pipe()
+    os.close(reads)
+    out = ("--out", str(tmp_path / "out")) if "--tools" in COMMANDS[command] else ()
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "validate", *COMMANDS[command], *out],
+            stdout=writes,
+            stderr=subprocess.STDOUT if together else subprocess.PIPE,
+            stdin=subprocess.DEVNULL,
+            env=cli_environment,
+            check=False,
+        )
+    finally:
+        os.close(writes)
+    assert done.returncode == READER_GONE == 141
+    said = (done.stderr or b"").decode()
+    assert "Traceback" not in said
+    assert "Exception ignored" not in said
+    assert "error:" not in said
+
+
+def test_what_finished_is_stored_and_used_again(cli, cli_environment, tmp_path):
+    command = ("all", *FAKES, "-k", "only_good", "--out", str(tmp_path / "out"))
+    reads, writes = os.pipe()
+    os.close(reads)
+    try:
+        subprocess.run(
+            [sys.executable, "-m", "validate", *command], stdout=writes, stderr=subprocess.DEVNULL, env=cli_environment, check=False
+        )
+    finally:
+        os.close(writes)
+    again = cli(*command)
+    assert "1 stored, 0 to run" in again.stderr
+    assert again.returncode == 0
