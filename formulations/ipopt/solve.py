@@ -21,6 +21,9 @@ from formulations.ipopt.status import NOT_SENT, name_of, outcome_of
 from formulations.ipopt.warm_start import complete_start, warm_options
 from formulations.solution import Outcome
 
+# Multipliers of constraints that repeat each other grow without end where rounding hides it. Of 1210 solves of random quadratic programs with repeated
+# equations 21 did not end, 18 of them with more than this; of those that ended one did. With perturb_always_cd all ended.
+_ENDLESS = 1e8
 # Ipopt stops as diverging where a variable passes 1e20: an objective that went along is below this, in any unit.
 _UNBOUNDED = 1e8
 
@@ -66,6 +69,7 @@ def solve(
         answer = backend.run(problem, functions, start, used, recorder)
     wall = time.perf_counter() - begin
     outcome, message, certificate = _judge(problem, answer, used)
+    message += _hint(outcome, answer.lagrange, used)
     if missing:
         message += f"; {missing} variable(s) without a value started from the point of their bounds nearest 0"
     return IpoptResult(
@@ -171,6 +175,14 @@ def _judge(problem: IpoptProblem, answer: Answer, options: Mapping[str, Any]) ->
     if certificate.meets(tolerance):
         return outcome, message, certificate
     return Outcome.STALLED, f"{name_of(answer.status)}, but {certificate.sentence} does not meet the tolerances", certificate
+
+
+def _hint(outcome: Outcome, lagrange: np.ndarray, options: Mapping[str, Any]) -> str:
+    """What may help where dependent constraints kept Ipopt from an end; empty elsewhere."""
+    largest = float(np.max(np.abs(lagrange), initial=0.0))
+    if outcome not in (Outcome.STALLED, Outcome.ITERATION_LIMIT) or not largest > _ENDLESS or options.get("perturb_always_cd") == "yes":
+        return ""
+    return f"; multipliers up to {largest:.0e}: constraints may repeat each other there, which the option perturb_always_cd='yes' can cope with"
 
 
 def _is_unbounded(problem: IpoptProblem, x: np.ndarray) -> bool:

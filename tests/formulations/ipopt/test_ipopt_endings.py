@@ -156,13 +156,13 @@ def test_variables_without_value_start_at_the_bound_nearest_zero_and_it_is_said(
 class _Liar(Cyipopt):
     """A back end that claims success wherever it stands."""
 
-    def __init__(self, status, x=None):
-        self._status, self._x = status, x
+    def __init__(self, status, x=None, multiplier=0.0):
+        self._status, self._x, self._multiplier = status, x, multiplier
 
     def run(self, problem, functions, start, options, intermediate):
         zeros = np.zeros(problem.n)
         x = start.x if self._x is None else np.full(problem.n, self._x)
-        return Answer(status=self._status, message="", x=x, lagrange=np.zeros(problem.m), zl=zeros, zu=zeros)
+        return Answer(status=self._status, message="", x=x, lagrange=np.full(problem.m, self._multiplier), zl=zeros, zu=zeros)
 
 
 @pytest.mark.parametrize("status", [0, 1, 6])
@@ -174,6 +174,39 @@ def test_success_is_checked_not_believed(status):
     assert solve(problem, backend=_Liar(status, np.nan)).outcome is Outcome.EVALUATION_ERROR
     solution = solve(problem).x
     assert solve(problem, backend=_Liar(status), warm_start=Start(x=solution)).outcome is Outcome.SOLVED
+
+
+@pytest.mark.parametrize(("status", "multiplier", "told"), [(-1, -1e16, True), (1, 1e16, True), (-1, 1e3, False), (2, 1e16, False)])
+def test_multipliers_without_end_point_to_constraints_that_repeat_each_other(status, multiplier, told):
+    m = quadratic()
+    m.c = pyo.Constraint(expr=m.x[1] + m.x[2] == 1)
+    m.again = pyo.Constraint(expr=2 * m.x[1] + 2 * m.x[2] == 2)
+    problem = compile_model(m)
+    assert ("perturb_always_cd" in solve(problem, backend=_Liar(status, multiplier=multiplier)).message) is told
+    asked = solve(problem, backend=_Liar(status, multiplier=multiplier), options={"perturb_always_cd": "yes"})
+    assert "perturb_always_cd" not in asked.message
+
+
+@pytest.mark.parametrize("linear_solver", ["ldlt", "mumps"])
+def test_what_the_hint_says_helps(linear_solver):
+    """Random quadratic programs with equations given twice: some do not end by luck, none with the option."""
+    for seed in range(40):
+        random = np.random.default_rng(seed)
+        n = 30
+        m = pyo.ConcreteModel()
+        m.x = pyo.Var(range(n), initialize=0.0)
+        inside, wanted = random.normal(size=n), random.normal(size=n)
+        m.c = pyo.ConstraintList()
+        for _ in range(n // 2):
+            chosen, factors = random.choice(n, size=3, replace=False), random.normal(size=3)
+            for scale in (1.0, 3.0):
+                left = sum(scale * factor * m.x[int(place)] for factor, place in zip(factors, chosen, strict=True))
+                m.c.add(left == scale * float(factors @ inside[chosen]))
+        m.cost = pyo.Objective(expr=sum((m.x[i] - wanted[i]) ** 2 for i in range(n)))
+        problem = compile_model(m)
+        assert solve(problem, options={"linear_solver": linear_solver, "perturb_always_cd": "yes"}).outcome is Outcome.SOLVED
+        plain = solve(problem, options={"linear_solver": linear_solver, "max_iter": 200})
+        assert plain.outcome is Outcome.SOLVED or np.max(np.abs(plain.lagrange)) < 1e8 or "perturb_always_cd" in plain.message
 
 
 def test_an_unknown_status_is_never_success():
