@@ -25,8 +25,8 @@ class MpccFront(Method):
         ),
         OptionSpec(
             name="work",
-            default=3.0,
-            description="most work of a solve, as of mpcc; nearly all go on from the plan of the one before",
+            default=6.0,
+            description="most work of a solve, as of mpcc; nearly all go on from the plan of the one before, the three that do not may do mpcc's first_work more",
             unit="millions",
             lower=0.0,
         ),

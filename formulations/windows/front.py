@@ -54,7 +54,7 @@ def front(
 
     def solve(tolerance: float, plan: Trajectory | None) -> tuple[Solution, bool]:
         """What was found there, and whether it is cheaper than all before."""
-        with opened.within(tolerance) as session:
+        with opened.within(tolerance, from_a_plan=plan is not None) as session:
             found = session.solve(eps=None, warm_start=plan, time_limit=max(1e-3, end - perf_counter()))
         is_better = tolerance not in best or _cost(found) < _cost(best[tolerance])
         if is_better:

@@ -52,9 +52,10 @@ class MpccSession(Session):
         self._starts = MultiStart(scene, self._kernel, self._finder, self._options, ipopt, self._structures)
         self._opening = (perf_counter() - opening[0], process_time() - opening[1])
 
-    def within(self, goal_tolerance: float) -> MpccSession:
-        """A session for another radius of the goal, which uses the models of this one."""
-        options = {**self._options, "goal_tolerance": goal_tolerance}
+    def within(self, goal_tolerance: float, *, from_a_plan: bool = True) -> MpccSession:
+        """A session for another radius of the goal, which uses the models of this one; what starts without a plan may do `first_work` more."""
+        more = 0.0 if from_a_plan else self._number("first_work")
+        options = {**self._options, "goal_tolerance": goal_tolerance, "work": self._number("work") + more}
         return MpccSession(self._method, self._scene, options, (perf_counter(), process_time()), self._structures)
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:

@@ -116,6 +116,20 @@ def test_a_free_end_has_no_front() -> None:
     assert "free" in str(load_method("mpcc_front").accepts(nowhere))
 
 
+def test_a_cold_start_may_do_more_until_it_has_a_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What leads to the first plan is as long as for mpcc, whatever the steps from plan to plan may do: five carts had none."""
+    allowed: list[tuple[bool, float]] = []
+    solve = MpccSession.solve
+
+    def told(self: MpccSession, **given: object) -> Solution:
+        allowed.append((given["warm_start"] is not None, self._number("work")))
+        return solve(self, **given)  # type: ignore[arg-type] - handed on as they came
+
+    monkeypatch.setattr(MpccSession, "solve", told)
+    front(SMALL, (0.0, 0.01), options={"work": 2.0, "first_work": 5.0})
+    assert set(allowed) == {(False, 7.0), (True, 2.0)}
+
+
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("radius", [1e-6, 0.1, 10.0, 1e6])
 def test_the_cheapest_point_of_a_ball(seed: int, radius: float) -> None:
