@@ -94,6 +94,30 @@ def test_a_miss_by_the_grid_alone_is_not_blamed_on_contact():
     )
 
 
+@pytest.mark.parametrize(
+    ("more", "cause"),
+    [
+        ((figure("law_error", None, value=0.2, limit=None),), "on the plan's own grid already, the true contact law leads its inputs astray by 0.2 m"),
+        ((figure("law_error", None, value=0.001, limit=None),), "contact physics holds, but the time step is 0.079 m off the continuous motion"),
+        ((figure("defect", False, value=0.1, limit=1e-6),), "the plan misses its own time step by 0.1 m; also above their limits: defect"),
+        (
+            (figure("defect", False, value=0.1, limit=1e-6), figure("bound_violation", False, value=47.0, limit=1e-6)),
+            "the inputs leave their bounds by 47 m; also above their limits: defect, bound_violation",
+        ),
+        ((figure("start_error", False, value=0.1, limit=1e-6),), "the plan starts 0.1 m away from the task's start; also above their limits: start_error"),
+    ],
+)  # fmt: skip
+def test_a_miss_is_blamed_on_what_the_figures_show(more: tuple[Figure, ...], cause: str):
+    """A plan through a wall whose forces are 0 is complementary by its product; inputs that are not the plan's leave its motion."""
+    figures = (
+        figure("physics_scaled", True, value=0.0, limit=1e-5),
+        figure("replay_error", False, value=0.2, limit=0.06),
+        figure("grid_error", None, value=0.079, limit=None),
+        *more,
+    )
+    assert explain(figures, Verdict.VIOLATES, planned_impulse=4.0) == f"the replay leaves the plan by 0.2 m, limit 0.06 m: {cause}."
+
+
 def test_what_is_not_resolved_says_why():
     unmeasured = figure("replay_error", None, value=None, reason="the plan was not replayed.")
     assert explain((unmeasured,), Verdict.NOT_RESOLVED, 0.0) == "replay_error could not be measured: the plan was not replayed."

@@ -68,6 +68,8 @@ _PHRASES = {
 _PHRASES |= {twin: f"with feedback {_PHRASES[name]}" for name, twin in TWINS.items()}
 _PHRASES[EFFORT] = "the feedback takes {} of half the inputs' range (root mean square)"
 _ARRIVAL = frozenset(name for name in _PHRASES if "terminal" in name) | {"replay_error", "tracked_replay_error", "law_error"}
+# Of the plan alone: where one is above its limit, the replay's inputs, start or motion are not the plan's to begin with.
+_OWN = ("bound_violation", "start_error", "defect")
 # A ghost impulse is named as the cause from this share of the planned contact impulse on.
 _GHOST_SHARE = 0.01
 
@@ -123,6 +125,7 @@ def explain(figures: Sequence[Figure], verdict: Verdict, planned_impulse: float)
 
 
 def _cause(figure: Figure, by_name: dict[str, Figure], planned_impulse: float) -> str:
+    """Why the replay ends elsewhere: forces from a distance, a motion that its inputs do not make, the contact law, or the time step."""
     if figure.name not in _ARRIVAL:
         return ""
     contact_fails = any(by_name[name].ok is False for name in CONTACT if name in by_name)
@@ -130,10 +133,15 @@ def _cause(figure: Figure, by_name: dict[str, Figure], planned_impulse: float) -
     ghost = by_name.get("tracked_ghost_impulse" if tracked else "ghost_impulse")
     if contact_fails and ghost is not None and ghost.value is not None and ghost.value > _GHOST_SHARE * planned_impulse:
         return f": force from a distance of {_number(ghost.value, ghost.unit)}"
-    grid = by_name.get("grid_error")
-    if not contact_fails and figure.name in TWINS and grid is not None and grid.value is not None:
-        return f": contact physics holds, but the time step is {_number(grid.value, grid.unit)} off the continuous motion"
-    return ""
+    own = next((by_name[name] for name in _OWN if name in by_name and by_name[name].ok is False), None)
+    if own is not None:
+        return f": {_PHRASES[own.name].format(_number(own.value or 0.0, own.unit))}"
+    grid, law = by_name.get("grid_error"), by_name.get("law_error")
+    if contact_fails or figure.name not in TWINS or grid is None or grid.value is None:
+        return ""
+    if law is not None and law.value is not None and law.value > max(grid.value, law.limit or 0.0):
+        return f": on the plan's own grid already, the true contact law leads its inputs astray by {_number(law.value, law.unit)}"
+    return f": contact physics holds, but the time step is {_number(grid.value, grid.unit)} off the continuous motion"
 
 
 def _quote(figure: Figure) -> str:
