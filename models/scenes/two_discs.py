@@ -117,6 +117,11 @@ def two_discs(wall: bool = False, name: str = "two_discs") -> Scene:
                 value=0.01,
                 reason="a tenth of the width of the contact that matters: discs that glide 1 m after the impact must hit within 0.01 m",
             ),
+            Limit(
+                figure="replay_error",
+                value=0.02,
+                reason="the contact law's 0.01 m and as much for the grid: at 5 m/s a step of 1/480 s is 0.01 m long",
+            ),
         ),
         answers=(
             Answer(

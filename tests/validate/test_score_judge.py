@@ -165,3 +165,20 @@ def test_what_a_plan_does_not_say_is_missing_not_wrong(scene: Scene, plan: Traje
     assert all(after.value(figure.name) == figure.value for figure in before.figures if figure.name not in lost)
     assert after.verdict is Verdict.NOT_RESOLVED
     assert "does not say" in after.why
+
+
+def test_a_disc_that_leaps_over_another_between_two_nodes_does_not_hold():
+    """Six steps a second, none of which sees the other disc: exact on its own grid, and metres away from physics."""
+    steps, step = 6, 1.0 / 6.0
+    scene = load_scene("two_discs").with_task(steps=steps, step=step)
+    start = np.array(scene.task.start)
+    towards = start[2:4] - start[:2]
+    u = np.zeros((steps, 2))
+    u[0] = 1.6 * towards / step**2
+    rollout = load_kernel(scene).rollout(start, u, step)
+    assert not rollout.lam.any(), "it is over there before it has been here"
+    plan = Trajectory(t=uniform_grid(step, steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+    result = score(scene, plan, replay(scene, build_fmu(scene), plan))
+    assert result.verdict is Verdict.VIOLATES
+    assert result.figure("law_error").ok is True
+    assert result.figure("replay_error").ok is False
