@@ -142,3 +142,26 @@ def test_what_is_no_campaign_is_one_sentence(tmp_path):
         assert done.returncode == 2
         assert len(done.stderr.strip().splitlines()) == 1
         assert str(folder) in done.stderr
+
+
+@pytest.mark.parametrize("text", ['{"x"', "{}", None])
+def test_without_its_list_of_cells_nobody_knows_what_a_campaign_is(tmp_path, runs, text):
+    """All records of the folder would be taken for it, those of campaigns before too, and what got worse be missed."""
+    before, after = (factory.store(tmp_path / name, [direct(runs)]) for name in ("before", "after"))
+    if text is None:
+        (after / "campaign.json").unlink()
+    else:
+        (after / "campaign.json").write_text(text)
+    done = command(before, after)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert str(after / "campaign.json") in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_record_that_cannot_be_read_is_told(tmp_path, runs):
+    run = direct(runs)
+    before, after = (factory.store(tmp_path / name, [run]) for name in ("before", "after"))
+    (after / "runs" / run.key / "record.json").write_text('{"x"')
+    done = command(before, after)
+    assert (done.returncode, done.stderr.startswith("warning: ")) == (2, True), "nothing else is stored there"
+    assert str(Path("runs") / run.key / "record.json") in done.stderr

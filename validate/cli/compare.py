@@ -81,6 +81,11 @@ def _loaded(folder: Path):
         stored = load(folder)
     except ReportError as problem:
         raise click.UsageError(str(problem)) from problem
+    if stored.campaign is None:  # without it nobody knows which of the records are this campaign's, and which of one before
+        (why,) = (item.sentence for item in stored.unreadable if item.path == "campaign.json")
+        raise click.UsageError(one_line(f"{folder / 'campaign.json'}: {why}"))
+    for item in stored.unreadable:
+        click.echo(one_line(f"warning: {folder / item.path}: {item.sentence}"), err=True)
     if not stored.runs and not stored.examinations:
         raise click.UsageError(f"{folder}: there is no readable record; give the folder of a campaign (it holds campaign.json and runs/).")
     return stored
