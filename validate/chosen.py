@@ -260,7 +260,7 @@ def with_stored(entries: Sequence[Entry | Examined], store: Store, settings: Set
 def _usable(store: Store, cell: Cell | Examination, fresh: bool) -> tuple[RunRecord | ExaminationRecord | None, str]:
     record = store.read(cell.key)
     if record is None:
-        return None, NOTHING_STORED
+        return None, "stored, but its record cannot be read" if (store.runs / cell.key).is_dir() else NOTHING_STORED
     if fresh:
         return None, "stored, but --fresh runs it anew"
     outcomes = {record.outcome, *(stage.outcome for stage in getattr(record, "stages", ()))}
@@ -271,6 +271,8 @@ def _usable(store: Store, cell: Cell | Examination, fresh: bool) -> tuple[RunRec
         before = asked if isinstance(asked, (int, float)) else 0.0
         if not before >= cell.time_limit:
             return None, f"stored, but it ran out of {before:g} s and would have {cell.time_limit:g} s now"
+    if lost := store.lost(cell.key):
+        return None, f"stored, but {lost} is gone or cut off"
     if store.is_due(cell.key):
         return None, "stored, but to be run anew, which was interrupted"
     return record, ""

@@ -1,6 +1,6 @@
 """Where finished cells lie: one folder a cell, written aside, made durable, then renamed; no lock, nothing half-written.
 
-    DIR/runs/<key>/record.json, trajectory.nc, replay.nc, log.txt, cell.json      DIR/runs/.partial-*   being written
+    DIR/runs/<key>/record.json, trajectory.nc, replay.nc, log.txt, cell.json, files.json      DIR/runs/.partial-*   being written
     DIR/stages/<key>/                      what several of them begin with (validate.shared_stages)
 
 Whatever kills a campaign, a folder under its key is whole. Two campaigns may write into the same DIR.
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from reports.record import RunRecord
 
 RECORD, LOG, REQUEST, PROGRESS, MACHINE = "record.json", "log.txt", "cell.json", "progress.txt", "machine.txt"
+# Names and sizes [bytes] of a run's NetCDF files, so that it is seen where one is gone or cut off.
+FILES = "files.json"
 # In the folder of a stored run that is to be run anew; the new run takes its place, and has none.
 _DUE = "due"
 _OLD = "-old"
@@ -93,6 +95,15 @@ class Store:
             return None
         return record if record.key == key else None
 
+    def lost(self, key: str) -> str:
+        """The first NetCDF file of a stored run that is gone or has another size than it was stored with; empty if all are there."""
+        folder = self.runs / key
+        try:
+            sizes = json.loads((folder / FILES).read_bytes())
+            return next((name for name, size in sizes.items() if _size(folder / Path(name).name) != size), "")
+        except (OSError, ValueError, AttributeError):
+            return FILES
+
     def request(self, key: str) -> dict[str, Any]:
         """What was asked for in a stored cell; nothing if that cannot be read."""
         return _request(self.runs / key / REQUEST)
@@ -134,6 +145,8 @@ class Store:
         """Make a partial folder durable and give it its name; an older run of the same key is replaced."""
         target, old = self.runs / key, partial.with_name(f"{partial.name}{_OLD}")
         try:
+            sizes = {path.name: path.stat().st_size for path in sorted(partial.glob("*.nc"))}
+            (partial / FILES).write_text(json.dumps(sizes), encoding="utf-8")
             for path in sorted(partial.iterdir()):
                 fsync(path)
             fsync(partial)
@@ -150,6 +163,13 @@ class Store:
             raise disk_error(target, error) from error
         shutil.rmtree(old, ignore_errors=True)
         return target
+
+
+def _size(path: Path) -> int | None:
+    try:
+        return path.stat().st_size
+    except OSError:
+        return None
 
 
 def _request(path: Path) -> dict[str, Any]:

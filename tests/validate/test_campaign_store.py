@@ -11,6 +11,7 @@ import pytest
 from models.errors import MachineError
 from reports.record import RunRecord
 from validate.campaign import Settings, select, with_stored
+from validate.chosen import reasons
 from validate.disk import disk_error, write_durably
 from validate.provenance import gather
 from validate.provisional import recovered, set_aside
@@ -144,3 +145,27 @@ def test_results_have_the_columns_of_the_design(entry):
     header, row = results_text([_record(entry, "infeasible")]).splitlines()
     assert header == ",".join(COLUMNS)
     assert row == "three_cart,relu_gd,1,relu_gd,,infeasible," + "," * 11 + "no plan" + "," * 11
+
+
+HARMS = {
+    "stored, but trajectory.nc is gone or cut off": lambda folder: (folder / "trajectory.nc").unlink(),
+    "stored, but replay.nc is gone or cut off": lambda folder: (folder / "replay.nc").write_bytes(b""),
+    "stored, but files.json is gone or cut off": lambda folder: (folder / "files.json").write_text("[1]"),
+    "stored, but its record cannot be read": lambda folder: (folder / "record.json").write_text("{}"),
+    "": lambda folder: (folder / "log.txt").unlink(missing_ok=True),
+}
+
+
+@pytest.mark.parametrize("why", HARMS)
+def test_a_run_whose_files_are_gone_is_run_again(tmp_path, entry, why):
+    """A result whose plan and replay nobody can look at any more is none."""
+    store = Store(tmp_path)
+    store.prepare()
+    partial = store.open_partial(entry.cell.key, "token")
+    (partial / "record.json").write_text(_record(entry, "solved").model_dump_json())
+    (partial / "cell.json").write_text(json.dumps({"cell": {**entry.cell.to_json(), "time_limit": 600.0}}))
+    for name in ("trajectory.nc", "replay.nc"):
+        (partial / name).write_bytes(name.encode())
+    HARMS[why](store.commit(partial, entry.cell.key))
+    settings = Settings(out=tmp_path, time_limit=600.0)
+    assert reasons(with_stored([entry], store, settings), store) == [why]

@@ -20,7 +20,7 @@ from validate.interrupts import interrupts_wait
 from validate.store import Store
 
 FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")
-KEPT = {"cell.json", "log.txt", "record.json"}
+KEPT = {"cell.json", "log.txt", "record.json", "files.json"}
 
 
 def _records(out: Path) -> dict[str, RunRecord]:
