@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -46,6 +47,24 @@ def test_a_reader_that_is_gone_is_told_as_that(command: str, together: bool, cli
     assert "Traceback" not in said
     assert "Exception ignored" not in said
     assert "error:" not in said
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has a device that is always full")
+@pytest.mark.parametrize("command", ["list", "help", "a campaign"])
+def test_an_output_that_cannot_be_written_is_one_sentence(command: str, cli_environment, tmp_path):
+    out = ("--out", str(tmp_path / "out")) if "--tools" in COMMANDS[command] else ()
+    with open("/dev/full", "w") as full:
+        words = [sys.executable, "-m", "validate", *COMMANDS[command], *out]
+        done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, text=True, env=cli_environment, check=False)
+    assert done.returncode == 3
+    assert done.stderr.splitlines()[-1].startswith("error: what there is to tell cannot be written (No space left on device); make room")
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("closed", [">&-", ">&- 2>&-"])
+def test_streams_that_are_closed_are_none_to_write_to(closed: str, cli_environment):
+    shell = f"'{sys.executable}' -m validate list {closed}"
+    assert subprocess.run(["sh", "-c", shell], env=cli_environment, check=False).returncode == 0
 
 
 def test_what_finished_is_stored_and_used_again(cli, cli_environment, tmp_path):

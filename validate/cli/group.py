@@ -6,6 +6,7 @@ A command is imported when it is used: `--help` and `list` cost neither SymPy no
 from __future__ import annotations
 
 import difflib
+import errno
 import importlib
 import io
 import os
@@ -17,7 +18,7 @@ from collections.abc import Sequence
 import click
 from click.shell_completion import shell_complete
 
-from models.errors import TouchstoneError
+from models.errors import MachineError, TouchstoneError
 from validate.cli.table import one_line
 
 PROGRAM = "python -m validate"
@@ -25,6 +26,7 @@ INSTALLED = "touchstone"  # the same as a program of its own, which shells can c
 _COMPLETE = "_TOUCHSTONE_COMPLETE"
 INTERRUPTED = 130
 READER_GONE = 141  # as a shell tells SIGPIPE
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 # name -> what the overview says; the command itself is `command` in validate/cli/<name>.py.
 _COMMANDS = {
     "all": "Run every scene by every pipeline, replay and score each plan, write the report.",
@@ -98,6 +100,7 @@ def group() -> None:
 
 def run(arguments: Sequence[str]) -> int:
     """Run one command line; the exit code. Nothing but TOUCHSTONE_DEBUG=1 lets a traceback through."""
+    _open_closed_streams()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without our characters shows others instead of failing
@@ -137,8 +140,18 @@ def _run(arguments: Sequence[str]) -> int:
     except Exception as error:
         if os.environ.get("TOUCHSTONE_DEBUG") == "1":
             raise
+        if isinstance(error, OSError) and error.errno in _FULL:
+            why = f"what there is to tell cannot be written ({error.strerror}); make room, or have it written elsewhere."
+            return _say(why, MachineError.exit_code)
         return _say(_unexpected(error), 1)
     return code if isinstance(code, int) else 0
+
+
+def _open_closed_streams() -> None:
+    """`>&-` leaves no stream to write to: what is told then goes nowhere."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 - open until the process ends
 
 
 def _reader_gone() -> int:
