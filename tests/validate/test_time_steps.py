@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
+import pytest
+
 from models.catalog import load_scene
+from models.trajectory import Trajectory, uniform_grid, write_csv
 from validate import time_steps as room
 from validate.time_steps import time_steps
 
@@ -44,3 +48,28 @@ def test_what_an_earlier_campaign_said_is_used_again(cli, tmp_path, monkeypatch)
     monkeypatch.setattr(room, "step_stability", lambda scene: None)  # asked again, it would fail
     (found,) = time_steps([load_scene(str(path))], tmp_path / "out" / "campaign.json")
     assert found.warning
+
+
+@pytest.mark.parametrize(
+    "command", [("plan", "-k", "free_motion and stiff", "--scene"), ("plan", "--json", "-k", "free_motion and stiff", "--scene")]
+)
+def test_a_plan_of_a_campaign_tells_it_too(cli, tmp_path, command):
+    path = tmp_path / "stiff_pair.py"
+    path.write_text(UNSTABLE)
+    done = cli(*command, str(path), "--out", str(tmp_path / "out"))
+    assert done.returncode == 0
+    assert "warning: scene stiff_pair: with pair closed" in done.stderr
+    assert "take a step below 0.000866 s" in done.stderr
+
+
+def test_a_plan_on_a_step_too_long_is_told_before_its_score(cli, tmp_path):
+    """The same scene and plan on its own step and on one of 0.2 s."""
+    scene, said = load_scene("three_cart"), {}
+    for step in (scene.task.step, 0.2):
+        coarse = scene.with_task(step=step, steps=5)
+        q = np.tile(np.array(scene.task.start[:3]), (6, 1))
+        plan = Trajectory(t=uniform_grid(step, 5), q=q, v=0.0 * q, u=np.zeros((5, 2)), lam=np.zeros((5, 2)))
+        write_csv(tmp_path / "plan.csv", plan, coarse)
+        said[step] = cli("replay", str(tmp_path / "plan.csv"), "--scene", "three_cart").stderr
+    assert "past the stability limit" not in said[scene.task.step]
+    assert "past the stability limit" in said[0.2]

@@ -1,8 +1,9 @@
-"""What is hardly meant in a scene, told on stderr before the command goes on."""
+"""What is hardly meant in a scene, told on stderr before the command goes on; the steps of scenes of the user's own among it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import contextlib
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
 import click
@@ -13,9 +14,26 @@ if TYPE_CHECKING:
     from models.scene import Scene
 
 
-def tell_doubts(scenes: Iterable[Scene]) -> None:
-    """One line a doubt (validate.scene_doubts), each scene once."""
+def tell_doubts(scenes: Iterable[Scene], *, steps: bool = False) -> None:
+    """One line a doubt (validate.scene_doubts), each scene once. steps: also of a time step that is unstable in contact, for which scenes that are not
+    the bank's are compiled."""
     from validate.scene_doubts import doubts
 
-    for sentence in doubts(scenes):
+    each = list({scene.name: scene for scene in scenes}.values())
+    for sentence in (*doubts(each), *(_unstable(each) if steps else ())):
         click.echo(one_line(f"warning: {sentence}"), err=True)
+
+
+def _unstable(scenes: Iterable[Scene]) -> Iterator[str]:
+    from models.catalog import load_scene, scene_names
+    from models.errors import MachineError
+    from models.scene_text import scene_text
+    from models.stability import step_stability
+
+    bank = set(scene_names())
+    for scene in scenes:
+        if scene.name in bank and scene_text(load_scene(scene.name)) == scene_text(scene):
+            continue
+        with contextlib.suppress(MachineError):  # without a compiler: whoever runs it is told
+            if sentence := step_stability(scene).sentence:
+                yield sentence

@@ -43,7 +43,7 @@ def tell_plan(settings: Settings, as_json: bool) -> int:
     from validate.stored import only_last_failed
 
     entries, left_out = select(settings)
-    tell_doubts(entry.scene for entry in entries if isinstance(entry, Entry))
+    tell_doubts((entry.scene for entry in entries if isinstance(entry, Entry)), steps=True)
     store = Store(settings.out)
     entries = with_stored(entries, store, settings)
     if settings.last_failed:

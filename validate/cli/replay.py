@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import asdict
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -105,8 +107,10 @@ def _of_scene(scene: str, plan: Path, hold: str | None, limits: Any, track: bool
     from validate.replay import replay
 
     loaded = load_scene(scene)
-    tell_doubts([loaded])
     trajectory = read_csv(plan, loaded, Hold.LINEAR if hold == "linear" else Hold.ZERO_ORDER)
+    longest = float(max(after - before for before, after in pairwise(trajectory.t)))
+    same = math.isclose(longest, loaded.task.step, rel_tol=1e-9)
+    tell_doubts([loaded if same else loaded.with_task(step=longest)], steps=True)
     replayed = replay(loaded, build_fmu(loaded), trajectory, limits=limits, track=track or None)
     other = trajectory.other_duration(loaded)
     if other:
