@@ -130,6 +130,10 @@ def _checked(name: str, value: Any) -> str | int | float:
     )
 
 
+# Ipopt keeps whole numbers in 32 bits.
+_LARGEST = 2**31 - 1
+
+
 def _number(name: str, value: Any) -> int | float:
     try:
         number = float(value)
@@ -139,6 +143,6 @@ def _number(name: str, value: Any) -> int | float:
         raise UnknownOptionError(f"the Ipopt option '{name}' is a number, not {value!r}")
     if name in _REALS:
         return number
-    if number != int(number):
-        raise UnknownOptionError(f"the Ipopt option '{name}' is a whole number, not {value!r}")
+    if not number.is_integer() or abs(number) > _LARGEST:
+        raise UnknownOptionError(f"the Ipopt option '{name}' is a whole number of at most {_LARGEST}, not {value!r}")
     return int(number)

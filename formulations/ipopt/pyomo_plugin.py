@@ -104,6 +104,10 @@ class PyomoPlugin(ABC):
         unknown = set(ignored) - _WITHOUT_EFFECT
         if unknown:
             raise TypeError(f"{self.title}.solve takes no argument {', '.join(sorted(unknown))}")
+        if isinstance(options, str):
+            raise TypeError(f"{self.title}.solve takes options as a dict, not {options!r}; options_string takes a text")
+        if timelimit is not None and (isinstance(timelimit, (bool, str)) or not timelimit > 0):
+            raise ValueError(f"{self.title}.solve: timelimit is a positive number of seconds, not {timelimit!r}")
         self.available(exception_flag=True)
         self.last_result = None
         chosen = {**self.options, **(options or {}), **_options_of_text(options_string)}

@@ -165,6 +165,8 @@ def _judge(problem: IpoptProblem, answer: Answer, options: Mapping[str, Any]) ->
         return (Outcome.INFEASIBLE, answer.message, certificate) if answer.message else _empty(problem, certificate)
     outcome = outcome_of(answer.status)
     message = f"{name_of(answer.status)}: {certificate.sentence}"
+    if outcome is Outcome.EVALUATION_ERROR:
+        message += _undefined(problem, answer.x)
     if outcome is Outcome.DIVERGED and not (finite and _is_unbounded(problem, answer.x)):
         return Outcome.STALLED, f"{message}; the objective does not fall without bound there", certificate
     if outcome is not Outcome.SOLVED:
@@ -175,6 +177,20 @@ def _judge(problem: IpoptProblem, answer: Answer, options: Mapping[str, Any]) ->
     if certificate.meets(tolerance):
         return outcome, message, certificate
     return Outcome.STALLED, f"{name_of(answer.status)}, but {certificate.sentence} does not meet the tolerances", certificate
+
+
+def _undefined(problem: IpoptProblem, x: np.ndarray) -> str:
+    """Which function is no number where Ipopt stopped."""
+    if not np.all(np.isfinite(x)):
+        name = problem.variables[int(np.flatnonzero(~np.isfinite(x))[0])].name
+        return f"; variable '{name}' is no finite number there: give it one to start from"
+    lost = np.flatnonzero(~np.isfinite(problem.constraints(x)))
+    if lost.size:
+        more = f" and {lost.size - 1} more" if lost.size > 1 else ""
+        return f"; constraint '{problem.equations[lost[0]].name}'{more} has no finite value there: start where it has, or bound what it takes"
+    if not np.isfinite(problem.objective(x)):
+        return "; the objective has no finite value there: start where it has, or bound what it takes"
+    return "; all functions have finite values there, so that one of their derivatives has none"
 
 
 def _hint(outcome: Outcome, lagrange: np.ndarray, options: Mapping[str, Any]) -> str:

@@ -86,7 +86,7 @@ def _number(name: str, value: Any) -> float | int:
     except (TypeError, ValueError):
         raise UnknownOptionError(f"the option '{name}' is a number, not {value!r}") from None
     if name in ("max_biactive", "search", "step_iterations"):
-        if isinstance(value, bool) or number < 0 or number != int(number):
+        if isinstance(value, bool) or number < 0 or not number.is_integer():
             raise UnknownOptionError(f"the option '{name}' is a whole number of at least 0, not {value!r}")
         return int(number)
     if isinstance(value, bool) or not 0.0 < number < math.inf:

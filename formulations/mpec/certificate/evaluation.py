@@ -176,7 +176,7 @@ def _local_pair(condition: Any, sides: list[tuple[Any, Any, Any]], near: float) 
         return None
     arguments = (0, 1) if counts == [2, 0] else (1, 0)
     (lower, body, upper), (_, free, _) = (sides[k] for k in arguments)
-    if lower == upper:
+    if lower >= upper:  # equal: an equality; above: a range that holds no number, which is a row nothing can meet
         return None
     value, other = number_of(body), number_of(free)
     to_low, to_high = value - lower, upper - value

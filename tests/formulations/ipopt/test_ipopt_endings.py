@@ -258,3 +258,24 @@ def test_a_number_that_is_not_finite_reaches_the_back_end_as_its_own_error(funct
     arguments = (np.array([-1.0]), np.ones(1), 1.0) if function == "hessian" else (np.array([-1.0] if function != "gradient" else [0.0]),)
     with pytest.raises(FloatingPointError):
         getattr(functions, function)(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("build", "told"),
+    [
+        (lambda m: m.c.add(pyo.log(m.x[2]) <= 3), "constraint 'c[1]' has no finite value there"),
+        (lambda m: [m.c.add(1 / m.x[i] <= 3) for i in (1, 2)], "constraint 'c[1]' and 1 more has no finite value there"),
+        (lambda m: m.cost.set_value(pyo.log(m.x[1])), "the objective has no finite value there"),
+        (lambda m: m.c.add(pyo.sqrt(m.x[2]) >= 1), "so that one of their derivatives has none"),
+        (lambda m: m.x[1].set_value(math.nan, skip_validation=True), "variable 'x[1]' is no finite number there"),
+    ],
+)
+def test_what_is_no_number_at_the_start_is_named(build, told):
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var([1, 2], initialize=0.0)
+    m.cost = pyo.Objective(expr=m.x[1] ** 2 + m.x[2] ** 2)
+    m.c = pyo.ConstraintList()
+    build(m)
+    result = solve(compile_model(m))
+    assert result.outcome is Outcome.EVALUATION_ERROR
+    assert told in result.message

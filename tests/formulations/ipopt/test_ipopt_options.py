@@ -28,6 +28,8 @@ def quadratic(**keywords):
         ({"mehrotra_algorithm": "yes"}, "ends the process"),
         ({"tol": "small"}, "number"),
         ({"max_iter": 2.5}, "whole number"),
+        ({"max_iter": float("inf")}, "whole number of at most 2147483647"),
+        ({"max_iter": 10**12}, "whole number of at most 2147483647"),
         ({"mu_strategy": "fast"}, "adaptive"),
         ({"tol": -1.0}, "does not accept"),
         ({"tol": float("nan")}, "number"),

@@ -35,6 +35,8 @@ def solver(**options):
         ({"eps_end": "small"}, ["'eps_end'", "number"]),
         ({"polish": "maybe"}, ["'polish'", "True or False"]),
         ({"max_biactive": 1.5}, ["'max_biactive'", "whole"]),
+        ({"max_biactive": float("nan")}, ["'max_biactive'", "whole"]),
+        ({"search": float("inf")}, ["'search'", "whole"]),
         ({"linear_solver": "ma57"}, ["ma57"]),
     ],
 )
@@ -59,3 +61,15 @@ def test_unknown_keywords_are_refused():
         solver().solve(nearest_corner(), nonsense=1)
     with pytest.raises(TypeError, match="nonsense"):
         MpecIpopt(nonsense=1)
+
+
+@pytest.mark.parametrize("plugin", ["mpec_ipopt", "touchstone_ipopt"])
+def test_arguments_of_another_kind_are_refused_in_a_sentence(plugin):
+    m = nearest_corner()
+    m.pair.deactivate()
+    for timelimit in ("10", True, 0.0, float("nan")):
+        with pytest.raises(ValueError, match="timelimit is a positive number of seconds"):
+            pyo.SolverFactory(plugin).solve(m, timelimit=timelimit)
+    with pytest.raises(TypeError, match="options as a dict, not 'tol=1e-9'; options_string takes a text"):
+        pyo.SolverFactory(plugin).solve(m, options="tol=1e-9")
+    pyo.SolverFactory(plugin).solve(m, options_string="tol=1e-9", timelimit=60)
