@@ -110,7 +110,7 @@ class Store:
 
     def due(self, keys: Iterable[str]) -> list[str]:
         """Mark stored runs as to be run anew, until they are, whatever ends this campaign; the keys of those that are stored. Raises MachineError."""
-        stored = [key for key in keys if (self.runs / key / RECORD).exists()]
+        stored = [key for key in keys if os.path.exists(self.runs / key / RECORD)]
         for key in stored:
             mark = self.runs / key / _DUE
             try:
@@ -121,7 +121,7 @@ class Store:
         return stored
 
     def is_due(self, key: str) -> bool:
-        return (self.runs / key / _DUE).exists()
+        return os.path.exists(self.runs / key / _DUE)  # False too where the folder cannot be read
 
     def spare(self, keys: Iterable[str]) -> None:
         """Take back what `due` asked for; what was run anew since has no mark."""

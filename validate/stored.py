@@ -5,6 +5,7 @@ campaign, records = stored_campaign(Path("runs/all"))
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -58,7 +59,12 @@ def only_last_failed(entries: Sequence[Entry | Examined], store: Store) -> list[
     failed = {identity(store.request(key)) for key in failed_keys(records)}
     again = {entry.cell.key for entry in entries if identity(entry.cell.to_json()) in failed}
     if not again:
-        raise CampaignError(f"nothing to run: nothing that is selected failed when the campaign in {store.folder} last ran; drop --lf.")
+        hint = "drop --lf."
+        if failed:
+            named = sorted(" x ".join(str(part) for part in json.loads(name)[:2]) for name in failed)
+            more = f" and {len(named) - 3} more" if len(named) > 3 else ""
+            hint = f"what did is not selected ({', '.join(named[:3])}{more}): select it as it was, by -k, --scene, --tools or the file of `run`."
+        raise CampaignError(f"nothing to run: nothing that is selected failed when the campaign in {store.folder} last ran; {hint}")
     why = "it failed the last time"
     return [
         replace(entry, stored=None, why=why) if entry.cell.key in again else entry

@@ -22,7 +22,7 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
     try:
         with open(path, "rb") as file:
             data = file.read(MOST_BYTES + 1)
-        text = data.decode("utf-8")
+        text = data.decode("utf-8-sig")  # with or without the mark that editors of Windows begin with
     except (OSError, UnicodeDecodeError, ValueError) as error:
         raise TomlError(f"it cannot be read ({getattr(error, 'strerror', None) or error})") from error
     if len(data) > MOST_BYTES:

@@ -262,3 +262,11 @@ def test_the_schema_has_every_key():
         "number",
         "array",
     ]
+
+
+def test_a_file_from_an_editor_that_begins_with_a_mark_is_read(tmp_path):
+    text = 'title = "Mine"\n[[scenes]]\nscene = "three_cart"\n'
+    (tmp_path / "plain.toml").write_text(text, encoding="utf-8")
+    (tmp_path / "marked.toml").write_text(text, encoding="utf-8-sig")
+    plain, marked = (read_campaign(tmp_path / name) for name in ("plain.toml", "marked.toml"))
+    assert marked.file == plain.file

@@ -48,6 +48,8 @@ def test_last_failed_of_what_did_not_fail(cli, ran):
     done = cli("all", *FAKES, "--out", str(ran), "--lf", "-k", "only_good")
     assert done.returncode == 2
     assert "nothing that is selected failed" in done.stderr
+    assert "what did is not selected (three_cart x " in done.stderr
+    assert "select it as it was, by -k, --scene, --tools or the file of `run`" in done.stderr
 
 
 class _Stopped(PlainNarrator):
