@@ -24,6 +24,7 @@ from formulations.solution import Outcome
 # Multipliers of constraints that repeat each other grow without end where rounding hides it. Of 1210 solves of random quadratic programs with repeated
 # equations 21 did not end, 18 of them with more than this; of those that ended one did. With perturb_always_cd all ended.
 _ENDLESS = 1e8
+_RESTORATION = -2
 # Ipopt stops as diverging where a variable passes 1e20: an objective that went along is below this, in any unit.
 _UNBOUNDED = 1e8
 
@@ -187,17 +188,32 @@ def _undefined(problem: IpoptProblem, x: np.ndarray) -> str:
     lost = np.flatnonzero(~np.isfinite(problem.constraints(x)))
     if lost.size:
         more = f" and {lost.size - 1} more" if lost.size > 1 else ""
-        return f"; constraint '{problem.equations[lost[0]].name}'{more} has no finite value there: start where it has, or bound what it takes"
+        return (
+            f"; constraint '{problem.equations[lost[0]].name}'{more} has no finite value there: start where it has, or bound what it takes"
+        )
     if not np.isfinite(problem.objective(x)):
         return "; the objective has no finite value there: start where it has, or bound what it takes"
     return "; all functions have finite values there, so that one of their derivatives has none"
 
 
+def repeats_constraints(result: IpoptResult) -> bool:
+    """Whether Ipopt ended as where constraints repeat each other, and the option that copes with them was not set: with multipliers without end,
+    or by giving up the search for a feasible point at one."""
+    gave_up = result.outcome is Outcome.STALLED and result.status == _RESTORATION and result.residuals.constraint_violation <= FEASIBILITY
+    asked = result.options.get("perturb_always_cd") == "yes"
+    return _is_endless(result.outcome, result.lagrange, result.options) or (gave_up and not asked)
+
+
+def _is_endless(outcome: Outcome, lagrange: np.ndarray, options: Mapping[str, Any]) -> bool:
+    largest = float(np.max(np.abs(lagrange), initial=0.0))
+    return outcome in (Outcome.STALLED, Outcome.ITERATION_LIMIT) and largest > _ENDLESS and options.get("perturb_always_cd") != "yes"
+
+
 def _hint(outcome: Outcome, lagrange: np.ndarray, options: Mapping[str, Any]) -> str:
     """What may help where dependent constraints kept Ipopt from an end; empty elsewhere."""
-    largest = float(np.max(np.abs(lagrange), initial=0.0))
-    if outcome not in (Outcome.STALLED, Outcome.ITERATION_LIMIT) or not largest > _ENDLESS or options.get("perturb_always_cd") == "yes":
+    if not _is_endless(outcome, lagrange, options):
         return ""
+    largest = float(np.max(np.abs(lagrange)))
     return f"; multipliers up to {largest:.0e}: constraints may repeat each other there, which the option perturb_always_cd='yes' can cope with"
 
 

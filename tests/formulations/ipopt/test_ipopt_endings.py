@@ -187,28 +187,6 @@ def test_multipliers_without_end_point_to_constraints_that_repeat_each_other(sta
     assert "perturb_always_cd" not in asked.message
 
 
-@pytest.mark.parametrize("linear_solver", ["ldlt", "mumps"])
-def test_what_the_hint_says_helps(linear_solver):
-    """Random quadratic programs with equations given twice: some do not end by luck, none with the option."""
-    for seed in range(40):
-        random = np.random.default_rng(seed)
-        n = 30
-        m = pyo.ConcreteModel()
-        m.x = pyo.Var(range(n), initialize=0.0)
-        inside, wanted = random.normal(size=n), random.normal(size=n)
-        m.c = pyo.ConstraintList()
-        for _ in range(n // 2):
-            chosen, factors = random.choice(n, size=3, replace=False), random.normal(size=3)
-            for scale in (1.0, 3.0):
-                left = sum(scale * factor * m.x[int(place)] for factor, place in zip(factors, chosen, strict=True))
-                m.c.add(left == scale * float(factors @ inside[chosen]))
-        m.cost = pyo.Objective(expr=sum((m.x[i] - wanted[i]) ** 2 for i in range(n)))
-        problem = compile_model(m)
-        assert solve(problem, options={"linear_solver": linear_solver, "perturb_always_cd": "yes"}).outcome is Outcome.SOLVED
-        plain = solve(problem, options={"linear_solver": linear_solver, "max_iter": 200})
-        assert plain.outcome is Outcome.SOLVED or np.max(np.abs(plain.lagrange)) < 1e8 or "perturb_always_cd" in plain.message
-
-
 def test_an_unknown_status_is_never_success():
     problem = compile_model(quadratic())
     solution = solve(problem).x
