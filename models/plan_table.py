@@ -6,6 +6,7 @@ Cells are apart by comma, semicolon (then 0,5 is a number too) or tab; lines wit
 from __future__ import annotations
 
 import csv
+import math
 import re
 from pathlib import Path
 
@@ -68,6 +69,8 @@ class PlanTable:
                 values.append(float(cell))
             except ValueError:
                 raise TrajectoryError(f"plan {self.path}: line {number}, column {name!r}: {cell!r} is not a number.") from None
+            if not math.isfinite(values[-1]):
+                raise TrajectoryError(f"plan {self.path}: line {number}, column {name!r}: {cell!r} is not a finite number.")
         return np.array(values)
 
 

@@ -90,7 +90,7 @@ def test_what_other_programs_write_is_read(tmp_path: Path, scene, text: str):
         ("t,q1,q2,q3,u1\n0,0,1,2,1\n1,1,2,3,1\n", ["'u3'", "missing"]),
         ("t,q1,q1,q3,u1,u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n", ["'q1'", "twice"]),
         ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,x,2,3,1,0\n", ["line 3", "'q1'", "'x'"]),
-        ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,nan,2,3,1,0\n", ["q[1, 0]", "finite"]),
+        ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,nan,2,3,1,0\n", ["line 3, column 'q1': 'nan'", "finite"]),
         ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n0,1,2,3,1,0\n", ["time must increase"]),
         ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1\n", ["line 3"]),
         ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0,7\n1,1,2,3,1,0\n", ["line 2", "7 cells", "6 columns"]),

@@ -95,6 +95,8 @@ def test_list_imports_no_solver():
         (("replay", "no_plan.csv", "--scene", "three_cart"), "it cannot be read"),
         (("fmu", "three_cart"), "missing option '-o'"),
         (("fmu", "three_kart", "-o", "x.fmu"), "did you mean three_cart?"),
+        (("fmu", "three_cart", "-o", "x.ssp"), "only --coupled writes an .ssp; call it x.fmu"),
+        (("fmu", "three_cart", "--coupled", "-o", "x.fmu"), "--coupled writes an .ssp; call it x.ssp"),
     ],
 )
 def test_a_mistake_is_one_sentence_and_exit_code_2(in_here, arguments, words):

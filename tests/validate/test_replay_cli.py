@@ -133,8 +133,8 @@ def broken(plan: np.ndarray, row: int, column: int, value: float) -> np.ndarray:
 @pytest.mark.parametrize(
     ("columns", "plan", "words"),
     [
-        ("t,x,v_x,F,lam_stop", broken(foreign_plan(), 3, 1, np.nan), "q[3, 0] is nan"),
-        ("t,x,v_x,F,lam_stop", broken(foreign_plan(), 3, 3, np.inf), "u[3, 0] is inf"),
+        ("t,x,v_x,F,lam_stop", broken(foreign_plan(), 3, 1, np.nan), "line 5, column 'x': 'nan' is not a finite number"),
+        ("t,x,v_x,F,lam_stop", broken(foreign_plan(), 3, 3, np.inf), "line 5, column 'F': 'inf' is not a finite number"),
         ("t,x,v_x,F,lam_stop", broken(foreign_plan(), 3, 0, 0.0), "time must increase"),
         ("t,x,v_x", foreign_plan(), "the column 'F' is missing"),
         ("x,F", foreign_plan(), "the column 't' is missing"),

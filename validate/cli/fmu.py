@@ -48,6 +48,10 @@ def command(scene: str, output: Path, version: str, platforms: tuple[str, ...], 
 
     if coupled and (version != "2" or platforms):
         raise click.UsageError("--coupled writes FMI 2.0 for this machine; leave out --fmi and --platform.")
+    if output.suffix.lower() == (".fmu" if coupled else ".ssp"):
+        raise click.UsageError(
+            f"{output}: {'--coupled writes an .ssp' if coupled else 'this is an FMU, and only --coupled writes an .ssp'}; call it {output.with_suffix('.ssp' if coupled else '.fmu').name}."
+        )
     loaded = load_scene(scene)
     tell_doubts([loaded])
     if coupled:
