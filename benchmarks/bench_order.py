@@ -85,15 +85,13 @@ def _solve(scene: Scene, scheme: str, limit: float) -> tuple[Solution, float]:
 
 
 def _solve_chain(scene: Scene, limit: float) -> Solution:
-    """Iterations are those of all stages; the rest is the last one's, or that of the stage that gave no plan."""
+    """Iterations are those of all stages, the rest is the last one's; a stage without a plan hands on the one before, as in a campaign."""
     plan, iterations, solution = None, 0, None
     with ExitStack() as opened:
         sessions = {name: opened.enter_context(load_method(name).open(scene, {})) for name in dict(_FRICTION_CHAIN)}
         for name, eps in _FRICTION_CHAIN:
             solution = sessions[name].solve(eps=eps, warm_start=plan, time_limit=limit)
-            plan, iterations = solution.trajectory, iterations + solution.iterations
-            if plan is None:
-                break
+            plan, iterations = solution.trajectory or plan, iterations + solution.iterations
     assert solution is not None
     return replace(solution, iterations=iterations)
 
