@@ -96,7 +96,7 @@ class Store:
         return record if record.key == key else None
 
     def lost(self, key: str) -> str:
-        """The first NetCDF file of a stored run that is gone or has another size than it was stored with; empty if all are there."""
+        """The first NetCDF file of a stored run that is gone or has another size than it was stored with, or the list of them; empty if all are there."""
         folder = self.runs / key
         try:
             sizes = json.loads((folder / FILES).read_bytes())

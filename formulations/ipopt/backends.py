@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any
 
 from formulations.ipopt.backend import Backend
@@ -36,6 +36,11 @@ def default_backend(options: Iterable[str] = ()) -> Backend:
     raise MachineError("no Ipopt is installed; install it with: pip install cyipopt-wheels==1.7.0.dev0")
 
 
-def where_mumps(options: Mapping[str, Any]) -> dict[str, Any]:
-    """These options where MUMPS factorises by default; none where our own does, because an option of MUMPS asks for MUMPS."""
-    return dict(options) if linear_solver("", default_backend()) == MUMPS else {}
+# MUMPS permutes the KKT matrix before it orders it, unless told otherwise; where softplus' tiny slopes stand on the diagonal that destroys the band
+# of time steps: 10 carts at T = 500 take 0.04 instead of 1.1 CPU s an iteration, and 7 instead of 31 of them; three carts take the same.
+_KEEP_THE_BAND = {"mumps_permuting_scaling": 0}
+
+
+def band_options() -> dict[str, Any]:
+    """What keeps the band of time steps where MUMPS factorises by default; nothing where our own does, because an option of MUMPS asks for MUMPS."""
+    return dict(_KEEP_THE_BAND) if linear_solver("", default_backend()) == MUMPS else {}

@@ -199,19 +199,19 @@ def _undefined(problem: IpoptProblem, x: np.ndarray) -> str:
 def repeats_constraints(result: IpoptResult) -> bool:
     """Whether Ipopt ended as where constraints repeat each other, and the option that copes with them was not set: with multipliers without end,
     or by giving up the search for a feasible point at one."""
-    gave_up = result.outcome is Outcome.STALLED and result.status == _RESTORATION and result.residuals.constraint_violation <= FEASIBILITY
-    asked = result.options.get("perturb_always_cd") == "yes"
-    return _is_endless(result.outcome, result.lagrange, result.options) or (gave_up and not asked)
+    if result.options.get("perturb_always_cd") == "yes":
+        return False
+    gave_up = result.status == _RESTORATION and result.residuals.constraint_violation <= FEASIBILITY
+    return gave_up or _is_endless(result.outcome, result.lagrange)
 
 
-def _is_endless(outcome: Outcome, lagrange: np.ndarray, options: Mapping[str, Any]) -> bool:
-    largest = float(np.max(np.abs(lagrange), initial=0.0))
-    return outcome in (Outcome.STALLED, Outcome.ITERATION_LIMIT) and largest > _ENDLESS and options.get("perturb_always_cd") != "yes"
+def _is_endless(outcome: Outcome, lagrange: np.ndarray) -> bool:
+    return outcome in (Outcome.STALLED, Outcome.ITERATION_LIMIT) and bool(np.max(np.abs(lagrange), initial=0.0) > _ENDLESS)
 
 
 def _hint(outcome: Outcome, lagrange: np.ndarray, options: Mapping[str, Any]) -> str:
     """What may help where dependent constraints kept Ipopt from an end; empty elsewhere."""
-    if not _is_endless(outcome, lagrange, options):
+    if options.get("perturb_always_cd") == "yes" or not _is_endless(outcome, lagrange):
         return ""
     largest = float(np.max(np.abs(lagrange)))
     return f"; multipliers up to {largest:.0e}: constraints may repeat each other there, which the option perturb_always_cd='yes' can cope with"

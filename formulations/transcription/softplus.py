@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, cast
 
-from formulations.ipopt.backends import where_mumps
+from formulations.ipopt.backends import band_options
 from formulations.solution import Outcome
 from formulations.transcription.contact_laws import ContactLaw
 from formulations.transcription.opening import Watch
@@ -16,11 +16,6 @@ from formulations.transcription.workbench import Account, Workbench
 from models.contact_law import ContactLaw as ForceLaw
 from models.contact_law import sharpness
 from models.trajectory import Trajectory
-
-# MUMPS permutes the KKT matrix before it orders it, unless told otherwise; where softplus' tiny slopes stand on the diagonal that destroys the band
-# of time steps: 10 carts at T = 500 take 0.04 instead of 1.1 CPU s an iteration, and 7 instead of 31 of them; three carts take the same.
-_KEEP_THE_BAND = {"mumps_permuting_scaling": 0}
-
 
 # Of a stage that starts from a plan, in nonzeros, which is what an iteration's time grows with: friction and many contacts have three times as many a
 # unknown. Those of the bank that ended well took up to 6.3e6 (transport: 951 iterations, of 6608), and where they were larger up to 136 iterations.
@@ -46,7 +41,7 @@ class SoftplusSession(TightenedSession):
         return None if start is None else Outcome.STALLED
 
     def common_options(self) -> dict[str, Any]:
-        return {**super().common_options(), **where_mumps(_KEEP_THE_BAND)}
+        return {**super().common_options(), **band_options()}
 
     def sharpest(self, eps: float | None) -> float:
         return sharpness(cast(float, eps), self._scene.length)

@@ -18,7 +18,7 @@ from typing import Any, cast
 import numpy as np
 
 from formulations.ipopt import IpoptResult
-from formulations.ipopt.backends import where_mumps
+from formulations.ipopt.backends import band_options
 from formulations.method import Method, OptionError, Session
 from formulations.solution import ModelSize, Outcome, Solution
 from formulations.transcription.build import build_model
@@ -41,7 +41,6 @@ _TRIED = 3
 # Modes that have a plan are solved in 5 to 60 iterations; more are spent only on proving that there is none.
 _MODE_ITERATIONS = 150
 # They start from a plan that is nearly theirs: Ipopt's own barrier (0.1) first pushes it away from every bound.
-_KEEP_THE_BAND = {"mumps_permuting_scaling": 0}
 _NEAR = {"mu_init": 1e-4, "bound_push": 1e-6, "bound_frac": 1e-6, "bound_relax_factor": 0.0}
 # Bound of lam (lam - k phi) of the relaxed complementarity [N^2].
 _RELAXED = 1e-4
@@ -113,7 +112,7 @@ class CollocationSession(Session):
         options = {
             "tol": self._number("homotopy_tolerance"),
             "max_iter": int(self._number("max_iterations")),
-            **where_mumps(_KEEP_THE_BAND),
+            **band_options(),
         }
         guesses: list[_Guess] = []
 
@@ -151,7 +150,7 @@ class CollocationSession(Session):
         bench = self._bench(account)
         self._load(bench, guess)
         hold_modes(bench.model, guess.closed)
-        options = {"tol": self._number("tolerance"), **where_mumps(_KEEP_THE_BAND), **_NEAR}
+        options = {"tol": self._number("tolerance"), **band_options(), **_NEAR}
         return bench.run(account, {**options, "max_iter": account.iterations + _MODE_ITERATIONS})
 
     def _from_relaxed(self, account: Account, guess: _Guess) -> IpoptResult:
@@ -159,7 +158,7 @@ class CollocationSession(Session):
         self._load(bench, guess)
         release_modes(bench.model)
         tighten(bench.model, _RELAXED)
-        options = {"tol": self._number("homotopy_tolerance"), **where_mumps(_KEEP_THE_BAND), **_NEAR, "mu_init": 1e-2}
+        options = {"tol": self._number("homotopy_tolerance"), **band_options(), **_NEAR, "mu_init": 1e-2}
         relaxed = Workbench(bench.model)  # translated anew: the products are rows again
         result = relaxed.run(account, {**options, "max_iter": account.iterations + int(self._number("max_iterations"))})
         if not result.solved:
