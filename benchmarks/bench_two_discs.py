@@ -29,6 +29,7 @@ from models.codegen.kernel import load_kernel
 from models.fmu import build_fmu
 from models.scene import Scene
 from models.scenes.two_discs import MASS, RIGID_OPTIMUM, RIGID_OPTIMUM_WALL, two_discs
+from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 from validate.replay import replay
 
@@ -60,7 +61,19 @@ def _throws(scene: Scene) -> list[Trajectory]:
         motion = kernel.rollout(start, u, scene.task.step)
         if not motion.diverged and (motion.lam > 0).any():
             missed = float((motion.q[-1, 2:4] ** 2).sum())
-            found.append((missed, Trajectory(t=uniform_grid(scene.task.step, steps), q=motion.q, v=motion.v, u=u, lam=motion.lam)))
+            found.append(
+                (
+                    missed,
+                    Trajectory(
+                        t=uniform_grid(scene.task.step, steps),
+                        q=motion.q,
+                        v=motion.v,
+                        u=u,
+                        lam=motion.lam,
+                        scheme=Scheme.SEMI_IMPLICIT_EULER,
+                    ),
+                )
+            )
     return [plan for _, plan in sorted(found, key=lambda item: item[0])[:_THROWS]]
 
 

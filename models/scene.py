@@ -273,9 +273,14 @@ class Scene:
     def parameter_values(self) -> dict[sp.Symbol, float]:
         return {parameter.symbol: parameter.value for parameter in self.parameters}
 
-    def limit(self, figure: str) -> Limit | None:
-        """The limit this scene sets on a score figure, or None."""
-        return next((limit for limit in self.limits if limit.figure == figure), None)
+    def limit(self, metric: str) -> Limit | None:
+        """What this scene says of the limit on a metric, or None: then the metric's default holds."""
+        return next((limit for limit in self.limits if limit.metric == metric), None)
+
+    @property
+    def depths(self) -> tuple[float, ...]:
+        """(nc,) penetration of each contact at which the model ends [m], at the values of the parameters."""
+        return tuple(float(contact.depth.subs(self.parameter_values).evalf()) for contact in self.contacts)
 
     def with_parameters(self, **values: float) -> Scene:
         """This scene with other parameter values, e.g. `scene.with_parameters(k=300.0)`. Raises SceneError for unknown names."""

@@ -49,6 +49,8 @@ def check_scene(scene: Scene) -> None:
     _check_lengths(scene)
     _check_steps(scene)
     _check_symbols(scene)
+    _check_bodies(scene)
+    _check_goal_limits(scene)
     checked_once(scene, check_expressions)
 
 
@@ -161,6 +163,7 @@ def _check_symbols(scene: Scene) -> None:
         check(f"contact {contact.name}: penetration", contact.penetration, parameters | positions)
         check(f"contact {contact.name}: stiffness", contact.stiffness, parameters)
         check(f"contact {contact.name}: damping", contact.damping, parameters)
+        check(f"contact {contact.name}: depth", contact.depth, parameters)
     for friction in scene.frictions:
         check(f"friction {friction.name}: slip", friction.slip, parameters | positions | velocities)
         check(f"friction {friction.name}: coefficient", friction.coefficient, parameters)
@@ -173,6 +176,38 @@ def _check_symbols(scene: Scene) -> None:
             check(f"shape {shape.name}: {field}", value, parameters | positions)
         for size in shape.size:
             check(f"shape {shape.name}: size", size, parameters)
+
+
+# What may stand for one end of a contact that is no drawn body.
+_FIXED = ("ground", "wall", "joint")
+
+
+def _check_bodies(scene: Scene) -> None:
+    drawn = [shape.name for shape in scene.shapes]
+    for contact in scene.contacts:
+        unknown = [body for body in contact.bodies if body not in drawn and body not in _FIXED]
+        if drawn and unknown:
+            raise _fail(
+                scene,
+                f"contact {contact.name}: bodies names {unknown[0]!r}, which is no shape of the scene ({', '.join(drawn)}), nor one of {', '.join(_FIXED)}.",
+            )
+    for contact, depth in zip(scene.contacts, scene.depths, strict=True):
+        if not depth > 0.0:
+            raise _fail(scene, f"contact {contact.name}: depth is {depth:g} m, but must be positive.")
+
+
+def _check_goal_limits(scene: Scene) -> None:
+    """A goal says how near is near enough, of the plan and of its replay, positions and velocities apart."""
+    goal = scene.task.goal
+    for part, values in (("position", goal[: scene.nq]), ("velocity", goal[scene.nq :])):
+        if all(value is None for value in values):
+            continue
+        for metric in (f"terminal_{part}_error", f"replay_terminal_{part}_error"):
+            if scene.limit(metric) is None:
+                raise _fail(
+                    scene,
+                    f"task.goal asks for a {part}, but no limit says how near is near enough; add Limit(metric={metric!r}, value=.., reason=..).",
+                )
 
 
 def _start(scene: Scene) -> dict[sp.Symbol, float]:

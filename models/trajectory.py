@@ -3,19 +3,20 @@
     t    (nodes,)       time [s], increasing, nodes = steps + 1
     q, v (nodes, nq)    generalised positions [m, rad] and velocities
     u    (steps, nu)    inputs, held over each step as `hold` says
-    lam  (steps, nl)    contact forces [N] at the *start* of each step: lam[i] belongs to phi(q[i]); behind them the friction
-                        forces of the step, which belong to the slip at its end
-    scheme              the time step it is made of (models.schemes): which equations q, v, u, lam solve, and so what its defect is
-    missing             which of "v" and "lam" its author did not say; the arrays then hold stand-ins (see `read_csv`)
+    lam  (steps, nl)    contact forces, behind them friction forces [N], one a step. Of a plan that declares a scheme a contact force belongs to the
+                        *start* of the step, lam[i] to phi(q[i]), and a friction force to the slip at its end; of any other it may be the force at
+                        the start of the step, at its end, or its mean over the step
+    scheme              the time step it is made of (models.schemes), or None: its author names none, and is not asked about one
+    missing             what its author did not say, of "q", "v", "lam" (contact forces) and "friction"; the arrays then hold stand-ins (see `read_csv`)
+    u_end (nu,)         the input at the last node, which a linear hold heads for in the last step; None: the last step is constant
 
-CSV: one row a node, columns `t`, then the scene's names (`q1 ... v1 ... u1 ... lam_left ...`); the last row has no u and lam.
-NetCDF-4: the same arrays with units, for the store.
+CSV: one row a node, columns `t`, then the scene's names (`q1 ... v1 ... u1 ... lam_left ...`); the last row has no u and lam. Lines
+`# scheme: semi_implicit_euler` and `# hold: zero` (or `linear`) above declare those. NetCDF-4: the same arrays with units, for the store.
 """
 
 from __future__ import annotations
 
 import difflib
-import math
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -32,7 +33,11 @@ class Hold(Enum):
     """How an input behaves within a step."""
 
     ZERO_ORDER = "zero_order"  # constant
-    LINEAR = "linear"  # towards the next step's value; the last step is constant
+    LINEAR = "linear"  # towards the next step's value, in the last step towards `u_end`
+
+
+# What a hold is called in a CSV, on the command line and in maps.
+HOLDS = {"zero": Hold.ZERO_ORDER, "linear": Hold.LINEAR}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,11 +50,14 @@ class Trajectory:
     u: np.ndarray
     lam: np.ndarray
     hold: Hold = Hold.ZERO_ORDER
-    scheme: Scheme = Scheme.SEMI_IMPLICIT_EULER
+    scheme: Scheme | None = None
     missing: frozenset[str] = frozenset()
+    u_end: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        for field in ("t", "q", "v", "u", "lam"):
+        for field in ("t", "q", "v", "u", "lam", "u_end"):
+            if getattr(self, field) is None and field == "u_end":
+                continue
             array = np.array(getattr(self, field), dtype=float)
             if not np.isfinite(array).all():
                 where = tuple(int(index) for index in np.argwhere(~np.isfinite(array))[0])
@@ -68,9 +76,13 @@ class Trajectory:
             shape = getattr(self, field).shape
             if len(shape) != 2 or shape[0] != rows:
                 raise TrajectoryError(f"plan: {field} has shape {shape}; {rows} rows are needed ({nodes} nodes, {nodes - 1} steps).")
-        if self.scheme is not Scheme.SEMI_IMPLICIT_EULER and self.hold is not Hold.ZERO_ORDER:
+        if self.scheme is not None and self.hold is not Hold.ZERO_ORDER:
             raise TrajectoryError(
-                f"plan: scheme {self.scheme.value} holds its inputs over each step, so hold must be {Hold.ZERO_ORDER.value}."
+                f"plan: scheme {self.scheme.value} holds its inputs over each step, but the plan's hold is linear; leave one of the two out."
+            )
+        if self.u_end is not None and self.u_end.shape != self.u.shape[1:]:
+            raise TrajectoryError(
+                f"plan: u_end has shape {self.u_end.shape}; one value for each of the {self.u.shape[1]} inputs is needed."
             )
         if self.q.shape != self.v.shape:
             raise TrajectoryError(f"plan: q has shape {self.q.shape} but v has {self.v.shape}; they must agree.")
@@ -99,12 +111,15 @@ class Trajectory:
             if found != expected:
                 raise TrajectoryError(f"plan: {field} has {found} columns, but scene {scene.name} has {expected} {what}.")
 
-    def other_duration(self, scene: Scene) -> str:
-        """A sentence if the plan does not last as long as the scene's task, else nothing: what is asked by then is not asked later."""
-        lasts, asked = float(self.t[-1] - self.t[0]), scene.task.horizon
-        if math.isclose(lasts, asked, rel_tol=1e-9):
-            return ""
-        return f"it lasts {lasts:.6g} s, but the task of scene {scene.name} {asked:.6g} s."
+    @property
+    def duration(self) -> float:
+        """From the first node to the last [s]."""
+        return float(self.t[-1] - self.t[0])
+
+    @property
+    def has_states(self) -> bool:
+        """Whether its author says positions."""
+        return "q" not in self.missing
 
     def has_uniform_grid(self) -> bool:
         """Whether all steps are equal to rounding."""
@@ -127,60 +142,133 @@ def column_names(scene: Scene) -> dict[str, tuple[str, ...]]:
 
 
 def write_csv(path: Path, trajectory: Trajectory, scene: Scene) -> None:
-    """Write a plan as CSV (17 significant digits: it reads back bit for bit)."""
+    """Write a plan as CSV (17 significant digits: it reads back bit for bit), without the columns that its author did not say."""
     trajectory.check_fits(scene)
     names = column_names(scene)
-    lines = [",".join(["t", *names["q"], *names["v"], *names["u"], *names["lam"]])]
+    held = next(word for word, hold in HOLDS.items() if hold is trajectory.hold)
+    lines = [f"# hold: {held}"]
+    if trajectory.scheme is not None:
+        lines.append(f"# scheme: {trajectory.scheme.value}")
+    said = {
+        "q": "q" not in trajectory.missing, "v": "v" not in trajectory.missing, "u": True,
+        "lam": "lam" not in trajectory.missing, "friction": "friction" not in trajectory.missing,
+    }  # fmt: skip
+    forces = [name for index, name in enumerate(names["lam"]) if said["lam" if index < scene.nc else "friction"]]
+    chosen = [index for index in range(scene.nl) if said["lam" if index < scene.nc else "friction"]]
+    header = [*(names["q"] if said["q"] else ()), *(names["v"] if said["v"] else ()), *names["u"], *forces]
+    lines.append(",".join(["t", *header]))
     for index in range(trajectory.steps + 1):
-        values = [trajectory.t[index], *trajectory.q[index], *trajectory.v[index]]
+        values = [trajectory.t[index], *(trajectory.q[index] if said["q"] else ()), *(trajectory.v[index] if said["v"] else ())]
         cells = [repr(float(value)) for value in values]
         if index < trajectory.steps:
-            cells += [repr(float(value)) for value in (*trajectory.u[index], *trajectory.lam[index])]
+            cells += [repr(float(value)) for value in (*trajectory.u[index], *trajectory.lam[index][chosen])]
         else:
-            cells += [""] * (len(names["u"]) + len(names["lam"]))
+            end = trajectory.u_end if trajectory.hold is Hold.LINEAR and trajectory.u_end is not None else None
+            cells += [""] * scene.nu if end is None else [repr(float(value)) for value in end]
+            cells += [""] * len(chosen)
         lines.append(",".join(cells))
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def read_csv(path: Path, scene: Scene, hold: Hold = Hold.ZERO_ORDER) -> Trajectory:
-    """Read a plan written by anybody: cells apart by comma, semicolon (then 0,5 is a number too) or tab; lines with # are comments.
+def read_csv(path: Path, scene: Scene, hold: Hold | None = None) -> Trajectory:
+    """Read a plan written by anybody: cells apart by comma, semicolon (then 0,5 is a number too) or tab; lines with # are comments, of which
+    `# scheme: ..` and `# hold: ..` declare. hold: the same as an argument; None: as declared, else zero.
 
-    A column may say its unit, `q1 [m]`, which must then be the scene's. Velocity and `lam_*` columns may be absent; the plan says so in
-    `missing`. Forces are then 0, velocities backward differences (those of semi-implicit Euler) with the task's velocities at the start if
-    the plan starts at the task's positions.
+    A column may say its unit, `q1 [m]`, which must then be the scene's. `t` and the inputs are needed; positions, velocities, contact forces and
+    friction forces may be absent, each group whole, and the plan says so in `missing`. Then positions stand still at the task's start, forces are
+    0, velocities backward differences with the task's velocities at the start if the plan starts at the task's positions. A plan of inputs alone
+    whose last row has inputs, and which would last as long as the task with one more step, gets that step.
     Raises TrajectoryError naming the file, the line and the column.
     """
     table = PlanTable(path)
-    header, names = table.names, column_names(scene)
-    known = ["t", *(name for group in names.values() for name in group)]
     table.check_form()
+    return trajectory_from(table, scene, hold)
+
+
+def trajectory_from(table: PlanTable, scene: Scene, hold: Hold | None = None) -> Trajectory:
+    """A plan of a scene from a table of columns; as `read_csv`, which says what may be absent. Raises TrajectoryError."""
+    where, header, names = table.where, table.names, column_names(scene)
+    groups = {**names, "lam": names["lam"][: scene.nc], "friction": names["lam"][scene.nc :]}
+    known = ["t", *(name for group in names.values() for name in group)]
     for column in header:
         if column not in known:
             hint = _meant(column, known)
-            raise TrajectoryError(f"plan {path}: the column {column!r} is unknown; {hint}scene {scene.name} has {', '.join(known)}.")
-    for column in ("t", *names["q"], *names["u"]):
+            raise TrajectoryError(f"{where}: the column {column!r} is unknown; {hint}scene {scene.name} has {', '.join(known)}.")
+    for column in ("t", *names["u"]):
         if column not in header:
-            raise TrajectoryError(f"plan {path}: the column {column!r} is missing; it has {', '.join(header)}.")
+            raise TrajectoryError(f"{where}: the column {column!r} is missing; it has {', '.join(header)}.")
+    for group in ("q", "v", "lam", "friction"):
+        given = [name for name in groups[group] if name in header]
+        if given and len(given) < len(groups[group]):
+            absent = next(name for name in groups[group] if name not in header)
+            raise TrajectoryError(
+                f"{where}: the column {absent!r} is missing beside {given[0]!r}; give {', '.join(groups[group])}, or none of them."
+            )
+    missing = frozenset(group for group in ("q", "v", "lam", "friction") if groups[group] and groups[group][0] not in header)
+    if "q" in missing and "v" not in missing:
+        raise TrajectoryError(f"{where}: it has velocities, but no positions; give {', '.join(names['q'])} too, or neither.")
     for column, unit in _units(scene).items():
         table.check_unit(column, unit)
-    columns = {column: table.column(column, last_is_open=column in (*names["u"], *names["lam"])) for column in header}
-    t = columns["t"]
-    q = np.column_stack([columns[name] for name in names["q"]])
-    if all(name in columns for name in names["v"]):
-        v = np.column_stack([columns[name] for name in names["v"]])
-    elif np.isfinite(t).all() and (np.diff(t) > 0).all():
-        v = _velocities(t, q, scene)
-    else:
-        v = np.zeros_like(q)  # the times are refused below, in Trajectory's words
-    missing = frozenset(group for group in ("v", "lam") if not all(name in columns for name in names[group]))
+    scheme, hold = _declared(table, hold)
+    t = table.column("t", last_is_open=False)
+    if "q" in missing and names["u"] and scene.task is not None and all(table.has_last(name) for name in names["u"]):
+        t = _with_a_last_step(t, scene)
     steps = len(t) - 1
-    u = np.column_stack([columns[name] for name in names["u"]]) if names["u"] else np.zeros((steps, 0))
-    forces = [columns.get(name, np.zeros(steps)) for name in names["lam"]]
+    inputs = [table.column(name, last_is_open=steps < table.rows) for name in names["u"]]
+    u = np.column_stack(inputs) if inputs else np.zeros((steps, 0))
+    u_end = None
+    if hold is Hold.LINEAR and steps < table.rows and names["u"] and all(table.has_last(name) for name in names["u"]):
+        u_end = np.array([table.column(name, last_is_open=False)[-1] for name in names["u"]])
+    start = np.array(scene.task.start, dtype=float)
+    if "q" in missing:
+        q, v = np.tile(start[: scene.nq], (steps + 1, 1)), np.tile(start[scene.nq :], (steps + 1, 1))
+    else:
+        q = np.column_stack([table.column(name, last_is_open=False) for name in names["q"]])
+        if "v" not in missing:
+            v = np.column_stack([table.column(name, last_is_open=False) for name in names["v"]])
+        elif np.isfinite(t).all() and (np.diff(t) > 0).all():
+            v = _velocities(t, q, scene)
+        else:
+            v = np.zeros_like(q)  # the times are refused below, in Trajectory's words
+    forces = [table.column(name, last_is_open=steps < table.rows) if name in header else np.zeros(steps) for name in names["lam"]]
     lam = np.column_stack(forces) if forces else np.zeros((steps, 0))
     try:
-        return Trajectory(t=t, q=q, v=v, u=u, lam=lam, hold=hold, missing=missing)
+        return Trajectory(t=t, q=q, v=v, u=u, lam=lam, hold=hold, scheme=scheme, missing=missing, u_end=u_end)
     except TrajectoryError as error:
-        raise TrajectoryError(f"{error} (file {path})") from error
+        raise TrajectoryError(f"{error} ({table.source})") from error
+
+
+def _declared(table: PlanTable, hold: Hold | None) -> tuple[Scheme | None, Hold]:
+    """What the lines above a table declare; hold: what is asked for beside, which must not be another."""
+    scheme = None
+    if "scheme" in table.declared:
+        value = table.declared["scheme"]
+        if value not in [item.value for item in Scheme]:
+            close = difflib.get_close_matches(value, [item.value for item in Scheme], n=1)
+            hint = (
+                f"did you mean {close[0]}?"
+                if close
+                else f"there are {', '.join(item.value for item in Scheme)}; without this line it declares none."
+            )
+            raise TrajectoryError(f"{table.where}: the scheme {value!r} is unknown; {hint}")
+        scheme = Scheme(value)
+    if "hold" not in table.declared:
+        return scheme, hold or Hold.ZERO_ORDER
+    value = table.declared["hold"]
+    if value not in HOLDS:
+        raise TrajectoryError(f"{table.where}: the hold {value!r} is unknown; it is {' or '.join(HOLDS)}.")
+    if hold is not None and hold is not HOLDS[value]:
+        raise TrajectoryError(f"{table.where}: it declares the hold {value!r}, but --hold asks for another; leave one of the two out.")
+    return scheme, HOLDS[value]
+
+
+def _with_a_last_step(t: np.ndarray, scene: Scene) -> np.ndarray:
+    """The times of a plan of inputs alone with the end of its last step, where only with it the plan lasts as long as the task."""
+    if not (np.isfinite(t).all() and (np.diff(t) > 0).all()):
+        return t
+    longer = np.append(t, 2.0 * t[-1] - t[-2])
+    asked, near = scene.task.horizon, scene.task.step / 2.0
+    return longer if abs(t[-1] - t[0] - asked) > near >= abs(longer[-1] - t[0] - asked) else t
 
 
 def _meant(column: str, known: list[str]) -> str:

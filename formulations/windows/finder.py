@@ -24,6 +24,7 @@ from formulations.windows.structures import Structures
 from models.codegen.kernel import Kernel
 from models.goal import goal_state
 from models.scene import Scene
+from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 
 _ARRIVED = 1e-6  # from the goal: what remains is taken out by the exact problem
@@ -143,7 +144,9 @@ class Finder:
             sharpness = self._number("first_sharpness")
             rollout, u = land_by_softplus(self._kernel, np.array(task.start), goal_state(task), plan.u, task.step, bounds, ball, sharpness)
             if not rollout.diverged:
-                yield Trajectory(t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+                yield Trajectory(
+                    t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
+                )
 
     def _is_out_of_reach(self, account: Account) -> bool:
         """Not even softplus contact had a plan: how near do the inputs come to the goal at all?"""
@@ -173,7 +176,14 @@ class Finder:
         rollout = self._kernel.rollout(np.array(task.start), found.answer.u, task.step)
         if rollout.diverged:
             return None
-        plan = Trajectory(t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=found.answer.u, lam=rollout.lam)
+        plan = Trajectory(
+            t=uniform_grid(task.step, task.steps),
+            q=rollout.q,
+            v=rollout.v,
+            u=found.answer.u,
+            lam=rollout.lam,
+            scheme=Scheme.SEMI_IMPLICIT_EULER,
+        )
         return on_grid(plan, self._scene), max(1, self._scene.task.steps // task.steps // 2)
 
     def _words(self, outcome: Outcome, message: str) -> tuple[Outcome, str]:

@@ -27,6 +27,7 @@ from models.codegen.kernel import load_kernel
 from models.errors import TrajectoryError
 from models.goal import distance, goal_state
 from models.scene import Scene
+from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 
 if TYPE_CHECKING:
@@ -132,7 +133,9 @@ class MpccSession(Session):
         rollout, u = land(
             self._kernel, np.array(task.start), goal_state(task), u, task.step, (bounds[0], bounds[1]), self._number("goal_tolerance")
         )
-        return Trajectory(t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+        return Trajectory(
+            t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
+        )
 
     def certificate(self, plan: Trajectory) -> dict[str, float]:
         """Residuals of the plan by name; complementarity with the penetration of the same compiled code that the forces come from."""

@@ -8,6 +8,7 @@ from models.codegen.kernel import Kernel
 from models.contact_law import ContactLaw
 from models.goal import goal_state, miss
 from models.scene import Scene
+from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 
 _PIECES = 10  # of constant input over the horizon
@@ -28,7 +29,9 @@ def random_plan(scene: Scene, kernel: Kernel, seed: tuple[int, ...]) -> Trajecto
     rollout = kernel.rollout(np.array(task.start), u, task.step, ContactLaw.SOFTPLUS, 1e-3)
     if rollout.diverged:
         return None
-    return Trajectory(t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+    return Trajectory(
+        t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
+    )
 
 
 def descended_plan(scene: Scene, kernel: Kernel) -> Trajectory | None:
@@ -58,7 +61,9 @@ def descended_plan(scene: Scene, kernel: Kernel) -> Trajectory | None:
     rollout = kernel.rollout(np.array(task.start), u, task.step, ContactLaw.SOFTPLUS, 1e-7)
     if rollout.diverged:
         return None
-    return Trajectory(t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+    return Trajectory(
+        t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
+    )
 
 
 def mirrored(scene: Scene, kernel: Kernel, plan: Trajectory) -> Trajectory | None:
@@ -77,4 +82,11 @@ def mirrored(scene: Scene, kernel: Kernel, plan: Trajectory) -> Trajectory | Non
         return None
     lam = np.zeros_like(plan.lam)
     lam[:, : scene.nc] = plan.lam[::-1, : scene.nc][:, same.argmax(axis=1)]
-    return Trajectory(t=plan.t, q=centre - plan.q[::-1, ::-1], v=plan.v[::-1, ::-1].copy(), u=-plan.u[::-1, ::-1], lam=lam)
+    return Trajectory(
+        t=plan.t,
+        q=centre - plan.q[::-1, ::-1],
+        v=plan.v[::-1, ::-1].copy(),
+        u=-plan.u[::-1, ::-1],
+        lam=lam,
+        scheme=Scheme.SEMI_IMPLICIT_EULER,
+    )

@@ -181,13 +181,13 @@ def solver_limits() -> tuple[Limit, ...]:
     """What both scenes ask of any plan."""
     return (
         Limit(
-            figure="physics_scaled",
+            metric="physics_scaled",
             value=1e-6,
             reason="averaged over 0.4 s a product of 2.5e-6 (k L)^2 with k L = 1 N: 1.6 mN at tips that only just touch, or less at a distance",
         ),
-        Limit(figure="defect", value=1e-6, reason="a plan that misses its own time step by more than 1e-6 was not solved to the end"),
-        Limit(figure="start_error", value=1e-6, reason="a plan from another start solves another task; 1e-6 is the solvers' own tolerance"),
-        Limit(figure="bound_violation", value=1e-6, reason="the joints give at most 2 N m; 1e-6 is the solvers' own tolerance"),
+        Limit(metric="defect", value=1e-6, reason="a plan that misses its own time step by more than 1e-6 was not solved to the end"),
+        Limit(metric="start_error", value=1e-6, reason="a plan from another start solves another task; 1e-6 is the solvers' own tolerance"),
+        Limit(metric="bound_violation", value=1e-6, reason="the joints give at most 2 N m; 1e-6 is the solvers' own tolerance"),
     )
 
 

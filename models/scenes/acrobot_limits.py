@@ -78,20 +78,20 @@ SCENE = Scene(
     ),
     limits=(
         Limit(
-            figure="physics_scaled",
+            metric="physics_scaled",
             value=1e-5,
             reason="averaged over the 1 s a product of 1e-5 (k L)^2 with k L = 0.2 N: a force of 4 uN at a stop that only just touches",
         ),
-        Limit(figure="defect", value=1e-6, reason="a plan that misses its own time step by more than 1e-6 was not solved to the end"),
-        Limit(figure="start_error", value=1e-6, reason="a plan from another start solves another task; 1e-6 is the solvers' own tolerance"),
-        Limit(figure="bound_violation", value=1e-6, reason="the actuators give at most 20 N m; 1e-6 is the solvers' own tolerance"),
+        Limit(metric="defect", value=1e-6, reason="a plan that misses its own time step by more than 1e-6 was not solved to the end"),
+        Limit(metric="start_error", value=1e-6, reason="a plan from another start solves another task; 1e-6 is the solvers' own tolerance"),
+        Limit(metric="bound_violation", value=1e-6, reason="the actuators give at most 20 N m; 1e-6 is the solvers' own tolerance"),
         Limit(
-            figure="discrete_terminal_error",
+            metric="discrete_terminal_error",
             value=0.01,
             reason="left alone for 0.1 s, 0.01 rad may become 0.025 rad (9.01/s), an eighth of the way to the stops",
         ),
         Limit(
-            figure="replay_error",
+            metric="replay_error",
             value=0.1,
             reason="half the way to the stops; the time step of 1 ms leaves the continuous motion by 0.027 rad at the end of a plan of 1 s, because this "
             "scene makes its error grow",

@@ -81,7 +81,7 @@ def _contact_names(n: int) -> list[str]:
 
 def _limit(limit: Limit) -> Limit:
     """The same cart on the same grid: the paper's limits, whatever the number of carts."""
-    return Limit(figure=limit.figure, value=limit.value, reason=f"as for three carts of this kind on this grid: {limit.reason}")
+    return Limit(metric=limit.metric, value=limit.value, reason=f"as for three carts of this kind on this grid: {limit.reason}")
 
 
 SCENE = cart_chain(5, steps=250)

@@ -63,20 +63,20 @@ SCENE = Scene(
     ),
     limits=(
         Limit(
-            figure="physics_scaled",
+            metric="physics_scaled",
             value=1e-5,
             reason="averaged over the 2 s a product of 5e-6 (k L)^2, L = 0.05 m: a force of 1 mN at a tip that only just touches",
         ),
-        Limit(figure="defect", value=1e-6, reason="a plan that misses its own time step by more than 1e-6 was not solved to the end"),
-        Limit(figure="start_error", value=1e-6, reason="a plan from another start solves another task; 1e-6 is the solvers' own tolerance"),
-        Limit(figure="bound_violation", value=1e-6, reason="the actuator gives at most 4 N; 1e-6 N is the solvers' own tolerance"),
+        Limit(metric="defect", value=1e-6, reason="a plan that misses its own time step by more than 1e-6 was not solved to the end"),
+        Limit(metric="start_error", value=1e-6, reason="a plan from another start solves another task; 1e-6 is the solvers' own tolerance"),
+        Limit(metric="bound_violation", value=1e-6, reason="the actuator gives at most 4 N; 1e-6 N is the solvers' own tolerance"),
         Limit(
-            figure="discrete_terminal_error",
+            metric="discrete_terminal_error",
             value=0.1,
             reason="from 0.1 in the norm of the state the 4 N catch the pole again: it falls on by omega/3.67 s, 0.03 rad, of the 0.36 rad they can hold",
         ),
         Limit(
-            figure="replay_terminal_error",
+            metric="replay_terminal_error",
             value=0.2,
             reason="from 0.2 in the norm of the state the 4 N still catch the pole: it falls on by omega/3.67 s, 0.05 rad, of the 0.36 rad they can hold; "
             "an impact of three and a half steps alone leaves the cart up to 0.14 m off",

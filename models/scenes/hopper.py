@@ -52,25 +52,25 @@ SCENE = Scene(
     ),
     limits=(
         Limit(
-            figure="physics_scaled",
+            metric="physics_scaled",
             value=1e-5,
             reason="averaged over the 1 s a product of 1e-5 (k L)^2, L = 0.1 m: a force of 5 mN where the foot only just touches",
         ),
-        Limit(figure="defect", value=1e-6, reason="a plan that misses its own time step by more than 1e-6 was not solved to the end"),
-        Limit(figure="start_error", value=1e-6, reason="a plan from another start solves another task; 1e-6 is the solvers' own tolerance"),
-        Limit(figure="bound_violation", value=1e-6, reason="the actuators give at most 40 N; 1e-6 is the solvers' own tolerance"),
+        Limit(metric="defect", value=1e-6, reason="a plan that misses its own time step by more than 1e-6 was not solved to the end"),
+        Limit(metric="start_error", value=1e-6, reason="a plan from another start solves another task; 1e-6 is the solvers' own tolerance"),
+        Limit(metric="bound_violation", value=1e-6, reason="the actuators give at most 40 N; 1e-6 is the solvers' own tolerance"),
         Limit(
-            figure="discrete_terminal_error",
+            metric="discrete_terminal_error",
             value=0.1,
             reason="0.1 m/s at the top is 0.5 mm of height; 0.1 m a third of what the hop has to win",
         ),
         Limit(
-            figure="replay_terminal_position_error",
+            metric="replay_terminal_position_error",
             value=0.1,
             reason="a third of the 0.3 m that the hop has to win",
         ),
         Limit(
-            figure="replay_error",
+            metric="replay_error",
             value=0.12,
             reason="three times what the time step of 5 ms leaves the continuous motion by under the true law (0.040 and 0.041 m for two exact plans: "
             "light foot and stiff floor swing at h w = 0.26); plans whose floor acts at a distance leave theirs by metres",

@@ -48,36 +48,36 @@ SCENE = Scene(
     ),
     limits=(
         Limit(
-            figure="physics_scaled",
+            metric="physics_scaled",
             value=1e-5,
             reason="averaged over the 5 s a product of 2e-6 (k L)^2, L = 0.1 m: what a force of 4 mN at a closed gap makes, "
             "a thousandth of the peak contact force of the best plan",
         ),
-        Limit(figure="defect", value=1e-6, reason="a plan that misses its own time step by more than 1e-6 was not solved to the end"),
-        Limit(figure="start_error", value=1e-6, reason="a plan from another start solves another task; 1e-6 is the solvers' own tolerance"),
-        Limit(figure="bound_violation", value=1e-6, reason="the actuators give at most 10 N; 1e-6 N is the solvers' own tolerance"),
+        Limit(metric="defect", value=1e-6, reason="a plan that misses its own time step by more than 1e-6 was not solved to the end"),
+        Limit(metric="start_error", value=1e-6, reason="a plan from another start solves another task; 1e-6 is the solvers' own tolerance"),
+        Limit(metric="bound_violation", value=1e-6, reason="the actuators give at most 10 N; 1e-6 N is the solvers' own tolerance"),
         Limit(
-            figure="discrete_terminal_position_error",
+            metric="discrete_terminal_position_error",
             value=0.05,
             reason="a tenth of a cart's length, as the largest miss the paper calls successful (0.05, its Table I, direct methods)",
         ),
         Limit(
-            figure="discrete_terminal_error",
+            metric="discrete_terminal_error",
             value=0.11,
             reason="0.05 m in position and 0.1 m/s in velocity, with which a cart coasts another m/c * 0.1 = 0.05 m",
         ),
         Limit(
-            figure="replay_terminal_position_error",
+            metric="replay_terminal_position_error",
             value=0.06,
             reason="the discrete limit of 0.05 m plus the grid's own error: with h = 0.01 s the time step ends up to 9e-3 from the continuous motion",
         ),
         Limit(
-            figure="replay_terminal_error",
+            metric="replay_terminal_error",
             value=0.12,
             reason="the discrete limit of 0.11 plus the same 9e-3 of the grid",
         ),
         Limit(
-            figure="replay_error",
+            metric="replay_error",
             value=0.02,
             reason="twice what a semi-implicit step of 0.01 s drifts from the continuous motion over the 5 s (measured under the true law: 4e-3 to "
             "1.1e-2 m, 6.9e-3 for strict plans; softplus plans leave theirs by 0.09 to 0.35 m): more than that is not the grid",

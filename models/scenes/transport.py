@@ -56,30 +56,30 @@ SCENE = Scene(
     ),
     limits=(
         Limit(
-            figure="physics_scaled",
+            metric="physics_scaled",
             value=1e-5,
             reason="averaged over the 4 s a product of 2.5e-6 (k L)^2, L = 0.02 m: a force of 30 mN at a closed gap, where a stop gives 20 N",
         ),
-        Limit(figure="defect", value=1e-6, reason="a plan that misses its own time step by more than 1e-6 was not solved to the end"),
-        Limit(figure="start_error", value=1e-6, reason="a plan from another start solves another task; 1e-6 is the solvers' own tolerance"),
-        Limit(figure="bound_violation", value=1e-6, reason="the drive gives at most 40 N; 1e-6 is the solvers' own tolerance"),
+        Limit(metric="defect", value=1e-6, reason="a plan that misses its own time step by more than 1e-6 was not solved to the end"),
+        Limit(metric="start_error", value=1e-6, reason="a plan from another start solves another task; 1e-6 is the solvers' own tolerance"),
+        Limit(metric="bound_violation", value=1e-6, reason="the drive gives at most 40 N; 1e-6 is the solvers' own tolerance"),
         Limit(
-            figure="friction_violation",
+            metric="friction_violation",
             value=1e-4,
             reason="mu N is 1.962 N; more than 0.1 mN above it is force that friction does not have",
         ),
         Limit(
-            figure="friction_dissipation_error",
+            metric="friction_dissipation_error",
             value=2e-5,
             reason="20 microwatts: a creep of 0.01 mm/s under all of mu N, 0.04 mm over the 4 s",
         ),
         Limit(
-            figure="discrete_terminal_error",
+            metric="discrete_terminal_error",
             value=0.05,
             reason="a twentieth of the metre by which the cargo is to be shifted, and of a metre a second",
         ),
         Limit(
-            figure="replay_terminal_error",
+            metric="replay_terminal_error",
             value=0.15,
             reason="the discrete limit plus 0.1 for the grid: at 4 m/s a step of 0.02 s is 0.08 m long",
         ),

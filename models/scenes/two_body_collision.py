@@ -49,18 +49,18 @@ SCENE = Scene(
     task=Task(start=START, goal=(None,) * 4, running_cost=sp.Integer(0), step=0.001, steps=600),
     limits=(
         Limit(
-            figure="answer_error",
+            metric="answer_error",
             value=1.0,
             reason="the continuous motion is known exactly: a replay that is further off than the tolerance of a closed form is wrong",
         ),
         Limit(
-            figure="energy_residual",
+            metric="energy_residual",
             value=1e-8,
             reason="nothing drives and nothing dissipates: of the 3.5 J that the discs have, all is kept to what the replay resolves",
         ),
-        Limit(figure="defect", value=1e-9, reason="the time step is evaluated, not solved for: only rounding is left"),
+        Limit(metric="defect", value=1e-9, reason="the time step is evaluated, not solved for: only rounding is left"),
         Limit(
-            figure="replay_error",
+            metric="replay_error",
             value=0.003,
             reason="the first force comes up to one step of 1 ms late, in which the discs close by 3 mm; what is left of it is at most that",
         ),

@@ -102,23 +102,23 @@ def two_discs(wall: bool = False, name: str = "two_discs") -> Scene:
         ),
         limits=(
             Limit(
-                figure="physics_scaled",
+                metric="physics_scaled",
                 value=1e-5,
                 reason="averaged over the 1 s a product of 1e-5 (k L)^2, L = 0.02 m: a force of 1 mN at discs that only just touch, or less at a "
                 "distance",
             ),
-            Limit(figure="defect", value=1e-6, reason="a plan that misses its own time step by more than 1e-6 was not solved to the end"),
+            Limit(metric="defect", value=1e-6, reason="a plan that misses its own time step by more than 1e-6 was not solved to the end"),
             Limit(
-                figure="start_error", value=1e-6, reason="a plan from another start solves another task; 1e-6 is the solvers' own tolerance"
+                metric="start_error", value=1e-6, reason="a plan from another start solves another task; 1e-6 is the solvers' own tolerance"
             ),
-            Limit(figure="bound_violation", value=1e-6, reason="the actuators give at most 50 N; 1e-6 is the solvers' own tolerance"),
+            Limit(metric="bound_violation", value=1e-6, reason="the actuators give at most 50 N; 1e-6 is the solvers' own tolerance"),
             Limit(
-                figure="law_error",
+                metric="law_error",
                 value=0.01,
                 reason="a tenth of the width of the contact that matters: discs that glide 1 m after the impact must hit within 0.01 m",
             ),
             Limit(
-                figure="replay_error",
+                metric="replay_error",
                 value=0.02,
                 reason="the contact law's 0.01 m and as much for the grid: at 5 m/s a step of 1/480 s is 0.01 m long",
             ),

@@ -43,11 +43,11 @@ SCENE = Scene(
     limits=(
         *fingers.solver_limits(),
         Limit(
-            figure="discrete_terminal_error",
+            metric="discrete_terminal_error",
             value=0.01,
             reason="a fifth of the way, or a fifth of the speed at which the disc crosses it in a quarter of a second",
         ),
-        Limit(figure="replay_terminal_position_error", value=0.005, reason="a tenth of the way that the disc is to be moved"),
+        Limit(metric="replay_terminal_position_error", value=0.005, reason="a tenth of the way that the disc is to be moved"),
     ),
     answers=(fingers.stretched_answer(),),
     quick=False,

@@ -52,23 +52,23 @@ SCENE = Scene(
     limits=(
         *fingers.solver_limits(),
         Limit(
-            figure="friction_violation",
+            metric="friction_violation",
             value=1e-4,
             reason="mu N is 0.5 N and more while it lifts; 0.1 mN beyond is force that friction does not have",
         ),
         Limit(
-            figure="friction_dissipation_error",
+            metric="friction_dissipation_error",
             value=2e-5,
             reason="20 microwatts: a creep of 0.04 mm/s under the friction that holds the disc, 8 micrometres over the 0.2 s",
         ),
         Limit(
-            figure="discrete_terminal_error",
+            metric="discrete_terminal_error",
             value=0.01,
             reason="a fifth of the way, or the speed that falling freely gives in 1 ms",
         ),
-        Limit(figure="replay_terminal_position_error", value=0.005, reason="a tenth of the way that the disc is to be lifted"),
+        Limit(metric="replay_terminal_position_error", value=0.005, reason="a tenth of the way that the disc is to be lifted"),
         Limit(
-            figure="ghost_impulse",
+            metric="ghost_impulse",
             value=0.02,
             reason="a twentieth of the impulse m g T by which the disc is held up: what a step of 2 ms may misplace at the ten touches of a plan",
         ),

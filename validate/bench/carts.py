@@ -11,6 +11,7 @@ from validate.bench.case import Size
 
 if TYPE_CHECKING:
     from models.scene import Scene
+    from models.schemes import Scheme
     from models.trajectory import Trajectory
 
 # The relaxation's schedule: three eps, one after the other, each from the plan of the one before.
@@ -77,4 +78,6 @@ def pushed_plan(size: Size) -> Trajectory:
 
     scene, u = scene_of(size), push(size.steps)
     rollout = load_kernel(scene).rollout(np.array(scene.task.start), u, scene.task.step)
-    return Trajectory(t=uniform_grid(scene.task.step, size.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+    return Trajectory(
+        t=uniform_grid(scene.task.step, size.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
+    )
