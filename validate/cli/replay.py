@@ -146,7 +146,7 @@ def _told(subject: Subject, replay: Replay, result: Score, lacks: dict[str, str]
         "verdict": result.verdict.value,
         "why": result.why,
         "judged": result.judged,
-        "figures": [asdict(figure) for figure in result.figures],
+        "figures": [asdict(figure) for figure in result.metrics],
         "growth": None if replay.growth is None else {**asdict(replay.growth), "rate": replay.growth.rate},
         "replay": _facts(replay),
         "tracked": None if replay.tracked is None else _facts(replay.tracked),
@@ -188,9 +188,9 @@ def _print(result: Score, replay: Replay, lacks: dict[str, str]) -> None:
 
     names, beside = ["value"], {}
     if replay.tracked is not None:
-        names, beside = ["open loop", "tracked"], {name: result.figure(twin) for name, twin in TWINS.items()}
+        names, beside = ["open loop", "tracked"], {name: result.metric(twin) for name, twin in TWINS.items()}
     rows = []
-    for figure in result.figures:
+    for figure in result.metrics:
         if figure.name in TWINS.values():
             continue  # beside its twin
         twin = beside.get(figure.name)
