@@ -98,7 +98,7 @@ def main(folder: Path, scenes: tuple[str, ...], everything: bool, jobs: int, out
                 after=after,
                 why=why,
                 metrics=metrics,
-            )  # fmt: skip
+            )
         )
     for row in rows:
         if everything or row.before != row.after:
