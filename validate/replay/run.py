@@ -16,6 +16,7 @@ from validate.isolation import Limits
 from validate.replay.error_estimate import difference, estimate, heeds_step, local_errors, step_ratio
 from validate.replay.feedback import Feedback, measure_effort
 from validate.replay.growth import measure_growth
+from validate.replay.lag import fine_enough, with_lag_error
 from validate.replay.job import Settings, Simulated, run_job
 from validate.replay.linearise import design_foreign
 from validate.replay.outputs import Outputs
@@ -71,9 +72,11 @@ def replay(
     how the simulation went is `Replay.outcome`.
     """
     trajectory.check_fits(scene)
-    settings = Settings(tolerances=tolerances, fineness=fineness, event_budget=event_budget)
+    scene = scene.continuous()
+    settings = fine_enough(scene, trajectory, Settings(tolerances=tolerances, fineness=fineness, event_budget=event_budget))
     with nullcontext(read_package(fmu)) if limits is not None else unpacked(read_package(fmu)) as package:
-        return _replay_twice(scene, package, find_variables(package, scene, names), trajectory, settings, limits, track)
+        replayed = _replay_twice(scene, package, find_variables(package, scene, names), trajectory, settings, limits, track)
+        return with_lag_error(scene, package, names, trajectory, settings, limits, replayed)
 
 
 def _replay_twice(

@@ -1,0 +1,77 @@
+"""What is left of the relaxation time of a scene without inertia (models.quasi_static), told by a run at twice that time.
+
+The motion is off by tau times its speed, and by what its forces make of that: of first order in tau, so that the run at 2 tau is as far from the judged
+one as that is from the first-order model, D v = F.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from models.quasi_static import STEPS_IN_A_LAG
+from models.scene import Scene
+from models.trajectory import Trajectory
+from validate.isolation import Limits
+from validate.replay.error_estimate import difference
+from validate.replay.job import Settings, run_job
+from validate.replay.outputs import Outputs
+from validate.replay.package import Package, find_variables
+from validate.replay.result import Difference, Replay, ReplayOutcome
+
+
+def fine_enough(scene: Scene, plan: Trajectory, settings: Settings) -> Settings:
+    """Settings whose coarsest everyday run has enough internal steps in a relaxation time to be stable; as they are for a scene with inertia."""
+    if scene.lag is None or not settings.fineness:
+        return settings
+    wanted = STEPS_IN_A_LAG * float(np.diff(plan.t).min()) / scene.lag
+    factor = max(1, math.ceil(wanted / min(settings.fineness)))
+    return replace(settings, fineness=tuple(factor * fineness for fineness in settings.fineness))
+
+
+def with_lag_error(
+    scene: Scene,
+    package: Package,
+    names: Mapping[str, str] | None,
+    plan: Trajectory,
+    settings: Settings,
+    limits: Limits | None,
+    replayed: Replay,
+) -> Replay:
+    """The replay, and the one with feedback in it, with the lag's error in their own; as they are where there is none: a scene with inertia, or an FMU
+    that does not know the relaxation time."""
+    if scene.lag is None:
+        return replayed
+    twice = find_variables(package, scene.continuous(2.0 * scene.lag), names)
+    if twice == find_variables(package, scene, names):
+        return replayed
+
+    def measured(replay: Replay) -> Replay:
+        if not replay.ok:
+            return replay
+        is_reference = replay.method == "reference"
+        one = replace(settings, tolerances=settings.tolerances[:1] if is_reference else (), fineness=() if is_reference else settings.fineness[-1:])
+        simulated = run_job(package, twice, plan, plan.start, one, limits, replay.feedback)
+        run = (simulated.reference or simulated.everyday)[-1]
+        if run.outcome is not ReplayOutcome.OK:
+            note = f"How far the relaxation time is felt is not known: at twice that. {run.message or run.outcome.value}"
+            return replace(replay, error=replace(replay.error, estimate=None), message=f"{replay.message} {note}".lstrip())
+        lag, estimate = difference(Outputs(scene, twice, run, run.knots), _Nodes(replay)), replay.error.estimate
+        both = None if lag is None or estimate is None else _sum(estimate, lag)
+        return replace(replay, error=replace(replay.error, lag=lag, estimate=both))
+
+    return replace(measured(replayed), tracked=None if replayed.tracked is None else measured(replayed.tracked))
+
+
+class _Nodes:
+    """A replay at the plan's nodes."""
+
+    def __init__(self, replay: Replay) -> None:
+        self.q, self.v, self.gap = (array[replay.knots] for array in (replay.q, replay.v, replay.gap))
+
+
+def _sum(one: Difference, other: Difference) -> Difference:
+    return Difference(position=one.position + other.position, state=one.state + other.state, gap=one.gap + other.gap)
