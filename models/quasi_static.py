@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 # [s] Of push_box at 0.4 m/s the finger lags 0.04 mm behind, a 250th of what its goal allows. A tenth of it takes the replay ten times as long; ten
 # times it are 0.4 mm and no faster, as the everyday replay's internal steps are no longer set by it.
-LAG = 1e-4
+LAG = 2e-5
 # Internal steps of Co-Simulation in one relaxation time. Explicit ones must be below 2.78 tau (Runge-Kutta 4); at half a tau its error is 3e-4 of the lag.
 STEPS_IN_A_LAG = 2
 

@@ -65,16 +65,18 @@ class StepStability:
 
 @dataclass(frozen=True, eq=False)
 class _Linear:
-    """da = G dq + D dv, of the accelerations with a set of contacts closed."""
+    """da = G dq + D dv, of the accelerations with a set of contacts closed; tau [s]: the relaxation time they have that of, None with inertia."""
 
     contacts: tuple[str, ...]
     G: np.ndarray
     D: np.ndarray
+    tau: float | None
 
     def step_matrix(self, h: float) -> np.ndarray:
         """(2*nq, 2*nq) of v' = v + h a, q' = q + h v'."""
         identity = np.eye(len(self.G))
-        vq, vv = h * self.G, identity + h * self.D
+        gain = h if self.tau is None else self.tau  # h M^-1: the mass of a scene without inertia is h times its drag
+        vq, vv = gain * self.G, identity + gain * self.D
         return np.block([[identity + h * vq, h * vv], [vq, vv]])
 
     def radius(self, h: float) -> float:
@@ -117,7 +119,7 @@ def step_stability(scene: Scene, step: float | None = None) -> StepStability:
     Raises MachineError without a compiler.
     """
     h = scene.task.step if step is None else step
-    models = _linear_models(replace(scene, frictions=(), limits=()) if scene.frictions else scene)
+    models = _linear_models(replace(scene, frictions=()) if scene.frictions else scene)
     if not models:
         return StepStability(scene=scene.name, step=h, radius=1.0, contacts=(), growth=0.0, largest_step=math.inf)
     worst = max(models, key=lambda model: model.excess(h))
@@ -145,7 +147,8 @@ def _linear_models(scene: Scene) -> list[_Linear]:
             except KernelError:  # the masses are singular where only the search for a closed position led
                 continue
             names = tuple(scene.contacts[index].name for index in indices)
-            found.append(_Linear(names, jacobian[nq:, :nq], jacobian[nq:, nq:] - np.eye(nq)))
+            tau = None if scene.relaxation_time is None else scene.parameters[-1].value
+            found.append(_Linear(names, jacobian[nq:, :nq], jacobian[nq:, nq:] - np.eye(nq), tau))
     return found
 
 

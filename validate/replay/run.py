@@ -16,8 +16,8 @@ from validate.isolation import Limits
 from validate.replay.error_estimate import difference, estimate, heeds_step, local_errors, step_ratio
 from validate.replay.feedback import Feedback, measure_effort
 from validate.replay.growth import measure_growth
-from validate.replay.lag import fine_enough, with_lag_error
 from validate.replay.job import Settings, Simulated, run_job
+from validate.replay.lag import fine_enough, with_lag_error
 from validate.replay.linearise import design_foreign
 from validate.replay.outputs import Outputs
 from validate.replay.package import Package, find_variables, read_package, unpacked
