@@ -65,18 +65,17 @@ class StepStability:
 
 @dataclass(frozen=True, eq=False)
 class _Linear:
-    """da = G dq + D dv, of the accelerations with a set of contacts closed; tau [s]: the relaxation time they have that of, None with inertia."""
+    """da = G dq + D dv, of the accelerations with a set of contacts closed; of a scene without inertia dv = G dq, and D is nothing."""
 
     contacts: tuple[str, ...]
     G: np.ndarray
     D: np.ndarray
-    tau: float | None
+    has_inertia: bool
 
     def step_matrix(self, h: float) -> np.ndarray:
         """(2*nq, 2*nq) of v' = v + h a, q' = q + h v'."""
         identity = np.eye(len(self.G))
-        gain = h if self.tau is None else self.tau  # h M^-1: the mass of a scene without inertia is h times its drag
-        vq, vv = gain * self.G, identity + gain * self.D
+        vq, vv = (h * self.G, identity + h * self.D) if self.has_inertia else (self.G, self.D)
         return np.block([[identity + h * vq, h * vv], [vq, vv]])
 
     def radius(self, h: float) -> float:
@@ -85,7 +84,7 @@ class _Linear:
     @property
     def growth(self) -> float:
         identity = np.eye(len(self.G))
-        rates = np.linalg.eigvals(np.block([[np.zeros_like(self.G), identity], [self.G, self.D]])).real
+        rates = np.linalg.eigvals(np.block([[np.zeros_like(self.G), identity], [self.G, self.D]]) if self.has_inertia else self.G).real
         largest = float(rates.max(initial=0.0))
         # zero but for rounding, which a double zero takes the square root of
         return largest if largest > 1e-7 * max(1.0, float(np.sqrt(np.abs(self.G).max(initial=0.0)))) else 0.0
@@ -147,8 +146,8 @@ def _linear_models(scene: Scene) -> list[_Linear]:
             except KernelError:  # the masses are singular where only the search for a closed position led
                 continue
             names = tuple(scene.contacts[index].name for index in indices)
-            tau = None if scene.relaxation_time is None else scene.parameters[-1].value
-            found.append(_Linear(names, jacobian[nq:, :nq], jacobian[nq:, nq:] - np.eye(nq), tau))
+            inertia = scene.relaxation_time is None
+            found.append(_Linear(names, jacobian[nq:, :nq], jacobian[nq:, nq:] - (np.eye(nq) if inertia else 0.0), inertia))
     return found
 
 
@@ -190,7 +189,8 @@ def _closed_positions(scene: Scene, q: np.ndarray) -> list[tuple[tuple[int, ...]
 
 def _largest_step(model: _Linear, h: float) -> float:
     """The step at which the model becomes unstable [s], by doubling from far below and bisection."""
-    stiffest = math.sqrt(float(np.abs(np.linalg.eigvals(model.G)).max(initial=0.0)))
+    stiffest = float(np.abs(np.linalg.eigvals(model.G)).max(initial=0.0))
+    stiffest = math.sqrt(stiffest) if model.has_inertia else stiffest
     rate = max(stiffest, float(np.abs(np.linalg.eigvals(model.D)).max(initial=0.0)))
     if rate == 0.0:
         return math.inf

@@ -15,7 +15,6 @@ import sympy as sp
 from models.dynamics import derive
 from models.errors import SceneError
 from models.fmu.kinds import INTEGRATORS, Kind, Variable
-from models.quasi_static import STEPS_IN_A_LAG
 from models.scene import Scene
 
 # The internal step may be shortened to this [s]; below it a communication step of 10 ms takes ten million steps.
@@ -268,7 +267,7 @@ def _parameters(scene: Scene) -> list[Variable]:
         name="internal_step",
         kind=Kind.INTERNAL_STEP,
         unit="s",
-        start=min(scene.task.step / INTERNAL_STEPS, math.inf if scene.lag is None else scene.lag / STEPS_IN_A_LAG),
+        start=min(scene.task.step / INTERNAL_STEPS, math.inf if scene.lag is None else scene.lag),
         lower=SMALLEST_INTERNAL_STEP,
         description="largest internal step of Co-Simulation; equal steps divide each communication step",
     )

@@ -129,8 +129,8 @@ SCENE = Scene(
         Limit(
             metric="replay_terminal_position_error",
             value=0.05,
-            reason="the plan's limit plus 0.04 for the grid: at 0.4 m/s the lag h of the overdamped limit is 8 mm of finger at each change of contact, "
-            "and a box pushed off its centre turns with it",
+            reason="the plan's limit plus 0.04 for the grid: a step of h = 0.02 s lets a finger at 0.4 m/s pass 8 mm before contact answers, and a box "
+            "pushed off its centre turns with it",
         ),
         Limit(
             metric="replay_error",

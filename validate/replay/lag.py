@@ -16,10 +16,12 @@ from models.scene import Scene
 from models.trajectory import Trajectory
 from validate.isolation import Limits
 from validate.replay.error_estimate import difference
+from validate.replay.feedback import Feedback
 from validate.replay.job import Settings, run_job
 from validate.replay.outputs import Outputs
 from validate.replay.package import Package, find_variables
 from validate.replay.result import Difference, Replay, ReplayOutcome
+from validate.replay.wiring import Variables
 
 # Relaxation times in the longest internal step of the everyday replay. Runge-Kutta 4 is stable below 2.78, and keeps q + tau v whatever its step: at 2 the
 # plans of push_box are within 1e-9 m of the reference.
@@ -35,40 +37,39 @@ def fine_enough(scene: Scene, plan: Trajectory, settings: Settings) -> Settings:
     return replace(settings, fineness=tuple(factor * fineness for fineness in settings.fineness))
 
 
+def twice_the_lag(package: Package, scene: Scene, names: Mapping[str, str] | None) -> Variables | None:
+    """The FMU's variables with twice the relaxation time; None for a scene with inertia, or an FMU that does not know the time."""
+    if scene.lag is None:
+        return None
+    twice = find_variables(package, scene.continuous(2.0 * scene.lag), names)
+    return None if twice == find_variables(package, scene, names) else twice
+
+
 def with_lag_error(
     scene: Scene,
     package: Package,
-    names: Mapping[str, str] | None,
+    twice: Variables | None,
     plan: Trajectory,
     settings: Settings,
     limits: Limits | None,
+    feedback: Feedback | None,
     replayed: Replay,
 ) -> Replay:
-    """The replay, and the one with feedback in it, with the lag's error in their own; as they are where there is none: a scene with inertia, or an FMU
-    that does not know the relaxation time."""
-    if scene.lag is None:
+    """The replay with the lag's error in its own; as it is where there is none to be told (`twice_the_lag`)."""
+    if twice is None or not replayed.ok:
         return replayed
-    twice = find_variables(package, scene.continuous(2.0 * scene.lag), names)
-    if twice == find_variables(package, scene, names):
-        return replayed
-
-    def measured(replay: Replay) -> Replay:
-        if not replay.ok:
-            return replay
-        is_reference = replay.method == "reference"
-        one = replace(
-            settings, tolerances=settings.tolerances[:1] if is_reference else (), fineness=() if is_reference else settings.fineness[-1:]
-        )
-        simulated = run_job(package, twice, plan, plan.start, one, limits, replay.feedback)
-        run = (simulated.reference or simulated.everyday)[-1]
-        if run.outcome is not ReplayOutcome.OK:
-            note = f"How far the relaxation time is felt is not known: at twice that. {run.message or run.outcome.value}"
-            return replace(replay, error=replace(replay.error, estimate=None), message=f"{replay.message} {note}".lstrip())
-        lag, estimate = difference(Outputs(scene, twice, run, run.knots), _Nodes(replay)), replay.error.estimate
-        both = None if lag is None or estimate is None else _sum(estimate, lag)
-        return replace(replay, error=replace(replay.error, lag=lag, estimate=both))
-
-    return replace(measured(replayed), tracked=None if replayed.tracked is None else measured(replayed.tracked))
+    is_reference = replayed.method == "reference"
+    one = replace(
+        settings, tolerances=settings.tolerances[:1] if is_reference else (), fineness=() if is_reference else settings.fineness[-1:]
+    )
+    simulated = run_job(package, twice, plan, plan.start, one, limits, feedback)
+    run = (simulated.reference or simulated.everyday)[-1]
+    if run.outcome is not ReplayOutcome.OK:
+        note = f"What the relaxation time does is not known: with twice as much, {run.message or run.outcome.value}"
+        return replace(replayed, error=replace(replayed.error, estimate=None), message=f"{replayed.message} {note}".lstrip())
+    lag, estimate = difference(Outputs(scene, twice, run, run.knots), _Nodes(replayed)), replayed.error.estimate
+    both = None if lag is None or estimate is None else _sum(estimate, lag)
+    return replace(replayed, error=replace(replayed.error, lag=lag, estimate=both))
 
 
 class _Nodes:
