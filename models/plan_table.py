@@ -10,6 +10,7 @@ import csv
 import difflib
 import math
 import re
+import unicodedata
 from pathlib import Path
 
 import numpy as np
@@ -38,10 +39,10 @@ class PlanTable:
         self.units: dict[str, str] = {}
         names = []
         for cell in rows[0][1]:
-            split = re.fullmatch(r"(.*?)\s*\[(.*)\]", cell)
-            names.append(split.group(1) if split else cell)
-            if split:
-                self.units[split.group(1)] = split.group(2).strip()
+            name, unit = _name_and_unit(cell)
+            names.append(name)
+            if unit is not None:
+                self.units[name] = unit
         self.names = tuple(names)
 
     def has_last(self, name: str) -> bool:
@@ -83,6 +84,15 @@ class PlanTable:
             if not math.isfinite(values[-1]):
                 raise TrajectoryError(f"{self.where}: line {number}, column {name!r}: {cell!r} is not a finite number.")
         return np.array(values)
+
+
+def _name_and_unit(cell: str) -> tuple[str, str | None]:
+    """Of a column's head: `q1 [m]`, but q[1] is a name, as FMUs number them. Names are in Unicode's composed form: an umlaut may be written in two
+    ways that look the same."""
+    split = re.fullmatch(r"(.*?)(\s*)\[([^\[\]]*)\]", cell)
+    if split is None or (not split.group(2) and re.fullmatch(r"\d+(\s*,\s*\d+)*", split.group(3))):
+        return unicodedata.normalize("NFC", cell), None
+    return unicodedata.normalize("NFC", split.group(1)), split.group(3).strip()
 
 
 def _rows(path: Path) -> tuple[list[tuple[int, list[str]]], dict[str, str]]:
