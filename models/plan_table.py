@@ -108,11 +108,11 @@ def _rows(path: Path) -> tuple[list[tuple[int, list[str]]], dict[str, str]]:
     numbered = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
     declared = _declarations(path, [(number, line) for number, line in numbered if line.startswith("#")])
     lines = [(number, line) for number, line in numbered if not line.startswith("#")]
-    header = lines[0][1] if lines else ""
+    header = re.sub(r'"[^"]*"', "", lines[0][1]) if lines else ""
     mark = next((mark for mark in ";\t" if mark in header), ",")
     rows = [(number, _cells(path, number, line, mark)) for number, line in lines]
     if mark == ";":
-        rows = [(number, [cell.replace(",", ".") for cell in row]) for number, row in rows]
+        rows[1:] = [(number, [cell.replace(",", ".") for cell in row]) for number, row in rows[1:]]
     return rows, declared
 
 

@@ -128,8 +128,8 @@ def estimate(
         measured = larger(step, rollback)
         if stated is not None:
             source = _STATED[source]
-        found = stated if measured is None or stated is None else _larger_where_stated(measured, stated)
-        return ReplayError(estimate=found or measured, step=step, step_ratio=ratio, rollback=rollback, step_source=source, stated=stated)
+            measured = stated if measured is None else _larger_where_stated(measured, stated)
+        return ReplayError(estimate=measured, step=step, step_ratio=ratio, rollback=rollback, step_source=source, stated=stated)
     judged = tolerance
     if tolerance is not None and step is not None and everyday is not None:
         judged = Difference(
