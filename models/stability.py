@@ -117,7 +117,7 @@ def step_stability(scene: Scene, step: float | None = None) -> StepStability:
     Raises MachineError without a compiler.
     """
     h = scene.task.step if step is None else step
-    models = _linear_models(replace(scene, frictions=(), limits=()) if scene.frictions else scene)
+    models = _linear_models(replace(scene, frictions=()) if scene.frictions else scene)
     if not models:
         return StepStability(scene=scene.name, step=h, radius=1.0, contacts=(), growth=0.0, largest_step=math.inf)
     worst = max(models, key=lambda model: model.excess(h))

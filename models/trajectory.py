@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from models.errors import TrajectoryError
-from models.plan_table import PlanTable
+from models.plan_table import ArrayTable, PlanTable
 from models.scene import Scene
 from models.schemes import Scheme
 
@@ -175,9 +175,9 @@ def write_csv(path: Path, trajectory: Trajectory, scene: Scene) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def read_csv(path: Path, scene: Scene, hold: Hold | None = None) -> Trajectory:
+def read_csv(path: Path, scene: Scene, hold: Hold | None = None, scheme: str | None = None) -> Trajectory:
     """Read a plan written by anybody: cells apart by comma, semicolon (then 0,5 is a number too) or tab; lines with # are comments, of which
-    `# scheme: ..` and `# hold: ..` declare. hold: the same as an argument; None: as declared, else zero.
+    `# scheme: ..` and `# hold: ..` declare. hold, scheme: the same as arguments; None: as declared, else zero and none.
 
     A column may say its unit, `q1 [m]`, which must then be the scene's. `t` and the inputs are needed; positions, velocities, contact forces and
     friction forces may be absent, each group whole, and the plan says so in `missing`. Then positions stand still at the task's start, forces are
@@ -187,10 +187,14 @@ def read_csv(path: Path, scene: Scene, hold: Hold | None = None) -> Trajectory:
     """
     table = PlanTable(path)
     table.check_form()
+    if scheme is not None and table.declared.setdefault("scheme", scheme) != scheme:
+        raise TrajectoryError(
+            f"{table.where}: it declares the scheme {table.declared['scheme']!r}, but {scheme!r} is asked for; leave one of the two out."
+        )
     return trajectory_from(table, scene, hold)
 
 
-def trajectory_from(table: PlanTable, scene: Scene, hold: Hold | None = None) -> Trajectory:
+def trajectory_from(table: PlanTable | ArrayTable, scene: Scene, hold: Hold | None = None) -> Trajectory:
     """A plan of a scene from a table of columns; as `read_csv`, which says what may be absent. Raises TrajectoryError."""
     where, header, names = table.where, table.names, column_names(scene)
     groups = {**names, "lam": names["lam"][: scene.nc], "friction": names["lam"][scene.nc :]}
@@ -228,7 +232,7 @@ def trajectory_from(table: PlanTable, scene: Scene, hold: Hold | None = None) ->
         raise TrajectoryError(f"{error} ({table.source})") from error
 
 
-def missing_groups(table: PlanTable, groups: Mapping[str, Sequence[str]]) -> frozenset[str]:
+def missing_groups(table: PlanTable | ArrayTable, groups: Mapping[str, Sequence[str]]) -> frozenset[str]:
     """Which of the groups q, v, lam, friction of columns a table does not have; a group without columns is no one's to give.
 
     Raises TrajectoryError for a group that is there in part, and for velocities without positions.
@@ -248,7 +252,7 @@ def missing_groups(table: PlanTable, groups: Mapping[str, Sequence[str]]) -> fro
 
 
 def times_and_inputs(
-    table: PlanTable, time: str, columns: Sequence[str], hold: Hold, asked: tuple[float, float] | None
+    table: PlanTable | ArrayTable, time: str, columns: Sequence[str], hold: Hold, asked: tuple[float, float] | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """t (nodes,), u (steps, nu) and u_end (nu,) or None, from the time column and those of the inputs.
 
@@ -267,7 +271,7 @@ def times_and_inputs(
     return t, u, None
 
 
-def declared_scheme(table: PlanTable) -> Scheme | None:
+def declared_scheme(table: PlanTable | ArrayTable) -> Scheme | None:
     """The scheme that the lines above a table declare. Raises TrajectoryError for one that is unknown."""
     if "scheme" not in table.declared:
         return None
@@ -283,7 +287,7 @@ def declared_scheme(table: PlanTable) -> Scheme | None:
     return Scheme(value)
 
 
-def declared_hold(table: PlanTable, hold: Hold | None, who: str = "--hold") -> Hold:
+def declared_hold(table: PlanTable | ArrayTable, hold: Hold | None, who: str = "--hold") -> Hold:
     """The hold that the lines above a table declare, else zero; hold: what `who` asks for beside, which must not be another. Raises TrajectoryError."""
     if "hold" not in table.declared:
         return hold or Hold.ZERO_ORDER

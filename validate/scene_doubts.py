@@ -66,15 +66,15 @@ def _idle_limits(scene: Scene) -> list[str]:
 
     absent = {entry.name: entry.meaning for entry in TABLE if not entry.applies(scene)}
     return [
-        f"scene {scene.name}: the limit on {limit.figure} judges nothing; nothing here has this figure ({absent[limit.figure]})."
+        f"scene {scene.name}: the limit on {limit.metric} judges nothing; nothing here has this metric ({absent[limit.metric]})."
         for limit in scene.limits
-        if limit.figure in absent
+        if limit.metric in absent
     ]
 
 
 def _blind_limits(scene: Scene) -> list[str]:
     """Limits that let a plan through whatever its replay does: through a wall between two nodes of a coarse grid, for one."""
-    if not scene.limits or any(limit.figure in _OF_THE_REPLAY for limit in scene.limits):
+    if not scene.limits or any(limit.metric in _OF_THE_REPLAY for limit in scene.limits):
         return []
     return [
         f"scene {scene.name}: no limit looks at where the replay goes, so that a plan may hold whatever it does; limit replay_error, for one."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -11,6 +12,9 @@ from models.errors import TrajectoryError
 from models.goal import goal_state, miss
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
+
+# Beyond a velocity bound by less [m/s, rad/s] is rounding.
+_TOLERANCE = 1e-6
 
 
 def first_inputs(scene: Scene, warm_start: Trajectory | None) -> np.ndarray:
@@ -40,12 +44,13 @@ def input_bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def plan_residuals(scene: Scene, plan: Trajectory) -> dict[str, float]:
-    """terminal_error, terminal_position_error, input_bound_excess and, where the scene has such bounds, velocity_bound_excess."""
+    """terminal_error, terminal_position_error, terminal_velocity_error, input_bound_excess and, where the scene has such bounds, velocity_bound_excess."""
     error = miss(plan.end, goal_state(scene.task))
     lower, upper = input_bounds(scene)
     residuals = {
         "terminal_error": float(np.linalg.norm(error)),
         "terminal_position_error": float(np.linalg.norm(error[: scene.nq])),
+        "terminal_velocity_error": float(np.linalg.norm(error[scene.nq :])),
         "input_bound_excess": float(np.maximum(np.maximum(lower - plan.u, plan.u - upper), 0.0).max(initial=0.0)),
     }
     if any(coordinate.has_velocity_bounds for coordinate in scene.coordinates):
@@ -56,6 +61,14 @@ def plan_residuals(scene: Scene, plan: Trajectory) -> dict[str, float]:
     return residuals
 
 
+def _largest(scene: Scene, metric: str, default: float) -> float:
+    """The scene's limit on a metric; infinite where it waives it."""
+    limit = scene.limit(metric)
+    if limit is None:
+        return default
+    return math.inf if limit.value is None else limit.value
+
+
 def arrived(
     scene: Scene, outcome: Outcome, message: str, residuals: Mapping[str, float], advice: str = "a larger terminal_weight"
 ) -> tuple[Outcome, str]:
@@ -63,13 +76,13 @@ def arrived(
 
     advice: what brings it nearer to the goal.
     """
-    for name in ("terminal_position_error", "terminal_error"):
-        limit = scene.limit(f"discrete_{name}")
-        if outcome is Outcome.SOLVED and limit is not None and residuals[name] > limit.value:
-            told = f"{name} is {residuals[name]:.3g}, the scene asks for {limit.value:g}; {advice} brings it nearer"
+    for name in ("terminal_position_error", "terminal_velocity_error"):
+        largest = _largest(scene, name, math.inf)
+        if outcome is Outcome.SOLVED and residuals[name] > largest:
+            told = f"{name} is {residuals[name]:.3g}, the scene asks for {largest:g}; {advice} brings it nearer"
             outcome, message = Outcome.STALLED, f"{message} It converged away from the goal: {told}.".strip()
-    excess, limit = residuals.get("velocity_bound_excess", 0.0), scene.limit("velocity_bound_violation")
-    if outcome is Outcome.SOLVED and limit is not None and excess > limit.value:
+    excess = residuals.get("velocity_bound_excess", 0.0)
+    if outcome is Outcome.SOLVED and excess > _largest(scene, "velocity_bound_violation", _TOLERANCE):
         outcome, message = (
             Outcome.STALLED,
             f"{message} A velocity exceeds its bound by {excess:.3g}: this method does not know such bounds.".strip(),

@@ -39,7 +39,18 @@ SCENE = Scene(
     kinetic_energy=m * v**2 / 2,
     potential_energy=m * g * q,
     forces=(sp.Integer(0),),
-    contacts=(Contact(name="floor", penetration=-q, stiffness=k, nominal=0.1, description="mass against floor"),),
+    contacts=(
+        Contact(
+            name="floor",
+            bodies=("mass", "floor"),
+            penetration=-q,
+            stiffness=k,
+            depth=DROP,
+            depth_reason="the springs of the floor, chosen here to be as long as the mass falls, 0.5 m, are pressed flat",
+            nominal=0.1,
+            description="mass against floor",
+        ),
+    ),
     task=Task(start=(DROP, 0.0), goal=(None,) * 2, running_cost=sp.Integer(0), step=0.001, steps=1000),
     limits=(
         Limit(

@@ -27,6 +27,7 @@ from models.contact_law import ContactLaw as ForceLaw
 from models.contacts import Contact, DampingLaw
 from models.goal import goal_state
 from models.scene import Coordinate, Input, Parameter, Scene, Task
+from models.scene_annotations import goal_limits
 from models.trajectory import Trajectory, uniform_grid
 
 SIZE, EPS = 0.1, 1e-3
@@ -51,8 +52,21 @@ def damped(law: DampingLaw) -> Scene:
         kinetic_energy=m * (vx**2 + 2 * vy**2) / 2,
         potential_energy=sp.S.Zero,
         forces=(push - vx * m, sp.S.Zero),
-        contacts=(Contact(name="pad", penetration=d + x - y, stiffness=k, damping=c, damping_law=law, nominal=0.05),),
+        contacts=(
+            Contact(
+                name="pad",
+                bodies=("pusher", "cart"),
+                depth=d,
+                depth_reason="the length of a cart",
+                penetration=d + x - y,
+                stiffness=k,
+                damping=c,
+                damping_law=law,
+                nominal=0.05,
+            ),
+        ),
         task=Task(start=(-0.2, 0.1, 0.0, 0.0), goal=(None, 0.6, None, None), running_cost=push**2, step=0.03, steps=60),
+        limits=goal_limits(position=0.01, reason="this test"),
     )
 
 
@@ -65,7 +79,7 @@ def shrunk(scene: Scene) -> Scene:
     values = {parameter.name: parameter.value * (SIZE if parameter.unit == "m" else 1 / SIZE) for parameter in scene.parameters}
     task, contacts = scene.task, tuple(replace(contact, nominal=contact.nominal * SIZE) for contact in scene.contacts)
     goal = tuple(None if value is None else value * SIZE for value in task.goal)
-    scaled = replace(scene.with_parameters(**values), contacts=contacts, length=SIZE, answers=(), limits=())
+    scaled = replace(scene.with_parameters(**values), contacts=contacts, length=SIZE, answers=())
     return scaled.with_task(start=tuple(value * SIZE for value in task.start), goal=goal)
 
 

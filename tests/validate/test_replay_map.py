@@ -10,7 +10,6 @@ import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 from foreign_fmu import COSIMULATION, DESCRIPTION, EXCHANGE, FULL_MAP, MASS, build_foreign, compile_cart, write_plan
 

@@ -148,7 +148,7 @@ def test_plan_replay_and_scene_must_belong_together(scene: Scene, plan: Trajecto
 
 
 def test_a_limit_on_an_unknown_figure_is_refused(scene: Scene):
-    wrong = replace(scene, limits=(Limit(figure="beauty", value=1.0, reason=""),))
+    wrong = replace(scene, limits=(*scene.limits, Limit(metric="beauty", value=1.0, reason="")))
     with pytest.raises(SceneError, match="limit on 'beauty'"):
         score(wrong, None, None)
 
