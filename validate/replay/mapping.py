@@ -27,6 +27,8 @@ from validate.replay.wiring import INTERNAL_STEP, Variables
 
 # What forces and gaps of a contact are in, by what they are called where they belong to an angle too.
 _CONTACT_UNITS = {"force": ("N", "N m", "N.m", "Nm"), "gap": ("m", "rad")}
+# Steps that the task of an FMU counts as.
+_STEPS = 500
 # How far a bound in the map may lie beyond the FMU's own, as a share of it: rounding of a change of units.
 _ROUNDING = 1e-9
 
@@ -337,7 +339,7 @@ class _Wiring:
             task=ForeignTask(
                 start=self._start(),
                 goal=tuple(goal),
-                step=float(np.diff(times).min(initial=math.inf)),
+                step=float(np.diff(times).min(initial=math.inf)) if given.task.duration is None else given.task.duration / _STEPS,
                 duration=given.task.duration,
             ),
             limits=self._limits(),

@@ -89,6 +89,26 @@ class ReplayError:
     step_source: StepSource = "none"
     stated: Difference | None = None
 
+    @property
+    def would_decide(self) -> str:
+        """What would make this error smaller or known; empty where there was a reference to compare with."""
+        if self.tolerance is not None or self.everyday is not None:
+            return ""
+        if self.estimate is None:
+            return (
+                "state how good its results are in the map ([accuracy] position = ..), or take an FMU that offers Model Exchange or names its "
+                "internal step (internal_step = ..)"
+            )
+        parts = (("position", self.estimate.position), ("velocity", self.estimate.state), ("gap", self.estimate.gap))
+        unknown = [name for name, value in parts if math.isinf(value)]
+        if unknown:
+            # The norm of the state is unknown where the position is, whatever is stated of the velocity.
+            unknown = [name for name in unknown if name != "velocity" or "position" not in unknown]
+            return f"state [accuracy] {' and '.join(unknown)} in the map too, or take an FMU that offers Model Exchange"
+        if "stated" in self.step_source:
+            return "a better stated accuracy ([accuracy] in the map), if its author can vouch for it, or an FMU that offers Model Exchange"
+        return "a plan with shorter steps, or an FMU that offers Model Exchange"
+
     def as_json(self) -> dict[str, Any]:
         """Its numbers by name; what is infinite is null, as JSON knows no such number."""
         told = asdict(self)
@@ -153,28 +173,8 @@ class Replay:
 
     @property
     def would_decide(self) -> str:
-        """What would make this replay's own error smaller or known, for the end of a sentence on an undecided verdict; empty where nothing general can be
-        said, as of one with a reference."""
-        if self.method == "reference" or not self.ok:
-            return ""
-        error = self.error
-        if error.estimate is None:
-            return (
-                "state how good its results are in the map ([accuracy] position = ..), or take an FMU that offers Model Exchange or names its "
-                "internal step (internal_step = ..)"
-            )
-        unknown = [
-            name
-            for name, value in (("position", error.estimate.position), ("velocity", error.estimate.state), ("gap", error.estimate.gap))
-            if math.isinf(value)
-        ]
-        if unknown:
-            # The norm of the state is unknown where the position is, whatever is stated of the velocity.
-            unknown = [name for name in unknown if name != "velocity" or "position" not in unknown]
-            return f"state [accuracy] {' and '.join(unknown)} in the map too, or take an FMU that offers Model Exchange"
-        if "stated" in error.step_source:
-            return "a better stated accuracy ([accuracy] in the map), if its author can vouch for it, or an FMU that offers Model Exchange"
-        return "a plan with shorter steps, or an FMU that offers Model Exchange"
+        """What would make this replay's own error smaller or known, for the end of a sentence on an undecided verdict; empty with a reference."""
+        return "" if self.method == "reference" or not self.ok else self.error.would_decide
 
     @property
     def end(self) -> np.ndarray:

@@ -52,7 +52,9 @@ class ForeignContact:
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignTask:
-    """start, goal: (2*nq,) positions, then velocities; None where nothing is asked. step: the plan's shortest [s], for no limit to be made of.
+    """start, goal: (2*nq,) positions, then velocities; None where nothing is asked. step [s]: a task of an FMU has none of its own, and counts as one of
+    500 steps, so that a plan may be a thousandth of its duration off; the plan's shortest where there is no duration. The plan's own would let a plan
+    of two rows last as it likes.
 
     duration: how long a plan of this task lasts [s], None where the map does not say.
     """
@@ -66,12 +68,6 @@ class ForeignTask:
     def horizon(self) -> float | None:
         """As a scene's task calls it."""
         return self.duration
-
-    @property
-    def duration_tolerance(self) -> float | None:
-        """What a plan's duration may be off [s]: a thousandth, as half a step is of a task of 500 steps. The task of an FMU has no step of its own, and a
-        plan's step would let a plan of two rows last as it likes."""
-        return None if self.duration is None else 1e-3 * self.duration
 
     @property
     def has_goal(self) -> bool:
