@@ -111,7 +111,6 @@ def test_what_cannot_be_asked_says_how_to_make_it_askable(wired: Wire):
         "duration_error: the map gives no [task] duration",
         "start_error: the map's [start] gives no number",
         "the map gives no [goal]",
-        "replay_error: the plan has no positions",
         "max_penetration, ghost_impulse, missed_impulse: the map names no [contacts]",
     ):
         assert words in told
@@ -325,6 +324,8 @@ def test_names_that_differ_in_case_alone_are_two(folder: Path, wired: Wire):
         (BARE.replace("\nx =", "\nF ="), "positions.F: its column 'F' is that of inputs.F already; call one of the two otherwise"),
         (BARE.replace("\nF =", "\nt ="), "inputs.t: its column 't' is that of the time (plan.time) already"),
         (BARE.replace('unit = "m/s"', 'unit = "m/s", column = "x"'), "velocities.x: its column 'x' is that of positions.x already; give it another"),
+        (BARE + '[start]\n"drive.force" = 1\n', "start.drive.force: 'drive.force' is inputs.F already"),
+        (BARE + '[parameters]\n"body.mass" = 1\n[start]\n"body.mass" = 1\n', "start.body.mass: 'body.mass' is parameters.body.mass already"),
         (BARE + '[contacts.stop]\nforce = "stop.push"\ncolumn = "F"\n', "contacts.stop: its column 'F' is that of inputs.F already"),
         (BARE.replace("\nF =", "\nlam_stop =") + '[contacts.stop]\nforce = "stop.push"\n', "contacts.stop: its column 'lam_stop' is that of inputs.lam_stop already"),
         (BARE + '[contacts.a]\nforce = "stop.push"\n[contacts.b]\nforce = "stop.push"\n', "contacts.b.force: 'stop.push' is contacts.a.force already"),

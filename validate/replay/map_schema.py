@@ -185,7 +185,7 @@ def _sentence(mistake: Any) -> str:
     if kind == "extra_forbidden":
         known = list(_model_at(place).model_fields)
         close = difflib.get_close_matches(str(place[-1])[:100], known, n=1)
-        hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(known)}"
+        hint = f"did you mean {close[0]}?" if close else f"there {'is' if len(known) == 1 else 'are'} {', '.join(known)}"
         return f"{where}: there is no such key; {hint}"
     return f"{where}: {words[:1].lower()}{words[1:]}"
 

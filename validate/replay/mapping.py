@@ -106,7 +106,7 @@ class _Wiring:
         for section, signals in (("positions", given.positions), ("velocities", given.velocities)):
             for name, signal in signals.items():
                 path = f"{section}.{name}"
-                self._check_once(read, path, signal)
+                self._check_once(read, path, signal.variable)
                 self._check_unit(path, name if section == "positions" else self._velocity_column(name), signal)
         for name in given.velocities:
             self._check_rate(name)
@@ -117,7 +117,7 @@ class _Wiring:
                 raise self._fail(f"contacts.{name}", "it names neither force nor gap.")
             for what, signal, others in (("force", entry.force, forces), ("gap", entry.gap, gaps)):
                 if signal is not None:
-                    self._check_once(others, f"contacts.{name}.{what}", signal)
+                    self._check_once(others, f"contacts.{name}.{what}", signal.variable)
                     self._check_contact_unit(f"contacts.{name}.{what}", what, signal)
         known = [*given.positions, *(self._velocity_column(name) for name in given.velocities)]
         for name in given.goal:
@@ -137,11 +137,11 @@ class _Wiring:
         if signal.scale == 0.0:
             raise self._fail(path, "scale is 0; it must not be.")
 
-    def _check_once(self, read: dict[int, str], path: str, signal: Signal) -> None:
+    def _check_once(self, read: dict[int, str], path: str, variable: str) -> None:
         """A variable is one thing: by its reference, as an FMU may call it by two names."""
-        reference = self._reference(path, signal.variable)
+        reference = self._reference(path, variable)
         if reference in read:
-            raise self._fail(path, f"{signal.variable!r} is {read[reference]} already.")
+            raise self._fail(path, f"{variable!r} is {read[reference]} already.")
         read[reference] = path
 
     def _check_rate(self, name: str) -> None:
@@ -289,8 +289,11 @@ class _Wiring:
     def _settings(self) -> list[tuple[int, float]]:
         """Start variables and their values: those of the map, and positions and velocities of the plan's first row that can be set."""
         given, found = self.map, {}
+        taken = {self._reference(f"parameters.{name}", name): f"parameters.{name}" for name in given.parameters}
+        taken |= {self._reference(f"inputs.{name}", signal.variable): f"inputs.{name}" for name, signal in given.inputs.items()}
         for name, value in given.start.items():
             path = f"start.{name}"
+            self._check_once(taken, path, name)
             if isinstance(value, str):
                 if value not in self._table.names:
                     raise self._fail(path, f"the plan has no column {value!r}{hint(value, self._table.names)}.")
@@ -390,6 +393,7 @@ class _Wiring:
         return Difference(position=position, state=math.sqrt(count) * math.hypot(position, velocity) if count else velocity, gap=gap)
 
     def _not_asked(self) -> tuple[str, ...]:
+        """For what the map or the FMU leaves out; what the plan does not say is the score's to tell."""
         given, found = self.map, []
         if given.task.duration is None:
             found.append("duration_error: the map gives no [task] duration")
@@ -406,8 +410,6 @@ class _Wiring:
             found.append("replay_terminal_position_error, replay_terminal_velocity_error: the map gives no [goal]")
         if "q" in self.lacks:
             found.append("replay_error: the map names no [positions]")
-        elif self._missing() & {"q"}:
-            found.append("replay_error: the plan has no positions")
         for name, entry in given.contacts.items():
             if entry.gap is None:
                 found.append(f"max_penetration: contact {name} has no gap in the map")
@@ -415,8 +417,6 @@ class _Wiring:
                 found.append(f"max_penetration: contact {name} has no depth in the map (depth = .., where its model ends)")
         if not given.contacts:
             found.append("max_penetration, ghost_impulse, missed_impulse: the map names no [contacts]")
-        elif "lam" in self._missing():
-            found.append("ghost_impulse, missed_impulse: the plan has no contact forces")
         elif "gap" in self.lacks or "lam" in self.lacks:
             found.append("ghost_impulse, missed_impulse: not every contact has both force and gap in the map")
         found.append("contact_law_error, unexplained_force, defect: an FMU keeps its equations to itself; only a scene has them")
