@@ -14,7 +14,7 @@ from validate.replay.package import REAL, Package
 _RATES = ("m/s", "rad/s")
 
 
-# Names from which on only some are compared with one that is not there, and how many: the comparison takes 20 us a name.
+# Names from which on only some are compared with one that is not there, and how many: comparing takes up to 40 us a name.
 _MANY = 2000
 
 
