@@ -137,14 +137,7 @@ def replay_foreign(
     """
     trajectory.check_fits(foreign.model)  # type: ignore[arg-type] - it answers what a scene answers
     settings = Settings(tolerances=tolerances, fineness=fineness, event_budget=event_budget)
-    driven = Trajectory(
-        t=trajectory.t,
-        q=trajectory.q,
-        v=trajectory.v,
-        u=foreign.input_scale * trajectory.u + foreign.input_offset,
-        lam=trajectory.lam,
-        hold=trajectory.hold,
-    )
+    driven = trajectory.with_inputs_in(foreign.input_scale, foreign.input_offset)
     simulated = run_job(package, foreign.variables, driven, foreign.start, settings, limits)
     opened = _assemble(foreign.model, package, foreign.variables, _in_plan_units(foreign, simulated), event_budget)
     if not (track(opened) if callable(track) else track):
@@ -195,6 +188,7 @@ def _assemble(subject: Subject, package: Package, variables: Variables, simulate
         has_reference=bool(reference),
         ratio=step_ratio(difference(first, coarse), difference(coarse, fine)),
         rollback=_local_errors(subject, variables, everyday[-1], fine, carried=coarse is None) if everyday and tells else None,
+        stated=subject.accuracy if isinstance(subject, ForeignModel) else None,
     )
     refusal = simulated.refusal
     if refusal is None and reference:
@@ -206,8 +200,13 @@ def _assemble(subject: Subject, package: Package, variables: Variables, simulate
         notes.append("No reference replay: the FMU offers no Model Exchange.")
         if not tells:
             notes.append(
-                "Half the communication step changes nothing: the FMU has a step of its own, and how wrong that is cannot be told."
+                "Half the communication step changes nothing: the FMU has a step of its own, and how wrong that is "
+                + ("its author states." if error.stated is not None else "cannot be told.")
             )
+    elif error.tolerance is not None and isinstance(subject, ForeignModel) and subject.accuracy is not None:
+        notes.append("The stated accuracy counts for nothing: it is of Co-Simulation, and the reference is integrated by Model Exchange.")
+    if isinstance(subject, ForeignModel):
+        notes += subject.notes
     if simulated.note:
         notes.append(simulated.note)
     return _replay(subject, variables, judged, package, simulated, error, " ".join(notes), event_budget)
