@@ -253,9 +253,9 @@ def test_an_equation_without_a_form_in_c_is_the_scene_s_mistake(force: sp.Expr, 
         small_scene(task=replace(small_scene().task, final_cost=force))
 
 
-def test_a_jump_is_said_where_it_is_differentiated():
-    with pytest.raises(SceneError, match=r"scene small: .* contain DiracDelta, which has no form in C"):
-        emit_model(small_scene(forces=(sp.sign(vx),)))
+def test_what_has_no_form_in_c_but_is_no_function_is_said_where_it_is_written():
+    with pytest.raises(SceneError, match=r"scene small: .* contain Integral, which has no form in C"):
+        emit_model(small_scene(forces=(u + sp.Integral(sp.cos(sp.Symbol("s") ** 5 + x), (sp.Symbol("s"), 0, 1)),)))
 
 
 def test_a_plan_must_fit_into_memory():
