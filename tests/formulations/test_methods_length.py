@@ -31,7 +31,7 @@ from models.trajectory import Trajectory, uniform_grid
 
 SIZE, EPS = 0.1, 1e-3
 x, y, vx, vy, push = sp.symbols("x y vx vy push", real=True)
-m, c, k, d = sp.symbols("m c k d", positive=True)
+m, b, c, k, d = sp.symbols("m b c k d", positive=True)
 
 
 def damped(law: DampingLaw) -> Scene:
@@ -47,10 +47,11 @@ def damped(law: DampingLaw) -> Scene:
             Parameter(symbol=k, value=120.0, unit="N/m"),
             Parameter(symbol=c, value=4.0 if law is DampingLaw.KELVIN_VOIGT else 0.5, unit=law.unit),
             Parameter(symbol=d, value=0.1, unit="m"),
+            Parameter(symbol=b, value=1.0, unit="N s/m"),
         ),
         kinetic_energy=m * (vx**2 + 2 * vy**2) / 2,
         potential_energy=sp.S.Zero,
-        forces=(push - vx * m, sp.S.Zero),
+        forces=(push - b * vx, sp.S.Zero),
         contacts=(Contact(name="pad", penetration=d + x - y, stiffness=k, damping=c, damping_law=law, nominal=0.05),),
         task=Task(start=(-0.2, 0.1, 0.0, 0.0), goal=(None, 0.6, None, None), running_cost=push**2, step=0.03, steps=60),
     )
