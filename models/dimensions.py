@@ -41,6 +41,9 @@ _DENOMINATORS = (1, 2, 3, 4, 5, 6, 8, 12, 16, 24, 32, 48)
 # Names of what is met most; tried, too, where a unit is wrong.
 _NAMED = ("1", "kg", "m", "s", "N", "N m", "N/m", "N s/m", "N m s", "kg m^2", "m/s", "m/s^2", "1/m", "1/s", "s/m", "m^2", "1/m^2", "N s^2/m^2")
 
+# Of more units than that, each of which would do, none is the likely one.
+_MOST_MENDS = 3
+
 _NUMBER, _BARE, _DECLARED = range(3)
 
 
@@ -82,8 +85,8 @@ def dimension_problem(scene: Scene) -> str | None:
                 others = units | {item.symbol: _Found(_DECLARED, _powers(unit))}
                 if not any(_misfits([quantity], others)) and not any(_misfits(asked, others)):
                     mends.append(f"of {kind} {item.name} ({item.unit!r}) right? {unit!r} would be")
-    if len(mends) == 1:
-        return f"{quantity.field}: {words}; is the unit {mends[0]}."
+    if 0 < len(mends) <= _MOST_MENDS:
+        return f"{quantity.field}: {words}; is the unit {', or is that '.join(mends)}."
     return f"{quantity.field}: {words}; is a unit wrong, or was a quantity left out that is 1 here, as an arm of 1 m? It must be a parameter."
 
 
