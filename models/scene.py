@@ -194,7 +194,8 @@ class Scene:
     kinetic_energy T(q, v) [J], potential_energy V(q) [J] (without contacts), forces Q(q, v, u): (nq,) non-conservative
     generalised forces (inputs, damping) [N, N m]; the equations of motion follow by Lagrange (models.dynamics). quick: whether a quick campaign
     runs it; False where its first plan that holds takes about a minute. length [m]: what counts as far here, which relaxed contact is measured in
-    (models.contact_law); the paper's metre unless a scene is much smaller.
+    (models.contact_law); the paper's metre unless a scene is much smaller. unstable: why a robot needs feedback here whatever its plan, as a sentence;
+    empty: a plan is expected to hold by its inputs alone.
     """
 
     name: str
@@ -214,6 +215,7 @@ class Scene:
     shapes: tuple[Shape, ...] = ()
     quick: bool = True
     length: float = 1.0
+    unstable: str = ""
 
     def __post_init__(self) -> None:
         from models.scene_checks import check_scene

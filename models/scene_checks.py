@@ -96,6 +96,7 @@ def _check_names(scene: Scene) -> None:
 def _check_words(scene: Scene) -> None:
     for field in ("title", "source"):
         check_text(f"scene {scene.name}: {field}", getattr(scene, field))
+    check_text(f"scene {scene.name}: unstable", scene.unstable, empty=True)
     if scene.length <= 0:
         raise _fail(scene, f"length (in m, what relaxed contact is measured in) must be positive, not {scene.length:g}.")
     if not isinstance(scene.quick, bool):
