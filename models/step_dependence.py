@@ -103,7 +103,9 @@ def _stored(node: ast.AST) -> Iterator[str]:
 
 def _own(scope: ast.AST) -> frozenset[str]:
     """Names that belong to a function or comprehension: its arguments and what it assigns."""
-    arguments = {argument.arg for argument in ast.walk(scope.args) if isinstance(argument, ast.arg)} if isinstance(scope, _FUNCTIONS) else set()
+    arguments = (
+        {argument.arg for argument in ast.walk(scope.args) if isinstance(argument, ast.arg)} if isinstance(scope, _FUNCTIONS) else set()
+    )
     return frozenset(arguments | set(_stored(scope)))
 
 
