@@ -63,6 +63,14 @@ SCENE = Scene(
         *(
             Limit(
                 metric=metric,
+                value=0.02,
+                reason="a twentieth of the impulse m g T by which the disc is held up: what a step of 2 ms may misplace at the ten touches of a plan",
+            )
+            for metric in ("ghost_impulse", "missed_impulse")
+        ),
+        *(
+            Limit(
+                metric=metric,
                 value=0.005,
                 reason="a tenth of the way that the disc is to be lifted",
             )

@@ -202,6 +202,9 @@ def _cause(first: Metric, told: Told) -> str:
         return f": a relaxed contact law; {_ADVICE_EXACT}"
     if first.question is Question.MOTION:
         return _of_motion(first, told)
+    grid = told.metrics.get("grid_error")
+    if first.question is Question.POSSIBLE and told.value("grid_order") is not None and grid is not None and grid.value is not None:
+        return f": discretisation error {number(grid.value, grid.unit)}"
     return ""
 
 

@@ -302,15 +302,15 @@ def _grid_error(case: Evidence) -> tuple[float, float]:
 
 def _grid_order(case: Evidence) -> float:
     """Log2 of what the last halving of the plan's step does to its distance from the replay, its inputs held; halved until it is near, or seven times."""
-    error, limit = _grid_error(case)[0], _replay_limit(case)
-    if error <= limit:
-        raise Unmeasured("the discretisation error is below the limit on replay_error, so that nothing need be known of its order.")
+    error, near = _grid_error(case)[0], _replay_limit(case) / 4.0
+    if error <= near:
+        raise Unmeasured("the discretisation error is far below the limit on replay_error, so that nothing need be known of its order.")
     order = 0.0
     for halvings in range(1, _HALVINGS + 1):
         finer, _ = eq.largest_difference(case.refined_motion(2**halvings), case.replay_q)
         order = float(np.log2(error / finer)) if finer > 0.0 else np.inf
         error = finer
-        if error <= limit:
+        if error <= near:
             break
     return min(order, _HALVINGS)
 
