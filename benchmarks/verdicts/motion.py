@@ -111,6 +111,18 @@ class Motion:
         right = self._force(q, v, u, lam, f)
         return right if self._mass is None else np.linalg.solve(np.array(self._mass(q)), np.array(right)).tolist()
 
+    def rates(self, state: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """(2 nq,) rate of a state by the contact law as it stands, kink and all: what a simulator of a fixed step evaluates. Without friction."""
+        values = state.tolist()
+        q, v = values[: self.nq], values[self.nq :]
+        lam = [k * max(depth, 0.0) for k, depth in zip(self.k, self._phi(q), strict=True)]
+        return np.array([*v, *self._acceleration(q, v, np.asarray(u).tolist(), lam, [])])
+
+    def forces(self, q: np.ndarray) -> np.ndarray:
+        """(n, nc) contact forces at positions (n, nq)."""
+        found = [[k * max(depth, 0.0) for k, depth in zip(self.k, self._phi(row), strict=True)] for row in np.asarray(q).tolist()]
+        return np.array(found).reshape(len(q), self.nc)
+
     def _contact_forces(self, q: list[float], closed: list[bool]) -> list[float]:
         return [k * depth if shut else 0.0 for k, depth, shut in zip(self.k, self._phi(q), closed, strict=True)]
 
@@ -192,8 +204,7 @@ class Motion:
                 ends_of[1, at] = self._friction_forces(q, v, last, self._contact_forces(q, closed), modes)
         spans = np.diff(nodes)[:, None]
         impulses = np.diff(states[:, 2 * nq :], axis=0) / spans
-        force = np.array([[k * max(depth, 0.0) for k, depth in zip(self.k, self._phi(row), strict=True)] for row in states[:, :nq].tolist()])
-        force = force.reshape(len(nodes), self.nc)
+        force = self.forces(states[:, :nq])
         return Path(
             t=nodes, q=states[:, :nq], v=states[:, nq : 2 * nq], depth=self._deepest, ended=ended,
             lam_start=force[:-1], lam_end=force[1:], lam_mean=impulses[:, : self.nc],
