@@ -34,7 +34,7 @@ FORCES = ("start", "end", "mean")
 
 def base(reference: str) -> tuple[np.ndarray, np.ndarray]:
     """(t, u) of a plan known to reach the goal."""
-    plan = found(reference, BASES[reference])[-1]
+    plan = found(reference, BASES.get(reference, "strict"))[-1]
     return np.array(plan.t), np.array(plan.u)
 
 

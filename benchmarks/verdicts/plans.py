@@ -30,7 +30,7 @@ class Plan:
     """Columns of a plan. t (n,) or, of inputs alone without a final time, (n - 1,); q, v (n, nq); u (n - 1, nu); lam (n - 1, nc); friction (n - 1, nf).
 
     scheme, hold: what its first lines declare ("": nothing); u_last (nu,): the inputs of the last row; digits: decimals of every number but for t_digits
-    those of t (None: all 17 digits).
+    those of t (None: all 17 digits); columns_of: the scene whose names stand above the columns, if not the one it is written for.
     """
 
     t: np.ndarray
@@ -44,6 +44,7 @@ class Plan:
     u_last: np.ndarray | None = None
     digits: int | None = None
     t_digits: int | None = None
+    columns_of: str = ""
 
     def but(self, **changes: Any) -> Plan:
         """This plan with other columns."""
@@ -51,6 +52,7 @@ class Plan:
 
     def text(self, scene: Scene) -> str:
         """The CSV."""
+        scene = scene_of(self.columns_of) if self.columns_of else scene
         names = [item.name for item in scene.coordinates], [item.velocity_name for item in scene.coordinates]
         groups = [
             (names[0], self.q), (names[1], self.v), ([item.name for item in scene.inputs], self.u),
