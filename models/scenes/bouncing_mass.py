@@ -24,6 +24,7 @@ RATE = math.sqrt(STIFFNESS / MASS)
 DEPTH = SAG + math.hypot(SAG, SPEED / RATE)
 CONTACT_TIME = (2 * math.pi - 2 * math.atan2(SPEED / RATE, SAG)) / RATE
 FALL_TIME = SPEED / GRAVITY
+SPRING = DROP
 
 SCENE = Scene(
     name="bouncing_mass",
@@ -39,7 +40,18 @@ SCENE = Scene(
     kinetic_energy=m * v**2 / 2,
     potential_energy=m * g * q,
     forces=(sp.Integer(0),),
-    contacts=(Contact(name="floor", penetration=-q, stiffness=k, nominal=0.1, description="mass against floor"),),
+    contacts=(
+        Contact(
+            name="floor",
+            bodies=("mass", "floor"),
+            penetration=-q,
+            stiffness=k,
+            depth=SPRING,
+            depth_reason="the length of the springs of the floor: as long as the mass falls, 0.5 m, and here pressed flat",
+            nominal=0.1,
+            description="mass against floor",
+        ),
+    ),
     task=Task(start=(DROP, 0.0), goal=(None,) * 2, running_cost=sp.Integer(0), step=0.001, steps=1000),
     limits=(
         Limit(

@@ -64,14 +64,25 @@ SCENE = Scene(
     forces=(sp.Integer(0), sp.Integer(0)),
     contacts=(
         Contact(
-            name="pair", penetration=2 * r - (q2 - q1), stiffness=k, damping=c, nominal=0.05, description="left disc against right disc"
+            name="pair",
+            bodies=("left", "right"),
+            penetration=2 * r - (q2 - q1),
+            stiffness=k,
+            damping=c,
+            depth=2 * r,
+            depth_reason="two radii: there the centres of the discs coincide, and beyond it the line between them has turned over",
+            nominal=0.05,
+            description="left disc against right disc",
         ),
         Contact(
             name="bumper",
+            bodies=("left", "bumper"),
             penetration=-(q1 + sp.Rational(1, 2) - r),
             stiffness=b,
             damping=d,
             damping_law=DampingLaw.HUNT_CROSSLEY,
+            depth=r,
+            depth_reason="the radius: there the centre of the disc is in the face of the bumper, and beyond it the nearer way out is behind it",
             nominal=0.05,
             description="left disc against the bumper at -0.5 m",
         ),

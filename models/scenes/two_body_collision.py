@@ -45,7 +45,18 @@ SCENE = Scene(
     kinetic_energy=(m1 * v1**2 + m2 * v2**2) / 2,
     potential_energy=sp.Integer(0),
     forces=(sp.Integer(0), sp.Integer(0)),
-    contacts=(Contact(name="pair", penetration=2 * r - (q2 - q1), stiffness=k, nominal=0.05, description="left disc against right disc"),),
+    contacts=(
+        Contact(
+            name="pair",
+            bodies=("left", "right"),
+            penetration=2 * r - (q2 - q1),
+            stiffness=k,
+            depth=2 * r,
+            depth_reason="two radii: there the centres of the discs coincide, and beyond it the line between them has turned over",
+            nominal=0.05,
+            description="left disc against right disc",
+        ),
+    ),
     task=Task(start=START, goal=(None,) * 4, running_cost=sp.Integer(0), step=0.001, steps=600),
     limits=(
         Limit(

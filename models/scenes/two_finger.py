@@ -41,13 +41,37 @@ SCENE = Scene(
         steps=500,
     ),
     limits=(
-        *fingers.solver_limits(),
-        Limit(
-            metric="discrete_terminal_error",
-            value=0.01,
-            reason="a fifth of the way, or a fifth of the speed at which the disc crosses it in a quarter of a second",
+        *(
+            Limit(
+                metric=metric,
+                value=0.005,
+                reason="a tenth of the way that the disc is to be moved",
+            )
+            for metric in ("terminal_position_error", "discrete_terminal_position_error")
         ),
-        Limit(metric="replay_terminal_position_error", value=0.005, reason="a tenth of the way that the disc is to be moved"),
+        *(
+            Limit(
+                metric=metric,
+                value=0.01,
+                reason="at 0.01 m/s the disc glides on by m_d/c_d * 0.01 = 5 mm, the limit of its position; a link that turns at 0.01 rad/s moves its tip by less",
+            )
+            for metric in ("terminal_velocity_error", "discrete_terminal_velocity_error")
+        ),
+        Limit(
+            metric="replay_terminal_position_error",
+            value=0.005,
+            reason="a tenth of the way that the disc is to be moved",
+        ),
+        Limit(
+            metric="replay_terminal_velocity_error",
+            value=0.01,
+            reason="as of the plan: at 0.01 m/s the disc glides on by 5 mm, the limit of its position",
+        ),
+        Limit(
+            metric="replay_error",
+            value=0.05,
+            reason="a link of 0.1 m that is 0.05 rad off has its end 5 mm off, the limit of the disc at the goal",
+        ),
     ),
     answers=(fingers.stretched_answer(),),
     quick=False,
