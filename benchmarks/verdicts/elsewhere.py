@@ -46,7 +46,7 @@ def mujoco_motion(t: np.ndarray, u: np.ndarray, step: float) -> np.ndarray:
     return np.array([*rows, [t[0] + len(rows) * step, *data.qpos, *data.qvel, 0.0, 0.0]])
 
 
-def _drake_carts():  # noqa: ANN202 - a type of Drake's
+def _drake_carts():
     from pydrake.symbolic import Variable, max
     from pydrake.systems.primitives import SymbolicVectorSystem
 
@@ -87,7 +87,9 @@ def drake_plan(t: np.ndarray, u: np.ndarray, step: float) -> np.ndarray:
     first = drake_motion(t, u, step)
     end, carts = first[-1, 0], _drake_carts()
     samples = round((end - t[0]) / step) + 1
-    problem = DirectCollocation(carts, carts.CreateDefaultContext(), num_time_samples=samples, minimum_time_step=step, maximum_time_step=step)
+    problem = DirectCollocation(
+        carts, carts.CreateDefaultContext(), num_time_samples=samples, minimum_time_step=step, maximum_time_step=step
+    )
     program = problem.prog()
     program.AddBoundingBoxConstraint([*START, 0, 0, 0], [*START, 0, 0, 0], problem.initial_state())
     program.AddBoundingBoxConstraint([*GOAL, 0, 0, 0], [*GOAL, 0, 0, 0], problem.final_state())

@@ -176,7 +176,9 @@ def _by_others(foreign: dict[str, str]) -> dict[str, Callable[[], Plan]]:
                 command = [foreign.get(tool.split("-")[0], sys.executable), elsewhere.__file__, tool, str(given), str(out), repr(step)]
                 done = subprocess.run(command, capture_output=True, text=True, check=False)
                 if done.returncode:
-                    raise NoPlanError(done.stderr.strip().splitlines()[-1] if done.stderr.strip() else f"{tool} ended with {done.returncode}")
+                    raise NoPlanError(
+                        done.stderr.strip().splitlines()[-1] if done.stderr.strip() else f"{tool} ended with {done.returncode}"
+                    )
                 table = np.loadtxt(out, delimiter=",")
             plan = said(table[:, 0], table[:-1, 7:], table[:, 1:7])
             return plan.but(hold="linear", u_last=table[-1, 7:]) if tool == "drake-plan" else plan

@@ -1,7 +1,7 @@
 """Plans as strangers write them: columns in a CSV file, some left out, printed as coarsely as they like; and what the judge said of one.
 
-    plan = Plan(t=t, q=q, v=v, u=u, lam=lam)          # arrays; None for what the author does not say
-    plan.but(lam=None, digits=4).write(folder / "plan.csv", scene)
+plan = Plan(t=t, q=q, v=v, u=u, lam=lam)          # arrays; None for what the author does not say
+plan.but(lam=None, digits=4).write(folder / "plan.csv", scene)
 """
 
 from __future__ import annotations
@@ -103,10 +103,12 @@ class Case:
 
 @dataclass(frozen=True, kw_only=True)
 class Said:
-    """What the judge said: a verdict of its ladder, "refused" (with the error as the reason) or "skipped"; figures: its metrics by name."""
+    """What the judge said: a verdict of its ladder, "refused" (with the error as the reason) or "skipped"; figures: its metrics by name; fails: how many of
+    them are beyond their limits."""
 
     verdict: str
     why: str
+    fails: int = 0
     figures: Mapping[str, float | None] = field(default_factory=dict)
 
 
@@ -119,8 +121,9 @@ def judged(scene: Scene | str, plan: Path | Any) -> Said:
     except TouchstoneError as error:
         return Said(verdict=REFUSED, why=str(error))
     score = verdict.score
-    metrics = score.metrics.values() if isinstance(score.metrics, Mapping) else score.metrics
-    return Said(verdict=score.verdict.value, why=score.why, figures={item.name: item.value for item in metrics})
+    metrics = list(score.metrics.values() if isinstance(score.metrics, Mapping) else score.metrics)
+    fails = sum(item.ok is False for item in metrics)
+    return Said(verdict=score.verdict.value, why=score.why, fails=fails, figures={item.name: item.value for item in metrics})
 
 
 @cache

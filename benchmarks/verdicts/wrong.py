@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.verdicts.exact import BASES, based
-from benchmarks.verdicts.plans import REFUSED, Case, NoPlanError, Plan, as_plan, exact, found, miss, motion_of, scene_of
+from benchmarks.verdicts.plans import REFUSED, Case, NoPlanError, Plan, as_plan, exact, found, motion_of, scene_of
+from benchmarks.verdicts.through import rammed, through
+from models.errors import TouchstoneError
 
 EXPECTED = ("violates", REFUSED)
 # Pieces of words of which a sentence must have one, for each cause.
@@ -26,7 +27,12 @@ MOTION = ("explain", "replay", "inputs")
 GOAL = ("goal", "cost")
 DEEP = ("penetrat", "deep", "through")
 
-RELAXED = {"three_cart": "softplus_dc+strict", "hopper": "softplus_dc+strict", "cart_chain": "softplus_dc+strict", "wall_pendulum": "softplus_dc+strict"}
+RELAXED = {
+    "three_cart": "softplus_dc+strict",
+    "hopper": "softplus_dc+strict",
+    "cart_chain": "softplus_dc+strict",
+    "wall_pendulum": "softplus_dc+strict",
+}
 UNSTABLE = {"cart_pole_walls": "strict", "acrobot_limits": "strict"}
 DOCS = Path(__file__).parents[2] / "docs" / "extending.md"
 
@@ -68,24 +74,22 @@ def common(reference: str) -> dict[str, tuple[Callable[[], Plan], tuple[str, ...
         return exact(path, t, u)
 
     def appended() -> Plan:
-        t, u, _ = based(reference)
+        u = based(reference)[1]
         more = round(5.0 / scene.task.step)
         times = scene.task.step * np.arange(steps + more + 1)
         inputs = np.vstack([u, np.zeros((more, scene.nu))])
         return exact(motion_of(reference).run(times, inputs), times, inputs)
 
     def too_strong() -> Plan:
-        t, u, _ = based(reference)
-        ten = 10.0 * u
+        ten = 10.0 * based(reference)[1]
         if (ten <= upper).all() and (ten >= lower).all():
             raise NoPlanError("ten times its inputs are within their bounds")
         return _goes(reference, ten)
 
     def once_too_strong() -> Plan:
         """Beyond the bound in one step only, by a tenth of the range: the motion is as good as before."""
-        t, u, _ = based(reference)
-        more = u.copy()
-        more[len(u) // 2] = upper + 0.1 * (upper - lower)
+        more = based(reference)[1].copy()
+        more[steps // 2] = upper + 0.1 * (upper - lower)
         return _goes(reference, more)
 
     def elsewhere(share: float) -> Plan:
@@ -152,7 +156,7 @@ def common(reference: str) -> dict[str, tuple[Callable[[], Plan], tuple[str, ...
         "nothing done, states of a plan that does": (lambda: good().but(u=zero), MOTION),
         "nothing done, positions of a plan that does": (lambda: good().but(u=zero, v=None, lam=None, friction=None), MOTION),
         "inputs turned round": (lambda: good().but(u=np.clip(-good().u, lower, upper)), MOTION),
-        "inputs of the step before last": (lambda: good().but(u=np.roll(good().u, steps // 5, axis=0)), MOTION),
+        "inputs a fifth of the plan late": (lambda: good().but(u=np.roll(good().u, steps // 5, axis=0)), MOTION),
         "spikes between the nodes": (spiky, (*MOTION, *GOAL)),
         "a spike of one velocity": (lambda: kinked("v", 5.0), (*MOTION, "velocit")),
         "a spike of one position": (lambda: kinked("q", wide), MOTION),
@@ -164,9 +168,15 @@ def common(reference: str) -> dict[str, tuple[Callable[[], Plan], tuple[str, ...
     if scene.nc:
         made |= {
             "invented forces of 100 N": (lambda: forces(lambda rows: rows + 100.0), FORCES),
-            "invented forces of 100 N, a scheme declared": (lambda: forces(lambda rows: rows + 100.0, scheme="semi_implicit_euler"), FORCES),
+            "invented forces of 100 N, a scheme declared": (
+                lambda: forces(lambda rows: rows + 100.0, scheme="semi_implicit_euler"),
+                FORCES,
+            ),
             "an invented force in one step": (lambda: forces(lambda rows: once(rows, 1, 100.0)), FORCES),
-            "a spike of force, there and back": (lambda: forces(lambda rows: once(once(rows, steps // 3, 50.0), steps // 3 + 1, -50.0)), FORCES),
+            "a spike of force, there and back": (
+                lambda: forces(lambda rows: once(once(rows, steps // 3, 50.0), steps // 3 + 1, -50.0)),
+                FORCES,
+            ),
             "forces mirrored": (lambda: forces(mirrored), FORCES),
             "forces pull": (lambda: forces(turned), FORCES),
             "forces doubled": (lambda: forces(lambda rows: 2.0 * turned(-rows)), FORCES),
@@ -239,67 +249,6 @@ def by_feedback(reference: str) -> dict[str, tuple[Callable[[], Plan], tuple[str
     }
 
 
-@cache
-def through() -> Plan:
-    """Three carts: the outer ones squeeze the middle one until two carts are inside each other, and all of them end at the goal.
-
-    The squeeze is 10 N for a second; the inputs after it are steered home by Gauss and Newton's steps on a semi-implicit Euler of all their changes at once.
-    """
-    scene, (t, u, _) = scene_of("three_cart"), based("three_cart")
-    u, h, pieces = u.copy(), scene.task.step, 20
-    squeezed, start, goal = round(1.2 / h), np.array(scene.task.start), np.array(scene.task.goal, dtype=float)
-    u[:squeezed] = (10.0, -10.0)
-    u[squeezed:] = u[squeezed:][:, :] * 0.0
-    wide = (len(u) - squeezed) // pieces
-
-    def ends(knobs: np.ndarray) -> np.ndarray:
-        """knobs (k, 2 pieces) -> states (k, 6)."""
-        x = np.tile(start, (len(knobs), 1))
-        q, v = x[:, :3], x[:, 3:]
-        for step in range(len(u)):
-            force = np.zeros_like(q)
-            held = np.tile(u[step], (len(knobs), 1))
-            if step >= squeezed:
-                piece = min((step - squeezed) // wide, pieces - 1)
-                held = held + knobs[:, 2 * piece : 2 * piece + 2]
-            force[:, 0] += held[:, 0]
-            force[:, 2] += held[:, 1]
-            push = 30.0 * np.maximum(0.5 - np.diff(q, axis=1), 0.0)
-            force[:, :2] -= push
-            force[:, 1:] += push
-            v = v + h * (force - 2.0 * v)
-            q = q + h * v
-        return np.hstack([q, v])
-
-    knobs = np.zeros(2 * pieces)
-    knobs[0::2] = 0.5
-    for _ in range(60):
-        rows = ends(np.vstack([knobs, knobs + 1e-6 * np.eye(len(knobs))]))
-        error, jacobian = rows[0] - goal, (rows[1:] - rows[0]).T / 1e-6
-        if np.abs(error).max() < 1e-4:
-            break
-        change = -np.linalg.lstsq(jacobian, error, rcond=1e-6)[0]
-        knobs = np.clip(knobs + change * min(1.0, 2.0 / np.abs(change).max()), -9.9, 9.9)
-    for piece in range(pieces):
-        low = squeezed + piece * wide
-        u[low : (low + wide if piece < pieces - 1 else len(u))] += knobs[2 * piece : 2 * piece + 2]
-    path = motion_of("three_cart").run(t, u)
-    off = miss(scene, np.concatenate([path.q[-1], path.v[-1]]))
-    if path.depth.max() < 0.51 or max(off) > 0.05:
-        raise NoPlanError(f"the carts are {path.depth.max():.3g} m inside each other and end {off[0]:.3g} m from the goal")
-    return exact(path, t, u)
-
-
-def _rammed(reference: str) -> Plan:
-    scene = scene_of(reference)
-    signs = np.array([1.0] + [-1.0] * (scene.nu - 1))
-    plan = _goes(reference, np.tile(signs * np.array([item.upper for item in scene.inputs]), (scene.task.steps, 1)))
-    depth = motion_of(reference).run(plan.t, plan.u).depth
-    if not (depth > np.array(scene.depths)).any():
-        raise NoPlanError(f"at full force the bodies are {depth.max():.3g} m deep, which the model allows")
-    return plan
-
-
 def cases(scenes: tuple[str, ...], folder: Path) -> Iterator[Case]:
     """folder: where scene files are written."""
 
@@ -316,9 +265,18 @@ def cases(scenes: tuple[str, ...], folder: Path) -> Iterator[Case]:
             yield from of("three_cart", {f"the plan of {other}": (lambda other=other: _written_for(other), causes)})
     references = [name for name in BASES if name in scenes]
     if "slider" in scenes:
-        references.append(slider(folder))
+        try:
+            references.append(slider(folder))
+            scene_of(references[-1])
+        except (NoPlanError, TouchstoneError) as error:  # what the docs show is not read: that is not as expected either
+            reason = str(error)
+            references = [item for item in references if item in BASES]
+            yield Case(name="slider: the scene of docs/extending.md", scene="three_cart", plan=lambda: _no(reason), expected=("read",))
     for reference in references:
-        yield from of(reference, common(reference) | {"at full force into each other": (lambda reference=reference: _rammed(reference), (*DEEP, *GOAL))})
+        yield from of(
+            reference,
+            common(reference) | {"at full force into each other": (lambda reference=reference: rammed(reference), (*DEEP, *GOAL))},
+        )
     for reference in [*(name for name in RELAXED if name in scenes), *(item for item in references if item.endswith("slider.py"))]:
         yield from of(reference, relaxed(reference))
     for reference in (name for name in UNSTABLE if name in scenes):
@@ -335,3 +293,7 @@ def _without_forces(reference: str) -> Plan:
 def _written_for(other: str) -> Plan:
     t, u, path = based(other)
     return exact(path, t, u, columns_of=other)
+
+
+def _no(reason: str) -> Plan:
+    raise NoPlanError(reason)
