@@ -11,6 +11,7 @@ import difflib
 import math
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -138,3 +139,47 @@ def _cells(path: Path, number: int, line: str, mark: str) -> list[str]:
         return [cell.strip() for cell in next(csv.reader([line], delimiter=mark, skipinitialspace=True))]
     except csv.Error as error:
         raise TrajectoryError(f"plan {path}: line {number} cannot be read ({error}); separate its cells by {mark!r}.") from error
+
+
+class ArrayTable:
+    """The same of arrays by column names (a mapping, or a pandas DataFrame): inputs and forces may be one shorter than `t`, or end in NaN.
+
+    declared: scheme and hold, as a CSV would.
+    """
+
+    def __init__(self, columns: Any, **declared: str | None) -> None:
+        """Raises TrajectoryError naming the column."""
+        self.where, self.source = "plan", "arrays"
+        self.declared = {key: value for key, value in declared.items() if value is not None}
+        self.units: dict[str, str] = {}
+        try:
+            self._columns = {str(name): np.asarray(columns[name], dtype=float) for name in columns}
+        except (TypeError, ValueError) as error:
+            raise TrajectoryError(f"plan: its columns must be arrays of numbers by name ({error}).") from error
+        self.names = tuple(self._columns)
+        for name, values in self._columns.items():
+            if values.ndim != 1:
+                raise TrajectoryError(f"plan: the column {name!r} has shape {values.shape}, but must be one row of numbers.")
+        self.rows = len(self._columns["t"]) if "t" in self._columns else max(map(len, self._columns.values()), default=0)
+        if self.rows < 2:
+            raise TrajectoryError(f"plan: it has {self.rows} row{'' if self.rows == 1 else 's'}; at least two are needed.")
+
+    def has_last(self, name: str) -> bool:
+        """Whether the column has a number at the last time."""
+        values = self._columns[name]
+        return len(values) == self.rows and bool(np.isfinite(values[-1]))
+
+    def check_unit(self, name: str, unit: str) -> None:
+        """Arrays say no units."""
+
+    def column(self, name: str, last_is_open: bool) -> np.ndarray:
+        """As of a `PlanTable`."""
+        values = self._columns[name]
+        expected = self.rows - 1 if last_is_open else self.rows
+        if len(values) not in (expected, self.rows):
+            raise TrajectoryError(f"plan: the column {name!r} has {len(values)} numbers, but t has {self.rows}.")
+        values = values[:expected]
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise TrajectoryError(f"plan: column {name!r}, row {int(bad[0])}: {values[bad[0]]} is not a finite number.")
+        return values

@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from models.errors import TrajectoryError
-from models.plan_table import PlanTable
+from models.plan_table import ArrayTable, PlanTable
 from models.scene import Scene
 from models.schemes import Scheme
 
@@ -170,9 +170,9 @@ def write_csv(path: Path, trajectory: Trajectory, scene: Scene) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def read_csv(path: Path, scene: Scene, hold: Hold | None = None) -> Trajectory:
+def read_csv(path: Path, scene: Scene, hold: Hold | None = None, scheme: str | None = None) -> Trajectory:
     """Read a plan written by anybody: cells apart by comma, semicolon (then 0,5 is a number too) or tab; lines with # are comments, of which
-    `# scheme: ..` and `# hold: ..` declare. hold: the same as an argument; None: as declared, else zero.
+    `# scheme: ..` and `# hold: ..` declare. hold, scheme: the same as arguments; None: as declared, else zero and none.
 
     A column may say its unit, `q1 [m]`, which must then be the scene's. `t` and the inputs are needed; positions, velocities, contact forces and
     friction forces may be absent, each group whole, and the plan says so in `missing`. Then positions stand still at the task's start, forces are
@@ -182,10 +182,14 @@ def read_csv(path: Path, scene: Scene, hold: Hold | None = None) -> Trajectory:
     """
     table = PlanTable(path)
     table.check_form()
+    if scheme is not None and table.declared.setdefault("scheme", scheme) != scheme:
+        raise TrajectoryError(
+            f"{table.where}: it declares the scheme {table.declared['scheme']!r}, but {scheme!r} is asked for; leave one of the two out."
+        )
     return trajectory_from(table, scene, hold)
 
 
-def trajectory_from(table: PlanTable, scene: Scene, hold: Hold | None = None) -> Trajectory:
+def trajectory_from(table: PlanTable | ArrayTable, scene: Scene, hold: Hold | None = None) -> Trajectory:
     """A plan of a scene from a table of columns; as `read_csv`, which says what may be absent. Raises TrajectoryError."""
     where, header, names = table.where, table.names, column_names(scene)
     groups = {**names, "lam": names["lam"][: scene.nc], "friction": names["lam"][scene.nc :]}
@@ -238,7 +242,7 @@ def trajectory_from(table: PlanTable, scene: Scene, hold: Hold | None = None) ->
         raise TrajectoryError(f"{error} ({table.source})") from error
 
 
-def _declared(table: PlanTable, hold: Hold | None) -> tuple[Scheme | None, Hold]:
+def _declared(table: PlanTable | ArrayTable, hold: Hold | None) -> tuple[Scheme | None, Hold]:
     """What the lines above a table declare; hold: what is asked for beside, which must not be another."""
     scheme = None
     if "scheme" in table.declared:

@@ -74,7 +74,7 @@ class PlanResiduals:
     def dynamics_defect(self, plan: Trajectory) -> float:
         """Largest miss of the plan's own time step, in velocity or position; a collocation's is taken with the true contact law."""
         if plan.scheme is not Scheme.SEMI_IMPLICIT_EULER:
-            return defect(load_kernel(self._scene), plan)
+            return float(defect(load_kernel(self._scene), plan).max())
         h = (plan.t[-1] - plan.t[0]) / plan.steps
         mass = self._mass(plan.q[:-1]).reshape(-1, self._scene.nq, self._scene.nq)
         force = self._force(plan.q[:-1], plan.v[:-1], plan.u, plan.lam)

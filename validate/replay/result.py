@@ -136,11 +136,6 @@ class Replay:
         return self.outcome is ReplayOutcome.OK
 
     @property
-    def judged(self) -> Replay:
-        """The tracked replay where there is one and an error grows too much for the open loop to say anything of the plan; else this one."""
-        return self.tracked if self.tracked is not None and self.growth is not None and self.growth.is_large else self
-
-    @property
     def end(self) -> np.ndarray:
         """(2*nq,) state where the replay ended."""
         return np.concatenate([self.q[-1], self.v[-1]])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -61,13 +61,13 @@ def replay(
     fineness: tuple[int, ...] = FINENESS,
     event_budget: int = EVENT_BUDGET,
     limits: Limits | None = None,
-    track: bool | None = None,
+    track: bool | Callable[[Replay], bool] = False,
 ) -> Replay:
     """Apply the plan's inputs from its start to the FMU of the scene, or to anybody's (`names`: scene name -> FMU name).
 
     limits: run the FMU in a child process of its own; None runs it here, which is for our own FMU in a process that is a child already.
-    track: whether to replay once more with feedback around the plan; None: where an error grows too much in the open loop.
-    Raises IntakeError, FmuError or TrajectoryError if FMU, map and plan do not fit the scene, TrackingError if track is asked for and cannot be;
+    track: whether to replay once more with feedback around the plan, or a function that says so of the replay of the inputs alone.
+    Raises IntakeError, FmuError or TrajectoryError if FMU, map and plan do not fit the scene, TrackingError if track is True and cannot be;
     how the simulation went is `Replay.outcome`.
     """
     trajectory.check_fits(scene)
@@ -83,20 +83,20 @@ def _replay_twice(
     trajectory: Trajectory,
     settings: Settings,
     limits: Limits | None,
-    track: bool | None,
+    track: bool | Callable[[Replay], bool],
 ) -> Replay:
-    """In the open loop, and with feedback where that is asked for or needed."""
+    """In the open loop, and with feedback where that is asked for."""
     event_budget = settings.event_budget
     kernel = load_kernel(scene)
-    growth = measure_growth(kernel, scene, trajectory)
+    growth = measure_growth(kernel, scene, trajectory) if trajectory.has_states else None
     simulated = run_job(package, variables, trajectory, trajectory.start, settings, limits)
     opened = replace(_assemble(scene, package, variables, simulated, event_budget), growth=growth)
-    if not (track or (track is None and growth is not None and growth.is_large)):
+    if not (track(opened) if callable(track) else track):
         return opened
     try:
         feedback = design_feedback(kernel, scene, trajectory)
     except TrackingError as error:
-        if track:
+        if track is True:
             raise
         return replace(opened, message=f"{opened.message} No tracked replay: {error}".lstrip())
     simulated = run_job(package, variables, trajectory, trajectory.start, settings, limits, feedback)
@@ -122,11 +122,11 @@ def replay_foreign(
     tolerances: tuple[float, float] = (LOOSE, TIGHT),
     fineness: tuple[int, ...] = FINENESS,
     event_budget: int = EVENT_BUDGET,
-    track: bool = False,
+    track: bool | Callable[[Replay], bool] = False,
 ) -> Replay:
     """The same for an FMU without a scene, always in a child process; track: with feedback too, by the FMU's own directional derivatives.
 
-    Raises TrackingError if it is asked for and cannot be.
+    Raises TrackingError if track is True and cannot be.
     """
     trajectory.check_fits(foreign.model)  # type: ignore[arg-type] - it answers what a scene answers
     settings = Settings(tolerances=tolerances, fineness=fineness, event_budget=event_budget)
@@ -140,9 +140,14 @@ def replay_foreign(
     )
     simulated = run_job(package, foreign.variables, driven, foreign.start, settings, limits)
     opened = _assemble(foreign.model, package, foreign.variables, _in_plan_units(foreign, simulated), event_budget)
-    if not track:
+    if not (track(opened) if callable(track) else track):
         return opened
-    feedback, growth = design_foreign(foreign.model, package, foreign.variables, trajectory, _units(foreign), foreign.start, limits)
+    try:
+        feedback, growth = design_foreign(foreign.model, package, foreign.variables, trajectory, _units(foreign), foreign.start, limits)
+    except TrackingError as error:
+        if track is True:
+            raise
+        return replace(opened, message=f"{opened.message} No tracked replay: {error}".lstrip())
     inside = feedback.in_units(*_units(foreign))
     simulated = run_job(package, foreign.variables, driven, foreign.start, settings, limits, inside)
     applied = (_applied(simulated, driven) - foreign.input_offset) / foreign.input_scale

@@ -1,4 +1,4 @@
-"""What the figures are computed from: the plan, its replay, and the plan's inputs under the true contact law on the plan's own grid."""
+"""What the metrics are computed from: the plan, its replay, and the plan's inputs under the true contact law on the plan's own grid."""
 
 from __future__ import annotations
 
@@ -14,12 +14,19 @@ from models.goal import goal_state
 from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory
-from validate.replay.result import Difference, Replay
+from validate.replay.inputs import HeldInputs
+from validate.replay.result import Difference, Replay, ReplayOutcome
 from validate.replay.subject import Subject
+from validate.score import equations
+from validate.score.printing import half_unit
 
 
-class Unmeasured(Exception):  # noqa: N818 - a figure that cannot be measured is a value with a reason
-    """Raised within the measurement of a figure; the text is the reason."""
+class Unmeasured(Exception):  # noqa: N818 - a metric that cannot be measured is a value with a reason
+    """Raised within the measurement of a metric; the text is the reason."""
+
+
+class LeavesBounds(Unmeasured):
+    """The motion leaves every bound: there is no number, but the question is answered."""
 
 
 class Evidence:
@@ -50,7 +57,7 @@ class Evidence:
     def q(self) -> np.ndarray:
         """(nodes, nq) positions of the plan, if it says any."""
         self.need("q")
-        if "q" in self.trajectory.missing:
+        if not self.trajectory.has_states:
             columns = ", ".join(coordinate.name for coordinate in self.scene.coordinates)
             raise Unmeasured(f"the plan does not say its positions ({columns}).")
         return self.trajectory.q
@@ -101,30 +108,99 @@ class Evidence:
     @property
     def lam(self) -> np.ndarray:
         """(steps, nc) contact forces of the plan [N], if it says any."""
-        return self.forces[:, : self.scene.nc]
+        if "lam" in self.trajectory.missing:
+            raise Unmeasured(f"the plan does not say its contact forces ({', '.join(self.scene.force_names[: self.scene.nc])}).")
+        return self.trajectory.lam[:, : self.scene.nc]
 
     @property
     def forces(self) -> np.ndarray:
-        """(steps, nc + nf) contact forces, then friction forces of the plan [N], if it says any."""
-        if "lam" in self.trajectory.missing:
-            what = "contact and friction forces" if self.scene.nf else "contact forces"
-            raise Unmeasured(f"the plan does not say its {what} ({', '.join(self.scene.force_names)}).")
+        """(steps, nc + nf) contact forces, then friction forces of the plan [N], if it says all of them."""
+        if self.scene.nf and "friction" in self.trajectory.missing:
+            raise Unmeasured(f"the plan does not say its friction forces ({', '.join(self.scene.force_names[self.scene.nc :])}).")
+        if self.scene.nc:
+            self.lam  # noqa: B018 - refused where the plan does not say them
         return self.trajectory.lam
 
     @property
+    def planned_impulse(self) -> float:
+        """Sum over steps and contacts of h |lam| [N s]."""
+        return float((self.h[:, None] * np.abs(self.lam)).sum())
+
+    @cached_property
+    def law(self) -> np.ndarray:
+        """(nodes, nc) contact forces of the true law at the plan's nodes [N]."""
+        return self.kernel.contact_force(self.q, v=self.v if self.equations.damped else None)
+
+    def printing(self, group: str) -> float:
+        """Half a unit of the last printed digit of the plan's q, v, u or lam; in the unit of the group."""
+        return self._printing[group]
+
+    @cached_property
+    def _printing(self) -> dict[str, float]:
+        plan, items = self.trajectory, self.scene.coordinates
+        nominal = min((item.nominal for item in items), default=1.0)
+        ranges = [item.upper - item.lower for item in self.scene.inputs]
+        largest = [width if np.isfinite(width) else float(np.abs(plan.u[:, index]).max()) for index, width in enumerate(ranges)]
+        return {
+            "q": half_unit(plan.q, nominal),
+            "v": half_unit(plan.v, nominal),
+            "u": half_unit(plan.u, min(largest, default=0.0)),
+            "lam": half_unit(plan.lam, float(np.abs(plan.lam).max(initial=0.0))),
+        }
+
+    @cached_property
+    def printing_acceleration(self) -> float:
+        """By how much printing may change an acceleration of the plan [m/s^2, rad/s^2]: tried by rounding states, inputs and true forces anew."""
+        plan, size = self.trajectory, {group: self.printing(group) for group in ("q", "v", "u", "lam")}
+        if not any(size.values()):
+            return 0.0
+        random = np.random.default_rng(0)
+
+        def acceleration(scale: float) -> np.ndarray:
+            def moved(group: str, values: np.ndarray) -> np.ndarray:
+                return values + scale * size[group] * random.choice((-1.0, 1.0), size=values.shape)
+
+            q, v, u = moved("q", plan.q[:-1]), moved("v", plan.v[:-1]), moved("u", plan.u)
+            lam = plan.lam.copy()
+            lam[:, : self.scene.nc] = self.kernel.contact_force(q, v=v if self.equations.damped else None)
+            return self.kernel.acceleration(q, v, u, moved("lam", lam))
+
+        try:
+            still = acceleration(0.0)
+            return float(max(np.abs(acceleration(1.0) - still).max() for _ in range(3)))
+        except KernelError as error:
+            raise Unmeasured(str(error)) from error
+
+    @cached_property
+    def held_inputs(self) -> HeldInputs:
+        return HeldInputs(self.trajectory)
+
+    @property
+    def start_velocity(self) -> np.ndarray:
+        """(nq,) of the task."""
+        return np.array(self.scene.task.start[self.scene.nq :], dtype=float)
+
+    @property
     def friction(self) -> np.ndarray:
-        """(steps, nf) friction forces of the plan [N]."""
-        return self.forces[:, self.scene.nc :]
+        """(steps, nf) friction forces of the plan [N], if it says any."""
+        if "friction" in self.trajectory.missing:
+            raise Unmeasured(f"the plan does not say its friction forces ({', '.join(self.scene.force_names[self.scene.nc :])}).")
+        return self.trajectory.lam[:, self.scene.nc :]
 
     @cached_property
     def friction_limit(self) -> np.ndarray:
         """(steps, nf) mu N [N], with the plan's own contact forces where they press; what pulls does not press."""
-        return np.maximum(self.kernel.friction_limit(self.trajectory.q[:-1], self.forces), 0.0)
+        forces = self.trajectory.lam
+        if any(friction.contact is not None for friction in self.equations.frictions):
+            self.lam  # noqa: B018 - what presses must be said
+        return np.maximum(self.kernel.friction_limit(self.trajectory.q[:-1], forces), 0.0)
 
     @cached_property
     def slip(self) -> np.ndarray:
-        """(steps, nf) slip speeds [m/s] at the end of each step, to which its friction force belongs."""
-        return self.kernel.slip(self.trajectory.q[:-1], self.v[1:])
+        """(steps, nf) slip speeds [m/s] to which a step's friction force belongs: at its end, or of a plan that declares no scheme the least at both."""
+        if self.trajectory.scheme is not None:
+            return self.kernel.slip(self.trajectory.q[:-1], self.v[1:])
+        return equations.least_slip(self.kernel.slip(self.q, self.v))
 
     @property
     def v(self) -> np.ndarray:
@@ -144,8 +220,8 @@ class Evidence:
             raise Unmeasured(str(error)) from error
 
     @property
-    def collocation_defect(self) -> float:
-        """Largest miss of a plan made by collocation in its own step; infinite where a step has no solution."""
+    def collocation_defect(self) -> np.ndarray:
+        """(2 nq,) largest miss of a plan made by collocation in its own step; infinite where a step has no solution."""
         self.v  # noqa: B018 - refused where the plan does not say it
         try:
             return collocation.defect(self.kernel, self.trajectory)
@@ -156,7 +232,7 @@ class Evidence:
     def true_motion(self) -> tuple[np.ndarray, np.ndarray]:
         """q, v (nodes, nq): the plan's inputs run through the plan's own time step with the true contact law."""
         plan = self.trajectory
-        if plan.scheme is not Scheme.SEMI_IMPLICIT_EULER:
+        if plan.scheme not in (None, Scheme.SEMI_IMPLICIT_EULER):
             try:
                 q, v, reached = collocation.rollout(self.kernel, plan.scheme, plan.start, plan.u, self.h)
             except KernelError as error:
@@ -173,7 +249,7 @@ class Evidence:
                     break
                 q[step + 1], v[step + 1], reached = rollout.q[1], rollout.v[1], step + 1
         if reached < plan.steps:
-            raise Unmeasured(f"with the true contact law the plan's own time step diverges at step {reached} of {plan.steps}.")
+            raise LeavesBounds(f"with the true contact law the plan's own time step diverges at step {reached} of {plan.steps}.")
         return q, v
 
     @property
@@ -199,6 +275,8 @@ class Evidence:
         """The replay, if it got to the end."""
         if self._replay is None:
             raise Unmeasured("the plan was not replayed.")
+        if self._replay.outcome is ReplayOutcome.DIVERGED:
+            raise LeavesBounds(f"driven by the plan's inputs the motion leaves every bound after {self._replay.t[-1]:.3g} s.")
         if not self._replay.ok:
             raise Unmeasured(f"the replay did not get to the end: {self._replay.outcome.value} {self._replay.message}".rstrip())
         return self._replay
@@ -222,6 +300,12 @@ class Evidence:
         return np.concatenate([self.q[-1], self.v[-1] if wants_v else np.zeros(self.scene.nq)])
 
     @property
+    def replay_v(self) -> np.ndarray:
+        """(nodes, nq) of the replay, at the plan's nodes."""
+        self.need("v")
+        return self.replay.v[self.replay.knots]
+
+    @property
     def replay_end(self) -> np.ndarray:
         """(2*nq,) where the replay ends; the velocities only if a velocity of the goal is given."""
         self.need("q")
@@ -234,6 +318,33 @@ class Evidence:
         """(n, nc) of the replay [m], negative in contact."""
         self.need("gap")
         return self.replay.gap
+
+    @cached_property
+    def gap_rate(self) -> np.ndarray | None:
+        """(n, nc) rate of the replay's gaps [m/s]; None of somebody's FMU."""
+        if not isinstance(self.scene, Scene):
+            return None
+        return -self.kernel_rates(self.replay.q, self.replay.v)
+
+    def kernel_rates(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(n, nc) phi' = d phi/dq v [m/s] at states (n, nq)."""
+        return collocation.penetration_rates(self.kernel, q, v)
+
+    @property
+    def opened_q(self) -> np.ndarray:
+        """(n, nq) of the replay of the inputs alone, as far as it got; without one the plan's."""
+        return self.trajectory.q if self._replay is None or not len(self._replay.t) else self._replay.q
+
+    @property
+    def opened_lam(self) -> np.ndarray:
+        """(n, nc) contact forces that belong to `opened_q` [N]."""
+        return self.law if self._replay is None or not len(self._replay.t) else self._replay.lam
+
+    @cached_property
+    def force_window(self) -> tuple[np.ndarray, np.ndarray]:
+        """Least and largest (steps, nc) of the replay's contact forces within a step of each of the plan's [N]."""
+        self.need("lam")
+        return equations.force_window(self.replay.lam, self.step_of, self.trajectory.steps)
 
     @cached_property
     def step_of(self) -> np.ndarray:

@@ -1,0 +1,43 @@
+"""How finely the numbers of a plan are printed: half a unit of their last digit, which a plan may be off by without being wrong.
+
+half_unit(np.round(motion, 4), most=1.0)     # 5e-05: four decimals
+half_unit(motion, most=1.0)                  # 0.0: all the digits of float64
+
+Decimals and significant digits are both looked for, over all numbers of a group (the positions, the forces, ..), and the coarser counts.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+# More digits than these are as good as all.
+_DIGITS = 12
+# Rounding of numbers that were read from text or came of a product.
+_ROUNDING = 1e-13
+# No more than this share of what counts as large may be had for coarse printing: who prints no decimals at all is not excused by that.
+_MOST = 5e-4
+
+
+def half_unit(values: np.ndarray, most: float) -> float:
+    """Half a unit of the last printed digit of `values`, at most 5e-4 of `most` (what counts as large here); 0 where all digits are given."""
+    sizes = np.abs(values[values != 0.0])
+    if not sizes.size:
+        return 0.0
+    units = (_decimals(sizes), _significant(sizes))
+    return min(max(units) / 2.0, _MOST * most)
+
+
+def _decimals(sizes: np.ndarray) -> float:
+    for digits in range(_DIGITS + 1):
+        if (np.abs(sizes - np.round(sizes, digits)) <= _ROUNDING * np.maximum(sizes, 1.0)).all():
+            return 10.0**-digits
+    return 0.0
+
+
+def _significant(sizes: np.ndarray) -> float:
+    exponents = np.floor(np.log10(sizes))
+    for digits in range(1, _DIGITS + 1):
+        scaled = sizes * 10.0 ** (digits - 1 - exponents)
+        if (np.abs(scaled - np.round(scaled)) <= _ROUNDING * scaled).all():
+            return float(10.0 ** (exponents.max() + 1 - digits))
+    return 0.0
