@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from benchmarks.verdicts import exact, search, wrong
-from benchmarks.verdicts.plans import SKIPPED, Case, NoPlanError, Plan, Said, judged, scene_of
+from benchmarks.verdicts.plans import SKIPPED, Case, NoPlanError, Plan, Said, judged_in_time, scene_of
 from models.errors import TouchstoneError
 
 GROUPS = ("exact", "wrong", "search")
@@ -28,7 +28,7 @@ def answer(case: Case, folder: Path) -> Said:
         plan = case.plan if isinstance(case.plan, Plan) else case.plan()
     except (NoPlanError, TouchstoneError) as error:
         return Said(verdict=SKIPPED, why=str(error))
-    return judged(scene, plan.write(folder / "plan.csv", scene))
+    return judged_in_time(scene, plan.write(folder / "plan.csv", scene))
 
 
 def differs(case: Case, said: Said) -> str:

@@ -95,11 +95,13 @@ def _on_other_grids(reference: str) -> dict[str, Callable[[], Plan]]:
         nodes = np.unique(np.concatenate([t, *(t[:-1] + part * np.diff(t) for part in (0.25, 0.5, 0.75))]))
         return exact(truly(reference, t, u, nodes=nodes), nodes, np.repeat(u, 4, axis=0))
 
-    def irregular() -> Plan:
+    def irregular(smallest: float) -> Plan:
+        """Half of the steps cut in two, anywhere but for the smallest share of the step at its ends."""
         t, u, _ = based(reference)
-        extra = np.random.default_rng(5).uniform(t[0], t[-1], len(t) // 3)
-        nodes = np.unique(np.concatenate([t, extra]))
-        nodes = nodes[np.concatenate([[True], np.diff(nodes) > 1e-6])]
+        share = np.random.default_rng(5).uniform(smallest, 1.0 - smallest, len(u))
+        share[len(u) // 3] = smallest
+        nodes = np.sort(np.concatenate([t, (t[:-1] + share * np.diff(t))[::2], [t[len(u) // 3] + smallest * (t[1] - t[0])]]))
+        nodes = nodes[np.concatenate([[True], np.diff(nodes) > 1e-9])]
         return exact(truly(reference, t, u, nodes=nodes), nodes, u[np.searchsorted(t, nodes[:-1] + 1e-12, side="right") - 1])
 
     def coarser(by: int) -> Plan:
@@ -119,7 +121,8 @@ def _on_other_grids(reference: str) -> dict[str, Callable[[], Plan]]:
     no_claims: dict[str, object] = {"q": None, "v": None, "lam": None, "friction": None}
     return {
         "a grid four times finer": finer,
-        "an irregular grid": irregular,
+        "an irregular grid": lambda: irregular(0.1),
+        "an irregular grid, a step of a ten thousandth": lambda: irregular(1e-4),
         "a grid twice as coarse": lambda: coarser(2),
         "a grid five times coarser": lambda: coarser(5),
         "linear hold": linear,

@@ -7,6 +7,7 @@ plan.but(lam=None, digits=4).write(folder / "plan.csv", scene)
 from __future__ import annotations
 
 import math
+import multiprocessing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -22,7 +23,9 @@ from models.catalog import load_scene
 from models.errors import TouchstoneError
 from models.scene import Scene
 
-REFUSED, SKIPPED = "refused", "skipped"
+REFUSED, SKIPPED, BROKEN = "refused", "skipped", "no answer"
+# Seconds that the judge may take for a plan; it takes some tenths.
+PATIENCE = 60.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,7 +106,7 @@ class Case:
 
 @dataclass(frozen=True, kw_only=True)
 class Said:
-    """What the judge said: a verdict of its ladder, "refused" (with the error as the reason) or "skipped"; figures: its metrics by name; fails: how many of
+    """What the judge said: a verdict of its ladder, "refused" (with the error as the reason), "skipped", or "no answer" (too late, an error, a crash); figures: its metrics by name; fails: how many of
     them are beyond their limits."""
 
     verdict: str
@@ -124,6 +127,28 @@ def judged(scene: Scene | str, plan: Path | Any) -> Said:
     metrics = list(score.metrics.values() if isinstance(score.metrics, Mapping) else score.metrics)
     fails = sum(item.ok is False for item in metrics)
     return Said(verdict=score.verdict.value, why=score.why, fails=fails, figures={item.name: item.value for item in metrics})
+
+
+def judged_in_time(scene: Scene, plan: Path, seconds: float = PATIENCE) -> Said:
+    """The same in a child process, so that one plan that the judge never finishes with, or dies of, is one row of the table."""
+    here, there = multiprocessing.get_context("fork").Pipe(duplex=False)
+
+    def child() -> None:
+        try:
+            there.send(judged(scene, plan))
+        except Exception as error:  # noqa: BLE001 - any other error of the judge is what it said of this plan
+            there.send(Said(verdict=BROKEN, why=f"{type(error).__name__}: {error}"))
+
+    process = multiprocessing.get_context("fork").Process(target=child)
+    process.start()
+    there.close()
+    try:
+        said = here.recv() if here.poll(seconds) else Said(verdict=BROKEN, why=f"no answer within {seconds:g} s")
+    except EOFError:
+        said = Said(verdict=BROKEN, why="its process died")
+    process.kill()
+    process.join()
+    return said
 
 
 @cache

@@ -20,7 +20,21 @@ import numpy as np
 
 from benchmarks.verdicts.exact import BASES
 from benchmarks.verdicts.mutations import mutate
-from benchmarks.verdicts.plans import NoPlanError, Plan, Said, as_plan, cost, exact, found, goal_limits, judged, miss, motion_of, scene_of
+from benchmarks.verdicts.plans import (
+    BROKEN,
+    NoPlanError,
+    Plan,
+    Said,
+    as_plan,
+    cost,
+    exact,
+    found,
+    goal_limits,
+    judged_in_time,
+    miss,
+    motion_of,
+    scene_of,
+)
 from models.scene import Scene
 
 # Where the good and the relaxed plans come from; of others "strict" and "softplus_dc+strict".
@@ -197,12 +211,12 @@ def run(scenes: list[str], tries: int, seed: int, finds: Path) -> dict[str, Any]
                     plan, made = mutate(plan, made, scene_of(reference), random)
             tried = _tried(reference, plan, made, oracle, finds)
             count["tried"] += 1
-            if not tried.wrong:
+            if not tried.wrong and tried.said.verdict != BROKEN:
                 continue
             count["wrong"] += 1
             causes[tried.wrong.split(" ")[0] + " " + tried.wrong.split(" ")[1]] += 1
             kept.append(tried)
-            if tried.said.verdict in (HOLDS, WITH_FEEDBACK):
+            if tried.said.verdict in (HOLDS, WITH_FEEDBACK, BROKEN):
                 count["said to hold"] += 1
                 finds.mkdir(parents=True, exist_ok=True)
                 path = plan.write(finds / f"{reference}-{seed}-{count['tried']}.csv", scene_of(reference))
@@ -242,7 +256,7 @@ def _tried(reference: str, plan: Plan, made: tuple[str, ...], oracle: Oracle, fo
         return Try(plan=plan, made=made, wrong="", said=Said(verdict="", why=""), fails=0)
     folder.mkdir(parents=True, exist_ok=True)
     path = plan.write(folder / f"{reference}-last.csv", scene)
-    said = judged(scene, path)
+    said = judged_in_time(scene, path)
     path.unlink()
     if said.verdict == WITH_FEEDBACK:
         wrong = oracle.wrong(plan.text(scene), judged_with_feedback=True)

@@ -25,6 +25,7 @@ BOUNDS = ("bound",)
 FORCES = ("force",)
 MOTION = ("explain", "replay", "inputs")
 GOAL = ("goal", "cost")
+FRICTION = ("friction", "mu n")
 DEEP = ("penetrat", "deep", "through")
 
 RELAXED = {
@@ -184,8 +185,8 @@ def common(reference: str) -> dict[str, tuple[Callable[[], Plan], tuple[str, ...
             "forces a tenth of the plan late": (lambda: forces(lambda rows: np.roll(-turned(rows), steps // 10, axis=0)), FORCES),
         }
     if scene.nf:
-        made["friction works with the slip"] = (lambda: good().but(friction=-good().friction), ("friction",))
-        made["friction ten times too large"] = (lambda: good().but(friction=10.0 * good().friction), ("friction",))
+        made["friction works with the slip"] = (lambda: good().but(friction=-good().friction), FRICTION)
+        made["friction ten times too large"] = (lambda: good().but(friction=10.0 * good().friction), FRICTION)
     return made
 
 
