@@ -99,7 +99,7 @@ def main() -> int:
         print(f"{name}: {len(rows)} plans, {skipped} skipped, {odd} not as expected")  # type: ignore[arg-type]
     if "search" in groups:
         result = search.run([name for name in scenes if name != "slider"], asked.tries, asked.seed, asked.finds)
-        faults += result["said_to_hold"]
+        faults += result["said_to_hold"] + result["not_answered"]
         table["search"] = result
     if asked.out:
         asked.out.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import multiprocessing
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -25,7 +26,8 @@ from models.scene import Scene
 
 REFUSED, SKIPPED, BROKEN = "refused", "skipped", "no answer"
 # Seconds that the judge may take for a plan; it takes some tenths.
-PATIENCE = 60.0
+PATIENCE = 30.0
+DOCS = Path(__file__).parents[2] / "docs" / "extending.md"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,8 +108,9 @@ class Case:
 
 @dataclass(frozen=True, kw_only=True)
 class Said:
-    """What the judge said: a verdict of its ladder, "refused" (with the error as the reason), "skipped", or "no answer" (too late, an error, a crash); figures: its metrics by name; fails: how many of
-    them are beyond their limits."""
+    """What the judge said: a verdict of its ladder, "refused" (with the error as the reason), "skipped", or "no answer" (too late, an error, a crash).
+
+    figures: its metrics by name; fails: how many of them are beyond their limits."""
 
     verdict: str
     why: str
@@ -243,3 +246,13 @@ def reaches(scene: Scene, path: Motions, u: np.ndarray) -> str:
         if depth > most:
             return f"contact {contact.name} is {depth:.3g} m deep, limit {most:g} m"
     return ""
+
+
+def slider(folder: Path) -> str:
+    """The scene that docs/extending.md shows, as a file."""
+    shown = re.search(r"<!-- file: slider.py -->\n```python\n(.*?)```", DOCS.read_text(encoding="utf-8"), re.DOTALL)
+    if shown is None:
+        raise NoPlanError("docs/extending.md shows no slider.py")
+    path = folder / "slider.py"
+    path.write_text(shown.group(1), encoding="utf-8")
+    return str(path)

@@ -213,11 +213,11 @@ def run(scenes: list[str], tries: int, seed: int, finds: Path) -> dict[str, Any]
             count["tried"] += 1
             if not tried.wrong and tried.said.verdict != BROKEN:
                 continue
-            count["wrong"] += 1
-            causes[tried.wrong.split(" ")[0] + " " + tried.wrong.split(" ")[1]] += 1
-            kept.append(tried)
+            if tried.wrong:
+                count["wrong"] += 1
+                causes[" ".join(tried.wrong.split(" ")[:2])] += 1
             if tried.said.verdict in (HOLDS, WITH_FEEDBACK, BROKEN):
-                count["said to hold"] += 1
+                count["no answer" if tried.said.verdict == BROKEN else "said to hold"] += 1
                 finds.mkdir(parents=True, exist_ok=True)
                 path = plan.write(finds / f"{reference}-{seed}-{count['tried']}.csv", scene_of(reference))
                 passed.append(
@@ -234,16 +234,18 @@ def run(scenes: list[str], tries: int, seed: int, finds: Path) -> dict[str, Any]
                     f"!! find      {reference}: {' > '.join(made)}: {tried.wrong}; the judge: {tried.said.verdict}, {tried.said.why}",
                     flush=True,
                 )
+            if tried.said.verdict != BROKEN:
+                kept.append(tried)
         total += count
-        told = ", ".join(f"{count[key]} {key}" for key in ("tried", "wrong", "said to hold"))
+        told = ", ".join(f"{count[key]} {key}" for key in ("tried", "wrong", "said to hold", "no answer"))
         print(f"search {reference}: {told}; {time.perf_counter() - began:.0f} s", flush=True)
-    print(
-        f"search: {total['tried']} plans tried on {len(scenes)} scenes, {total['wrong']} truly wrong, {total['said to hold']} of them said to hold"
-    )
+    told = f"{total['wrong']} truly wrong, {total['said to hold']} of them said to hold, {total['no answer']} not answered"
+    print(f"search: {total['tried']} plans tried on {len(scenes)} scenes, {told}")
     return {
         "tried": total["tried"],
         "wrong": total["wrong"],
         "said_to_hold": total["said to hold"],
+        "not_answered": total["no answer"],
         "causes": dict(causes),
         "finds": passed,
     }
