@@ -37,6 +37,20 @@ class Limit:
             raise SceneError(f"limit on {self.metric}: {self.value:g} is below 0, which no metric can be.")
 
 
+def goal_limits(*, position: float | None = None, velocity: float | None = None, reason: str) -> tuple[Limit, ...]:
+    """How near to the goal is near enough, the same for a plan and its replay; None where the goal asks for none.
+
+    >>> [limit.metric for limit in goal_limits(position=0.02, reason="as much as the wall shall be pressed in")]
+    ['terminal_position_error', 'replay_terminal_position_error']
+    """
+    return tuple(
+        Limit(metric=f"{of}terminal_{part}_error", value=value, reason=reason)
+        for part, value in (("position", position), ("velocity", velocity))
+        if value is not None
+        for of in ("", "replay_")
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class Answer:
     """A known answer of the scene: what it is, its value, tolerance and source.

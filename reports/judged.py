@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from reports.record import FigureRecord, StageRecord, TraceRecord
+from reports.record import MetricRecord, StageRecord, TraceRecord
 
 
 def is_tracked(stage: StageRecord) -> bool:
     """Whether the verdict is on the tracked replay."""
-    return stage.replay is not None and stage.replay.judged == "tracked"
+    return stage.replay is not None and stage.replay.judged == "feedback"
 
 
-def judged_figure(stage: StageRecord, name: str) -> FigureRecord | None:
-    """A figure; where it is the distance of a replay from the goal (replay_terminal..), that of the judged replay."""
+def judged_metric(stage: StageRecord, name: str) -> MetricRecord | None:
+    """A metric; where it is the distance of a replay from the goal (replay_terminal..), that of the judged replay."""
     if is_tracked(stage) and name.startswith("replay_terminal"):
-        return stage.figure(name.replace("replay", "tracked", 1))
-    return stage.figure(name)
+        return stage.metric(f"tracked_{name}")
+    return stage.metric(name)
 
 
 def judged_trace(stage: StageRecord) -> TraceRecord | None:

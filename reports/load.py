@@ -123,6 +123,8 @@ def _validation_sentence(problem: ValidationError) -> str:
     place = ".".join(str(part) for part in first["loc"])[:120]
     if first["type"] == "json_invalid":
         return f"it is not complete JSON ({first['msg'][:160]}); the file was cut short or edited: run the cell again."
+    if first["loc"] == ("schema_version",):
+        return f"it is of another version's record schema (this one reads {SCHEMA_VERSION}), whose verdicts follow another rule; run the cell again."
     where = f"at {place}: " if place else ""
     others = f", and {more} more" if more else ""
     return f"it does not follow record schema {SCHEMA_VERSION} ({where}{first['msg'][:160]}{others}); written by another version, or edited: run the cell again."

@@ -9,7 +9,7 @@ import json
 from collections import Counter
 from dataclasses import dataclass, replace
 
-from reports.judged import judged_figure
+from reports.judged import judged_metric
 from reports.paper import SCENE as PAPER_SCENE
 from reports.paper import TABLE_1, PaperRow
 from reports.record import RunRecord, SceneRecord, StageRecord
@@ -51,7 +51,7 @@ class Row:
 
     def figure(self, name: str) -> float | None:
         """Its value; of the replay's end, that of the replay that is judged."""
-        figure = judged_figure(self.stage, name)
+        figure = judged_metric(self.stage, name)
         return figure.value if figure is not None else None
 
     @property

@@ -24,7 +24,6 @@ RATE = math.sqrt(STIFFNESS / MASS)
 DEPTH = SAG + math.hypot(SAG, SPEED / RATE)
 CONTACT_TIME = (2 * math.pi - 2 * math.atan2(SPEED / RATE, SAG)) / RATE
 FALL_TIME = SPEED / GRAVITY
-SPRING = DROP
 
 SCENE = Scene(
     name="bouncing_mass",
@@ -46,8 +45,8 @@ SCENE = Scene(
             bodies=("mass", "floor"),
             penetration=-q,
             stiffness=k,
-            depth=SPRING,
-            depth_reason="the length of the springs of the floor: as long as the mass falls, 0.5 m, and here pressed flat",
+            depth=DROP,
+            depth_reason="the springs of the floor, chosen here to be as long as the mass falls, 0.5 m, are pressed flat",
             nominal=0.1,
             description="mass against floor",
         ),

@@ -120,7 +120,7 @@ def _why(stage: StageRecord) -> str:
         return stage.why
     broken = [
         f"{spaced(figure.name)} is {error(figure.value)} {figure.unit} (limit {error(figure.limit)})"
-        for figure in stage.figures
+        for figure in stage.metrics
         if figure.ok is False
     ]
     return f"{listing(broken)}." if broken else ""

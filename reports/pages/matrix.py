@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from reports.judged import judged_figure
+from reports.judged import judged_metric
 from reports.pages.section import Report, Section
 from reports.record import RunRecord
 from reports.wording import VERDICTS
@@ -51,5 +51,5 @@ def build(report: Report) -> Section | None:
 
 def _cell(report: Report, run: RunRecord) -> Cell:
     last = run.stages[-1] if run.stages else None
-    missed = judged_figure(last, "replay_terminal_error") if last else None
+    missed = judged_metric(last, "replay_terminal_error") if last else None
     return Cell(run, report.anchor(run), last.cost if last else None, missed.value if missed else None, missed.unit if missed else "")

@@ -15,7 +15,7 @@ from reports.pages.front import unbeaten
 from reports.pages.section import Report, Section
 from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
-from reports.record import FigureRecord, SceneRecord
+from reports.record import MetricRecord, SceneRecord
 from reports.rows import Row
 from reports.wording import cost, count, error, listing, seconds, spaced, times
 
@@ -68,9 +68,9 @@ def cpu(row: Row) -> float:
     return sum(stage.seconds.stage_cpu for stage in row.chain)
 
 
-def replay_error(row: Row) -> FigureRecord | None:
+def replay_error(row: Row) -> MetricRecord | None:
     """Of the replay that is judged."""
-    return row.stage.figure("tracked_replay_error" if is_tracked(row.stage) else "replay_error")
+    return row.stage.metric("tracked_replay_error" if is_tracked(row.stage) else "replay_error")
 
 
 def arrives(row: Row) -> bool:
@@ -78,9 +78,9 @@ def arrives(row: Row) -> bool:
     return all(figure.ok is True for figure in _terminal(row))
 
 
-def _terminal(row: Row) -> list[FigureRecord]:
+def _terminal(row: Row) -> list[MetricRecord]:
     """The limited terminal errors of the judged replay; where the scene limits none of a replay, those on the plan's own grid."""
-    limited = [figure for figure in row.stage.figures if "terminal" in figure.name and figure.limit is not None]
+    limited = [figure for figure in row.stage.metrics if "terminal" in figure.name and figure.limit is not None]
     name = "tracked_terminal" if is_tracked(row.stage) else "replay_terminal"
     return [figure for figure in limited if figure.name.startswith(name)] or [
         figure for figure in limited if not figure.name.startswith(("replay", "tracked"))
@@ -219,7 +219,7 @@ def _plot(title: str, y_axis: Axis, points: list[Point], front: list[Point], sai
     for x, y, row in points:
         holds = row.stage.verdict == "holds"
         quantity = y_axis.quantity
-        missed = row.figure("replay_terminal_error")
+        missed = row.metric("replay_terminal_error")
         ends = f", ends {error(missed)} from the goal" if missed is not None else ""
         tip = f"Row {row.number}, {row.label}, pipeline {row.run.pipeline}, stage {row.stage.index + 1}: {seconds(x)} CPU s, {quantity} {said(y)}{ends}, {row.stage.verdict}"
         plot.point(x, y, "direct" if holds else "indirect", "square" if holds else "circle", tip, row.anchor)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from reports.again import again
-from reports.judged import is_tracked, judged_figure
+from reports.judged import is_tracked, judged_metric
 from reports.pages.player import Film, film
 from reports.pages.section import Report, Section
 from reports.pages.stage_plots import StagePlots, is_empty, stage_plots
 from reports.pages.starts import Spread, spread
-from reports.record import FigureRecord, RunRecord, StageRecord
+from reports.record import MetricRecord, RunRecord, StageRecord
 from reports.wording import tail
 
 # So many runs are shown open; of more, a reader wants the list first.
@@ -26,7 +26,7 @@ class StageView:
     plots: StagePlots
     spread: Spread | None
     last: bool
-    missed: FigureRecord | None
+    missed: MetricRecord | None
     tracked: bool
     empty: bool
     idle: bool
@@ -67,7 +67,7 @@ def view_of(run: RunRecord) -> RunView:
             stage_plots(run.scene, stage),
             spread(stage),
             place == last,
-            judged_figure(stage, "replay_terminal_error"),
+            judged_metric(stage, "replay_terminal_error"),
             is_tracked(stage),
             is_empty(stage),
             is_empty(stage) and stage.seconds.stage == 0 and stage.iterations == 0,

@@ -48,7 +48,7 @@ class StagePlots:
 
 def is_empty(stage: StageRecord) -> bool:
     """Whether it left nothing to draw or to score: the reason stands in its sentence."""
-    return not (stage.figures or stage.replay or any(trace and trace.t for trace in (stage.plan_trace, stage.replay_trace)))
+    return not (stage.metrics or stage.replay or any(trace and trace.t for trace in (stage.plan_trace, stage.replay_trace)))
 
 
 def stage_plots(scene: SceneRecord, stage: StageRecord) -> StagePlots:

@@ -89,7 +89,7 @@ def _indirect(rows: list[Row]) -> list[Sentence]:
     if not relaxed:
         return [Sentence("plain", "•", f"No relaxed stage came back with a plan, of {len(asked)}.")]
     violating = [row for row in relaxed if row.stage.verdict == "violates"]
-    errors = [value for row in violating if (value := row.figure("replay_terminal_error")) is not None]
+    errors = [value for row in violating if (value := row.metric("replay_terminal_error")) is not None]
     reach = f", missing the goal by {error(min(errors))} to {error(max(errors))} after the replay" if errors else ""
     planned = f"{count(len(relaxed), 'relaxed stage')} with a plan"
     text = (
@@ -109,7 +109,7 @@ def _cheapest(rows: list[Row]) -> list[Sentence]:
         holding = [row for row in rows if row.run.scene.name == name and row.stage.verdict == "holds" and row.stage.cost is not None]
         if not holding:
             continue
-        exact = [row for row in holding if (missed := row.figure("discrete_terminal_error")) is not None and missed <= 1e-4]
+        exact = [row for row in holding if (missed := row.metric("discrete_terminal_error")) is not None and missed <= 1e-4]
         best = min(holding, key=lambda row: row.stage.cost or 0.0)
         parts = [f"On {name} the cheapest plan that holds is row {best.number}, {best.label}: {_price(best)}."]
         if exact:
@@ -123,7 +123,7 @@ def _cheapest(rows: list[Row]) -> list[Sentence]:
 
 
 def _price(row: Row) -> str:
-    missed = row.figure("replay_terminal_error")
+    missed = row.metric("replay_terminal_error")
     if missed is None and all(goal is None for goal in row.run.scene.goal):
         return f"cost {cost(row.stage.cost)}; the scene leaves its end free"
     return f"cost {cost(row.stage.cost)}, terminal error after the replay " + (error(missed) if missed is not None else "not measured")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from reports.record import EquationRecord, FigureRecord, RunRecord, ShapeRecord
+from reports.record import EquationRecord, MetricRecord, RunRecord, ShapeRecord
 
 
 def crashed(factory) -> RunRecord:
@@ -75,7 +75,7 @@ def hostile(factory) -> RunRecord:
             "residuals": {factory.HOSTILE: 1.0},
             "history": {factory.HOSTILE: (3.0, 2.0, 1.0)},
             "figures": (
-                FigureRecord(name=factory.HOSTILE, value=None, unit=factory.HOSTILE, meaning=factory.HOSTILE, reason=factory.HOSTILE),
+                MetricRecord(name=factory.HOSTILE, value=None, unit=factory.HOSTILE, meaning=factory.HOSTILE, reason=factory.HOSTILE),
             ),
             "paper": {},
             "plan_trace": trace.model_copy(update={"poses": {factory.HOSTILE: trace.poses["left"]}}),

@@ -12,7 +12,7 @@ from reports.paper import TABLE_1
 from reports.record import (
     CampaignRecord,
     EquationRecord,
-    FigureRecord,
+    MetricRecord,
     ProvenanceRecord,
     QuantityRecord,
     ReplayRecord,
@@ -96,8 +96,8 @@ def simulate(law, push: float, every: int = 2) -> TraceRecord:
     return TraceRecord(t=tuple(times), columns={name: tuple(values) for name, values in columns.items()}, poses=poses)
 
 
-def _figure(name: str, value: float | None, unit: str, limit: float | None = None) -> FigureRecord:
-    return FigureRecord(
+def _figure(name: str, value: float | None, unit: str, limit: float | None = None) -> MetricRecord:
+    return MetricRecord(
         name=name,
         value=value,
         unit=unit,

@@ -10,14 +10,14 @@ import pytest
 from reports.load import Stored
 from reports.pages import pareto
 from reports.pages.section import Report
-from reports.record import FigureRecord, RunRecord
+from reports.record import MetricRecord, RunRecord
 from reports.render import render
 from tests.reports import record_factory as factory
 
 
-def figure(name: str, value: float | None, limit: float | None = None) -> FigureRecord:
+def figure(name: str, value: float | None, limit: float | None = None) -> MetricRecord:
     ok = None if limit is None or value is None else value <= limit
-    return FigureRecord(
+    return MetricRecord(
         name=name, value=value, unit="m", meaning=name, limit=limit, reason="" if value is not None else "it was not replayed.", ok=ok
     )
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from reports.record import FigureRecord, ReplayRecord
+from reports.record import MetricRecord, ReplayRecord
 from reports.render import write_report
 from reports.rule import RESULTS, RULE, failures, findings
 
@@ -70,7 +70,7 @@ def test_a_scene_needs_a_cell_that_holds_once_a_direct_method_ran(factory):
 def judged(run, above: tuple[str, ...], *, replay: str = "tracked"):
     """The run, whose last plan is above these limits, by this replay."""
     figures = tuple(
-        FigureRecord(name=name, value=2.0 if name in above else 0.5, unit="m", meaning="m", limit=1.0, ok=name not in above)
+        MetricRecord(name=name, value=2.0 if name in above else 0.5, unit="m", meaning="m", limit=1.0, ok=name not in above)
         for name in ("defect", "physics_scaled", "discrete_terminal_error", "replay_error", "tracked_replay_error", "feedback_effort")
     )
     last = run.stages[-1].model_copy(update={"figures": figures, "replay": ReplayRecord(error_estimate=1e-9, judged=replay)})
@@ -99,7 +99,7 @@ def test_what_could_not_be_measured_is_no_kept_promise(factory, unknown: str):
     last = run.stages[-1]
     figures = tuple(
         figure.model_copy(update={"value": None, "ok": None, "resolved": False}) if figure.name == unknown else figure
-        for figure in last.figures
+        for figure in last.metrics
     )
     run = run.model_copy(update={"stages": (*run.stages[:-1], last.model_copy(update={"figures": figures}))})
     assert failures([ended(factory, "solved", "holds"), run]) == ("bank x strict: violates - a limit",)

@@ -34,7 +34,7 @@ def test_relaxed_stages_without_a_plan_are_no_relaxed_stages_that_keep_their_lim
 def test_a_plan_that_meets_its_goal_to_the_last_bit_reaches_it(factory):
     cheap, exact = factory.run("relu_gd", None, "relu_gd"), factory.run("strict", None, "strict_lcp")
     (stage,) = exact.stages
-    figures = [item.model_copy(update={"value": 0.0}) if item.name == "discrete_terminal_error" else item for item in stage.figures]
+    figures = [item.model_copy(update={"value": 0.0}) if item.name == "discrete_terminal_error" else item for item in stage.metrics]
     exact = exact.model_copy(update={"stages": (stage.model_copy(update={"figures": tuple(figures), "verdict": "holds"}),)})
     (stage,) = cheap.stages
     cheap = cheap.model_copy(update={"stages": (stage.model_copy(update={"cost": 400.0, "verdict": "holds"}),)})

@@ -235,7 +235,7 @@ def test_a_limit_on_no_figure_is_said_before_anything_runs(cli, tmp_path: Path):
     path = tmp_path / "misspelt.py"
     path.write_text(
         "from dataclasses import replace\nfrom models.catalog import load_scene\nfrom models.scene import Limit\n"
-        "SCENE = replace(load_scene('three_cart'), name='misspelt', limits=(Limit(figure='defct', value=1.0, reason=''),))\n",
+        "SCENE = replace(load_scene('three_cart'), name='misspelt', limits=(*load_scene('three_cart').limits, Limit(metric='defct', value=1.0, reason='')))\n",
         encoding="utf-8",
     )
     done = cli("all", *GOOD, "--scene", str(path), "--out", str(tmp_path / "out"))

@@ -85,8 +85,8 @@ def test_a_cheaper_plan_that_no_longer_holds_is_no_progress(tmp_path, runs):
 def test_a_figure_that_left_its_limit_is_a_regression(tmp_path, runs):
     run = direct(runs)
     stage = run.stages[-1]
-    place, figure = next((place, figure) for place, figure in enumerate(stage.figures) if figure.ok)
-    figures = (*stage.figures[:place], figure.model_copy(update={"ok": False}), *stage.figures[place + 1 :])
+    place, figure = next((place, figure) for place, figure in enumerate(stage.metrics) if figure.ok)
+    figures = (*stage.metrics[:place], figure.model_copy(update={"ok": False}), *stage.metrics[place + 1 :])
     (change,) = compared(tmp_path, [run], [changed_last(run, figures=figures)]).changes
     assert (change.kind, change.what) == (Kind.REGRESSION, figure.name)
 

@@ -88,7 +88,7 @@ def test_what_the_dampers_take_is_accounted_for():
 def test_the_scene_meets_its_closed_forms():
     result = score(SCENE, free_motion(SCENE), replayed(SCENE))
     assert result.verdict is Verdict.HOLDS, result.why
-    figures = values(result.figures)
+    figures = values(result.metrics)
     assert figures["physics"] == 0.0
     assert figures["energy_residual"] < 1e-9
     assert figures["answer_error"] < 1.0

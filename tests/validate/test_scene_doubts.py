@@ -38,10 +38,10 @@ def test_what_changes_nothing_is_named():
 
 def test_a_limit_that_judges_nothing_is_named():
     bank = load_scene("wall_pendulum")  # its end is free
-    limit = Limit(figure="discrete_terminal_error", value=1.0, reason="as elsewhere")
+    limit = Limit(metric="discrete_terminal_position_error", value=1.0, reason="as elsewhere")
     (said,) = scene_doubts(replace(bank, limits=(*bank.limits, limit)))
     assert said.startswith(
-        "scene wall_pendulum: the limit on discrete_terminal_error judges nothing; nothing here has this figure (norm of"
+        "scene wall_pendulum: the limit on discrete_terminal_position_error judges nothing; nothing here has this metric (norm of"
     )
 
 
@@ -54,7 +54,7 @@ def wrong_sign(tmp_path):
 
 def test_limits_that_no_replay_can_break_are_asked_about():
     bank = load_scene("two_discs")
-    own = tuple(limit for limit in bank.limits if limit.figure != "replay_error")
+    own = tuple(limit for limit in bank.limits if not limit.metric.startswith("replay_"))
     assert scene_doubts(replace(bank, limits=own)) == (
         "scene two_discs: no limit looks at where the replay goes, so that a plan may hold whatever it does; limit replay_error, for one.",
     )

@@ -29,7 +29,7 @@ def test_the_replay_meets_every_closed_form(name: str):
     result = judged(scene)
     assert result.verdict is Verdict.HOLDS, result.why
     assert {answer.measure for answer in scene.answers} - {""} <= set(MEASURES)
-    figure = next(figure for figure in result.figures if figure.name == "answer_error")
+    figure = next(figure for figure in result.metrics if figure.name == "answer_error")
     assert figure.value is not None
     assert figure.value < 0.1
     # each answer alone is watched: moved by ten tolerances, it is found

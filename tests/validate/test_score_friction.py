@@ -45,7 +45,7 @@ def replayed(scene: Scene, plan: Trajectory) -> Replay:
 
 
 def value(result: Score, name: str) -> float:
-    found = next(figure for figure in result.figures if figure.name == name)
+    found = next(figure for figure in result.metrics if figure.name == name)
     assert found.value is not None, found.reason
     return found.value
 

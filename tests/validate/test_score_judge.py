@@ -90,14 +90,14 @@ def test_without_a_replay_only_a_violation_can_be_found(scene: Scene, plan: Traj
 
 def test_no_plan_is_a_verdict(scene: Scene):
     result = score(scene, None, None)
-    assert (result.verdict, result.figures) == (Verdict.NO_PLAN, ())
+    assert (result.verdict, result.metrics) == (Verdict.NO_PLAN, ())
 
 
 def test_a_replay_that_did_not_arrive_leaves_figures_without_value_but_with_a_reason(scene: Scene, plan: Trajectory):
     cut = replay(scene, build_fmu(load_scene("three_cart")), plan, event_budget=1)
     assert not cut.ok
     result = score(scene, plan, cut)
-    figure = result.figure("replay_error")
+    figure = result.metric("replay_error")
     assert figure is not None
     assert (figure.value, figure.ok, figure.resolved) == (None, None, False)
     assert "chatters" in figure.reason
@@ -148,7 +148,7 @@ def test_plan_replay_and_scene_must_belong_together(scene: Scene, plan: Trajecto
 
 
 def test_a_limit_on_an_unknown_figure_is_refused(scene: Scene):
-    wrong = replace(scene, limits=(Limit(figure="beauty", value=1.0, reason=""),))
+    wrong = replace(scene, limits=(*scene.limits, Limit(metric="beauty", value=1.0, reason="")))
     with pytest.raises(SceneError, match="limit on 'beauty'"):
         score(wrong, None, None)
 
@@ -157,12 +157,12 @@ def test_what_a_plan_does_not_say_is_missing_not_wrong(scene: Scene, plan: Traje
     """The same plan without its forces and velocities: what needs them has no value and a reason, the rest has the same value."""
     silent = replace(plan, lam=np.zeros_like(plan.lam), missing=frozenset({"v", "lam"}))
     before, after = score(scene, plan, replayed), score(scene, silent, replayed)
-    assert all(figure.value is not None for figure in before.figures)
-    lost = {figure.name: figure.reason for figure in after.figures if figure.value is None}
+    assert all(figure.value is not None for figure in before.metrics)
+    lost = {figure.name: figure.reason for figure in after.metrics if figure.value is None}
     assert set(lost) == {"physics", "physics_scaled", "defect", "terminal_error", "ghost_impulse", "missed_impulse"}
     assert "lam_left, lam_right" in lost["physics"]
     assert "velocities (v1, v2, v3)" in lost["terminal_error"]
-    assert all(after.value(figure.name) == figure.value for figure in before.figures if figure.name not in lost)
+    assert all(after.value(figure.name) == figure.value for figure in before.metrics if figure.name not in lost)
     assert after.verdict is Verdict.NOT_RESOLVED
     assert "does not say" in after.why
 
@@ -180,5 +180,5 @@ def test_a_disc_that_leaps_over_another_between_two_nodes_does_not_hold():
     plan = Trajectory(t=uniform_grid(step, steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
     result = score(scene, plan, replay(scene, build_fmu(scene), plan))
     assert result.verdict is Verdict.VIOLATES
-    assert result.figure("law_error").ok is True
-    assert result.figure("replay_error").ok is False
+    assert result.metric("law_error").ok is True
+    assert result.metric("replay_error").ok is False

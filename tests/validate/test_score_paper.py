@@ -165,7 +165,7 @@ def test_the_replay_checks_itself(scores: dict[str, Score]):
     for result in (scores["softplus_dc 0.001"], scores["relu_gd cold"], scores["exact"]):
         assert (result.value("energy_residual") or 0) < 1e-10
         assert 0 < (result.value("energy_residual_relative") or 0) < 1e-10
-        figure = result.figure("replay_error")
+        figure = result.metric("replay_error")
         assert figure is not None
         assert 0 < figure.error <= 1e-8
 
@@ -176,10 +176,10 @@ def test_every_figure_has_unit_and_meaning_and_every_limit_a_reason(scene: Scene
     absent |= {name for name in figure_names() if name.startswith(("tracked_", "feedback_"))}  # the open loop is judged
     absent |= {"friction_violation", "friction_dissipation_error", "friction_impulse_error"}  # nothing rubs
     expected = [*(name for name in figure_names() if name not in absent), "amplification", "growth_rate"]  # of the plan, without limits
-    assert sorted(figure.name for figure in result.figures) == sorted(expected)
-    for figure in result.figures:
+    assert sorted(figure.name for figure in result.metrics) == sorted(expected)
+    for figure in result.metrics:
         assert figure.unit
         assert figure.meaning
         assert figure.value is not None
         assert (figure.limit is None) or figure.reason
-    assert {limit.figure for limit in scene.limits} == {figure.name for figure in result.figures if figure.limit is not None}
+    assert {limit.figure for limit in scene.limits} == {figure.name for figure in result.metrics if figure.limit is not None}

@@ -13,6 +13,7 @@ from models.codegen.kernel import load_kernel
 from models.errors import TrajectoryError
 from models.fmu import build_fmu
 from models.scene import Scene
+from models.scene_annotations import goal_limits
 from models.trajectory import Hold, Trajectory, uniform_grid
 from models.trajectory_netcdf import read_gains, read_netcdf, write_netcdf
 from validate.replay import Replay, replay
@@ -27,7 +28,8 @@ STEPS, H = 50, 0.05
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     """theta'' = 10 theta + u, |u| <= 4, over 2.5 s; the wall is out of reach."""
-    base = load_scene("wall_pendulum")
+    bank = load_scene("wall_pendulum")
+    base = replace(bank, limits=(*bank.limits, *goal_limits(position=0.01, velocity=0.01, reason="this test")))
     return base.with_parameters(w=1e4).with_task(step=H, steps=STEPS, start=(0.1, 0.0), goal=(0.0, 0.0))
 
 

@@ -13,6 +13,7 @@ from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.contacts import Contact
 from models.scene import Coordinate, Input, Parameter, Scene, Task
+from models.scene_annotations import goal_limits
 from models.trajectory import Trajectory, uniform_grid
 from validate.replay.feedback import Feedback, measure_effort
 from validate.replay.growth import flow_derivative, largest_growth, measure_growth
@@ -124,8 +125,11 @@ def poised() -> Scene:
         kinetic_energy=v**2 / 2,
         potential_energy=-8 * x**2,
         forces=(push,),
-        contacts=(Contact(name="wall", penetration=x, stiffness=k),),
+        contacts=(
+            Contact(name="wall", bodies=("mass", "wall"), depth=1.0, depth_reason="nothing here goes as deep", penetration=x, stiffness=k),
+        ),
         task=Task(start=(0.0, 0.0), goal=(0.0, 0.0), running_cost=push**2, step=0.005, steps=400),
+        limits=goal_limits(position=0.01, velocity=0.01, reason="this test"),
     )
 
 

@@ -119,7 +119,7 @@ def _tell_run(record: RunRecord) -> None:
     if last.why and last.why != record.message:
         click.echo()
         click.echo(one_line(f"the last stage {last.verdict}: {last.why}" if last.verdict != "no plan" else last.why))
-    if last.figures:
+    if last.metrics:
         click.echo()
         click.echo(_figures(last))
     click.echo()
@@ -144,7 +144,7 @@ def _stages(record: RunRecord) -> str:
 
 def _figures(stage: StageRecord) -> str:
     rows = []
-    for figure in stage.figures:
+    for figure in stage.metrics:
         judged = "" if figure.ok is None else "ok" if figure.ok else "too large"
         if figure.value is None:
             judged = "missing"

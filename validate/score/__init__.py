@@ -182,6 +182,7 @@ class _Worst:
     error: float
     scale: float
     allowed: float
+    base: float
     unit: str | None
 
 
@@ -189,7 +190,7 @@ def _worst(measured: Measured | tuple[float, float] | float, limited: bool) -> _
     """The largest value where the scene sets a limit; else the one that is largest against its own limit."""
     if not isinstance(measured, Measured):
         value, error = measured if isinstance(measured, tuple) else (measured, 0.0)
-        return _Worst(float(value), float(error), 1.0, 0.0, None)
+        return _Worst(float(value), float(error), 1.0, 0.0, 0.0, None)
     values = np.asarray(measured.values, dtype=float)
     errors, scales, allowed = (
         np.broadcast_to(np.asarray(part, dtype=float), values.shape) for part in (measured.error, measured.scales, measured.allowed)
@@ -198,7 +199,7 @@ def _worst(measured: Measured | tuple[float, float] | float, limited: bool) -> _
         relative = np.nan_to_num((values - allowed) / scales, nan=-np.inf)
     place = int(np.argmax(values if limited else relative))
     unit = measured.units[place] if len(measured.units) == len(values) else None
-    return _Worst(float(values[place]), float(errors[place]), float(scales[place]), float(allowed[place]), unit)
+    return _Worst(float(values[place]), float(errors[place]), float(scales[place]), float(allowed[place]), measured.base, unit)
 
 
 def _metric(entry: Entry, case: Evidence) -> Metric:
@@ -232,7 +233,7 @@ def _metric(entry: Entry, case: Evidence) -> Metric:
         bound, reason = own.value + worst.allowed, own.reason
     else:
         factor, reason = entry.default or (0.0, "")
-        bound = factor * worst.scale + worst.allowed
+        bound = factor * worst.scale + worst.allowed + worst.base
     if not math.isfinite(bound):
         return found
     return replace(found, limit=bound, reason=reason, ok=compare(worst.value, worst.error, bound), default=own is None)

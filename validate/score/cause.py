@@ -23,7 +23,7 @@ from validate.score.verdict import EFFORT, MARGIN, NOT_ASKED, SHARE, TRACKED, is
 # What each metric says where it is quoted.
 _PHRASES = {
     "start_error": "the plan starts {} away from the task's start",
-    "duration_error": "the plan lasts {} longer or shorter than the task",
+    "duration_error": "the plan and the task differ in duration by {}",
     "bound_violation": "the inputs leave their bounds by {}",
     "velocity_bound_violation": "the plan's velocities leave their bounds by {}",
     "terminal_position_error": "the plan itself ends {} from the goal",
@@ -39,7 +39,7 @@ _PHRASES = {
     "replay_terminal_velocity_error": "driven by its inputs the motion ends with {} more or less than the goal's velocity",
     "replay_cost": "driven by its inputs the motion costs {}",
     "unexplained_force": "its own motion needs a force that neither inputs nor contact give, {} of the peak contact force",
-    "max_penetration": "the bodies penetrate by {}, beyond the depth at which the model of the contact ends",
+    "max_penetration": "the bodies penetrate by {}",
     "ghost_impulse": "force at a distance: impulse {} that the replay does not have",
     "missed_impulse": "contact that the plan does not have: impulse {}",
     "replay_velocity_bound_violation": "driven by its inputs the velocities leave their bounds by {}",
@@ -109,12 +109,11 @@ def _violates(told: Told) -> str:
     if not above:  # with feedback alone
         above = [metric for metric in told.metrics.values() if metric.is_judged and metric.ok is False]
     first = above[0]
-    text, quoted = _quote(first, told), [first.name]
+    text, quoted = _quote(first, told) + _cause(first, told), [first.name]
     consequence = next((metric for metric in above if metric.question is Question.MOTION), None)
     if first.question in (Question.TASK, Question.FORCES) and consequence is not None:
         text += f"; {_quote(consequence, told)}"
         quoted.append(consequence.name)
-    text += _cause(first, told)
     others = [metric.name for metric in above if metric.name not in quoted]
     if others:
         text += f"; also above their limits: {', '.join(others)}"
@@ -188,7 +187,7 @@ _ENDS = tuple(f"{TRACKED}{name}" for name in ("replay_terminal_position_error", 
 def _cause(first: Metric, told: Told) -> str:
     """The cause of what failed first, and the advice."""
     if first.name == "duration_error" and told.scene.task.horizon is not None:
-        return f": {told.trajectory.duration:.6g} s, but the task is {told.scene.task.horizon:.6g} s"
+        return f" (it lasts {told.trajectory.duration:.6g} s, the task {told.scene.task.horizon:.6g} s)"
     if first.question is Question.TASK or first.question is Question.GOAL:
         return ""
     if first.name == "physics_scaled":
@@ -211,7 +210,7 @@ def _of_depth(told: Told) -> str:
         return ""
     share = np.maximum(-told.replay.gap, 0.0).max(axis=0) / np.array(told.scene.depths)
     contact = told.scene.contacts[int(share.argmax())]
-    return f" ({contact.name}: {contact.bodies[0]} and {contact.bodies[1]}; {contact.depth_reason})"
+    return f": beyond the depth at which the model of contact {contact.name} ({contact.bodies[0]} and {contact.bodies[1]}) ends, {contact.depth_reason}"
 
 
 def _of_motion(first: Metric, told: Told) -> str:

@@ -163,7 +163,7 @@ class Evidence:
             q, v, u = moved("q", plan.q[:-1]), moved("v", plan.v[:-1]), moved("u", plan.u)
             lam = plan.lam.copy()
             lam[:, : self.scene.nc] = self.kernel.contact_force(q, v=v if self.equations.damped else None)
-            return self.kernel.acceleration(q, v, u, moved("lam", lam))
+            return self._of_steps(self.kernel.acceleration(q, v, u, moved("lam", lam)))
 
         try:
             still = acceleration(0.0)
@@ -210,12 +210,19 @@ class Evidence:
             raise Unmeasured(f"the plan does not say its velocities ({columns}).")
         return self.trajectory.v
 
+    def _of_steps(self, acceleration: np.ndarray) -> np.ndarray:
+        """(steps, nq) of the plan's own steps, from those of the task's: without inertia a step takes up all of a force, however short it is."""
+        scene = self.equations
+        if scene.relaxation_index is None:
+            return acceleration
+        return acceleration * (scene.parameters[scene.relaxation_index].value / self.h)[:, None]
+
     @cached_property
     def acceleration(self) -> np.ndarray:
         """(steps, nq) of the plan's states, inputs and own contact forces."""
         plan = self.trajectory
         try:
-            return self.kernel.acceleration(plan.q[:-1], self.v[:-1], plan.u, self.forces)
+            return self._of_steps(self.kernel.acceleration(plan.q[:-1], self.v[:-1], plan.u, self.forces))
         except KernelError as error:
             raise Unmeasured(str(error)) from error
 
@@ -228,29 +235,37 @@ class Evidence:
         except KernelError as error:
             raise Unmeasured(str(error)) from error
 
+    def refined_motion(self, parts: int) -> np.ndarray:
+        """(nodes, nq) the plan's inputs run through its own time step in so many parts, with the true contact law."""
+        return self._own_motion(parts)[0]
+
     @cached_property
     def true_motion(self) -> tuple[np.ndarray, np.ndarray]:
         """q, v (nodes, nq): the plan's inputs run through the plan's own time step with the true contact law."""
-        plan = self.trajectory
+        return self._own_motion(1)
+
+    def _own_motion(self, parts: int) -> tuple[np.ndarray, np.ndarray]:
+        """q, v (nodes, nq) with each step of the plan in so many parts."""
+        plan, u, steps = self.trajectory, np.repeat(self.trajectory.u, parts, axis=0), np.repeat(self.h / parts, parts)
         if plan.scheme not in (None, Scheme.SEMI_IMPLICIT_EULER):
             try:
-                q, v, reached = collocation.rollout(self.kernel, plan.scheme, plan.start, plan.u, self.h)
+                q, v, reached = collocation.rollout(self.kernel, plan.scheme, plan.start, u, steps)
             except KernelError as error:
                 raise Unmeasured(str(error)) from error
-        elif (self.h == self.h[0]).all():
-            rollout = self.kernel.rollout(plan.start, plan.u, float(self.h[0]))
+        elif (steps == steps[0]).all():
+            rollout = self.kernel.rollout(plan.start, u, float(steps[0]))
             q, v, reached = rollout.q, rollout.v, rollout.finite_steps
         else:
-            q, v = np.full_like(plan.q, np.nan), np.full_like(plan.v, np.nan)
+            q, v = np.full((len(steps) + 1, self.scene.nq), np.nan), np.full((len(steps) + 1, self.scene.nq), np.nan)
             q[0], v[0], reached = plan.q[0], plan.v[0], 0
-            for step, h in enumerate(self.h):
-                rollout = self.kernel.rollout(np.concatenate([q[step], v[step]]), plan.u[step : step + 1], float(h))
+            for step, h in enumerate(steps):
+                rollout = self.kernel.rollout(np.concatenate([q[step], v[step]]), u[step : step + 1], float(h))
                 if rollout.diverged:
                     break
                 q[step + 1], v[step + 1], reached = rollout.q[1], rollout.v[1], step + 1
-        if reached < plan.steps:
-            raise LeavesBounds(f"with the true contact law the plan's own time step diverges at step {reached} of {plan.steps}.")
-        return q, v
+        if reached < len(steps):
+            raise LeavesBounds(f"with the true contact law the plan's own time step diverges at step {reached // parts} of {plan.steps}.")
+        return q[::parts], v[::parts]
 
     @property
     def true_end(self) -> np.ndarray:

@@ -24,12 +24,13 @@ from validate.score.unexplained import unexplained_force
 @dataclass(frozen=True, kw_only=True)
 class Measured:
     """values (n,): of each component, all in one unit or in `units`; error: by the replay's own error; scales (n,): what counts as large of each
-    component; allowed (n,): what printing may be the cause of, which is added to the limit."""
+    component; allowed (n,): what printing may be the cause of, which is added to the limit; base: added to the default limit alone."""
 
     values: np.ndarray
     error: float | np.ndarray = 0.0
     scales: np.ndarray | float = 1.0
     allowed: np.ndarray | float = 0.0
+    base: float = 0.0
     units: tuple[str, ...] = ()
 
 
@@ -298,6 +299,26 @@ def _grid_error(case: Evidence) -> tuple[float, float]:
     return eq.largest_difference(case.true_motion[0], case.replay_q)[0], case.error.position
 
 
+def _grid_order(case: Evidence) -> float:
+    """Log2 of what the last halving of the plan's step does to its distance from the replay, its inputs held; halved until it is near, or seven times."""
+    error, limit = _grid_error(case)[0], _replay_limit(case)
+    if error <= limit:
+        raise Unmeasured("the discretisation error is below the limit on replay_error, so that nothing need be known of its order.")
+    order = 0.0
+    for halvings in range(1, _HALVINGS + 1):
+        finer, _ = eq.largest_difference(case.refined_motion(2**halvings), case.replay_q)
+        order = float(np.log2(error / finer)) if finer > 0.0 else np.inf
+        error = finer
+        if error <= limit:
+            break
+    return min(order, _HALVINGS)
+
+
+def _replay_limit(case: Evidence) -> float:
+    own = case.scene.limit("replay_error")
+    return own.value if own is not None and own.value is not None else 1e-2 * float(_nominals(case.scene).min())
+
+
 # Question 5
 
 
@@ -422,6 +443,7 @@ def _friction_impulse_error(case: Evidence) -> float:
 
 
 DEFECT = 1e-6
+_HALVINGS = 7
 # Where next to nothing moves, energy is measured by this share of what moving at nominal speeds would take.
 _AT_REST = 1e-3
 
@@ -581,6 +603,10 @@ TABLE = (
     Entry(
         name="grid_error", question=Question.SHOWN, unit=_position_unit, measure=_grid_error, applies=_is_scene, needs=("q", "v", "scheme"), of_replay=True,
         meaning="largest position difference between the true law on the plan's grid and in continuous time: the discretisation error",
+    ),
+    Entry(
+        name="grid_order", question=Question.SHOWN, unit=_unit("1"), measure=_grid_order, applies=_is_scene, needs=("q", "v", "scheme"),
+        meaning="order with which the discretisation error shrinks as the plan's own grid is refined under its inputs",
     ),
     Entry(
         name="friction_impulse_error", question=Question.SHOWN, unit=_unit("N s"), measure=_friction_impulse_error, applies=_has_friction,

@@ -77,8 +77,15 @@ def is_of_feedback(name: str) -> bool:
 
 
 def wants_feedback(metrics: Sequence[Metric]) -> bool:
-    """Whether feedback is to be tried: question 4 is not answered yes by the inputs alone, and the plan's own motion is consistent."""
-    if answers(metrics)[Question.MOTION] not in (NO, UNDECIDED):
+    """Whether feedback is to be tried: question 4 is not answered yes by the inputs alone, the plan's own motion is consistent, and nothing else that
+    feedback cannot mend surely fails."""
+    found = answers(metrics)
+    if found[Question.MOTION] not in (NO, UNDECIDED) or NO in (
+        found[Question.TASK],
+        found[Question.GOAL],
+        found[Question.FORCES],
+        found[Question.SCHEME],
+    ):
         return False
     consistency = [metric.ok for metric in metrics if metric.name in _CONSISTENCY and metric.is_judged]
     return bool(consistency) and all(ok is True for ok in consistency)
