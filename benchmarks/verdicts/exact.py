@@ -33,8 +33,8 @@ FORCES = ("start", "end", "mean")
 
 
 def base(reference: str) -> tuple[np.ndarray, np.ndarray]:
-    """(t, u) of a plan known to reach the goal."""
-    plan = found(reference, BASES.get(reference, "strict"))[-1]
+    """(t, u) of a plan known to reach the goal; of a scene that is not in BASES by collocation, whose plans are nearest to their motion."""
+    plan = found(reference, BASES.get(reference, "collocation"))[-1]
     return np.array(plan.t), np.array(plan.u)
 
 

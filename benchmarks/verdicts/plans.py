@@ -28,6 +28,15 @@ REFUSED, SKIPPED, BROKEN = "refused", "skipped", "no answer"
 # Seconds that the judge may take for a plan; it takes some tenths.
 PATIENCE = 30.0
 DOCS = Path(__file__).parents[2] / "docs" / "extending.md"
+# Pieces of words of which a sentence must have one, for each cause.
+DURATION = ("duration", "lasts", "seconds long")
+START = ("start",)
+BOUNDS = ("bound",)
+FORCES = ("force",)
+MOTION = ("explain", "replay", "inputs")
+GOAL = ("goal", "cost")
+FRICTION = ("friction", "mu n")
+DEEP = ("penetrat", "deep", "through")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -204,10 +213,14 @@ def miss(scene: Scene, state: np.ndarray) -> tuple[float, float]:
     return math.hypot(*errors[: scene.nq]), math.hypot(*errors[scene.nq :])
 
 
-def goal_limits(scene: Scene) -> tuple[float, float]:
-    """How far a replay may end from the goal, in positions and in velocities; infinite where nothing is asked."""
-    limits = [scene.limit(f"replay_terminal_{part}_error") for part in ("position", "velocity")]
-    return tuple(math.inf if limit is None or limit.value is None else limit.value for limit in limits)
+def goal_limits(scene: Scene, *whose: str) -> tuple[float, float]:
+    """How far a motion may end from the goal, in positions and in velocities; infinite where nothing is asked. whose: "", "replay_" or both."""
+
+    def smallest(part: str) -> float:
+        limits = [scene.limit(f"{prefix}terminal_{part}_error") for prefix in whose or ("replay_",)]
+        return min((limit.value for limit in limits if limit is not None and limit.value is not None), default=math.inf)
+
+    return smallest("position"), smallest("velocity")
 
 
 @cache
@@ -232,7 +245,7 @@ def reaches(scene: Scene, path: Motions, u: np.ndarray) -> str:
     if not path.ended:
         return "the motion runs away"
     ends = miss(scene, np.concatenate([path.q[-1], path.v[-1]]))
-    for what, value, limit in zip(("position", "velocity"), ends, goal_limits(scene), strict=True):
+    for what, value, limit in zip(("position", "velocity"), ends, goal_limits(scene, "", "replay_"), strict=True):
         if value > limit:
             return f"the true {what} ends {value:.3g} from the goal, limit {limit:g}"
     limit = scene.limit("replay_cost")
