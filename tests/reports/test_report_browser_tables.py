@@ -56,7 +56,7 @@ def test_a_second_number_of_a_cell_has_a_column_too(chromium, factory, tmp_path)
     run = factory.run("strict", None, "strict_lcp")
     (stage,) = run.stages
     position = stage.metric("replay_terminal_error").model_copy(update={"name": "replay_terminal_position_error", "value": 1.25e-3})
-    stage = stage.model_copy(update={"figures": (*stage.metrics, position)})
+    stage = stage.model_copy(update={"metrics": (*stage.metrics, position)})
     folder = factory.store(tmp_path / "two", [run.model_copy(update={"stages": (stage,)})])
     head, row, *_ = _saved(chromium.open(write_report(folder)))["three_cart-stages.csv"]
     place = head.index("Terminal error replay, position alone")
