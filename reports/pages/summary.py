@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from reports.examination_record import ExaminationRecord
 from reports.judged import end_of
+from reports.load import Unreadable
 from reports.pages.judged_cells import Sentence, direct, failure, scene_by_scene, solved_scenes
 from reports.pages.section import Report, Section
 from reports.record import HOLD, RunRecord
@@ -45,12 +46,20 @@ def build(report: Report) -> Section:
             "failures": ended,
             "few": len(ended) <= _FEW,
             "campaign": stored.campaign,
-            "unreadable": stored.unreadable,
+            "unreadable": _by_sentence(stored.unreadable),
             "missing": stored.missing,
             "provenance": stored.campaign.provenance if stored.campaign else (runs[0].provenance if runs else None),
         },
         folds=False,
     )
+
+
+def _by_sentence(unreadable: tuple[Unreadable, ...]) -> list[tuple[str, list[str]]]:
+    """(why, the files of which it is true)."""
+    found: dict[str, list[str]] = {}
+    for item in unreadable:
+        found.setdefault(item.sentence, []).append(item.path)
+    return list(found.items())
 
 
 def _counts(runs: tuple[RunRecord, ...]) -> dict[str, int]:
@@ -171,7 +180,13 @@ def _stored(report: Report) -> list[Sentence]:
             )
         )
     if stored.unreadable:
-        said.append(Sentence("undecided", "!", f"{count(len(stored.unreadable), 'file')} could not be read; see below."))
+        said.append(
+            Sentence(
+                "undecided",
+                "!",
+                f"{count(len(stored.unreadable), 'file')} could not be read: {_first_reason(stored.unreadable)}; see below.",
+            )
+        )
     if stored.foreign:
         said.append(
             Sentence(
@@ -181,3 +196,9 @@ def _stored(report: Report) -> list[Sentence]:
             )
         )
     return said
+
+
+def _first_reason(unreadable: tuple[Unreadable, ...]) -> str:
+    """Why most of them could not."""
+    (why, files), *others = sorted(_by_sentence(unreadable), key=lambda item: -len(item[1]))
+    return (f"of {len(files)} of them " if others else "") + why.rstrip(".").replace("; ", ", ")
