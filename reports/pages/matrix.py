@@ -17,7 +17,7 @@ class Cell:
     run: RunRecord
     anchor: str
     cost: float | None
-    end: str
+    end: list[str]
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,9 @@ def build(report: Report) -> Section | None:
 
 def _cell(report: Report, run: RunRecord) -> Cell:
     last = run.stages[-1] if run.stages else None
-    return Cell(run, report.anchor(run), last.cost if last else None, end_of(last, run.scene) if last else "")
+    return Cell(
+        run, report.anchor(run), last.cost if last else None, [part for part in end_of(last, run.scene).split(", ") if part] if last else []
+    )
 
 
 def _holding(verdicts: list[str]) -> Holding:
