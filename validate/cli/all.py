@@ -40,7 +40,7 @@ Examples:
   python -m validate all --lf                          what failed last time
 
 \b
-Exit codes: 0 every required check passed; 1 one did not; 2 usage,
+Exit codes: 0 every required check passed; 1 one failed; 2 usage,
 configuration or nothing selected; 3 a system requirement is missing;
 130 interrupted.
 """

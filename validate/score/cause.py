@@ -202,13 +202,16 @@ def _cause(first: Metric, told: Told) -> str:
         return f": a relaxed contact law; {_ADVICE_EXACT}"
     if first.question is Question.MOTION:
         return _of_motion(first, told)
+    grid = told.metrics.get("grid_error")
+    if first.question is Question.POSSIBLE and told.value("grid_order") is not None and grid is not None and grid.value is not None:
+        return f": discretisation error {number(grid.value, grid.unit)}"
     return ""
 
 
 def _of_depth(told: Told) -> str:
     if not isinstance(told.scene, Scene) or told.replay is None or not told.replay.ok:
         return ""
-    share = np.maximum(-told.replay.gap, 0.0).max(axis=0) / np.array(told.scene.depths)
+    share = np.maximum(-told.replay.gap, 0.0).max(axis=0) / np.array([np.inf if depth is None else depth for depth in told.scene.depths])
     contact = told.scene.contacts[int(share.argmax())]
     return f": beyond the depth at which the model of contact {contact.name} ({contact.bodies[0]} and {contact.bodies[1]}) ends, {contact.depth_reason}"
 
