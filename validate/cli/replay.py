@@ -170,7 +170,7 @@ def _facts(replay: Replay) -> dict[str, Any]:
         "message": replay.message,
         "method": replay.method,
         "events": len(replay.events),
-        "error": asdict(replay.error),
+        "error": replay.error.as_json(),
         "fmu_sha256": replay.fmu,
         "seconds": {"reference": replay.seconds_reference, "everyday": replay.seconds_everyday},
         **({"effort": asdict(replay.effort)} if replay.effort is not None else {}),
@@ -233,10 +233,14 @@ def _own_error(what: str, replay: Replay) -> str:
     estimate = replay.error.estimate
     ratio = replay.error.step_ratio
     shrinks = "" if ratio is None else f"; half the step shrinks the everyday replay's error {ratio:.3g} times"
-    own = "has no estimate" if estimate is None else f"is {estimate.position:.2g} in any position, {estimate.state:.2g} in the state"
+    own = "has no estimate" if estimate is None else f"is {_size(estimate.position)} in any position, {_size(estimate.state)} in the state"
     source = replay.error.step_source
     told = "" if source == "none" else f"; error of the step by {source}"
     return f"{what}'s own error {own} ({replay.method}; {len(replay.events)} events{shrinks}{told}). {replay.message}".rstrip()
+
+
+def _size(value: float) -> str:
+    return "unknown" if math.isinf(value) else f"{value:.2g}"
 
 
 def _judgement(metric: Metric) -> str:

@@ -163,7 +163,7 @@ class Evidence:
             q, v, u = moved("q", plan.q[:-1]), moved("v", plan.v[:-1]), moved("u", plan.u)
             lam = plan.lam.copy()
             lam[:, : self.scene.nc] = self.kernel.contact_force(q, v=v if self.equations.damped else None)
-            return self.kernel.acceleration(q, v, u, moved("lam", lam))
+            return self._of_steps(self.kernel.acceleration(q, v, u, moved("lam", lam)))
 
         try:
             still = acceleration(0.0)
@@ -210,12 +210,19 @@ class Evidence:
             raise Unmeasured(f"the plan does not say its velocities ({columns}).")
         return self.trajectory.v
 
+    def _of_steps(self, acceleration: np.ndarray) -> np.ndarray:
+        """(steps, nq) of the plan's own steps, from those of the task's: without inertia a step takes up all of a force, however short it is."""
+        scene = self.equations
+        if scene.relaxation_index is None:
+            return acceleration
+        return acceleration * (scene.parameters[scene.relaxation_index].value / self.h)[:, None]
+
     @cached_property
     def acceleration(self) -> np.ndarray:
         """(steps, nq) of the plan's states, inputs and own contact forces."""
         plan = self.trajectory
         try:
-            return self.kernel.acceleration(plan.q[:-1], self.v[:-1], plan.u, self.forces)
+            return self._of_steps(self.kernel.acceleration(plan.q[:-1], self.v[:-1], plan.u, self.forces))
         except KernelError as error:
             raise Unmeasured(str(error)) from error
 

@@ -4,6 +4,8 @@ From each of the plan's states the true motion is run over one step under the pl
 velocity differs by, dv, takes a mean force M dv/h that nobody gives. Forces along different coordinates are compared in the norm of M^-1, in which a
 contact force lam has the size lam sqrt(J M^-1 J'): so a force that is not there is measured in contact forces of the same effect.
 
+Of a scene without inertia (models.quasi_static) forces are velocities: what its position differs by after the step, dq, takes the mean force D dq/h.
+
 Velocities that the plan does not say follow from its positions: those with which the true motion arrives at the next position. What then jumps at a
 node is unexplained. A plan that says both must not move by more or less than its velocities at both ends of the step, or the true motion, allow.
 """
@@ -42,13 +44,21 @@ def _forces(case: Evidence) -> np.ndarray:
     ends = np.array([_advance(case, step, departing[step], h[step]) for step in range(plan.steps)])
     arriving_q, arriving = ends[:, : case.scene.nq], ends[:, case.scene.nq :]
     ones = np.ones(case.scene.nq)
+    beyond = np.zeros_like(arriving_q)
     if said:
-        jump = plan.v[1:] - arriving
         moved = np.diff(q, axis=0)
         low, high = np.minimum(plan.v[:-1], plan.v[1:]) * h[:, None], np.maximum(plan.v[:-1], plan.v[1:]) * h[:, None]
         beyond = np.maximum(np.maximum(moved - high, low - moved), 0.0)
         beyond = np.minimum(beyond, np.abs(q[1:] - arriving_q))
         beyond = np.maximum(beyond - 2.0 * p_q - h[:, None] * p_v, 0.0) / h[:, None]
+    tau = case.equations.relaxation_index
+    if tau is not None:  # without inertia a force is a velocity: D (moved - moves)/h, with M = tau D
+        tau = case.equations.parameters[tau].value
+        missed = (q[1:] - arriving_q) / h[:, None]
+        allowed = 2.0 * p_q / h + h * case.printing_acceleration
+        return np.maximum((_sizes(mass[1:], missed) - allowed * _sizes(mass[1:], ones)).clip(0.0), _sizes(mass[1:], beyond)) / tau
+    if said:
+        jump = plan.v[1:] - arriving
         allowed = 2.0 * p_v + h * case.printing_acceleration
         return np.maximum(_sizes(mass[1:], jump) - allowed * _sizes(mass[1:], ones), _sizes(mass[1:], beyond)).clip(0.0) / h
     jump = np.vstack([departing[:1] - case.start_velocity, departing[1:] - arriving[:-1]])
