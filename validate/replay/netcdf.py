@@ -174,6 +174,7 @@ def _effort(stored: dict[str, Any]) -> Effort:
         peak=tuple(map(float, stored["peak"])),
         rms_share=float(stored["rms_share"]),
         peak_share=float(stored["peak_share"]),
+        plan_share=None if stored["plan_share"] is None else float(stored["plan_share"]),
         saturated=float(stored["saturated"]),
     )
 
