@@ -21,7 +21,7 @@ from typing import NamedTuple
 import sympy as sp
 
 from models.scene import Scene
-from models.scene_functions import Quantity, quantities, shortened
+from models.scene_functions import Quantity, is_longer, quantities, shortened
 from models.units import base_exponents
 
 # Exponents of kg, m and s; a radian is a pure number here.
@@ -30,33 +30,26 @@ _BASES = ("kg", "m", "s")
 _PURE: _Powers = (Fraction(0),) * len(_BASES)
 
 # What takes and gives pure numbers.
-_ELEMENTARY = frozenset(
-    getattr(sp, name)
-    for name in [
-        "sin",
-        "cos",
-        "tan",
-        "cot",
-        "sec",
-        "csc",
-        "asin",
-        "acos",
-        "atan",
-        "sinh",
-        "cosh",
-        "tanh",
-        "coth",
-        "asinh",
-        "acosh",
-        "atanh",
-        "exp",
-        "log",
-        "erf",
-        "erfc",
-        "sinc",
-        "loggamma",
-        "gamma",
-    ]
+_ELEMENTARY = (
+    *(
+        sp.sin,
+        sp.cos,
+        sp.tan,
+        sp.cot,
+        sp.sec,
+        sp.csc,
+        sp.asin,
+        sp.acos,
+        sp.atan,
+        sp.sinh,
+        sp.cosh,
+        sp.tanh,
+        sp.coth,
+        sp.asinh,
+        sp.acosh,
+        sp.atanh,
+    ),
+    *(sp.exp, sp.log, sp.erf, sp.erfc, sp.sinc, sp.gamma, sp.loggamma),
 )
 # What gives a value of its arguments.
 _CHOOSING = (sp.Abs, sp.Max, sp.Min, sp.floor, sp.ceiling, sp.Mod)
@@ -83,9 +76,10 @@ _NAMED = (
     "1/m^2",
     "N s^2/m^2",
 )
-
 # Of more units than that, each of which would do, none is the likely one.
 _MOST_MENDS = 3
+# Of larger expressions nobody waits for the unit that would do: each try takes as long as the check itself.
+_MOST_PARTS = 3000
 
 _NUMBER, _BARE, _DECLARED = range(3)
 
@@ -121,9 +115,9 @@ def dimension_problem(scene: Scene) -> str | None:
     if misfit is None:
         return None
     quantity, words = misfit
-    mends = []
+    mends, used = [], set() if is_longer(quantity.expression, _MOST_PARTS) else quantity.expression.free_symbols
     for kind, item in declared:
-        if item.symbol in quantity.expression.free_symbols:
+        if item.symbol in used:
             for unit in _NAMED:
                 others = units | {item.symbol: _Found(_DECLARED, _powers(unit))}
                 if not any(_misfits([quantity], others)) and not any(_misfits(asked, others)):
@@ -192,28 +186,30 @@ class _Reader:
         mixed = next((each.powers for each in found if isinstance(each.powers, _Mixed)), None)
         if mixed is not None and kind == _DECLARED:
             raise _MismatchError(mixed.words)
-        if mixed is not None or any(each.powers is None for each in found):
+        known = [each.powers for each in found if isinstance(each.powers, tuple)]
+        if len(known) < len(found):
             return _Found(kind, mixed)
-        return _Found(kind, tuple(map(sum, zip(*(each.powers for each in found), strict=True))))
+        return _Found(kind, tuple(sum(column, Fraction(0)) for column in zip(*known, strict=True)))
 
     def _sum(self, terms: Sequence[sp.Basic]) -> _Found:
         """Of the terms that declare their units, else of the variables; numbers are of any unit."""
         found = [(term, self.of(term)) for term in terms]
         kind = max(each.kind for _, each in found)
         of_kind = [(term, each.powers) for term, each in found if each.kind == kind]
-        if kind == _NUMBER:
-            return _Found(kind, _PURE if all(powers == _PURE for _, powers in of_kind) else None)
-        known = [(term, powers) for term, powers in of_kind if powers is not None]
-        mixed = next((powers for _, powers in known if isinstance(powers, _Mixed)), None)
-        other = next(((term, powers) for term, powers in known[1:] if powers != known[0][1]), None) if mixed is None else None
-        if other is not None:
-            (one, its), (term, powers) = known[0], other
-            mixed = _Mixed(f"{shortened(one)} is in {_text(its)} and {shortened(term)} in {_text(powers)}, but they are added")
-            if kind == _DECLARED:
-                raise _MismatchError(mixed.words)
+        mixed = next((powers for _, powers in of_kind if isinstance(powers, _Mixed)), None)
         if mixed is not None:
             return _Found(kind, mixed)
-        hides = kind == _BARE and (len(known) < len(of_kind) or any(term in (1, -1) for term in terms))
+        known = [(term, powers) for term, powers in of_kind if isinstance(powers, tuple)]
+        if kind != _NUMBER:
+            for term, powers in known[1:]:
+                if powers != known[0][1]:
+                    words = (
+                        f"{shortened(known[0][0])} is in {_text(known[0][1])} and {shortened(term)} in {_text(powers)}, but they are added"
+                    )
+                    if kind == _DECLARED:
+                        raise _MismatchError(words)
+                    return _Found(kind, _Mixed(words))
+        hides = kind != _DECLARED and (len(known) < len(of_kind) or (kind == _BARE and any(term in (1, -1) for term in terms)))
         return _Found(kind, known[0][1] if known and not hides else None)
 
     def _power(self, base: sp.Expr, exponent: sp.Expr) -> _Found:

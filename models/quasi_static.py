@@ -24,9 +24,9 @@ from models.errors import SceneError
 if TYPE_CHECKING:
     from models.scene import Parameter, Scene
 
-# [s] A finger of push_box at 0.4 m/s lags 0.02 mm behind; of its plans, whose errors grow 1e5 times, the replay is then off by 0.3 mm, and by 1 mm with
-# feedback, a fiftieth of their limit. The reference (CVODE) does not feel how short it is; the everyday replay's time is as its inverse: 0.8 CPU s here.
-LAG = 5e-5
+# [s] A finger of push_box at 0.4 m/s lags 8 um behind; of its plans, whose errors grow 1e5 times, the replay is then off by 0.1 mm, and by 0.4 mm with
+# feedback, a hundredth of their limit. The reference (CVODE) does not feel how short it is; the everyday replay's time is as its inverse: 1 CPU s here.
+LAG = 2e-5
 
 
 def relaxation_parameter(scene: Scene) -> Parameter:

@@ -8,6 +8,7 @@ strict_lcp, relaxed_lcp, mpcc, collocation and proofs cannot; of sign and Heavis
 from __future__ import annotations
 
 from functools import cache
+from itertools import islice
 from typing import NamedTuple
 
 import sympy as sp
@@ -30,6 +31,8 @@ _ROUNDED = {
     sp.Mod: "a sine of the same period for Mod(x, y)",
 }
 _WITH_CORNERS = tuple(_ROUNDED)
+# Symbols, numbers and operations of an expression that is written out.
+_MOST_PARTS = 300
 
 
 class Quantity(NamedTuple):
@@ -65,7 +68,7 @@ def quantities(scene: Scene) -> list[Quantity]:
 def function_problem(scene: Scene) -> str | None:
     """`forces[x] contains gamma, whose derivative polygamma has no form in C ..`, the first of them; None: all are smooth and have one."""
     for field, expression, _, _ in quantities(scene):
-        corners = sorted(expression.atoms(*_WITH_CORNERS), key=lambda used: (type(used).__name__, str(used)))
+        corners = sorted(expression.atoms(*_WITH_CORNERS), key=lambda used: (type(used).__name__, shortened(used)))
         if corners:
             advice = next(words for kind, words in _ROUNDED.items() if isinstance(corners[0], kind))
             mend = f"round it off: {advice}"
@@ -74,18 +77,27 @@ def function_problem(scene: Scene) -> str | None:
             elif field.endswith((": stiffness", ": damping", ": coefficient")):
                 mend = "make it a parameter of its value"
             return f"{field} contains {shortened(corners[0])}, which is not differentiable everywhere, as plans need it; {mend}."
-        for used in sorted(expression.atoms(sp.Function), key=str):
-            missing = _missing(used.func, len(used.args))
+        for name, function, count in sorted(
+            {(str(used.func), used.func, len(used.args)) for used in expression.atoms(sp.Function)}, key=str
+        ):
+            missing = _missing(function, count)
             if missing is not None:
-                name = str(used.func)
                 what = name if missing == name else f"{name}, whose derivative contains {missing}"
                 return f"{field} contains {what}, which has no form in C; use smooth elementary functions (sin, exp, sqrt, tanh ..)."
     return None
 
 
-def shortened(expression: sp.Expr) -> str:
+def shortened(expression: sp.Basic) -> str:
+    """For a sentence. Of thousands of terms only the symbols are told: SymPy takes minutes to write them in order."""
+    if is_longer(expression, _MOST_PARTS):
+        return f"a long expression in {', '.join(sorted(str(symbol) for symbol in expression.free_symbols))}"
     text = str(expression)
     return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def is_longer(expression: sp.Basic, parts: int) -> bool:
+    """Whether an expression has more symbols, numbers and operations than that."""
+    return sum(1 for _ in islice(sp.preorder_traversal(expression), parts + 1)) > parts
 
 
 @cache

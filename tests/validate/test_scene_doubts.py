@@ -52,15 +52,6 @@ def wrong_sign(tmp_path):
     return path
 
 
-def test_limits_that_no_replay_can_break_are_asked_about():
-    bank = load_scene("two_discs")
-    own = tuple(limit for limit in bank.limits if not limit.metric.startswith("replay_"))
-    assert scene_doubts(replace(bank, limits=own)) == (
-        "scene two_discs: no limit looks at where the replay goes, so that a plan may hold whatever it does; limit replay_error, for one.",
-    )
-    assert scene_doubts(replace(bank, limits=())) == ()  # without any, nothing holds, and the verdict says so
-
-
 def standing_still(scene):
     task = scene.task
     start, steps = np.array(task.start), task.steps

@@ -154,7 +154,10 @@ def _told(judgement: Judgement, warnings: list[str]) -> dict[str, Any]:
         "why": result.why,
         "judged": result.judged,
         "questions": [{"number": question.number, "question": question.value, "answer": answer} for question, answer in result.questions],
-        "metrics": [{**asdict(metric), "question": metric.question.number} for metric in result.metrics],
+        "metrics": [
+            {**asdict(metric), "question": metric.question.number, "error": metric.error if math.isfinite(metric.error) else None}
+            for metric in result.metrics
+        ],
         "waived": list(result.waived),
         "not_asked": list(result.not_asked),
         "warnings": [*warnings, *result.warnings],

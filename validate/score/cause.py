@@ -208,7 +208,7 @@ def _cause(first: Metric, told: Told) -> str:
 def _of_depth(told: Told) -> str:
     if not isinstance(told.scene, Scene) or told.replay is None or not told.replay.ok:
         return ""
-    share = np.maximum(-told.replay.gap, 0.0).max(axis=0) / np.array(told.scene.depths)
+    share = np.maximum(-told.replay.gap, 0.0).max(axis=0) / np.array([np.inf if depth is None else depth for depth in told.scene.depths])
     contact = told.scene.contacts[int(share.argmax())]
     return f": beyond the depth at which the model of contact {contact.name} ({contact.bodies[0]} and {contact.bodies[1]}) ends, {contact.depth_reason}"
 

@@ -74,6 +74,17 @@ class Evidence:
         step = self.scene.task.step
         return np.full_like(h, step) if np.allclose(h, step, rtol=1e-9, atol=0.0) else h
 
+    def cost_of(self, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> float:
+        """The task's cost of a motion at the plan's nodes: its sum over the task's own steps, whatever the plan's grid is, and the final cost."""
+        final = self.kernel.cost(q[-1:], v[-1:], u[:0])
+        if (self.h == self.h[0]).all():
+            return (self.kernel.cost(q, v, u) - final) * float(self.h[0]) / self.scene.task.step + final
+        running = [
+            self.kernel.cost(q[i : i + 2], v[i : i + 2], u[i : i + 1]) - self.kernel.cost(q[i + 1 : i + 2], v[i + 1 : i + 2], u[:0])
+            for i in range(len(u))
+        ]
+        return float(np.dot(running, self.h)) / self.scene.task.step + final
+
     @cached_property
     def phi(self) -> np.ndarray:
         """(steps, nc) penetration at the start of each step of the plan [m]."""

@@ -201,7 +201,7 @@ def _terminal_velocity_error(case: Evidence) -> Measured:
 
 
 def _cost(case: Evidence) -> float:
-    return case.kernel.cost(case.q, case.v, case.trajectory.u)
+    return case.cost_of(case.q, case.v, case.trajectory.u)
 
 
 # Question 3
@@ -274,8 +274,9 @@ def _replay_terminal_error(case: Evidence) -> tuple[float, float]:
 
 
 def _replay_terminal_position_error(case: Evidence) -> tuple[float, float]:
-    # The norm over positions cannot differ by more than the norm over the state does.
-    return eq.distance(case.replay_q[-1], case.goal[: case.scene.nq]), case.error.state
+    # The norm over positions differs by at most as much as each of them does.
+    error = min(case.error.state, case.error.position * float(np.sqrt(case.scene.nq)))
+    return eq.distance(case.replay_q[-1], case.goal[: case.scene.nq]), error
 
 
 def _replay_terminal_velocity_error(case: Evidence) -> tuple[float, float]:
@@ -286,8 +287,8 @@ def _replay_cost(case: Evidence) -> tuple[float, float]:
     replay = case.replay
     u = case.trajectory.u if replay.applied is None else replay.applied
     q, v, error = case.replay_q, case.replay_v, case.error.state
-    value = case.kernel.cost(q, v, u)
-    around = [case.kernel.cost(q + sign * error, v + sign * error, u) for sign in (1.0, -1.0)] if np.isfinite(error) else [np.inf]
+    value = case.cost_of(q, v, u)
+    around = [case.cost_of(q + sign * error, v + sign * error, u) for sign in (1.0, -1.0)] if np.isfinite(error) else [np.inf]
     return value, max(abs(one - value) for one in around)
 
 
@@ -346,9 +347,11 @@ def _printed_impulse(case: Evidence) -> float:
 
 def _impulse_error(case: Evidence) -> float:
     """Each force may be wrong by k times the error of its gap while there is contact; a damped one also by its error in the velocities."""
-    if not isinstance(case.scene, Scene):
-        return case.foreign_impulse_error
     touching = float((case.duration[:, None] * ((case.replay.lam[:-1] > 0.0) | (case.replay.lam[1:] > 0.0))).sum())
+    if not isinstance(case.scene, Scene):  # its stiffness is what its own forces and gaps say
+        pressed = case.replay_gap < 0.0
+        stiffness = np.divide(case.replay.lam, -case.replay_gap, out=np.zeros_like(case.replay.lam), where=pressed).max(initial=0.0)
+        return float(stiffness) * touching * case.error.gap if touching else 0.0
     error = float(case.slopes[0].max(initial=0.0)) * touching * case.error.gap
     return error + (float(case.slopes[1].max(initial=0.0)) * touching * case.error.state if case.scene.damped else 0.0)
 
