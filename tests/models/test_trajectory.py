@@ -240,7 +240,10 @@ def test_inputs_at_both_ends_of_the_last_step_need_no_step_more(tmp_path: Path, 
     assert plan.u_end is not None
     assert plan.u_end.tolist() == [task.steps, 0.0]
     path.write_text(path.read_text().replace("linear", "zero"))
-    assert read_csv(path, scene).u_end is None, "a held input has no use for it"
+    held = read_csv(path, scene)
+    assert (held.steps, held.u_end.tolist()) == (task.steps, [task.steps, 0.0])  # kept, for who should have said `linear`
+    path.write_text(path.read_text().replace(f"{task.step * task.steps!r},{task.steps},0", f"{task.step * task.steps!r},x,0"))
+    assert read_csv(path, scene).u_end is None, "a held input has no use for what stands there"
 
 
 ARRAYS = {"t": np.arange(4.0), "q1": np.arange(4.0), "q2": np.arange(4.0), "q3": np.arange(4.0), "u1": np.ones(4), "u3": np.ones(3)}
