@@ -47,6 +47,7 @@ _NEEDS = {
     "friction": "the plan does not say its friction forces",
     "scheme": "the plan declares no scheme",
     "no scheme": "the plan declares a scheme, whose own equations are asked instead",
+    "no defect": "the plan declares a scheme, whose own equations are asked instead",
 }
 
 # What is meant by a limit on a metric that is only shown.
@@ -156,7 +157,9 @@ def _why_not_asked(entry: Entry, case: Evidence) -> str:
     """Why a plan is not asked this; empty: it is."""
     plan, scene = case.trajectory, case.scene
     for need in entry.needs:
-        absent = {"scheme": plan.scheme is None, "no scheme": plan.scheme is not None}.get(need, need in plan.missing)
+        # A scheme can be asked about only with forces; without them the motion is judged as that of a plan that declares none.
+        no_scheme = {"no scheme": plan.scheme is not None, "no defect": plan.scheme is not None and not plan.missing}
+        absent = {"scheme": plan.scheme is None, **no_scheme}.get(need, need in plan.missing)
         if (need == "friction" and not scene.nf) or (need == "lam" and not scene.nc):
             absent = False
         if absent:

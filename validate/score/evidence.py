@@ -332,6 +332,12 @@ class Evidence:
         return self.replay.v[self.replay.knots]
 
     @property
+    def all_replay_v(self) -> np.ndarray:
+        """(n, nq) of the replay, at all its rows."""
+        self.need("v")
+        return self.replay.v
+
+    @property
     def replay_end(self) -> np.ndarray:
         """(2*nq,) where the replay ends; the velocities only if a velocity of the goal is given."""
         self.need("q")
