@@ -17,7 +17,7 @@ import numpy as np
 
 from models.errors import SceneError, TrajectoryError
 from models.scene import Scene
-from models.trajectory import Trajectory
+from models.trajectory import Hold, Trajectory
 from validate.replay.result import Replay
 from validate.replay.subject import Subject
 from validate.score.cause import Told, explain
@@ -139,8 +139,9 @@ def _passes_otherwise(scene: Subject, plan: Trajectory, other: Replay | None) ->
     """Whether question 4 is answered yes with the inputs held the other way."""
     if other is None or not other.ok:
         return False
-    case = Evidence(scene, plan, other)
-    of_motion = [entry for entry in TABLE if entry.applies(scene) and entry.question is Question.MOTION and entry.of_replay]
+    held = Hold.LINEAR if plan.hold is Hold.ZERO_ORDER else Hold.ZERO_ORDER
+    case = Evidence(scene, replace(plan, hold=held), other)
+    of_motion = [entry for entry in TABLE if entry.applies(scene) and entry.question is Question.MOTION]
     return all(metric.ok is True for metric in (_metric(entry, case) for entry in of_motion) if metric.is_judged)
 
 

@@ -32,7 +32,7 @@ def measure() -> Finding:
     ratio = math.nan if error.step_ratio is None else error.step_ratio
     converges = result.ok and ratio >= 1.5
     estimate = math.nan if result.error.estimate is None else result.error.estimate.position
-    silent = [] if converges or verdict is Verdict.NOT_RESOLVED else [f"ratio {ratio:.2f} and yet {verdict.value}"]
+    silent = [] if converges or verdict is Verdict.UNDECIDED else [f"ratio {ratio:.2f} and yet {verdict.value}"]
     resolved = result.ok and error.everyday is not None and error.step is not None
     far = error.everyday.position / max(error.step.position, 1e-12) if resolved and error.everyday and error.step else math.nan
     return Finding(
