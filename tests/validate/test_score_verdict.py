@@ -261,6 +261,9 @@ def test_what_declares_no_scheme_hears_nothing_of_grids():
     assert "its own motion needs a force that neither inputs nor contact give, 40 % of the peak contact force" in why
     assert "grid" not in why
     assert "time step" not in why
+    assert told(hidden, scheme=False) == (
+        "its own motion needs a force that neither inputs nor contact give, 40 % of the peak contact force, limit 10 %."
+    )
     unstable = told(STRAY, metric_of_growth(549.0), scheme=False)
     assert (
         unstable

@@ -229,7 +229,7 @@ def _of_motion(first: Metric, told: Told) -> str:
     growth = told.value("amplification")
     unstable = "" if growth is None or growth < _UNSTABLE else f"; unstable in the open loop (amplification {rounded(growth)})"
     if plan.scheme is None:
-        if told.fails("unexplained_force"):
+        if told.fails("unexplained_force") and first.name != "unexplained_force":
             return f": {_PHRASES['unexplained_force'].format(percent(told.value('unexplained_force') or 0.0))}"
         return unstable
     grid = told.metrics.get("grid_error")

@@ -39,7 +39,7 @@ def measure() -> Finding:
         happened=f"{len(result.events)} contact events in {NODES} steps; the everyday replay's differences shrink by {ratio:.2f} as its step is halved, and the "
         f"reference knows itself to {estimate:.0e} m.",
         figures=(
-            none_of("neither converging nor marked `not resolved`", silent, reason="one of the two"),
+            none_of("neither converging nor marked `undecided`", silent, reason="one of the two"),
             at_least(
                 "ratio of the differences when the step is halved",
                 ratio,
@@ -60,7 +60,7 @@ def measure() -> Finding:
 CASE = HardCase(
     name="h19_chatter",
     title="Chattering plan (bang-bang inputs)",
-    expected="The replay converges as the step shrinks, or is marked `not resolved`.",
+    expected="The replay converges as the step shrinks, or is marked `undecided`.",
     scenes=("three_cart",),
     measure=measure,
 )
