@@ -218,6 +218,17 @@ class FakeScore:
     not_asked: tuple[str, ...] = ()
 
 
+@dataclass
+class FakeJudgement:
+    replay: FakeReplay
+    score: FakeScore
+
+
+def _judge(score, scene: Scene, fmu: Path, trajectory: Trajectory) -> FakeJudgement:
+    replay = _replay(scene, fmu, trajectory)
+    return FakeJudgement(replay, score(scene, trajectory, replay))
+
+
 def _replay(scene: Scene, fmu: Path, trajectory: Trajectory) -> FakeReplay:
     lam = np.vstack([trajectory.lam, trajectory.lam[-1:]])
     return FakeReplay(t=trajectory.t, q=trajectory.q, v=trajectory.v, lam=lam, knots=np.arange(len(trajectory.t)))
@@ -250,8 +261,7 @@ def _fake_tools(score=_score) -> Tools:
         examinations=lambda scenes: (),
         compile=lambda scene: None,
         build_fmu=lambda scene: Path(os.devnull),
-        replay=_replay,
-        score=score,
+        judge=lambda scene, fmu, trajectory: _judge(score, scene, fmu, trajectory),
         write_replay=lambda path, replay, scene: None,
         tell=lambda folder, text: None,
         write_report=_write_report,
