@@ -8,7 +8,7 @@
                         the start of the step, at its end, or its mean over the step
     scheme              the time step it is made of (models.schemes), or None: its author names none, and is not asked about one
     missing             what its author did not say, of "q", "v", "lam" (contact forces) and "friction"; the arrays then hold stand-ins (see `read_csv`)
-    u_end (nu,)         the input at the last node, which a linear hold heads for in the last step; None: the last step is constant
+    u_end (nu,)         the input at the last node, which a linear hold heads for in the last step (and no other hold uses); None: not said, constant
 
 CSV: one row a node, columns `t`, then the scene's names (`q1 ... v1 ... u1 ... lam_left ...`); the last row has no u and lam. Lines
 `# scheme: semi_implicit_euler` and `# hold: zero` (or `linear`) above declare those. NetCDF-4: the same arrays with units, for the store.
@@ -266,9 +266,14 @@ def times_and_inputs(
     steps = len(t) - 1
     inputs = [table.column(name, last_is_open=steps < table.rows) for name in columns]
     u = np.column_stack(inputs) if inputs else np.zeros((steps, 0))
-    if hold is Hold.LINEAR and steps < table.rows and ends:
+    if steps == table.rows or not ends:
+        return t, u, None
+    try:
         return t, u, np.array([table.column(name, last_is_open=False)[-1] for name in columns])
-    return t, u, None
+    except TrajectoryError:
+        if hold is Hold.LINEAR:
+            raise
+        return t, u, None  # a held input has no use for it, whatever stands there
 
 
 def declared_scheme(table: PlanTable | ArrayTable) -> Scheme | None:

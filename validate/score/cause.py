@@ -199,6 +199,8 @@ def _cause(first: Metric, told: Told) -> str:
     if first.name == "defect":
         return "; if another integrator made it, leave the declaration of the scheme out"
     if first.name in ("law_error", "discrete_terminal_position_error", "discrete_terminal_velocity_error"):
+        if told.questions.get(Question.MOTION) == "yes":  # no relaxed law gives the motion that the true one gives
+            return "; its inputs give its motion all the same: if another integrator made it, leave the declaration of the scheme out"
         return f": a relaxed contact law; {_ADVICE_EXACT}"
     if first.question is Question.MOTION:
         return _of_motion(first, told)

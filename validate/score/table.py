@@ -13,6 +13,7 @@ import numpy as np
 
 from models.scene import Scene
 from models.schemes import Scheme
+from models.trajectory import Hold
 from validate.replay.subject import Subject
 from validate.score import equations as eq
 from validate.score.closed_forms import answer_error
@@ -153,7 +154,8 @@ def _duration_error(case: Evidence) -> Measured:
 def _bound_violation(case: Evidence) -> Measured:
     inputs = case.scene.inputs
     lower, upper = np.array([item.lower for item in inputs]), np.array([item.upper for item in inputs])
-    applied = case.trajectory.u if case.trajectory.u_end is None else np.vstack([case.trajectory.u, case.trajectory.u_end])
+    plan = case.trajectory
+    applied = np.vstack([plan.u, plan.u_end]) if plan.u_end is not None and plan.hold is Hold.LINEAR else plan.u
     return Measured(
         values=eq.outside(applied, lower, upper), scales=_ranges(lower, upper), allowed=case.printing("u"),
         units=tuple(item.unit for item in inputs),
