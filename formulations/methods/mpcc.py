@@ -48,6 +48,13 @@ class Mpcc(Method):
             unit="millions",
             lower=0.0,
         ),
+        OptionSpec(
+            name="throw_work",
+            default=20.0,
+            description="most work, beside that of the starts, of throws: tried where the end is free and has a cost, and the best plan touches nothing",
+            unit="millions",
+            lower=0.0,
+        ),
         FIRST_SHARPNESS,
         OptionSpec(
             name="last_sharpness",
