@@ -10,6 +10,7 @@ import csv
 import difflib
 import math
 import re
+import unicodedata
 from pathlib import Path
 from typing import Any
 
@@ -39,10 +40,10 @@ class PlanTable:
         self.units: dict[str, str] = {}
         names = []
         for cell in rows[0][1]:
-            split = re.fullmatch(r"(.*?)\s*\[(.*)\]", cell)
-            names.append(split.group(1) if split else cell)
-            if split:
-                self.units[split.group(1)] = split.group(2).strip()
+            name, unit = _name_and_unit(cell)
+            names.append(name)
+            if unit is not None:
+                self.units[name] = unit
         self.names = tuple(names)
 
     def has_last(self, name: str) -> bool:
@@ -86,6 +87,15 @@ class PlanTable:
         return np.array(values)
 
 
+def _name_and_unit(cell: str) -> tuple[str, str | None]:
+    """Of a column's head: `q1 [m]`, but q[1] is a name, as FMUs number them. Names are in Unicode's composed form: an umlaut may be written in two
+    ways that look the same."""
+    split = re.fullmatch(r"(.*?)(\s*)\[([^\[\]]*)\]", cell)
+    if split is None or (not split.group(2) and re.fullmatch(r"\d+(\s*,\s*\d+)*", split.group(3))):
+        return unicodedata.normalize("NFC", cell), None
+    return unicodedata.normalize("NFC", split.group(1)), split.group(3).strip()
+
+
 def _rows(path: Path) -> tuple[list[tuple[int, list[str]]], dict[str, str]]:
     """(line number, cells) of the lines that hold any, and what comments declare."""
     try:
@@ -99,11 +109,11 @@ def _rows(path: Path) -> tuple[list[tuple[int, list[str]]], dict[str, str]]:
     numbered = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
     declared = _declarations(path, [(number, line) for number, line in numbered if line.startswith("#")])
     lines = [(number, line) for number, line in numbered if not line.startswith("#")]
-    header = lines[0][1] if lines else ""
+    header = re.sub(r'"[^"]*"', "", lines[0][1]) if lines else ""
     mark = next((mark for mark in ";\t" if mark in header), ",")
     rows = [(number, _cells(path, number, line, mark)) for number, line in lines]
     if mark == ";":
-        rows = [(number, [cell.replace(",", ".") for cell in row]) for number, row in rows]
+        rows[1:] = [(number, [cell.replace(",", ".") for cell in row]) for number, row in rows[1:]]
     return rows, declared
 
 

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 import sympy as sp
 
 from models.checked_once import checked_once
+from models.dimensions import dimension_problem
 from models.errors import SceneError
 from models.scene import Scene
 from models.scene_functions import function_problem
@@ -63,6 +64,9 @@ def check_expressions(scene: Scene) -> None:
     _check_mass(scene)
     _check_contacts(scene)
     _check_frictions(scene)
+    problem = dimension_problem(scene)
+    if problem is not None:
+        raise _fail(scene, problem)
 
 
 def _fail(scene: Scene, text: str) -> SceneError:
@@ -249,10 +253,6 @@ def _check_mass(scene: Scene) -> None:
             )
 
 
-# Functions with corners or jumps: forces point along the gradient of the gap, and plans need how that turns.
-_ROUGH = (sp.Abs, sp.sign, sp.Max, sp.Min, sp.floor, sp.ceiling, sp.Mod, sp.Heaviside, sp.Piecewise)
-
-
 def _check_contacts(scene: Scene) -> None:
     start = _start(scene)
     for contact in scene.contacts:
@@ -264,13 +264,6 @@ def _check_contacts(scene: Scene) -> None:
             unit = contact.damping_law.unit
             raise _fail(
                 scene, f"contact {contact.name}: the damping is {damping} {unit}, but must not be negative; 0 is a contact without damping."
-            )
-        rough = sorted({type(part).__name__ for part in contact.penetration.atoms(*_ROUGH)})
-        if rough:
-            raise _fail(
-                scene,
-                f"contact {contact.name}: the penetration contains {', '.join(rough)}, which is not differentiable everywhere; give each side a "
-                "contact of its own, or round the corner off, as sqrt(x^2 + r^2) does with Abs(x).",
             )
         gradient = [sp.diff(contact.penetration, coordinate.symbol).subs(start).evalf() for coordinate in scene.coordinates]
         if not all(entry.is_number and entry.is_real and entry.is_finite for entry in gradient):

@@ -8,7 +8,7 @@
                         the start of the step, at its end, or its mean over the step
     scheme              the time step it is made of (models.schemes), or None: its author names none, and is not asked about one
     missing             what its author did not say, of "q", "v", "lam" (contact forces) and "friction"; the arrays then hold stand-ins (see `read_csv`)
-    u_end (nu,)         the input at the last node, which a linear hold heads for in the last step; None: the last step is constant
+    u_end (nu,)         the input at the last node, which a linear hold heads for in the last step (and no other hold uses); None: not said, constant
 
 CSV: one row a node, columns `t`, then the scene's names (`q1 ... v1 ... u1 ... lam_left ...`); the last row has no u and lam. Lines
 `# scheme: semi_implicit_euler` and `# hold: zero` (or `linear`) above declare those. NetCDF-4: the same arrays with units, for the store.
@@ -17,7 +17,8 @@ CSV: one row a node, columns `t`, then the scene's names (`q1 ... v1 ... u1 ... 
 from __future__ import annotations
 
 import difflib
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 
@@ -121,6 +122,10 @@ class Trajectory:
         """Whether its author says positions."""
         return "q" not in self.missing
 
+    def with_inputs_in(self, scale: np.ndarray, offset: np.ndarray) -> Trajectory:
+        """The same plan with inputs scale * u + offset, (nu,) each: in the units of an FMU that has others."""
+        return replace(self, u=scale * self.u + offset, u_end=None if self.u_end is None else scale * self.u_end + offset)
+
     def has_uniform_grid(self) -> bool:
         """Whether all steps are equal to rounding."""
         return bool(np.allclose(np.diff(self.t), (self.t[-1] - self.t[0]) / self.steps, rtol=1e-9, atol=0.0))
@@ -201,28 +206,13 @@ def trajectory_from(table: PlanTable | ArrayTable, scene: Scene, hold: Hold | No
     for column in ("t", *names["u"]):
         if column not in header:
             raise TrajectoryError(f"{where}: the column {column!r} is missing; it has {', '.join(header)}.")
-    for group in ("q", "v", "lam", "friction"):
-        given = [name for name in groups[group] if name in header]
-        if given and len(given) < len(groups[group]):
-            absent = next(name for name in groups[group] if name not in header)
-            raise TrajectoryError(
-                f"{where}: the column {absent!r} is missing beside {given[0]!r}; give {', '.join(groups[group])}, or none of them."
-            )
-    missing = frozenset(group for group in ("q", "v", "lam", "friction") if groups[group] and groups[group][0] not in header)
-    if "q" in missing and "v" not in missing:
-        raise TrajectoryError(f"{where}: it has velocities, but no positions; give {', '.join(names['q'])} too, or neither.")
+    missing = missing_groups(table, groups)
     for column, unit in _units(scene).items():
         table.check_unit(column, unit)
-    scheme, hold = _declared(table, hold)
-    t = table.column("t", last_is_open=False)
-    if "q" in missing and names["u"] and scene.task is not None and all(table.has_last(name) for name in names["u"]):
-        t = _with_a_last_step(t, scene)
+    scheme, hold = declared_scheme(table), declared_hold(table, hold)
+    asked = None if scene.task is None or "q" not in missing else (scene.task.horizon, scene.task.step / 2.0)
+    t, u, u_end = times_and_inputs(table, "t", names["u"], hold, asked)
     steps = len(t) - 1
-    inputs = [table.column(name, last_is_open=steps < table.rows) for name in names["u"]]
-    u = np.column_stack(inputs) if inputs else np.zeros((steps, 0))
-    u_end = None
-    if hold is Hold.LINEAR and steps < table.rows and names["u"] and all(table.has_last(name) for name in names["u"]):
-        u_end = np.array([table.column(name, last_is_open=False)[-1] for name in names["u"]])
     start = np.array(scene.task.start, dtype=float)
     if "q" in missing:
         q, v = np.tile(start[: scene.nq], (steps + 1, 1)), np.tile(start[scene.nq :], (steps + 1, 1))
@@ -242,36 +232,83 @@ def trajectory_from(table: PlanTable | ArrayTable, scene: Scene, hold: Hold | No
         raise TrajectoryError(f"{error} ({table.source})") from error
 
 
-def _declared(table: PlanTable | ArrayTable, hold: Hold | None) -> tuple[Scheme | None, Hold]:
-    """What the lines above a table declare; hold: what is asked for beside, which must not be another."""
-    scheme = None
-    if "scheme" in table.declared:
-        value = table.declared["scheme"]
-        if value not in [item.value for item in Scheme]:
-            close = difflib.get_close_matches(value, [item.value for item in Scheme], n=1)
-            hint = (
-                f"did you mean {close[0]}?"
-                if close
-                else f"there are {', '.join(item.value for item in Scheme)}; without this line it declares none."
+def missing_groups(table: PlanTable | ArrayTable, groups: Mapping[str, Sequence[str]]) -> frozenset[str]:
+    """Which of the groups q, v, lam, friction of columns a table does not have; a group without columns is no one's to give.
+
+    Raises TrajectoryError for a group that is there in part, and for velocities without positions.
+    """
+    where, header = table.where, table.names
+    for columns in groups.values():
+        given = [name for name in columns if name in header]
+        if given and len(given) < len(columns):
+            absent = next(name for name in columns if name not in header)
+            raise TrajectoryError(
+                f"{where}: the column {absent!r} is missing beside {given[0]!r}; give {', '.join(columns)}, or none of them."
             )
-            raise TrajectoryError(f"{table.where}: the scheme {value!r} is unknown; {hint}")
-        scheme = Scheme(value)
+    missing = frozenset(group for group, columns in groups.items() if columns and columns[0] not in header)
+    if "q" in missing and groups.get("v") and "v" not in missing:
+        raise TrajectoryError(f"{where}: it has velocities, but no positions; give {', '.join(groups['q'])} too, or neither.")
+    return missing
+
+
+def times_and_inputs(
+    table: PlanTable | ArrayTable, time: str, columns: Sequence[str], hold: Hold, asked: tuple[float, float] | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """t (nodes,), u (steps, nu) and u_end (nu,) or None, from the time column and those of the inputs.
+
+    asked: how long the task is, and how near to that is as long [s]; a plan of inputs alone whose last row has inputs, and which is as long only with
+    one more step, gets that step. None: nothing is added. Raises TrajectoryError.
+    """
+    t = table.column(time, last_is_open=False)
+    ends = bool(columns) and all(table.has_last(name) for name in columns)
+    if asked is not None and ends:
+        t = _with_a_last_step(t, *asked)
+    steps = len(t) - 1
+    inputs = [table.column(name, last_is_open=steps < table.rows) for name in columns]
+    u = np.column_stack(inputs) if inputs else np.zeros((steps, 0))
+    if steps == table.rows or not ends:
+        return t, u, None
+    try:
+        return t, u, np.array([table.column(name, last_is_open=False)[-1] for name in columns])
+    except TrajectoryError:
+        if hold is Hold.LINEAR:
+            raise
+        return t, u, None  # a held input has no use for it, whatever stands there
+
+
+def declared_scheme(table: PlanTable | ArrayTable) -> Scheme | None:
+    """The scheme that the lines above a table declare. Raises TrajectoryError for one that is unknown."""
+    if "scheme" not in table.declared:
+        return None
+    value = table.declared["scheme"]
+    if value not in [item.value for item in Scheme]:
+        close = difflib.get_close_matches(value, [item.value for item in Scheme], n=1)
+        hint = (
+            f"did you mean {close[0]}?"
+            if close
+            else f"there are {', '.join(item.value for item in Scheme)}; without this line it declares none."
+        )
+        raise TrajectoryError(f"{table.where}: the scheme {value!r} is unknown; {hint}")
+    return Scheme(value)
+
+
+def declared_hold(table: PlanTable | ArrayTable, hold: Hold | None, who: str = "--hold") -> Hold:
+    """The hold that the lines above a table declare, else zero; hold: what `who` asks for beside, which must not be another. Raises TrajectoryError."""
     if "hold" not in table.declared:
-        return scheme, hold or Hold.ZERO_ORDER
+        return hold or Hold.ZERO_ORDER
     value = table.declared["hold"]
     if value not in HOLDS:
         raise TrajectoryError(f"{table.where}: the hold {value!r} is unknown; it is {' or '.join(HOLDS)}.")
     if hold is not None and hold is not HOLDS[value]:
-        raise TrajectoryError(f"{table.where}: it declares the hold {value!r}, but --hold asks for another; leave one of the two out.")
-    return scheme, HOLDS[value]
+        raise TrajectoryError(f"{table.where}: it declares the hold {value!r}, but {who} asks for another; leave one of the two out.")
+    return HOLDS[value]
 
 
-def _with_a_last_step(t: np.ndarray, scene: Scene) -> np.ndarray:
-    """The times of a plan of inputs alone with the end of its last step, where only with it the plan lasts as long as the task."""
-    if not (np.isfinite(t).all() and (np.diff(t) > 0).all()):
+def _with_a_last_step(t: np.ndarray, asked: float, near: float) -> np.ndarray:
+    """The times of a plan of inputs alone with the end of its last step, where only with it the plan lasts as long as is asked, but for `near` [s]."""
+    if t.size < 2 or not (np.isfinite(t).all() and (np.diff(t) > 0).all()):
         return t
     longer = np.append(t, 2.0 * t[-1] - t[-2])
-    asked, near = scene.task.horizon, scene.task.step / 2.0
     return longer if abs(t[-1] - t[0] - asked) > near >= abs(longer[-1] - t[0] - asked) else t
 
 

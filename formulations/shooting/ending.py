@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -44,7 +43,7 @@ def input_bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def plan_residuals(scene: Scene, plan: Trajectory) -> dict[str, float]:
-    """terminal_error, terminal_position_error, terminal_velocity_error, input_bound_excess and, where the scene has such bounds, velocity_bound_excess."""
+    """terminal_error, its position and velocity parts, input_bound_excess and, where the scene has such bounds, velocity_bound_excess."""
     error = miss(plan.end, goal_state(scene.task))
     lower, upper = input_bounds(scene)
     residuals = {
@@ -61,14 +60,6 @@ def plan_residuals(scene: Scene, plan: Trajectory) -> dict[str, float]:
     return residuals
 
 
-def _largest(scene: Scene, metric: str, default: float) -> float:
-    """The scene's limit on a metric; infinite where it waives it."""
-    limit = scene.limit(metric)
-    if limit is None:
-        return default
-    return math.inf if limit.value is None else limit.value
-
-
 def arrived(
     scene: Scene, outcome: Outcome, message: str, residuals: Mapping[str, float], advice: str = "a larger terminal_weight"
 ) -> tuple[Outcome, str]:
@@ -77,12 +68,12 @@ def arrived(
     advice: what brings it nearer to the goal.
     """
     for name in ("terminal_position_error", "terminal_velocity_error"):
-        largest = _largest(scene, name, math.inf)
-        if outcome is Outcome.SOLVED and residuals[name] > largest:
-            told = f"{name} is {residuals[name]:.3g}, the scene asks for {largest:g}; {advice} brings it nearer"
+        limit = scene.limit(name)
+        if outcome is Outcome.SOLVED and limit is not None and limit.value is not None and residuals[name] > limit.value:
+            told = f"{name} is {residuals[name]:.3g}, the scene asks for {limit.value:g}; {advice} brings it nearer"
             outcome, message = Outcome.STALLED, f"{message} It converged away from the goal: {told}.".strip()
     excess = residuals.get("velocity_bound_excess", 0.0)
-    if outcome is Outcome.SOLVED and excess > _largest(scene, "velocity_bound_violation", _TOLERANCE):
+    if outcome is Outcome.SOLVED and excess > _TOLERANCE:
         outcome, message = (
             Outcome.STALLED,
             f"{message} A velocity exceeds its bound by {excess:.3g}: this method does not know such bounds.".strip(),

@@ -26,6 +26,7 @@ SCENE = Scene(
     name="two_finger",
     title="Two fingers carry a disc and set it to rest",
     source="Lagrange's equations of four bars and a disc; dimensions of planar grippers in contact-implicit planning (see the file)",
+    unstable="a disc pinched between two round tips without friction slips out sideways: the pinch F drives it off with 2 F/(R + w/2) a metre, a rate of sqrt(2 F/(m (R + w/2))) = 8/s for each newton under the root",
     coordinates=fingers.coordinates(),
     inputs=fingers.inputs(2.0),
     parameters=fingers.parameters(MASS),

@@ -25,6 +25,7 @@ SCENE = Scene(
     name="two_finger_lift",
     title="Two fingers lift a disc off a table by friction",
     source="Lagrange's equations of four bars and a disc; dimensions of planar grippers in contact-implicit planning (see the file)",
+    unstable="a disc held between two round tips turns them over: what squeezes them drives an error of the height on, and the tips roll on the disc",
     coordinates=fingers.coordinates(),
     inputs=fingers.inputs(2.0),
     parameters=(
@@ -59,6 +60,14 @@ SCENE = Scene(
         steps=200,
     ),
     limits=(
+        *(
+            Limit(
+                metric=metric,
+                value=0.02,
+                reason="a twentieth of the impulse m g T by which the disc is held up: what a step of 2 ms may misplace at the ten touches of a plan",
+            )
+            for metric in ("ghost_impulse", "missed_impulse")
+        ),
         *(
             Limit(
                 metric=metric,

@@ -64,7 +64,7 @@ def _plot(
 ) -> Plot:
     known = next((answer for answer in scene.answers if "cost" in answer.name and answer.value is not None), None)
     costs = [point[1] for point in points] + ([known.value] if known and known.value is not None else [])
-    units = {figure.unit for _, _, row in points if (figure := row.stage.metric("replay_terminal_error"))}
+    units = {metric.unit for _, _, row in points if (metric := row.stage.metric("replay_terminal_error"))}
     wide = min(costs) > 0 and max(costs) / min(costs) > _WIDE
     plot = Plot(
         title,

@@ -67,7 +67,7 @@ def _failed(both: list[Row]) -> list[str]:
             worse.append(f"{row.label} (row {row.number}): {pair}, so ours is the worse one.")
     said = []
     if dear:
-        held = all(row.stage.verdict == "holds" for row, _ in dear)
+        held = all(row.holds for row, _ in dear)
         judged = (
             "Plans at a fraction of the paper's cost hold after the replay, so its solver stopped far from the optimum there; the method is not to blame."
             if held

@@ -50,9 +50,9 @@ def test_a_free_end_misses_nothing():
     (first, _) = both(SCENE)
     assert first.cost == pytest.approx(SCENE.answers[0].value, rel=1e-9)
     assert first.trajectory is not None
-    figures = {figure.name for figure in score(SCENE, first.trajectory, None).figures}
-    assert "velocity_bound_violation" in figures
-    assert not {name for name in figures if "terminal" in name}
+    metrics = {metric.name for metric in score(SCENE, first.trajectory, None).metrics}
+    assert "velocity_bound_violation" in metrics
+    assert not {name for name in metrics if "terminal" in name}
 
 
 @pytest.mark.parametrize("goal", [(0.15, None), (None, 0.6), (0.15, 0.6)])
@@ -90,8 +90,10 @@ def test_velocity_bounds_hold_at_the_start_of_every_step(lower: float, upper: fl
     tight = bounded(lower, upper)
     free = solved("mpcc", SCENE).trajectory
     assert free is not None
-    (figure,) = (figure for figure in score(tight, free, None).figures if figure.name == "velocity_bound_violation")
-    assert figure.value == pytest.approx(max(lower - free.v[:-1].min(), free.v[:-1].max() - upper))
+    metric = score(tight, free, None).metric("velocity_bound_violation")
+    assert metric is not None
+    assert metric.ok is False
+    assert metric.value == pytest.approx(max(lower - free.v[:-1].min(), free.v[:-1].max() - upper))
     model = build_model(tight, eps=1e-3)
     assert (pyo.value(model.variable_v[3, "theta"].lb), pyo.value(model.variable_v[3, "theta"].ub)) == (lower, upper)
     assert model.variable_v[20, "theta"].lb is None

@@ -32,7 +32,7 @@ from models.trajectory import Trajectory, uniform_grid
 
 SIZE, EPS = 0.1, 1e-3
 x, y, vx, vy, push = sp.symbols("x y vx vy push", real=True)
-m, c, k, d = sp.symbols("m c k d", positive=True)
+m, b, c, k, d = sp.symbols("m b c k d", positive=True)
 
 
 def damped(law: DampingLaw) -> Scene:
@@ -48,10 +48,11 @@ def damped(law: DampingLaw) -> Scene:
             Parameter(symbol=k, value=120.0, unit="N/m"),
             Parameter(symbol=c, value=4.0 if law is DampingLaw.KELVIN_VOIGT else 0.5, unit=law.unit),
             Parameter(symbol=d, value=0.1, unit="m"),
+            Parameter(symbol=b, value=1.0, unit="N s/m"),
         ),
         kinetic_energy=m * (vx**2 + 2 * vy**2) / 2,
         potential_energy=sp.S.Zero,
-        forces=(push - vx * m, sp.S.Zero),
+        forces=(push - b * vx, sp.S.Zero),
         contacts=(
             Contact(
                 name="pad",

@@ -10,6 +10,7 @@ import sympy as sp
 
 from models.catalog import load_scene, scene_names
 from models.codegen.emit import emit_model
+from models.contacts import Friction
 from models.errors import SceneError, UnknownNameError
 from models.scene import Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
 from models.scene_annotations import goal_limits
@@ -350,9 +351,51 @@ def test_an_equation_without_a_form_in_c_is_the_scene_s_mistake(force: sp.Expr, 
         small_scene(task=replace(small_scene().task, final_cost=force))
 
 
-def test_a_jump_is_said_where_it_is_differentiated():
-    with pytest.raises(SceneError, match=r"scene small: .* contain DiracDelta, which has no form in C"):
-        emit_model(small_scene(forces=(sp.sign(vx),)))
+NOT_SMOOTH = {
+    "Abs": (sp.Abs(x), "sqrt(x^2 + r^2) for Abs(x)"),
+    "Max": (sp.Max(x, 1), "(x + y + sqrt((x - y)^2 + r^2))/2 for Max(x, y)"),
+    "Min": (sp.Min(x, 1), "(x + y - sqrt((x - y)^2 + r^2))/2 for Min(x, y)"),
+    "sign": (sp.sign(x), "tanh(x/r) for sign(x)"),
+    "Heaviside": (sp.Heaviside(x), "tanh(x/r)"),
+    "Piecewise": (sp.Piecewise((x, x > 0), (0, True)), "tanh(x/r)"),
+    "floor": (sp.floor(x), "x for floor(x)"),
+    "ceiling": (sp.ceiling(x), "x for ceiling(x)"),
+    "Mod": (sp.Mod(x, 2), "a sine of the same period"),
+}
+
+
+@pytest.mark.parametrize("name", NOT_SMOOTH)
+def test_a_corner_is_said_once_when_the_scene_is_made(name: str):
+    """Wherever plans need derivatives, and how it is rounded off; a depth is a number, and may be a smallest one."""
+    bent, advice = NOT_SMOOTH[name]
+    task, rubbing = small_scene().task, Friction(name="f", slip=vx, coefficient=1, contact="wall")
+    for field, changes in {
+        "kinetic_energy": {"kinetic_energy": m * vx**2 * (9 + bent)},
+        "potential_energy": {"potential_energy": k * bent**3},
+        "forces[x]": {"forces": (u - k * bent,)},
+        "friction f: slip": {"frictions": (replace(rubbing, slip=vx * (2 + bent)),)},
+        "friction f: normal_force": {"frictions": (replace(rubbing, contact=None, normal_force=k * bent),)},
+        "task.running_cost": {"task": replace(task, running_cost=u**2 + bent)},
+        "task.final_cost": {"task": replace(task, final_cost=bent)},
+    }.items():
+        with pytest.raises(SceneError) as caught:
+            small_scene(**changes)
+        text = str(caught.value)
+        assert text.startswith(f"scene small: {field} contains {name}("), text
+        assert "which is not differentiable everywhere, as plans need it; round it off: " in text
+        assert advice in text
+
+
+@pytest.mark.parametrize("field", ["stiffness", "damping"])
+def test_a_corner_of_parameters_is_a_parameter(field: str):
+    wall = replace(small_scene().contacts[0], **{field: sp.Max(k, 2 * m)})
+    with pytest.raises(SceneError, match=rf"contact wall: {field} contains Max\(k, 2\*m\), .* make it a parameter of its value"):
+        small_scene(contacts=(wall,))
+
+
+def test_what_has_no_form_in_c_but_is_no_function_is_said_where_it_is_written():
+    with pytest.raises(SceneError, match=r"scene small: .* contain Integral, which has no form in C"):
+        emit_model(small_scene(forces=(u + sp.Integral(sp.cos(sp.Symbol("s") ** 5 + x), (sp.Symbol("s"), 0, 1)),)))
 
 
 def test_a_plan_must_fit_into_memory():

@@ -189,7 +189,7 @@ def test_a_limit_on_an_unknown_figure_is_named_with_its_file(tmp_path: Path, cap
     path = written(tmp_path, SOUND.replace(*UNKNOWN_METRIC, 1))
     assert run(["plan", "--scene", path, "--out", str(tmp_path / "runs")]) == 2
     said = capsys.readouterr().err
-    assert said.startswith(f"error: scene file {path}: scene own: there is a limit on 'defekt', which is no figure; did you mean defect?")
+    assert said.startswith(f"error: scene file {path}: scene own: there is a limit on 'defekt', which is no metric; did you mean defect?")
     assert said.count("\n") == 1, said
 
 

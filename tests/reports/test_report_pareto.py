@@ -32,7 +32,7 @@ def cell(name: str, cpu: float, error: float | None, cost: float, missed: float,
             "verdict": verdict,
             "paper": {},
             "seconds": first.seconds.model_copy(update={"stage_cpu": cpu}),
-            "figures": (figure("replay_error", error, 0.02), figure("replay_terminal_error", missed, 0.06)),
+            "metrics": (figure("replay_error", error, 0.02), figure("replay_terminal_error", missed, 0.06)),
             **changes,
         }
     )
@@ -91,8 +91,8 @@ def test_a_gain_too_small_for_a_sentence_is_told_as_one() -> None:
 
 
 def test_failures_and_refusals_are_listed() -> None:
-    failed = cell("lost", 3.0, None, 490.0, 0.01, "no plan", outcome="stalled", message="no step was left. More words.", figures=())
-    refused = cell("refuses", 0.0, None, 490.0, 0.01, "no plan", outcome="refused", figures=())
+    failed = cell("lost", 3.0, None, 490.0, 0.01, "no plan", outcome="stalled", message="no step was left. More words.", metrics=())
+    refused = cell("refuses", 0.0, None, 490.0, 0.01, "no plan", outcome="refused", metrics=())
     found = page(cell("good", 1.0, 0.01, 490.0, 0.01), failed, refused)
     assert [(row.label, why) for row, why in found.failed] == [("lost", "stalled, no plan: no step was left")]
     assert found.refused == ["refuses"]
@@ -100,7 +100,7 @@ def test_failures_and_refusals_are_listed() -> None:
 
 def test_where_nothing_holds_it_says_so() -> None:
     found = page(cell("bad", 1.0, 0.3, 490.0, 0.01, "violates"))
-    assert found.views[0].sentence == "None of 1 plan keeps every limit of the scene, so there is none to recommend."
+    assert found.views[0].sentence == "None of 1 plan holds, so there is none to recommend."
 
 
 def test_a_scene_without_inputs_has_nothing_to_choose_from() -> None:

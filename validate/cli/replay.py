@@ -98,10 +98,12 @@ def command(
     told = _told(judgement, warnings)
     if out is not None:
         _write(out, told, judgement)
+    for text in told["warnings"]:
+        click.echo(one_line(f"warning: {text}"), err=True)
     if as_json:
         click.echo(json.dumps(told, indent=1))
     else:
-        _print(judgement, warnings)
+        _print(judgement)
     return exit_code(judgement.verdict, require)
 
 
@@ -154,7 +156,10 @@ def _told(judgement: Judgement, warnings: list[str]) -> dict[str, Any]:
         "why": result.why,
         "judged": result.judged,
         "questions": [{"number": question.number, "question": question.value, "answer": answer} for question, answer in result.questions],
-        "metrics": [{**asdict(metric), "question": metric.question.number} for metric in result.metrics],
+        "metrics": [
+            {**asdict(metric), "question": metric.question.number, "error": metric.error if math.isfinite(metric.error) else None}
+            for metric in result.metrics
+        ],
         "waived": list(result.waived),
         "not_asked": list(result.not_asked),
         "warnings": [*warnings, *result.warnings],
@@ -170,7 +175,7 @@ def _facts(replay: Replay) -> dict[str, Any]:
         "message": replay.message,
         "method": replay.method,
         "events": len(replay.events),
-        "error": asdict(replay.error),
+        "error": replay.error.as_json(),
         "fmu_sha256": replay.fmu,
         "seconds": {"reference": replay.seconds_reference, "everyday": replay.seconds_everyday},
         **({"effort": asdict(replay.effort)} if replay.effort is not None else {}),
@@ -196,7 +201,7 @@ def _write(out: Path, told: dict[str, Any], judgement: Judgement) -> None:
             write_netcdf(out / "plan.nc", plan, subject, replay.tracked.feedback.gains)
 
 
-def _print(judgement: Judgement, warnings: list[str]) -> None:
+def _print(judgement: Judgement) -> None:
     from validate.score.verdict import TRACKED
 
     result, replay = judgement.score, judgement.replay
@@ -224,8 +229,6 @@ def _print(judgement: Judgement, warnings: list[str]) -> None:
         click.echo(one_line(f"Not asked: {text}"))
     for text in result.waived:
         click.echo(one_line(f"Waived by the scene: {text}"))
-    for text in (*warnings, *result.warnings):
-        click.echo(one_line(f"warning: {text}"), err=True)
     click.echo(one_line(f"{result.verdict.value}: {result.why}"), color=use_colour())
 
 
@@ -233,10 +236,14 @@ def _own_error(what: str, replay: Replay) -> str:
     estimate = replay.error.estimate
     ratio = replay.error.step_ratio
     shrinks = "" if ratio is None else f"; half the step shrinks the everyday replay's error {ratio:.3g} times"
-    own = "has no estimate" if estimate is None else f"is {estimate.position:.2g} in any position, {estimate.state:.2g} in the state"
+    own = "has no estimate" if estimate is None else f"is {_size(estimate.position)} in any position, {_size(estimate.state)} in the state"
     source = replay.error.step_source
     told = "" if source == "none" else f"; error of the step by {source}"
     return f"{what}'s own error {own} ({replay.method}; {len(replay.events)} events{shrinks}{told}). {replay.message}".rstrip()
+
+
+def _size(value: float) -> str:
+    return "unknown" if math.isinf(value) else f"{value:.2g}"
 
 
 def _judgement(metric: Metric) -> str:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 # From here on decimals would fill the line: a diverged plan may cost 1e200.
 _LARGE = 1e9
-_COLOURS = {"holds with feedback": "green", "holds": "green", "violates": "red", "undecided": "yellow", "no plan": "red"}
+_COLOURS = {"holds": "green", "holds with feedback": "cyan", "violates": "red", "undecided": "yellow", "no plan": "red"}
 
 
 def use_colour() -> bool | None:

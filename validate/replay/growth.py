@@ -111,7 +111,7 @@ class FlowDerivative:
         self._start, self._u = np.empty(2 * nq), np.empty((steps, scene.nu))
         self._u_bar, self._start_bar, self._bar = np.empty((steps, scene.nu)), np.empty(2 * nq), np.zeros((2, *nodes))
         self._run = np.empty(nodes), np.empty(nodes), np.empty((steps, scene.nl))
-        self._parameters = kernel.parameters.ctypes.data
+        self._kernel = kernel
         start, u, *made = (array.ctypes.data for array in (self._start, self._u, *self._run))
         self._rollout_of = start, u, *made
         self._adjoint_of = *made, u, self._bar[0].ctypes.data, self._bar[1].ctypes.data, None, 0.0, self._u_bar.ctypes.data
@@ -121,7 +121,7 @@ class FlowDerivative:
         """As `flow_derivative` gives it. Raises KernelError."""
         scene, nq = self._scene, self._scene.nq
         self._start[:], self._u[:] = state, u
-        head = (self._steps, h, self._parameters, ContactLaw.RELU.value, 0.0)
+        head = (self._steps, h, self._kernel.parameters_of(h).ctypes.data, ContactLaw.RELU.value, 0.0)
         if self._functions.rollout(*head, *self._rollout_of) < self._steps:
             raise KernelError(f"scene {scene.name}: the true contact law leads out of every bound from {state.tolist()}.")
         by_state, by_input = np.empty((2 * nq, 2 * nq)), np.empty((2 * nq, u.shape[1]))

@@ -199,16 +199,21 @@ def _cause(first: Metric, told: Told) -> str:
     if first.name == "defect":
         return "; if another integrator made it, leave the declaration of the scheme out"
     if first.name in ("law_error", "discrete_terminal_position_error", "discrete_terminal_velocity_error"):
+        if told.questions.get(Question.MOTION) == "yes":  # no relaxed law gives the motion that the true one gives
+            return "; its inputs give its motion all the same: if another integrator made it, leave the declaration of the scheme out"
         return f": a relaxed contact law; {_ADVICE_EXACT}"
     if first.question is Question.MOTION:
         return _of_motion(first, told)
+    grid = told.metrics.get("grid_error")
+    if first.question is Question.POSSIBLE and told.value("grid_order") is not None and grid is not None and grid.value is not None:
+        return f": discretisation error {number(grid.value, grid.unit)}"
     return ""
 
 
 def _of_depth(told: Told) -> str:
     if not isinstance(told.scene, Scene) or told.replay is None or not told.replay.ok:
         return ""
-    share = np.maximum(-told.replay.gap, 0.0).max(axis=0) / np.array(told.scene.depths)
+    share = np.maximum(-told.replay.gap, 0.0).max(axis=0) / np.array([np.inf if depth is None else depth for depth in told.scene.depths])
     contact = told.scene.contacts[int(share.argmax())]
     return f": beyond the depth at which the model of contact {contact.name} ({contact.bodies[0]} and {contact.bodies[1]}) ends, {contact.depth_reason}"
 
@@ -224,13 +229,15 @@ def _of_motion(first: Metric, told: Told) -> str:
     growth = told.value("amplification")
     unstable = "" if growth is None or growth < _UNSTABLE else f"; unstable in the open loop (amplification {rounded(growth)})"
     if plan.scheme is None:
-        if told.fails("unexplained_force"):
+        if told.fails("unexplained_force") and first.name != "unexplained_force":
             return f": {_PHRASES['unexplained_force'].format(percent(told.value('unexplained_force') or 0.0))}"
         return unstable
     grid = told.metrics.get("grid_error")
     if grid is None or grid.value is None:
         return unstable
     law = told.value("law_error") or 0.0
+    if told.fails("defect"):
+        return f": {_quote(told.metrics['defect'], told)}"
     if law > grid.value:
         return f": a relaxed contact law ({number(law, grid.unit)} on its own grid already); {_ADVICE_EXACT}"
     text = f": discretisation error {number(grid.value, grid.unit)}; the contact forces are correct{unstable}"

@@ -74,6 +74,17 @@ class Evidence:
         step = self.scene.task.step
         return np.full_like(h, step) if np.allclose(h, step, rtol=1e-9, atol=0.0) else h
 
+    def cost_of(self, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> float:
+        """The task's cost of a motion at the plan's nodes: its sum over the task's own steps, whatever the plan's grid is, and the final cost."""
+        final = self.kernel.cost(q[-1:], v[-1:], u[:0])
+        if (self.h == self.h[0]).all():
+            return (self.kernel.cost(q, v, u) - final) * float(self.h[0]) / self.scene.task.step + final
+        running = [
+            self.kernel.cost(q[i : i + 2], v[i : i + 2], u[i : i + 1]) - self.kernel.cost(q[i + 1 : i + 2], v[i + 1 : i + 2], u[:0])
+            for i in range(len(u))
+        ]
+        return float(np.dot(running, self.h)) / self.scene.task.step + final
+
     @cached_property
     def phi(self) -> np.ndarray:
         """(steps, nc) penetration at the start of each step of the plan [m]."""
@@ -132,7 +143,7 @@ class Evidence:
         return self.kernel.contact_force(self.q, v=self.v if self.equations.damped else None)
 
     def printing(self, group: str) -> float:
-        """Half a unit of the last printed digit of the plan's q, v, u or lam; in the unit of the group."""
+        """Half a unit of the last printed digit of the plan's t, q, v, u or lam; in the unit of the group."""
         return self._printing[group]
 
     @cached_property
@@ -141,7 +152,10 @@ class Evidence:
         nominal = min((item.nominal for item in items), default=1.0)
         ranges = [item.upper - item.lower for item in self.scene.inputs]
         largest = [width if np.isfinite(width) else float(np.abs(plan.u[:, index]).max()) for index, width in enumerate(ranges)]
+        uniform = plan.has_uniform_grid() or bool(np.allclose(np.diff(plan.t), self.scene.task.step, rtol=1e-9, atol=0.0))
         return {
+            # Of a grid that is no grid to all its digits; a tenth of a step may be lost so.
+            "t": 0.0 if uniform else half_unit(plan.t, 200.0 * float(np.diff(plan.t).min())),
             "q": half_unit(plan.q, nominal),
             "v": half_unit(plan.v, nominal),
             "u": half_unit(plan.u, min(largest, default=0.0)),
@@ -163,7 +177,7 @@ class Evidence:
             q, v, u = moved("q", plan.q[:-1]), moved("v", plan.v[:-1]), moved("u", plan.u)
             lam = plan.lam.copy()
             lam[:, : self.scene.nc] = self.kernel.contact_force(q, v=v if self.equations.damped else None)
-            return self.kernel.acceleration(q, v, u, moved("lam", lam))
+            return self._of_steps(self.kernel.acceleration(q, v, u, moved("lam", lam)))
 
         try:
             still = acceleration(0.0)
@@ -210,12 +224,19 @@ class Evidence:
             raise Unmeasured(f"the plan does not say its velocities ({columns}).")
         return self.trajectory.v
 
+    def _of_steps(self, acceleration: np.ndarray) -> np.ndarray:
+        """(steps, nq) of the plan's own steps, from those of the task's: without inertia a step takes up all of a force, however short it is."""
+        scene = self.equations
+        if scene.relaxation_index is None:
+            return acceleration
+        return acceleration * (scene.parameters[scene.relaxation_index].value / self.h)[:, None]
+
     @cached_property
     def acceleration(self) -> np.ndarray:
         """(steps, nq) of the plan's states, inputs and own contact forces."""
         plan = self.trajectory
         try:
-            return self.kernel.acceleration(plan.q[:-1], self.v[:-1], plan.u, self.forces)
+            return self._of_steps(self.kernel.acceleration(plan.q[:-1], self.v[:-1], plan.u, self.forces))
         except KernelError as error:
             raise Unmeasured(str(error)) from error
 
@@ -312,6 +333,12 @@ class Evidence:
         """(nodes, nq) of the replay, at the plan's nodes."""
         self.need("v")
         return self.replay.v[self.replay.knots]
+
+    @property
+    def all_replay_v(self) -> np.ndarray:
+        """(n, nq) of the replay, at all its rows."""
+        self.need("v")
+        return self.replay.v
 
     @property
     def replay_end(self) -> np.ndarray:

@@ -13,6 +13,7 @@ import numpy as np
 
 from models.scene import Scene
 from models.schemes import Scheme
+from models.trajectory import Hold
 from validate.replay.subject import Subject
 from validate.score import equations as eq
 from validate.score.closed_forms import answer_error
@@ -39,7 +40,7 @@ class Entry:
     """One row. measure raises Unmeasured with a reason.
 
     default: the limit where the scene sets none, as a factor of the component's scale, with its reason; None: only a scene's limit judges it.
-    needs: what the plan must say for the metric to be asked, of "q", "v", "lam", "friction", "scheme", "no scheme"; of_replay: whether it is of the
+    needs: what the plan must say for the metric to be asked, of "q", "v", "lam", "friction", "scheme", "no scheme", "no defect"; of_replay: whether it is of the
     replay, and so has a twin where there is a replay with feedback.
     """
 
@@ -153,7 +154,8 @@ def _duration_error(case: Evidence) -> Measured:
 def _bound_violation(case: Evidence) -> Measured:
     inputs = case.scene.inputs
     lower, upper = np.array([item.lower for item in inputs]), np.array([item.upper for item in inputs])
-    applied = case.trajectory.u if case.trajectory.u_end is None else np.vstack([case.trajectory.u, case.trajectory.u_end])
+    plan = case.trajectory
+    applied = np.vstack([plan.u, plan.u_end]) if plan.u_end is not None and plan.hold is Hold.LINEAR else plan.u
     return Measured(
         values=eq.outside(applied, lower, upper), scales=_ranges(lower, upper), allowed=case.printing("u"),
         units=tuple(item.unit for item in inputs),
@@ -201,7 +203,7 @@ def _terminal_velocity_error(case: Evidence) -> Measured:
 
 
 def _cost(case: Evidence) -> float:
-    return case.kernel.cost(case.q, case.v, case.trajectory.u)
+    return case.cost_of(case.q, case.v, case.trajectory.u)
 
 
 # Question 3
@@ -274,8 +276,9 @@ def _replay_terminal_error(case: Evidence) -> tuple[float, float]:
 
 
 def _replay_terminal_position_error(case: Evidence) -> tuple[float, float]:
-    # The norm over positions cannot differ by more than the norm over the state does.
-    return eq.distance(case.replay_q[-1], case.goal[: case.scene.nq]), case.error.state
+    # The norm over positions differs by at most as much as each of them does.
+    error = min(case.error.state, case.error.position * float(np.sqrt(case.scene.nq)))
+    return eq.distance(case.replay_q[-1], case.goal[: case.scene.nq]), error
 
 
 def _replay_terminal_velocity_error(case: Evidence) -> tuple[float, float]:
@@ -286,8 +289,8 @@ def _replay_cost(case: Evidence) -> tuple[float, float]:
     replay = case.replay
     u = case.trajectory.u if replay.applied is None else replay.applied
     q, v, error = case.replay_q, case.replay_v, case.error.state
-    value = case.kernel.cost(q, v, u)
-    around = [case.kernel.cost(q + sign * error, v + sign * error, u) for sign in (1.0, -1.0)] if np.isfinite(error) else [np.inf]
+    value = case.cost_of(q, v, u)
+    around = [case.cost_of(q + sign * error, v + sign * error, u) for sign in (1.0, -1.0)] if np.isfinite(error) else [np.inf]
     return value, max(abs(one - value) for one in around)
 
 
@@ -301,15 +304,15 @@ def _grid_error(case: Evidence) -> tuple[float, float]:
 
 def _grid_order(case: Evidence) -> float:
     """Log2 of what the last halving of the plan's step does to its distance from the replay, its inputs held; halved until it is near, or seven times."""
-    error, limit = _grid_error(case)[0], _replay_limit(case)
-    if error <= limit:
-        raise Unmeasured("the discretisation error is below the limit on replay_error, so that nothing need be known of its order.")
+    error, near = _grid_error(case)[0], _replay_limit(case) / 4.0
+    if error <= near:
+        raise Unmeasured("the discretisation error is far below the limit on replay_error, so that nothing need be known of its order.")
     order = 0.0
     for halvings in range(1, _HALVINGS + 1):
         finer, _ = eq.largest_difference(case.refined_motion(2**halvings), case.replay_q)
         order = float(np.log2(error / finer)) if finer > 0.0 else np.inf
         error = finer
-        if error <= limit:
+        if error <= near:
             break
     return min(order, _HALVINGS)
 
@@ -346,9 +349,11 @@ def _printed_impulse(case: Evidence) -> float:
 
 def _impulse_error(case: Evidence) -> float:
     """Each force may be wrong by k times the error of its gap while there is contact; a damped one also by its error in the velocities."""
-    if not isinstance(case.scene, Scene):
-        return case.foreign_impulse_error
     touching = float((case.duration[:, None] * ((case.replay.lam[:-1] > 0.0) | (case.replay.lam[1:] > 0.0))).sum())
+    if not isinstance(case.scene, Scene):  # its stiffness is what its own forces and gaps say
+        pressed = case.replay_gap < 0.0
+        stiffness = np.divide(case.replay.lam, -case.replay_gap, out=np.zeros_like(case.replay.lam), where=pressed).max(initial=0.0)
+        return float(stiffness) * touching * case.error.gap if touching else 0.0
     error = float(case.slopes[0].max(initial=0.0)) * touching * case.error.gap
     return error + (float(case.slopes[1].max(initial=0.0)) * touching * case.error.state if case.scene.damped else 0.0)
 
@@ -356,7 +361,7 @@ def _impulse_error(case: Evidence) -> float:
 def _replay_velocity_bound_violation(case: Evidence) -> Measured:
     lower, upper = _velocity_bounds(case)
     return Measured(
-        values=eq.outside(case.replay_v[:-1], lower, upper),
+        values=eq.outside(case.all_replay_v[:-1], lower, upper),
         error=case.error.state,
         scales=_nominals(case.scene),
         units=_velocity_units(case.scene),
@@ -523,7 +528,7 @@ TABLE = (
         meaning="the task's cost of the replay, at the plan's nodes",
     ),
     Entry(
-        name="unexplained_force", question=Question.MOTION, unit=_unit("1"), measure=unexplained_force, applies=_is_scene, needs=("q", "no scheme"),
+        name="unexplained_force", question=Question.MOTION, unit=_unit("1"), measure=unexplained_force, applies=_is_scene, needs=("q", "no defect"),
         default=(0.1, "10 % of the peak contact force: as much as a step of a good grid leaves open"),
         meaning="largest mean force over a step that inputs and true contact do not explain, from the plan's own states, as a share of the peak contact force",
     ),
@@ -545,7 +550,7 @@ TABLE = (
     Entry(
         name="replay_velocity_bound_violation", question=Question.POSSIBLE, unit=_velocity_unit, measure=_replay_velocity_bound_violation,
         applies=_has_velocity_bounds, of_replay=True, default=(1e-2, "1e-2 of the nominal, as the replay may differ from the plan"),
-        meaning="by how much the replay's velocities leave their bounds at the plan's nodes",
+        meaning="by how much the replay's velocities leave their bounds",
     ),
     Entry(
         name="defect", question=Question.SCHEME, unit=_state_unit, measure=_defect, applies=_is_scene, needs=("q", "v", "lam", "friction", "scheme"),

@@ -4,8 +4,11 @@ From each of the plan's states the true motion is run over one step under the pl
 velocity differs by, dv, takes a mean force M dv/h that nobody gives. Forces along different coordinates are compared in the norm of M^-1, in which a
 contact force lam has the size lam sqrt(J M^-1 J'): so a force that is not there is measured in contact forces of the same effect.
 
-Velocities that the plan does not say follow from its positions: those with which the true motion arrives at the next position. What then jumps at a
-node is unexplained. A plan that says both must not move by more or less than its velocities at both ends of the step, or the true motion, allow.
+Of a scene without inertia (models.quasi_static) forces are velocities: what its position differs by after the step, dq, takes the mean force D dq/h.
+
+A plan that says both must not move by more or less than its velocities at both ends of the step, or the true motion, allow. Velocities that it does
+not say follow from its positions, in whichever of two ways explains it better: those with which the true motion arrives at the next position - what
+then jumps at a node is unexplained -, or backward differences, which are the velocities of whoever steps as semi-implicit Euler does.
 """
 
 from __future__ import annotations
@@ -35,26 +38,62 @@ def unexplained_force(case: Evidence) -> float:
 def _forces(case: Evidence) -> np.ndarray:
     """(steps,) sqrt(dv' M dv)/h of each step, less what printing may be the cause of."""
     plan, h = case.trajectory, np.diff(case.trajectory.t)
-    q, said = case.q, "v" not in plan.missing
-    mass = _masses(case, q)
-    p_q, p_v = case.printing("q"), case.printing("v") if said else 0.0
-    departing = plan.v[:-1].copy() if said else _departures(case, h)
-    ends = np.array([_advance(case, step, departing[step], h[step]) for step in range(plan.steps)])
+    if "v" not in plan.missing:
+        return _by_velocities(case, h, plan.v, case.printing("v"))
+    if case.equations.relaxation_index is not None:
+        return _without_inertia(case, h, _departures(case, h))
+    backward = np.vstack([case.start_velocity, np.diff(case.q, axis=0) / h[:, None]])
+    readings = _by_departures(case, h), _by_velocities(case, h, backward, 2.0 * case.printing("q") / float(h.min()))
+    return min(readings, key=lambda forces: forces.max())
+
+
+def _by_velocities(case: Evidence, h: np.ndarray, v: np.ndarray, p_v: float) -> np.ndarray:
+    """(steps,) with velocities v (nodes, nq) printed to p_v."""
+    q, p_q, mass = case.q, case.printing("q"), _masses(case, case.q)
+    late = 2.0 * case.printing("t")  # a node that is printed late has moved on by its speed, and its speed by its acceleration
+    ends = _arrivals(case, h, v[:-1])
     arriving_q, arriving = ends[:, : case.scene.nq], ends[:, case.scene.nq :]
-    ones = np.ones(case.scene.nq)
-    if said:
-        jump = plan.v[1:] - arriving
-        moved = np.diff(q, axis=0)
-        low, high = np.minimum(plan.v[:-1], plan.v[1:]) * h[:, None], np.maximum(plan.v[:-1], plan.v[1:]) * h[:, None]
-        beyond = np.maximum(np.maximum(moved - high, low - moved), 0.0)
-        beyond = np.minimum(beyond, np.abs(q[1:] - arriving_q))
-        beyond = np.maximum(beyond - 2.0 * p_q - h[:, None] * p_v, 0.0) / h[:, None]
-        allowed = 2.0 * p_v + h * case.printing_acceleration
-        return np.maximum(_sizes(mass[1:], jump) - allowed * _sizes(mass[1:], ones), _sizes(mass[1:], beyond)).clip(0.0) / h
+    moved = np.diff(q, axis=0)
+    low, high = np.minimum(v[:-1], v[1:]) * h[:, None], np.maximum(v[:-1], v[1:]) * h[:, None]
+    beyond = np.maximum(np.maximum(moved - high, low - moved), 0.0)
+    beyond = np.minimum(beyond, np.abs(q[1:] - arriving_q))
+    beyond = np.maximum(beyond - 2.0 * p_q - h[:, None] * p_v - late * np.abs(v[:-1]), 0.0) / h[:, None]
+    if case.equations.relaxation_index is not None:
+        return np.maximum(_without_inertia(case, h, v[:-1]), _sizes(mass[1:], beyond) / _relaxation_time(case))
+    jump = v[1:] - arriving
+    allowed = 2.0 * p_v + h * case.printing_acceleration + late * np.abs((arriving - v[:-1]) / h[:, None]).max(axis=1)
+    return np.maximum(_sizes(mass[1:], jump) - allowed * _sizes(mass[1:], np.ones(case.scene.nq)), _sizes(mass[1:], beyond)).clip(0.0) / h
+
+
+def _without_inertia(case: Evidence, h: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """(steps,) of a scene whose forces are velocities, from velocities v (steps, nq) at the starts: D (moved - moves)/h, with M = tau D."""
+    mass = _masses(case, case.q)[1:]
+    missed = (case.q[1:] - _arrivals(case, h, v)[:, : case.scene.nq]) / h[:, None]
+    allowed = (2.0 * case.printing("q") + 2.0 * case.printing("t") * np.abs(v).max(axis=1)) / h + h * case.printing_acceleration
+    return (_sizes(mass, missed) - allowed * _sizes(mass, np.ones(case.scene.nq))).clip(0.0) / _relaxation_time(case)
+
+
+def _relaxation_time(case: Evidence) -> float:
+    """tau [s] of a scene without inertia."""
+    return case.equations.parameters[case.equations.relaxation_index].value  # type: ignore[index] - asked where there is one
+
+
+def _by_departures(case: Evidence, h: np.ndarray) -> np.ndarray:
+    """(steps,) with the velocities that lead from each position to the next; the first must be the task's."""
+    p_q, mass, departing = case.printing("q"), _masses(case, case.q), _departures(case, h)
+    late = 2.0 * case.printing("t")
+    arriving = _arrivals(case, h, departing)[:, case.scene.nq :]
     jump = np.vstack([departing[:1] - case.start_velocity, departing[1:] - arriving[:-1]])
     spans = np.concatenate([h[:1], (h[1:] + h[:-1]) / 2.0])
-    allowed = 2.0 * p_q * (1.0 / h + 1.0 / np.concatenate([h[:1], h[:-1]])) + h * case.printing_acceleration
-    return (_sizes(mass[:-1], jump) - allowed * _sizes(mass[:-1], ones)).clip(0.0) / spans
+    allowed = (2.0 * p_q + late * np.abs(departing).max(axis=1)) * (
+        1.0 / h + 1.0 / np.concatenate([h[:1], h[:-1]])
+    ) + h * case.printing_acceleration
+    return (_sizes(mass[:-1], jump) - allowed * _sizes(mass[:-1], np.ones(case.scene.nq))).clip(0.0) / spans
+
+
+def _arrivals(case: Evidence, h: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """(steps, 2 nq) true states at the ends of the steps, from the plan's positions and velocities v (steps, nq)."""
+    return np.array([_advance(case, step, v[step], h[step]) for step in range(len(h))])
 
 
 def _advance(case: Evidence, step: int, v: np.ndarray, h: float) -> np.ndarray:
