@@ -1,4 +1,8 @@
-"""The exact contact problem by its contact windows: softplus homotopy, modes read off, what is left solved exactly, windows searched."""
+"""The exact contact problem by its contact windows: softplus homotopy, modes read off, what is left solved exactly, windows searched.
+
+Where the end is free and has a cost, a plan that touches nothing is a local optimum from which no slope leads to a contact (two_discs_wall: nothing
+done costs 0.61, a throw off the wall 0.39). There throws by constant inputs are tried, and the cheapest are solved with their contact modes.
+"""
 
 from __future__ import annotations
 
