@@ -95,6 +95,8 @@ def rollout(kernel: Kernel, scheme: Scheme, start: np.ndarray, u: np.ndarray, h:
 def defect(kernel: Kernel, plan: Trajectory) -> np.ndarray:
     """(2 nq,) largest miss of a plan in its own collocation step, contact forces by the true law [m, rad, or per second]; infinite where a step has
     no solution."""
+    if plan.scheme is None:
+        raise ValueError("a plan that declares no scheme has no defect.")
     q, v = advance(kernel, plan.scheme, plan.q[:-1], plan.v[:-1], plan.u, np.diff(plan.t))
     miss = np.hstack([q - plan.q[1:], v - plan.v[1:]])
     return np.abs(miss).max(axis=0) if np.isfinite(miss).all() else np.full(miss.shape[1], np.inf)

@@ -57,7 +57,7 @@ class Contact:
     damping: sp.Expr = sp.S.Zero
     damping_law: DampingLaw = DampingLaw.KELVIN_VOIGT
     bodies: tuple[str, str] = ("", "")
-    depth: sp.Expr | float = sp.S.Zero
+    depth: sp.Expr = sp.S.Zero  # a number becomes one
     depth_reason: str = ""
     nominal: float = 1e-2
     description: str = ""

@@ -109,8 +109,8 @@ def read_netcdf(path: Path, scene: Scene) -> Trajectory:
         stacked = [numbers(path, columns, name, unit, size) for name, unit, _ in group]
         arrays[field] = np.column_stack(stacked) if stacked else np.zeros((size, 0))
     try:
-        missing = frozenset(attributes.get("missing", "").split())
-        u_end = np.array([float(word) for word in attributes["u_end"].split()]) if "u_end" in attributes else None
+        missing = frozenset(str(attributes.get("missing", "")).split())
+        u_end = np.array([float(word) for word in str(attributes["u_end"]).split()]) if "u_end" in attributes else None
         return Trajectory(t=t, hold=hold, scheme=scheme, missing=missing, u_end=u_end, **arrays)
     except TrajectoryError as error:
         raise TrajectoryError(f"{error} (file {path})") from error

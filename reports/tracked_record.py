@@ -1,4 +1,4 @@
-"""What is stored of a replay with tracking feedback, beside the one in the open loop."""
+"""What is stored of a replay with feedback, beside the one of the inputs alone."""
 
 from __future__ import annotations
 

@@ -38,7 +38,8 @@ def differs(case: Case, said: Said) -> str:
     if said.verdict not in case.expected:
         return "verdict"
     lowered = said.why.lower()
-    return "" if not case.causes or any(cause in lowered for cause in case.causes) else "cause"
+    named = not case.causes or any(cause in lowered for cause in case.causes)
+    return "" if named and not any(cause in lowered for cause in case.never) else "cause"
 
 
 def _told(cases: Iterator[Case], only: str, rows: list[dict[str, object]]) -> int:
@@ -52,6 +53,7 @@ def _told(cases: Iterator[Case], only: str, rows: list[dict[str, object]]) -> in
             fault = differs(case, said)
             wrong_ones += bool(fault)
             expected = case.expected[0] + (f" ({'|'.join(case.causes)})" if case.causes else "")
+            expected += f", never {'|'.join(case.never)}" if case.never else ""
             rows.append(
                 {
                     "plan": case.name, "expected": list(case.expected), "causes": list(case.causes), "said": said.verdict, "why": said.why, "differs": fault,

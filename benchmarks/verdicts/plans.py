@@ -105,7 +105,7 @@ class Case:
     """One plan and what must be said of it.
 
     scene: a name or a file; plan: or a function that makes it, which may raise NoPlanError; expected: the words that are right; causes: pieces of words, of
-    which one must stand in the sentence.
+    which one must stand in the sentence; never: pieces that name a cause which it is not.
     """
 
     name: str
@@ -113,6 +113,7 @@ class Case:
     plan: Plan | Callable[[], Plan]
     expected: tuple[str, ...]
     causes: tuple[str, ...] = ()
+    never: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

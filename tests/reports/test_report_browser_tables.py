@@ -52,7 +52,7 @@ def test_units_and_second_numbers_have_columns_of_their_own(tables):
     assert all(float(row[value]) >= 0 for row in named)
     assert {"m", "N s"} <= {row[unit] for row in named}
     own, against = score[0].index("Value, own error"), score[0].index("Value, against its limit")
-    assert {row[own] for row in named} == {"", "3e-9"}
+    assert {row[own] for row in named} == {"", "3e-09"}
     assert {row[against] for row in named} == {"", "✓ within"}
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import html
+import re
+
 import pytest
 from pydantic import ValidationError
 
@@ -9,7 +12,9 @@ from reports.judged import end_of, judged_metric, questions_of
 from reports.pages.judged_cells import direct, scene_by_scene
 from reports.pages.table1 import conclude
 from reports.record import MetricRecord, TraceRecord
+from reports.render import write_report
 from reports.rows import rows_of
+from reports.tracked_record import TrackedRecord
 
 
 def ended(factory, number: int, scene: str, verdict: str, **changes):
@@ -115,3 +120,26 @@ def test_the_end_of_a_stage_is_that_of_the_replay_that_is_judged(factory):
     bare = stage.model_copy(update={"metrics": ()})
     assert (end_of(bare, free), end_of(bare, scene)) == ("free end", "")
     assert end_of(bare.model_copy(update={"replay": None}), free) == ""
+
+
+def test_the_page_shows_questions_metrics_and_both_ends(factory, tmp_path):
+    stage = followed(factory)
+    replay = stage.replay.model_copy(update={"tracked": TrackedRecord(error_estimate=1e-9, rms=(0.1, 0.1), peak=(0.3, 0.3))})
+    stage = stage.model_copy(update={"replay": replay, "not_asked": ("contact_law_error: the plan does not say its forces.",)})
+    scene = factory.scene().model_copy(update={"waived": ("cost: no way is known to be cheap",), "unstable": "It falls over."})
+    run = factory.run("strict", None, "strict_lcp", stages=(stage,), verdict="holds with feedback", scene=scene)
+    page = write_report(factory.store(tmp_path / "all", [run])).read_text(encoding="utf-8")
+    words = " ".join(html.unescape(re.sub(r"<(script|style)[^>]*>.*?</\1>|<[^>]*>", " ", page, flags=re.DOTALL)).split())
+    for told in (
+        "↻ holds with feedback cost 496.63 position 0.0020 m",  # the matrix
+        "inputs alone: position 0.50 m; with feedback: position 0.0020 m",  # the card
+        "Metric Inputs alone With feedback Limit Reason of the limit 1. Is it a plan of this task? ✓ yes",
+        "the answers are for the one with feedback",
+        "0.6 m ✗ beyond 0.004 m ✓ within 0.01",
+        "waived Waived by the scene: no way is known to be cheap",
+        "Shown, not judged physics",
+        "Not asked contact_law_error: the plan does not say its forces.",
+        "Limits that this scene waives cost: no way is known to be cheap",
+        "so that a plan which holds with feedback is enough here: It falls over.",
+    ):
+        assert told in words, told

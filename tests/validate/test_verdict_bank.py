@@ -23,7 +23,7 @@ EXACT = {
         "a grid four times finer", "an irregular grid", "a grid five times coarser", "linear hold", "Runge-Kutta 4 at the task's step",
         "semi-implicit Euler of 1 ms, every tenth", "the method's own plan, its scheme declared",
     ),
-    "wall_pendulum": ("forces averaged over the step", "without velocities and forces", "4 decimals, forces start", "linear hold"),
+    "wall_pendulum": ("forces averaged over the step", "without velocities and forces", "4 decimals, forces start", "linear hold", "a grid four times finer"),
     "hopper": ("true forces at the start", "4 decimals without forces", "an irregular grid"),
     "transport": ("true forces at the start", "forces averaged over the step", "without force columns", "4 decimals, forces end"),
 }  # fmt: skip
@@ -35,7 +35,7 @@ WRONG = {
         "forces mirrored", "relaxed, as its method declares it", "relaxed, forces and scheme deleted", "relaxed, velocities and forces deleted",
         "relaxed, inputs alone",
     ),
-    "wall_pendulum": ("3 of 20 steps", "invented forces of 100 N", "relaxed, forces and scheme deleted"),
+    "wall_pendulum": ("3 of 20 steps", "invented forces of 100 N", "relaxed, forces and scheme deleted", "too costly, on a coarse grid"),
     "transport": ("friction works with the slip", "friction ten times too large", "nothing done", "one step beyond the bounds"),
 }  # fmt: skip
 

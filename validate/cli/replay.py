@@ -98,10 +98,12 @@ def command(
     told = _told(judgement, warnings)
     if out is not None:
         _write(out, told, judgement)
+    for text in told["warnings"]:
+        click.echo(one_line(f"warning: {text}"), err=True)
     if as_json:
         click.echo(json.dumps(told, indent=1))
     else:
-        _print(judgement, warnings)
+        _print(judgement)
     return exit_code(judgement.verdict, require)
 
 
@@ -199,7 +201,7 @@ def _write(out: Path, told: dict[str, Any], judgement: Judgement) -> None:
             write_netcdf(out / "plan.nc", plan, subject, replay.tracked.feedback.gains)
 
 
-def _print(judgement: Judgement, warnings: list[str]) -> None:
+def _print(judgement: Judgement) -> None:
     from validate.score.verdict import TRACKED
 
     result, replay = judgement.score, judgement.replay
@@ -227,8 +229,6 @@ def _print(judgement: Judgement, warnings: list[str]) -> None:
         click.echo(one_line(f"Not asked: {text}"))
     for text in result.waived:
         click.echo(one_line(f"Waived by the scene: {text}"))
-    for text in (*warnings, *result.warnings):
-        click.echo(one_line(f"warning: {text}"), err=True)
     click.echo(one_line(f"{result.verdict.value}: {result.why}"), color=use_colour())
 
 

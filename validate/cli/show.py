@@ -171,7 +171,10 @@ def _metrics(stage: StageRecord) -> str:
 
     def row(number: int | None, view: MetricView) -> list[str]:
         judged = (view.followed if is_tracked(stage) else view.alone) or view.metric
-        found = [None if metric is None else metric.value for metric in (view.alone, view.followed)][: len(values)]
+        # A zero has no sign here.
+        found = [None if metric is None or metric.value is None else metric.value + 0.0 for metric in (view.alone, view.followed)][
+            : len(values)
+        ]
         limit = "waived" if view.waived else short(judged.limit, ".3g")
         own = short(judged.error, ".1e") if judged.error else ""
         cells = [*(short(value, ".4e") for value in found), own, judged.unit, limit, _against(judged)]

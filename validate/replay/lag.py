@@ -10,12 +10,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-import numpy as np
-
 from models.scene import Scene
 from models.trajectory import Trajectory
 from validate.isolation import Limits
 from validate.replay.error_estimate import difference
+from validate.replay.everyday import base_step
 from validate.replay.feedback import Feedback
 from validate.replay.job import Settings, run_job
 from validate.replay.outputs import Outputs
@@ -32,7 +31,7 @@ def fine_enough(scene: Scene, plan: Trajectory, settings: Settings) -> Settings:
     """Settings whose coarsest everyday run is stable at this relaxation time; as they are for a scene with inertia."""
     if scene.lag is None or not settings.fineness:
         return settings
-    wanted = float(np.diff(plan.t).min()) / (_LAGS_IN_A_STEP * scene.lag)
+    wanted = base_step(plan.t) / (_LAGS_IN_A_STEP * scene.lag)
     factor = max(1, math.ceil(wanted / min(settings.fineness)))
     # Two runs tell the error of the step; a third, for its order, would take as long as both.
     return replace(settings, fineness=tuple(factor * fineness for fineness in sorted(settings.fineness)[:2]))

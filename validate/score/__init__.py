@@ -17,7 +17,7 @@ import numpy as np
 
 from models.errors import SceneError, TrajectoryError
 from models.scene import Scene
-from models.trajectory import Trajectory
+from models.trajectory import Hold, Trajectory
 from validate.replay.result import Replay
 from validate.replay.subject import Subject
 from validate.score.cause import Told, explain
@@ -47,6 +47,7 @@ _NEEDS = {
     "friction": "the plan does not say its friction forces",
     "scheme": "the plan declares no scheme",
     "no scheme": "the plan declares a scheme, whose own equations are asked instead",
+    "no defect": "the plan declares a scheme, whose own equations are asked instead",
 }
 
 # What is meant by a limit on a metric that is only shown.
@@ -138,8 +139,9 @@ def _passes_otherwise(scene: Subject, plan: Trajectory, other: Replay | None) ->
     """Whether question 4 is answered yes with the inputs held the other way."""
     if other is None or not other.ok:
         return False
-    case = Evidence(scene, plan, other)
-    of_motion = [entry for entry in TABLE if entry.applies(scene) and entry.question is Question.MOTION and entry.of_replay]
+    held = Hold.LINEAR if plan.hold is Hold.ZERO_ORDER else Hold.ZERO_ORDER
+    case = Evidence(scene, replace(plan, hold=held), other)
+    of_motion = [entry for entry in TABLE if entry.applies(scene) and entry.question is Question.MOTION]
     return all(metric.ok is True for metric in (_metric(entry, case) for entry in of_motion) if metric.is_judged)
 
 
@@ -156,7 +158,9 @@ def _why_not_asked(entry: Entry, case: Evidence) -> str:
     """Why a plan is not asked this; empty: it is."""
     plan, scene = case.trajectory, case.scene
     for need in entry.needs:
-        absent = {"scheme": plan.scheme is None, "no scheme": plan.scheme is not None}.get(need, need in plan.missing)
+        # A scheme can be asked about only with forces; without them the motion is judged as that of a plan that declares none.
+        no_scheme = {"no scheme": plan.scheme is not None, "no defect": plan.scheme is not None and not plan.missing}
+        absent = {"scheme": plan.scheme is None, **no_scheme}.get(need, need in plan.missing)
         if (need == "friction" and not scene.nf) or (need == "lam" and not scene.nc):
             absent = False
         if absent:

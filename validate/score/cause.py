@@ -236,6 +236,8 @@ def _of_motion(first: Metric, told: Told) -> str:
     if grid is None or grid.value is None:
         return unstable
     law = told.value("law_error") or 0.0
+    if told.fails("defect"):
+        return f": {_quote(told.metrics['defect'], told)}"
     if law > grid.value:
         return f": a relaxed contact law ({number(law, grid.unit)} on its own grid already); {_ADVICE_EXACT}"
     text = f": discretisation error {number(grid.value, grid.unit)}; the contact forces are correct{unstable}"

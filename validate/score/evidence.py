@@ -143,7 +143,7 @@ class Evidence:
         return self.kernel.contact_force(self.q, v=self.v if self.equations.damped else None)
 
     def printing(self, group: str) -> float:
-        """Half a unit of the last printed digit of the plan's q, v, u or lam; in the unit of the group."""
+        """Half a unit of the last printed digit of the plan's t, q, v, u or lam; in the unit of the group."""
         return self._printing[group]
 
     @cached_property
@@ -152,7 +152,10 @@ class Evidence:
         nominal = min((item.nominal for item in items), default=1.0)
         ranges = [item.upper - item.lower for item in self.scene.inputs]
         largest = [width if np.isfinite(width) else float(np.abs(plan.u[:, index]).max()) for index, width in enumerate(ranges)]
+        uniform = plan.has_uniform_grid() or bool(np.allclose(np.diff(plan.t), self.scene.task.step, rtol=1e-9, atol=0.0))
         return {
+            # Of a grid that is no grid to all its digits; a tenth of a step may be lost so.
+            "t": 0.0 if uniform else half_unit(plan.t, 200.0 * float(np.diff(plan.t).min())),
             "q": half_unit(plan.q, nominal),
             "v": half_unit(plan.v, nominal),
             "u": half_unit(plan.u, min(largest, default=0.0)),
@@ -330,6 +333,12 @@ class Evidence:
         """(nodes, nq) of the replay, at the plan's nodes."""
         self.need("v")
         return self.replay.v[self.replay.knots]
+
+    @property
+    def all_replay_v(self) -> np.ndarray:
+        """(n, nq) of the replay, at all its rows."""
+        self.need("v")
+        return self.replay.v
 
     @property
     def replay_end(self) -> np.ndarray:

@@ -14,17 +14,19 @@ import numpy as np
 _DIGITS = 12
 # Rounding of numbers that were read from text or came of a product.
 _ROUNDING = 1e-13
-# No more than this share of what counts as large may be had for coarse printing: who prints no decimals at all is not excused by that.
+# Numbers that would be printed coarser than this share of what counts as large are taken as they stand: 2.5 is 2.5, not something near it.
 _MOST = 5e-4
 
 
 def half_unit(values: np.ndarray, most: float) -> float:
-    """Half a unit of the last printed digit of `values`, at most 5e-4 of `most` (what counts as large here); 0 where all digits are given."""
+    """Half a unit of the last printed digit of `values`; 0 where all digits are given, or so few that they are the number: half a unit would be more
+    than 5e-4 of `most`, what counts as large here."""
     sizes = np.abs(values[values != 0.0])
     if not sizes.size:
         return 0.0
     units = (_decimals(sizes), _significant(sizes))
-    return min(max(units) / 2.0, _MOST * most)
+    half = max(units) / 2.0
+    return half if half <= _MOST * most else 0.0
 
 
 def _decimals(sizes: np.ndarray) -> float:

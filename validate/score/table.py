@@ -40,7 +40,7 @@ class Entry:
     """One row. measure raises Unmeasured with a reason.
 
     default: the limit where the scene sets none, as a factor of the component's scale, with its reason; None: only a scene's limit judges it.
-    needs: what the plan must say for the metric to be asked, of "q", "v", "lam", "friction", "scheme", "no scheme"; of_replay: whether it is of the
+    needs: what the plan must say for the metric to be asked, of "q", "v", "lam", "friction", "scheme", "no scheme", "no defect"; of_replay: whether it is of the
     replay, and so has a twin where there is a replay with feedback.
     """
 
@@ -361,7 +361,7 @@ def _impulse_error(case: Evidence) -> float:
 def _replay_velocity_bound_violation(case: Evidence) -> Measured:
     lower, upper = _velocity_bounds(case)
     return Measured(
-        values=eq.outside(case.replay_v[:-1], lower, upper),
+        values=eq.outside(case.all_replay_v[:-1], lower, upper),
         error=case.error.state,
         scales=_nominals(case.scene),
         units=_velocity_units(case.scene),
@@ -528,7 +528,7 @@ TABLE = (
         meaning="the task's cost of the replay, at the plan's nodes",
     ),
     Entry(
-        name="unexplained_force", question=Question.MOTION, unit=_unit("1"), measure=unexplained_force, applies=_is_scene, needs=("q", "no scheme"),
+        name="unexplained_force", question=Question.MOTION, unit=_unit("1"), measure=unexplained_force, applies=_is_scene, needs=("q", "no defect"),
         default=(0.1, "10 % of the peak contact force: as much as a step of a good grid leaves open"),
         meaning="largest mean force over a step that inputs and true contact do not explain, from the plan's own states, as a share of the peak contact force",
     ),
@@ -550,7 +550,7 @@ TABLE = (
     Entry(
         name="replay_velocity_bound_violation", question=Question.POSSIBLE, unit=_velocity_unit, measure=_replay_velocity_bound_violation,
         applies=_has_velocity_bounds, of_replay=True, default=(1e-2, "1e-2 of the nominal, as the replay may differ from the plan"),
-        meaning="by how much the replay's velocities leave their bounds at the plan's nodes",
+        meaning="by how much the replay's velocities leave their bounds",
     ),
     Entry(
         name="defect", question=Question.SCHEME, unit=_state_unit, measure=_defect, applies=_is_scene, needs=("q", "v", "lam", "friction", "scheme"),

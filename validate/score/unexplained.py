@@ -50,17 +50,18 @@ def _forces(case: Evidence) -> np.ndarray:
 def _by_velocities(case: Evidence, h: np.ndarray, v: np.ndarray, p_v: float) -> np.ndarray:
     """(steps,) with velocities v (nodes, nq) printed to p_v."""
     q, p_q, mass = case.q, case.printing("q"), _masses(case, case.q)
+    late = 2.0 * case.printing("t")  # a node that is printed late has moved on by its speed, and its speed by its acceleration
     ends = _arrivals(case, h, v[:-1])
     arriving_q, arriving = ends[:, : case.scene.nq], ends[:, case.scene.nq :]
     moved = np.diff(q, axis=0)
     low, high = np.minimum(v[:-1], v[1:]) * h[:, None], np.maximum(v[:-1], v[1:]) * h[:, None]
     beyond = np.maximum(np.maximum(moved - high, low - moved), 0.0)
     beyond = np.minimum(beyond, np.abs(q[1:] - arriving_q))
-    beyond = np.maximum(beyond - 2.0 * p_q - h[:, None] * p_v, 0.0) / h[:, None]
+    beyond = np.maximum(beyond - 2.0 * p_q - h[:, None] * p_v - late * np.abs(v[:-1]), 0.0) / h[:, None]
     if case.equations.relaxation_index is not None:
         return np.maximum(_without_inertia(case, h, v[:-1]), _sizes(mass[1:], beyond) / _relaxation_time(case))
     jump = v[1:] - arriving
-    allowed = 2.0 * p_v + h * case.printing_acceleration
+    allowed = 2.0 * p_v + h * case.printing_acceleration + late * np.abs((arriving - v[:-1]) / h[:, None]).max(axis=1)
     return np.maximum(_sizes(mass[1:], jump) - allowed * _sizes(mass[1:], np.ones(case.scene.nq)), _sizes(mass[1:], beyond)).clip(0.0) / h
 
 
@@ -68,7 +69,7 @@ def _without_inertia(case: Evidence, h: np.ndarray, v: np.ndarray) -> np.ndarray
     """(steps,) of a scene whose forces are velocities, from velocities v (steps, nq) at the starts: D (moved - moves)/h, with M = tau D."""
     mass = _masses(case, case.q)[1:]
     missed = (case.q[1:] - _arrivals(case, h, v)[:, : case.scene.nq]) / h[:, None]
-    allowed = 2.0 * case.printing("q") / h + h * case.printing_acceleration
+    allowed = (2.0 * case.printing("q") + 2.0 * case.printing("t") * np.abs(v).max(axis=1)) / h + h * case.printing_acceleration
     return (_sizes(mass, missed) - allowed * _sizes(mass, np.ones(case.scene.nq))).clip(0.0) / _relaxation_time(case)
 
 
@@ -80,10 +81,13 @@ def _relaxation_time(case: Evidence) -> float:
 def _by_departures(case: Evidence, h: np.ndarray) -> np.ndarray:
     """(steps,) with the velocities that lead from each position to the next; the first must be the task's."""
     p_q, mass, departing = case.printing("q"), _masses(case, case.q), _departures(case, h)
+    late = 2.0 * case.printing("t")
     arriving = _arrivals(case, h, departing)[:, case.scene.nq :]
     jump = np.vstack([departing[:1] - case.start_velocity, departing[1:] - arriving[:-1]])
     spans = np.concatenate([h[:1], (h[1:] + h[:-1]) / 2.0])
-    allowed = 2.0 * p_q * (1.0 / h + 1.0 / np.concatenate([h[:1], h[:-1]])) + h * case.printing_acceleration
+    allowed = (2.0 * p_q + late * np.abs(departing).max(axis=1)) * (
+        1.0 / h + 1.0 / np.concatenate([h[:1], h[:-1]])
+    ) + h * case.printing_acceleration
     return (_sizes(mass[:-1], jump) - allowed * _sizes(mass[:-1], np.ones(case.scene.nq))).clip(0.0) / spans
 
 
