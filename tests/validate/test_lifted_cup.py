@@ -44,7 +44,7 @@ def test_both_plans_lift_the_cup_on_paper(plans):
 def test_the_relaxed_plan_violates_and_says_where_its_forces_come_from(plans):
     found = judged(plans[0])
     assert found.verdict.value == "violates"
-    beyond = {figure.name for figure in found.figures if figure.ok is False}
+    beyond = {metric.name for metric in found.metrics if metric.ok is False}
     assert {"physics_scaled", "friction_dissipation_error", "discrete_terminal_error"} <= beyond
     assert "force from a distance" in found.why
 

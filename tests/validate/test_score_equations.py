@@ -130,8 +130,10 @@ def test_printed_digits_are_found(digits: int):
     assert np.abs(printed - MOTION).max() <= half_unit(printed, most=1e4)
 
 
-def test_all_digits_excuse_nothing_and_no_digits_do_not_excuse_much():
+def test_all_digits_excuse_nothing_and_neither_do_round_numbers():
     assert half_unit(MOTION, most=1.0) == 0.0
     assert half_unit(np.zeros((5, 2)), most=1.0) == 0.0
-    assert half_unit(np.round(MOTION), most=1.0) == pytest.approx(5e-4)  # whole numbers: not half a metre, but 5e-4 of what counts as large
+    assert half_unit(np.round(MOTION), most=1.0) == 0.0  # whole numbers are taken as they stand: half a metre is no rounding
+    assert half_unit(np.round(MOTION), most=1000.0) == pytest.approx(0.5)  # but it is where kilometres count
+    assert half_unit(np.round(MOTION), most=999.0) == 0.0
     assert half_unit(0.01 * np.arange(500.0)[:, None] ** 2 / 3.0, most=1.0) == 0.0

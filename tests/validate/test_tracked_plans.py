@@ -47,11 +47,11 @@ def plans(scene: Scene) -> dict[str, Trajectory]:
 
 @pytest.fixture(scope="module")
 def exact(scene: Scene, plans: dict[str, Trajectory]) -> Replay:
-    return replay(scene, build_fmu(scene), plans["exact"])
+    return replay(scene, build_fmu(scene), plans["exact"], track=True)
 
 
 def above(told: Score) -> set[str]:
-    return {figure.name for figure in told.figures if figure.ok is False}
+    return {metric.name for metric in told.metrics if metric.ok is False}
 
 
 def test_an_exact_plan_is_followed_where_alone_it_falls(scene: Scene, plans: dict[str, Trajectory], exact: Replay):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,8 +16,9 @@ from models.errors import TrajectoryError
 from models.fmu import build_fmu
 from models.scene import Scene
 from models.scene_annotations import goal_limits
-from models.trajectory import Hold, Trajectory, uniform_grid
+from models.trajectory import Hold, Trajectory, uniform_grid, write_csv
 from models.trajectory_netcdf import read_gains, read_netcdf, write_netcdf
+from validate.cli.group import run
 from validate.judge import judge_trajectory
 from validate.replay import Replay, replay
 from validate.replay.growth import Growth
@@ -244,6 +247,37 @@ def test_the_same_limits_are_asked_of_the_replay_with_feedback(reaching):
     assert "unstable in the open loop (amplification " in told.why
     # and judge makes that second replay by itself
     assert judge_trajectory(scene, build_fmu(scene), plan).verdict is Verdict.HOLDS_WITH_FEEDBACK
+
+
+SCENE_FILE = """import json
+from dataclasses import replace
+from pathlib import Path
+from models.catalog import load_scene
+from models.scene_annotations import goal_limits
+base = replace(load_scene("wall_pendulum"), name="far_wall", limits=goal_limits(position=0.1, velocity=0.2, reason="this test"))
+SCENE = base.with_parameters(w=1e4).with_task(step=0.05, steps=50, start=(0.1, 0.0), goal=(0.0, 0.0))
+"""
+
+
+def test_the_command_is_content_with_feedback_unless_it_must_not_be(tmp_path: Path, reaching, capsys: pytest.CaptureFixture[str]):
+    """Exit code 0 for `holds with feedback`, 1 with --require holds; the words and both ends are the same either way."""
+    scene, plan, _ = reaching
+    (tmp_path / "far_wall.py").write_text(SCENE_FILE, encoding="utf-8")
+    write_csv(tmp_path / "plan.csv", plan, scene)
+    arguments = ["replay", str(tmp_path / "plan.csv"), "--scene", str(tmp_path / "far_wall.py")]
+    said = []
+    for more, code in (([], 0), (["--require", "feedback"], 0), (["--require", "holds"], 1)):
+        assert run([*arguments, *more]) == code
+        said.append(capsys.readouterr().out)
+    header = next(line for line in said[0].splitlines() if line.startswith("question"))
+    assert "with feedback" in header
+    assert "\nholds with feedback: not for the inputs alone: driven by its inputs the motion departs" in said[0]
+    assert said[0].splitlines()[-1] == said[2].splitlines()[-1]
+    assert run([*arguments, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["verdict"], told["judged"]) == ("holds with feedback", "feedback")
+    assert told["tracked"]["effort"]["plan_share"] < 0.5
+    assert {"tracked_replay_error", "feedback_effort", "feedback_share"} <= {metric["name"] for metric in told["metrics"]}
 
 
 def test_without_a_replay_with_feedback_it_violates(reaching):
