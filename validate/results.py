@@ -16,7 +16,16 @@ from reports.examination_record import ExaminationRecord
 from reports.record import RunRecord, StageRecord
 from validate.disk import remove, write_durably
 
-_METRICS_FIRST = ("terminal_error", "physics", "physics_scaled", "defect", "discrete_terminal_error", "replay_terminal_error")
+_METRICS_FIRST = (
+    "terminal_error",
+    "physics",
+    "physics_scaled",
+    "defect",
+    "discrete_terminal_error",
+    "replay_terminal_error",
+    "replay_terminal_position_error",
+    "replay_terminal_velocity_error",
+)
 _METRICS_LAST = ("replay_error", "max_penetration", "ghost_impulse", "missed_impulse", "energy_residual")
 # Of the replay with feedback, and which of the two replays the verdict is on.
 _METRICS_FEEDBACK = ("tracked_replay_terminal_error", "tracked_replay_error", "feedback_effort", "feedback_share")

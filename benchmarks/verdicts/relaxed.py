@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from benchmarks.verdicts.plans import FORCES, GOAL, MOTION, Plan, as_plan, found, motion_of, scene_of
+from benchmarks.verdicts.plans import FORCES, GOAL, MOTION, NoPlanError, Plan, as_plan, found, motion_of, reaches, scene_of
 
 RELAXED = {
     "three_cart": "softplus_dc+strict",
@@ -34,10 +34,17 @@ def relaxed(reference: str) -> dict[str, tuple[Callable[[], Plan], tuple[str, ..
         "relaxed, velocities deleted": (plan(v=None, scheme=""), (*FORCES, *astray)),
         "relaxed, velocities and forces deleted": (plan(v=None, **none), astray),
         "relaxed, states deleted": (plan(q=None, v=None, scheme=""), (*FORCES, *astray)),
-        "relaxed, inputs alone": (plan(q=None, v=None, **none), astray),
+        "relaxed, inputs alone": (lambda: _astray(plan(q=None, v=None, **none)(), reference), astray),
         "relaxed, printed with two decimals": (plan(digits=2, scheme=""), (*FORCES, *astray)),
         "relaxed, true forces of its states": (lambda: _law(plan(scheme="")(), reference), astray),
     }
+
+
+def _astray(plan: Plan, reference: str) -> Plan:
+    """The plan, if its inputs do not reach what the scene asks for after all: inputs alone that do are no relaxed plan any more."""
+    if not reaches(scene_of(reference), motion_of(reference).run(plan.t, plan.u), plan.u):
+        raise NoPlanError("by an integration of its own its inputs do what the scene asks for")
+    return plan
 
 
 def _law(plan: Plan, reference: str) -> Plan:

@@ -9,6 +9,8 @@
 | others | seeded random inputs, in turn as start of a homotopy and, steered to the goal, as source of modes |
 
 The homotopy forgets where it began, modes do not: hence both.
+
+Where the end is free, and the best of these plans touches nothing although the last state has a cost, throws are tried (`Finder.thrown`).
 """
 
 from __future__ import annotations
@@ -75,7 +77,13 @@ class MultiStart:
                 best = found
         if best is None:
             raise ValueError("a range of starts is never empty: the options see to that.")
-        return best, tuple(attempts)
+        began = process_time()
+        thrown = self._finder.thrown(account, best, (self._seed, numbers[0]))
+        if thrown is not best:
+            place = min(range(len(attempts)), key=lambda place: (attempts[place].cost is None, attempts[place].cost or 0.0))
+            start = _Start(words=f"{attempts[place].start}, then throws", plan=None, for_modes=False)
+            attempts[place] = self._attempt(attempts[place].number, start, thrown, attempts[place].seconds + process_time() - began)
+        return thrown, tuple(attempts)
 
     def _start(self, account: Account, number: int, warm_start: Trajectory | None) -> _Start:
         if number == 0:

@@ -216,7 +216,8 @@ def _print(judgement: Judgement) -> None:
         values = [short(metric.value, ".4e"), short(twin.value, ".4e") if twin else ""][: len(names)]
         if metric.name.startswith("feedback"):
             values.reverse()  # there is none for the inputs alone
-        meaning = one_line(judged.meaning if judged.value is not None else f"not measured: {judged.reason}")
+        missing = judged.reason if judged.limit is None else f"not measured: {judged.reason}"
+        meaning = one_line(judged.meaning if judged.value is not None else missing)
         number = "" if metric.question.number is None else str(metric.question.number)
         rows.append([number, metric.name, *values, judged.unit, short(judged.limit, ".3g"), _judgement(judged), meaning])
     click.echo(table(["question", "metric", *names, "unit", "limit", "", "meaning"], rows, (*names, "limit")), color=use_colour())

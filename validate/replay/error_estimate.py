@@ -130,7 +130,8 @@ def estimate(
             source = _STATED[source]
             measured = stated if measured is None else _larger_where_stated(measured, stated)
         return ReplayError(estimate=measured, step=step, step_ratio=ratio, rollback=rollback, step_source=source, stated=stated)
-    judged = tolerance
+    # Where the looser reference did not get to the end, the everyday replay - another method - is as far away as the judged run may be wrong.
+    judged = tolerance if tolerance is not None or step is None else larger(everyday, step) if everyday is not None else None
     if tolerance is not None and step is not None and everyday is not None:
         judged = Difference(
             position=_judged(tolerance.position, step.position, everyday.position),

@@ -66,7 +66,7 @@ class ReplayError:
     tolerance: reference at two tolerances; step: everyday replay at two internal steps; everyday: everyday (finer step)
     against reference. `estimate` is what verdicts use: the tolerance difference, which overstates the error of the tighter
     run that is judged - unless the everyday replay, an independent method, differs from the reference by more than its own
-    step halving explains; then that difference. Without a reference (the FMU has no Model Exchange) the finer everyday run is
+    step halving explains; then that difference. Where the looser reference did not get to the end, the larger of `everyday` and `step` counts. Without a reference (the FMU has no Model Exchange) the finer everyday run is
     judged and its step difference, the error of the coarser run to first order, is the estimate; there is none if half the step changes nothing.
 
     stated: what the author of an FMU without Model Exchange says its results are good to (the map's [accuracy]), infinite in what is not stated;

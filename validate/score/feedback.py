@@ -25,7 +25,7 @@ def feedback_entries(effort: Effort | None) -> list[Entry]:
     """Rows of the replay with feedback; effort: None where there was no feedback."""
     if effort is None:
         return []
-    return [*(_twin(entry) for entry in TABLE if entry.of_replay), *_TAKEN]
+    return [*(_twin(entry) for entry in TABLE if entry.of_replay), *FEEDBACK]
 
 
 def _twin(entry: Entry) -> Entry:
@@ -66,7 +66,7 @@ def _growth(case: Evidence) -> Growth:
     return case.opened.growth
 
 
-_TAKEN = (
+FEEDBACK = (
     Entry(
         name=EFFORT, question=Question.MOTION, unit=lambda scene: "1", measure=_bounded_effort,
         applies=lambda scene: any(np.isfinite((item.lower, item.upper)).all() for item in scene.inputs), default=_MOST_EFFORT,

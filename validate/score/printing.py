@@ -3,7 +3,8 @@
 half_unit(np.round(motion, 4), most=1.0)     # 5e-05: four decimals
 half_unit(motion, most=1.0)                  # 0.0: all the digits of float64
 
-Decimals and significant digits are both looked for, over all numbers of a group (the positions, the forces, ..), and the coarser counts.
+Decimals are looked for over all numbers of a group (the positions, the forces, ..); where there are more than six, significant digits: small numbers that
+are printed with a few of those have many decimals.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ import numpy as np
 
 # More digits than these are as good as all.
 _DIGITS = 12
+# A unit of so many decimals at most is taken for one that was chosen.
+_FEW = 1e-6
 # Rounding of numbers that were read from text or came of a product.
 _ROUNDING = 1e-13
 # Numbers that would be printed coarser than this share of what counts as large are taken as they stand: 2.5 is 2.5, not something near it.
@@ -24,8 +27,8 @@ def half_unit(values: np.ndarray, most: float) -> float:
     sizes = np.abs(values[values != 0.0])
     if not sizes.size:
         return 0.0
-    units = (_decimals(sizes), _significant(sizes))
-    half = max(units) / 2.0
+    unit = _decimals(sizes)
+    half = (unit if unit >= _FEW else max(unit, _significant(sizes))) / 2.0
     return half if half <= _MOST * most else 0.0
 
 

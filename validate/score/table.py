@@ -606,7 +606,7 @@ TABLE = (
         meaning="when plan and replay differ most",
     ),
     Entry(
-        name="grid_error", question=Question.SHOWN, unit=_position_unit, measure=_grid_error, applies=_is_scene, needs=("q", "v", "scheme"), of_replay=True,
+        name="grid_error", question=Question.SHOWN, unit=_position_unit, measure=_grid_error, applies=_is_scene, needs=("q", "v", "scheme"), of_replay=False,
         meaning="largest position difference between the true law on the plan's grid and in continuous time: the discretisation error",
     ),
     Entry(
