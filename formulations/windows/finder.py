@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from time import perf_counter
 from typing import Any, cast
 
@@ -19,7 +19,7 @@ from formulations.windows.landing import land, land_by_softplus, miss_of
 from formulations.windows.nonlinear import NlpAnswer, NonlinearModes
 from formulations.windows.quadratic import ModesAnswer, ModesProblem
 from formulations.windows.search import Found, follow_pulls, search_windows
-from formulations.windows.starts import final_cost, random_plan, thrown_plans
+from formulations.windows.starts import random_plan
 from formulations.windows.structures import Structures
 from models.codegen.kernel import Kernel
 from models.goal import goal_state
@@ -28,12 +28,10 @@ from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 
 _ARRIVED = 1e-6  # from the goal: what remains is taken out by the exact problem
-_STRIDES = 125  # the first stride is this part of the steps: 4 steps of 500
+STRIDES = 125  # the first stride is this part of the steps: 4 steps of 500
 _STAGES = 3  # of the homotopy whose modes are tried, the sharpest first
 _RANDOM = 6  # random inputs that are steered to the goal if the first guess leads nowhere
 _NONLINEAR = 20  # a nonlinear scene tries this part of the windows that a linear one may
-_THROWN = 6  # of the cheapest throws are solved with their contact modes
-_PRESSED = 1e-6  # [N] a contact that is pressed with less is left open: Ipopt keeps forces to 1e-8
 _NEAREST = 3  # of the rollouts that came nearest an approach is tried from so many
 
 Answer = ModesAnswer | NlpAnswer
@@ -68,7 +66,7 @@ class Finder:
         account.most_work = min(self._most_work, account.work + 1e6 * self._number("first_work"))
         self._ending = (Outcome.FAILED, "no source of contact modes gave a plan.")
         self._near: list[tuple[float, np.ndarray]] = []  # (miss, modes) of rollouts that do not quite reach the goal
-        answer, stride, is_refined = None, max(1, self._scene.task.steps // _STRIDES), False
+        answer, stride, is_refined = None, max(1, self._scene.task.steps // STRIDES), False
         for guess, fineness in self._guesses(account, modes_of, start):
             answer = self._approached(account, problem, stride) if guess is None else self._exact(account, problem, guess)
             if answer is not None or account.is_over:
@@ -88,47 +86,7 @@ class Finder:
                 )
                 outcome = Outcome.ITERATION_LIMIT
             return Search(answer=None, outcome=outcome, message=message)
-        return self._searched(account, problem, answer, stride, far=not is_refined)
-
-    def thrown(self, account: Account, before: Search, seed: tuple[int, ...]) -> Search:
-        """The plan that throws, where the end is free, has a cost, and the inputs of the plan before press nothing that is not pressed without.
-
-        From there no slope leads to a contact: the plan is a local optimum, though a throw may cost less. The cheapest throws (`thrown_plans`) that
-        end at less final cost are solved with their contact modes, and windows are searched around the best of them; it is kept if it is cheaper.
-        """
-        task, most = self._scene.task, 1e6 * self._number("throw_work")
-        if task.has_goal or task.final_cost == 0 or not self._scene.nc or most == 0.0 or account.is_late:
-            return before
-        bounds = (np.array([item.lower for item in self._scene.inputs]), np.array([item.upper for item in self._scene.inputs]))
-        none = np.clip(np.zeros((task.steps, self._scene.nu)), *bounds)
-        idle = self._pressed(none)
-        planned = none if before.answer is None else before.answer.u
-        if (self._pressed(planned) & ~idle).any():
-            return before
-        begin = perf_counter()
-        below = final_cost(self._kernel, self._kernel.rollout(np.array(task.start), planned, task.step))
-        plans = thrown_plans(self._scene, self._kernel, seed, idle, below)[:_THROWN]
-        options = self._ipopt_options("tolerance")
-        problem = self._structures.modes(0.0, account, {**options, "max_iter": min(options["max_iter"], PATIENCE)})
-        account.build += perf_counter() - begin
-        account.most_work = account.work + most  # on top of what the starts were given: they may have spent it
-        best: Answer | None = None
-        for plan in plans:
-            if isinstance(problem, NonlinearModes):
-                problem.guess = plan
-            answer = None if account.is_over else problem.solve(plan.lam > 0.0)
-            if answer is not None and (best is None or answer.cost < best.cost):
-                best = answer
-        if best is None or (before.answer is not None and best.cost >= before.answer.cost):
-            return before
-        found = self._searched(account, problem, best, max(1, task.steps // _STRIDES), far=True)
-        dearer = "no plan was found" if before.answer is None else f"the best plan brought no contact about (cost {before.answer.cost:.6g})"
-        return replace(found, message=f"At first {dearer}; this one was found from throws by constant inputs. {found.message}")
-
-    def _pressed(self, u: np.ndarray) -> np.ndarray:
-        """(nc,) whether these inputs press a contact at any time."""
-        rollout = self._kernel.rollout(np.array(self._scene.task.start), u, self._scene.task.step)
-        return np.any(rollout.lam[:, : self._scene.nc] > _PRESSED, axis=0, keepdims=False)
+        return self.searched(account, problem, answer, stride, far=not is_refined)
 
     def _modes_problem(self, account: Account) -> ModesProblem | NonlinearModes:
         ball = self._number("goal_tolerance") if self._scene.task.has_goal else 0.0
@@ -284,7 +242,7 @@ class Finder:
             account.linear_algebra += perf_counter() - begin
         return answer
 
-    def _searched(self, account: Account, problem: Any, answer: Answer, stride: int, *, far: bool) -> Search:
+    def searched(self, account: Account, problem: Any, answer: Answer, stride: int, *, far: bool) -> Search:
         """The cheapest plan around. far: whether to look further than a step (a coarser grid has seen to that already)."""
         how = "the rest is a convex quadratic program, solved exactly" if self._is_linear else "the rest was solved by Ipopt"
         if not self._scene.nc:

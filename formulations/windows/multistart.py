@@ -10,7 +10,7 @@
 
 The homotopy forgets where it began, modes do not: hence both.
 
-Where the end is free, and the best of these plans touches nothing although the last state has a cost, throws are tried (`Finder.thrown`).
+Where the end is free, and the best of these plans touches nothing although the last state has a cost, throws are tried (`throws`).
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from formulations.windows.finder import Finder, Search
 from formulations.windows.moves import windows_of
 from formulations.windows.starts import descended_plan, mirrored, random_plan
 from formulations.windows.structures import Structures
+from formulations.windows.throws import Throws
 from models.codegen.kernel import Kernel
 from models.scene import Scene
 from models.trajectory import Trajectory
@@ -55,6 +56,7 @@ class MultiStart:
     ) -> None:
         self._scene, self._kernel, self._finder, self._ipopt = scene, kernel, finder, dict(ipopt)
         self._structures = structures or Structures(scene, kernel)
+        self._throws = Throws(scene, kernel, finder, options, self._structures)
         self._seed, self._ball = int(str(options["seed"])), float(str(options["goal_tolerance"]))
 
     def run(self, account: Account, numbers: range, warm_start: Trajectory | None) -> tuple[Search, tuple[Attempt, ...]]:
@@ -78,7 +80,7 @@ class MultiStart:
         if best is None:
             raise ValueError("a range of starts is never empty: the options see to that.")
         began = process_time()
-        thrown = self._finder.thrown(account, best, (self._seed, numbers[0]))
+        thrown = self._throws.instead_of(best, account, (self._seed, numbers[0]))
         if thrown is not best:
             place = min(range(len(attempts)), key=lambda place: (attempts[place].cost is None, attempts[place].cost or 0.0))
             start = _Start(words=f"{attempts[place].start}, then throws", plan=None, for_modes=False)

@@ -3,7 +3,7 @@
     softplus homotopy -> which contact is closed when -> exact optimum for these modes -> cheaper windows -> rollout of the inputs
 
 The plan is the rollout of its own inputs through the true contact law: complementarity is zero by construction, and what the solvers leave of
-the terminal error (1e-9) is taken out by Newton steps. Where the end is free and the plan touches nothing, `Finder.thrown` looks for one that does.
+the terminal error (1e-9) is taken out by Newton steps. Where the end is free and the plan touches nothing, `throws` looks for one that does.
 """
 
 from __future__ import annotations

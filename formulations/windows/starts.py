@@ -1,10 +1,10 @@
-"""Starts, the same on every machine: rollouts of seeded random inputs, throws, a softplus shooting solution, a plan in the mirror of the scene."""
+"""Starts, the same on every machine: rollouts of seeded random inputs, a softplus shooting solution, a plan in the mirror of the scene."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from models.codegen.kernel import Kernel, Rollout
+from models.codegen.kernel import Kernel
 from models.contact_law import ContactLaw
 from models.goal import goal_state, miss
 from models.scene import Scene
@@ -17,14 +17,12 @@ _COST_WEIGHT = 5e-6  # of the cost in the paper's loss
 _DIVERGED = 1e30  # loss of a rollout that is not finite
 _SAMPLES = 8  # positions at which a mirror is tried
 _SHARE, _UNBOUNDED = 0.3, 1.0  # part of the bounds that is used [1], and what stands for a missing bound [N, N m]
-_THROWS = 2048  # constant inputs tried: of two discs and a wall about 35 of them bring the disc nearer to its goal, in 0.1 CPU s
-_FAINTEST = 4  # powers of two by which they are made smaller, in turn: what is cheap is rarely near its bounds
 
 
 def random_plan(scene: Scene, kernel: Kernel, seed: tuple[int, ...]) -> Trajectory | None:
     """Piecewise constant random inputs through softplus contact at eps = 1e-3; None where the rollout diverges."""
     random, task = np.random.default_rng(seed), scene.task
-    lower, upper = _range(scene)
+    lower, upper = input_range(scene)
     pieces = 0.5 * (lower + upper) + _SHARE * 0.5 * (upper - lower) * random.uniform(-1.0, 1.0, (_PIECES, scene.nu))
     u = pieces[np.arange(task.steps) * _PIECES // task.steps]
     rollout = kernel.rollout(np.array(task.start), u, task.step, ContactLaw.SOFTPLUS, 1e-3)
@@ -35,38 +33,8 @@ def random_plan(scene: Scene, kernel: Kernel, seed: tuple[int, ...]) -> Trajecto
     )
 
 
-def thrown_plans(scene: Scene, kernel: Kernel, seed: tuple[int, ...], idle: np.ndarray, below: float) -> list[Trajectory]:
-    """Motions under constant inputs that press a contact other than those of `idle` (nc,) and end at a final cost below `below`, the cheapest first.
-
-    The inputs are a seeded lattice (Kronecker's: steps of 1/g, 1/g^2, .. with g^(nu+1) = g + 1) over their bounds, a half, a quarter and an eighth
-    of them.
-    """
-    task, (lower, upper) = scene.task, _range(scene)
-    ratio = np.roots([1.0, *[0.0] * (scene.nu - 1), -1.0, -1.0])
-    ratio = float(ratio[np.isreal(ratio)].real.max())
-    count = np.arange(_THROWS)[:, None]
-    places = (np.random.default_rng(seed).uniform(size=scene.nu) + count * ratio ** -np.arange(1.0, scene.nu + 1)) % 1.0
-    found = []
-    for force in np.clip(0.5 ** (count % _FAINTEST) * (lower + places * (upper - lower)), lower, upper):
-        u = np.tile(force, (task.steps, 1))
-        rollout = kernel.rollout(np.array(task.start), u, task.step)
-        pressed = (rollout.lam[:, : scene.nc] > 0.0).any(axis=0)
-        if rollout.diverged or not (pressed & ~idle).any() or not final_cost(kernel, rollout) < below:
-            continue
-        plan = Trajectory(
-            t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
-        )
-        found.append((kernel.cost(rollout.q, rollout.v, u), plan))
-    return [plan for _, plan in sorted(found, key=lambda pair: pair[0])]
-
-
-def final_cost(kernel: Kernel, rollout: Rollout) -> float:
-    """The cost of the last state alone."""
-    return kernel.cost(rollout.q[-1:], rollout.v[-1:], np.zeros((0, kernel.scene.nu)))
-
-
-def _range(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds of the inputs, (nu,) each, with a number where one is missing."""
+def input_range(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of the inputs, (nu,) each [N, N m], with a number where one is missing."""
     far = _UNBOUNDED / _SHARE
     lower = np.array([-far if np.isinf(item.lower) else item.lower for item in scene.inputs])
     upper = np.array([far if np.isinf(item.upper) else item.upper for item in scene.inputs])

@@ -10,8 +10,8 @@ import pytest
 
 from formulations.catalog import load_method
 from formulations.solution import Outcome, Solution
-from formulations.windows import finder
-from formulations.windows.starts import final_cost, thrown_plans
+from formulations.windows import throws
+from formulations.windows.throws import final_cost, thrown_plans
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.scene import Scene
@@ -83,7 +83,7 @@ def test_where_no_throw_is_tried(change: str, monkeypatch: pytest.MonkeyPatch) -
     def never(*_: object) -> None:
         raise AssertionError("throws were tried")
 
-    monkeypatch.setattr(finder, "thrown_plans", never)
+    monkeypatch.setattr(throws, "thrown_plans", never)
     near = replace(WALL, limits=(*WALL.limits, *goal_limits(position=0.01, reason="this test")))
     scene = near.with_task(goal=(None, None, -0.5, 0.6, *(None,) * 4)) if change == "goal" else WALL.with_task(final_cost=0.0)
     with load_method("mpcc").open(scene, {"search": False, "first_work": 1.0}) as session:

@@ -55,9 +55,6 @@ class _Finder:
         answer = SimpleNamespace(cost=10.0 - len(self.allowed), closed=load_kernel(SCENE).penetration(_rest()) > 0.0)
         return Search(answer=cast(Any, answer), outcome=Outcome.SOLVED, message="")
 
-    def thrown(self, _account: Account, before: Search, _seed: Any) -> Search:
-        return before
-
 
 def _rest():
     import numpy as np
