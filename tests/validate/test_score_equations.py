@@ -124,10 +124,16 @@ def test_printed_decimals_are_found(decimals: int):
 
 @pytest.mark.parametrize("digits", [4, 7])
 def test_printed_digits_are_found(digits: int):
-    """%.4g: the largest number has the coarsest unit, and that counts."""
-    printed = np.array([float(f"{value:.{digits}g}") for value in MOTION.ravel()]).reshape(MOTION.shape)
+    """%.4g of a motion that begins small: so many decimals that they are none that anybody chose; the largest number has the coarsest unit, and counts."""
+    motion = np.vstack([1e-5 * MOTION[:1], MOTION])
+    printed = np.array([float(f"{value:.{digits}g}") for value in motion.ravel()]).reshape(motion.shape)
     assert half_unit(printed, most=1e4) == pytest.approx(0.5 * 10.0 ** (2 - digits))  # the largest is some ten
-    assert np.abs(printed - MOTION).max() <= half_unit(printed, most=1e4)
+    assert np.abs(printed - motion).max() <= half_unit(printed, most=1e4)
+
+
+def test_few_decimals_are_decimals_though_the_largest_number_is_round():
+    """9.1234 beside 10.5: as five digits their unit would be 1e-3."""
+    assert half_unit(np.array([9.1234, 10.5, -0.0321]), most=10.0) == pytest.approx(5e-5)
 
 
 def test_all_digits_excuse_nothing_and_neither_do_round_numbers():
