@@ -17,7 +17,7 @@ from models.scene_annotations import goal_limits
 from models.units import base_exponents
 
 x, vx, u = sp.symbols("x vx u", real=True)
-m, k = sp.symbols("m k", positive=True)
+m, k, w = sp.symbols("m k w", positive=True)
 
 
 def part(kind: Any, /, **fields: Any) -> Any:
@@ -109,9 +109,9 @@ def test_bodies_are_shapes_or_what_stands_fixed():
 
 
 def test_a_depth_follows_the_parameters():
-    scene = small_scene(contacts=(wall(depth=m / 4),))
+    scene = small_scene(contacts=(wall(depth=w / 4),), parameters=(*small_scene().parameters, Parameter(symbol=w, value=1.0, unit="m")))
     assert scene.depths == (0.25,)
-    assert scene.with_parameters(m=2.0).depths == (0.5,)
+    assert scene.with_parameters(w=2.0).depths == (0.5,)
 
 
 @pytest.mark.parametrize(

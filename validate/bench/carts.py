@@ -11,7 +11,6 @@ from validate.bench.case import Size
 
 if TYPE_CHECKING:
     from models.scene import Scene
-    from models.schemes import Scheme
     from models.trajectory import Trajectory
 
 # The relaxation's schedule: three eps, one after the other, each from the plan of the one before.
@@ -74,6 +73,7 @@ def push(steps: int) -> np.ndarray:
 def pushed_plan(size: Size) -> Trajectory:
     """The motion under `push`, by the scene's own time step."""
     from models.codegen.kernel import load_kernel
+    from models.schemes import Scheme
     from models.trajectory import Trajectory, uniform_grid
 
     scene, u = scene_of(size), push(size.steps)
