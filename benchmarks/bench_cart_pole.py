@@ -137,7 +137,7 @@ def main() -> None:
     )
     if arguments.output is not None:
         arguments.output.parent.mkdir(parents=True, exist_ok=True)
-        limit = scene.limit("replay_terminal_error")
+        limit = scene.limit("replay_terminal_position_error")
         told = {
             "kind": "unstable_starts", "scene": SCENE, "pipeline": PIPELINE, "seed": arguments.seed, "limit": limit.value if limit is not None else 0.0,
             "starts": rows,

@@ -30,6 +30,7 @@ from formulations.mpec.certificate.plan import certify_plan
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.scene import Contact, Coordinate, Input, Parameter, Scene, Task
+from models.scene_annotations import goal_limits
 
 _CHILD = """
 import json, sys, time
@@ -114,8 +115,20 @@ def _chain(
         kinetic_energy=sum((a * b**2 for a, b in zip(m, v, strict=True)), sp.Integer(0)) / 2,
         potential_energy=sp.Integer(0),
         forces=tuple(forces),
-        contacts=tuple(Contact(name=f"contact{i + 1}", penetration=d - (q[i + 1] - q[i]), stiffness=k, nominal=0.1) for i in range(n - 1)),
+        contacts=tuple(
+            Contact(
+                name=f"contact{i + 1}",
+                bodies=(f"cart {i + 1}", f"cart {i + 2}"),
+                penetration=d - (q[i + 1] - q[i]),
+                stiffness=k,
+                depth=d,
+                depth_reason="the length of a cart: there the centres coincide",
+                nominal=0.1,
+            )
+            for i in range(n - 1)
+        ),
         task=Task(start=tuple(start), goal=tuple(goal), running_cost=sum((x**2 for x in u), sp.Integer(0)), step=step, steps=steps),
+        limits=goal_limits(position=0.05, velocity=0.1, reason="as of three_cart"),
     )
 
 

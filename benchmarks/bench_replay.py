@@ -27,6 +27,7 @@ from models.catalog import load_scene
 from models.fmu import build_fmu, variable_names
 from models.fmu.kinds import INTEGRATORS
 from models.scene import Scene
+from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 from validate.isolation import Limits
 from validate.replay import Replay, replay
@@ -64,7 +65,14 @@ def _plan(scene: Scene) -> Trajectory:
     nodes = scene.task.steps + 1
     state = np.tile(np.array(scene.task.start), (nodes, 1))
     inputs, forces = np.zeros((nodes - 1, scene.nu)), np.zeros((nodes - 1, scene.nl))
-    return Trajectory(t=uniform_grid(scene.task.step, nodes - 1), q=state[:, : scene.nq], v=state[:, scene.nq :], u=inputs, lam=forces)
+    return Trajectory(
+        t=uniform_grid(scene.task.step, nodes - 1),
+        q=state[:, : scene.nq],
+        v=state[:, scene.nq :],
+        u=inputs,
+        lam=forces,
+        scheme=Scheme.SEMI_IMPLICIT_EULER,
+    )
 
 
 def _timed(function: Callable[[], Any]) -> tuple[Any, float]:

@@ -73,13 +73,14 @@ def _solved(method: str, scene: Any, eps: float | None, warm: Any = None, **opti
 def _plan_of_full_push(scene: Any) -> Any:
     """Both ends driven inwards by a sine: contacts close and open, at any T."""
     from models.codegen.kernel import load_kernel
+    from models.schemes import Scheme
     from models.trajectory import Trajectory, uniform_grid
 
     steps, step = scene.task.steps, scene.task.step
     push = 8.0 * np.sin(np.linspace(0.0, 2 * np.pi, steps, endpoint=False))
     u = np.stack([push, -push], axis=1)
     rollout = load_kernel(scene).rollout(np.array(scene.task.start), u, step)
-    return Trajectory(t=uniform_grid(step, steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+    return Trajectory(t=uniform_grid(step, steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER)
 
 
 def _softplus(n: int, steps: int) -> dict[str, Any]:

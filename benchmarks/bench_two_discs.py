@@ -16,6 +16,7 @@ import argparse
 import itertools
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -28,7 +29,9 @@ from formulations.solution import Solution
 from models.codegen.kernel import load_kernel
 from models.fmu import build_fmu
 from models.scene import Scene
+from models.scene_annotations import goal_limits
 from models.scenes.two_discs import MASS, RIGID_OPTIMUM, RIGID_OPTIMUM_WALL, two_discs
+from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 from validate.replay import replay
 
@@ -60,13 +63,26 @@ def _throws(scene: Scene) -> list[Trajectory]:
         motion = kernel.rollout(start, u, scene.task.step)
         if not motion.diverged and (motion.lam > 0).any():
             missed = float((motion.q[-1, 2:4] ** 2).sum())
-            found.append((missed, Trajectory(t=uniform_grid(scene.task.step, steps), q=motion.q, v=motion.v, u=u, lam=motion.lam)))
+            found.append(
+                (
+                    missed,
+                    Trajectory(
+                        t=uniform_grid(scene.task.step, steps),
+                        q=motion.q,
+                        v=motion.v,
+                        u=u,
+                        lam=motion.lam,
+                        scheme=Scheme.SEMI_IMPLICIT_EULER,
+                    ),
+                )
+            )
     return [plan for _, plan in sorted(found, key=lambda item: item[0])[:_THROWS]]
 
 
 def _bent(scene: Scene, plans: list[Trajectory], seconds: float) -> list[Trajectory]:
     """The same throws, ending in the goal, as far as that is found."""
-    into = scene.with_task(goal=(None, None, 0.0, 0.0, None, None, None, None))
+    asked = replace(scene, limits=(*scene.limits, *goal_limits(position=0.01, reason="as law_error")))
+    into = asked.with_task(goal=(None, None, 0.0, 0.0, None, None, None, None))
     solutions = [_solved("strict_lcp", into, plan, seconds) for plan in plans]
     return [solution.trajectory for solution in solutions if solution.trajectory is not None]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -12,6 +12,7 @@ from models.trajectory import Trajectory
 
 if TYPE_CHECKING:  # a Solution costs no Pyomo
     from formulations.mpec.certificate.certificate import Certificate
+    from models.scene import Scene
 
 
 class Outcome(Enum):
@@ -84,6 +85,21 @@ class Solution:
     front: tuple[FrontPoint, ...] = ()
     size: ModelSize | None = None
     paper_size: ModelSize | None = None
+
+
+def as_asked(scene: Scene, solution: Solution) -> Solution:
+    """The solution; one that solved its problem at a cost above what the scene asks for is a local optimum, and says so: STALLED."""
+    limit = scene.limit("cost")
+    if (
+        solution.outcome is not Outcome.SOLVED
+        or solution.cost is None
+        or limit is None
+        or limit.value is None
+        or solution.cost <= limit.value
+    ):
+        return solution
+    told = f"It is a local optimum: its cost is {solution.cost:.3g}, the scene asks for at most {limit.value:.3g}; start elsewhere."
+    return replace(solution, outcome=Outcome.STALLED, message=f"{solution.message} {told}".strip())
 
 
 @dataclass(frozen=True, kw_only=True)

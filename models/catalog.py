@@ -51,6 +51,7 @@ def load_scene(reference: str) -> Scene:
     from models.checked_once import remembering
     from models.local_modules import Afresh, loading
     from models.scene import Scene
+    from models.step_dependence import step_problem
 
     path = scene_path(reference)
     ours = path.parent == _FOLDER
@@ -70,6 +71,9 @@ def load_scene(reference: str) -> Scene:
             raise SceneError(f"scene file {path}{_line_of(error, path)}: {error}") from error
         except (Exception, SystemExit) as error:
             raise SceneError(f"scene file {path}: {type(error).__name__} while it was read{_line_of(error, path)}: {error}") from error
+        problem = step_problem(path.read_bytes())
+        if problem is not None:
+            raise SceneError(f"scene file {path}, line {problem[0]}: scene {path.stem}: {problem[1]}")
         if ours:
             sys.modules[module_name] = module
     scene = getattr(module, "SCENE", None)

@@ -92,12 +92,14 @@ def rollout(kernel: Kernel, scheme: Scheme, start: np.ndarray, u: np.ndarray, h:
     return q, v, steps
 
 
-def defect(kernel: Kernel, plan: Trajectory) -> float:
-    """Largest miss of a plan in its own collocation step, contact forces by the true law [m, rad, or per second]; infinite where a step has no
-    solution."""
+def defect(kernel: Kernel, plan: Trajectory) -> np.ndarray:
+    """(2 nq,) largest miss of a plan in its own collocation step, contact forces by the true law [m, rad, or per second]; infinite where a step has
+    no solution."""
+    if plan.scheme is None:
+        raise ValueError("a plan that declares no scheme has no defect.")
     q, v = advance(kernel, plan.scheme, plan.q[:-1], plan.v[:-1], plan.u, np.diff(plan.t))
     miss = np.hstack([q - plan.q[1:], v - plan.v[1:]])
-    return float(np.abs(miss).max()) if np.isfinite(miss).all() else np.inf
+    return np.abs(miss).max(axis=0) if np.isfinite(miss).all() else np.full(miss.shape[1], np.inf)
 
 
 def switch_error(kernel: Kernel, plan: Trajectory) -> float:
@@ -112,10 +114,12 @@ def switch_error(kernel: Kernel, plan: Trajectory) -> float:
     h, k = np.diff(plan.t), kernel.stiffness()
     phi = kernel.penetration(plan.q)
     rate = np.diff(phi, axis=0) / h[:, None]
-    closer = np.maximum(np.abs(_rates(kernel, plan.q[:-1], plan.v[:-1])), np.abs(_rates(kernel, plan.q[1:], plan.v[1:])))
+    closer = np.maximum(
+        np.abs(penetration_rates(kernel, plan.q[:-1], plan.v[:-1])), np.abs(penetration_rates(kernel, plan.q[1:], plan.v[1:]))
+    )
     speed = np.maximum(np.abs(rate), closer)
     within = np.minimum(np.abs(phi[:-1]), np.abs(phi[1:])) <= speed * h[:, None]
-    turns = _rates(kernel, plan.q[:-1], plan.v[:-1]) * _rates(kernel, plan.q[1:], plan.v[1:]) < 0.0
+    turns = penetration_rates(kernel, plan.q[:-1], plan.v[:-1]) * penetration_rates(kernel, plan.q[1:], plan.v[1:]) < 0.0
     switches = (phi[:-1] * phi[1:] <= 0.0) & (phi[:-1] != phi[1:]) | within & turns & (phi[:-1] < 0.0)
     total = 0.0
     still = np.zeros((1, scene.nl))
@@ -128,7 +132,7 @@ def switch_error(kernel: Kernel, plan: Trajectory) -> float:
     return total
 
 
-def _rates(kernel: Kernel, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+def penetration_rates(kernel: Kernel, q: np.ndarray, v: np.ndarray) -> np.ndarray:
     """(n, nc) phi' = d phi/dq v, by a central difference along v."""
     reach = 1e-6 / (1.0 + np.abs(v).max(axis=1, keepdims=True))
     return (kernel.penetration(q + reach * v) - kernel.penetration(q - reach * v)) / (2.0 * reach)

@@ -1,8 +1,8 @@
 """Contacts and dry friction of a scene.
 
-    Contact(name="left", penetration=d - (q2 - q1), stiffness=k)
-    Contact(name="pad", penetration=-q, stiffness=k, damping=c)                 # Kelvin-Voigt, c [N s/m]
-    Contact(name="ball", penetration=-q, stiffness=k, damping=d, damping_law=DampingLaw.HUNT_CROSSLEY)   # d [s/m]
+    Contact(name="left", bodies=("left", "middle"), penetration=d - (q2 - q1), stiffness=k, depth=d, depth_reason="the carts' length")
+    Contact(name="pad", .., damping=c)                                          # Kelvin-Voigt, c [N s/m]
+    Contact(name="ball", .., damping=d, damping_law=DampingLaw.HUNT_CROSSLEY)   # d [s/m]
     Friction(name="left", slip=v1 - v2, coefficient=mu, contact="left")         # pressed by the force of the contact "left"
     Friction(name="belt", slip=v_cargo - v_cart, coefficient=mu, normal_force=m * g)   # pressed by a given force
 
@@ -27,7 +27,7 @@ from enum import Enum
 import sympy as sp
 
 from models.errors import SceneError
-from models.scene_values import as_expression, as_number, check_name, settle
+from models.scene_values import as_expression, as_number, check_name, check_text, settle
 
 
 class DampingLaw(Enum):
@@ -46,7 +46,9 @@ class DampingLaw(Enum):
 class Contact:
     """One unilateral contact: `penetration` phi(q) [m], positive in contact, and `stiffness` k [N/m], lam = k*max(phi, 0).
 
-    damping: an expression in parameters, never negative, in the unit of `damping_law`; 0 is no damping, and leaves nothing of it in any model.
+    bodies: the two between which it acts, by the names of their shapes; "ground", "wall" or "joint" may be one end. depth [m]: the penetration at
+    which the model ends - the force or its direction is no longer what it means - as a number or an expression in parameters, with its reason: a plan
+    whose replay goes deeper does not hold. nominal [m]: a typical penetration. damping: an expression in parameters, never negative, in the unit of `damping_law`; 0 is no damping, and leaves nothing of it in any model.
     """
 
     name: str
@@ -54,12 +56,31 @@ class Contact:
     stiffness: sp.Expr
     damping: sp.Expr = sp.S.Zero
     damping_law: DampingLaw = DampingLaw.KELVIN_VOIGT
+    bodies: tuple[str, str] = ("", "")
+    depth: sp.Expr = sp.S.Zero  # a number becomes one
+    depth_reason: str = ""
     nominal: float = 1e-2
     description: str = ""
 
     def __post_init__(self) -> None:
         check_name("contact", self.name)
-        for field in ("penetration", "stiffness", "damping"):
+        if self.bodies == ("", "") or self.depth == 0 or not self.depth_reason:
+            missing = [
+                name
+                for name, given in (("bodies", any(self.bodies)), ("depth", self.depth != 0), ("depth_reason", self.depth_reason))
+                if not given
+            ]
+            raise SceneError(
+                f"contact {self.name}: {', '.join(missing)} must be given: between which bodies it acts and how deep they may press into each other "
+                f'before the model ends; for example bodies=("cart", "wall"), depth=0.1, depth_reason="the length of the spring".'
+            )
+        if not isinstance(self.bodies, (tuple, list)) or len(self.bodies) != 2 or self.bodies[0] == self.bodies[1]:
+            raise SceneError(f"contact {self.name}: bodies must be the names of two different bodies, not {self.bodies!r}.")
+        settle(self, "bodies", tuple(self.bodies))
+        for body in self.bodies:
+            check_text(f"contact {self.name}: bodies", body)
+        check_text(f"contact {self.name}: depth_reason", self.depth_reason)
+        for field in ("penetration", "stiffness", "damping", "depth"):
             settle(self, field, as_expression(f"contact {self.name}: {field}", getattr(self, field)))
         settle(self, "nominal", as_number(f"contact {self.name}: nominal", self.nominal))
         if self.nominal <= 0:

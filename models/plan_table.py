@@ -1,27 +1,35 @@
 """A plan's CSV as a table of columns, before anybody knows what they mean.
 
-Cells are apart by comma, semicolon (then 0,5 is a number too) or tab; lines with # are comments; a column may say its unit, `q1 [m]`.
+Cells are apart by comma, semicolon (then 0,5 is a number too) or tab; lines with # are comments, but for `# scheme: ..` and `# hold: ..`, which
+declare; a column may say its unit, `q1 [m]`.
 """
 
 from __future__ import annotations
 
 import csv
+import difflib
 import math
 import re
+import unicodedata
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from models.errors import TrajectoryError
 
+# What a comment may declare.
+_DECLARED = ("scheme", "hold")
+
 
 class PlanTable:
-    """names: of the columns, without units; units: by name, for those that say one; rows: of numbers below the header."""
+    """names: of the columns, without units; units: by name, for those that say one; rows: of numbers below the header; declared: by key."""
 
     def __init__(self, path: Path) -> None:
         """Raises TrajectoryError naming the file, and the line and the column where there is one."""
-        self.path = path
-        rows = _rows(path)
+        self.path, self.source = path, f"file {path}"
+        self.where = f"plan {path}"
+        rows, self.declared = _rows(path)
         if len(rows) < 3:
             below = max(len(rows) - 1, 0)
             raise TrajectoryError(f"plan {path}: it has {below} row{'' if below == 1 else 's'}; a header and at least two rows are needed.")
@@ -32,30 +40,35 @@ class PlanTable:
         self.units: dict[str, str] = {}
         names = []
         for cell in rows[0][1]:
-            split = re.fullmatch(r"(.*?)\s*\[(.*)\]", cell)
-            names.append(split.group(1) if split else cell)
-            if split:
-                self.units[split.group(1)] = split.group(2).strip()
+            name, unit = _name_and_unit(cell)
+            names.append(name)
+            if unit is not None:
+                self.units[name] = unit
         self.names = tuple(names)
+
+    def has_last(self, name: str) -> bool:
+        """Whether the last row has a cell in this column."""
+        index, row = self.names.index(name), self._rows[-1][1]
+        return index < len(row) and bool(row[index])
 
     def check_form(self) -> None:
         """Raise TrajectoryError for a column without a name or that stands there twice, or a line with more cells than there are columns."""
         for name in self.names:
             if not name:
                 raise TrajectoryError(
-                    f"plan {self.path}: column {self.names.index(name) + 1} has no name; an index, as pandas writes it, is left out by index=False."
+                    f"{self.where}: column {self.names.index(name) + 1} has no name; an index, as pandas writes it, is left out by index=False."
                 )
             if self.names.count(name) > 1:
-                raise TrajectoryError(f"plan {self.path}: the column {name!r} stands there twice.")
+                raise TrajectoryError(f"{self.where}: the column {name!r} stands there twice.")
         for number, row in self._rows:
             if any(row[len(self.names) :]):
-                raise TrajectoryError(f"plan {self.path}: line {number} has {len(row)} cells, but there are {len(self.names)} columns.")
+                raise TrajectoryError(f"{self.where}: line {number} has {len(row)} cells, but there are {len(self.names)} columns.")
 
     def check_unit(self, name: str, unit: str) -> None:
         """Raise TrajectoryError if the column says another unit than this."""
         given = self.units.get(name, unit)
         if given != unit:
-            raise TrajectoryError(f"plan {self.path}: the column {name!r} is in {given!r}, but {unit!r} is expected; convert it.")
+            raise TrajectoryError(f"{self.where}: the column {name!r} is in {given!r}, but {unit!r} is expected; convert it.")
 
     def column(self, name: str, last_is_open: bool) -> np.ndarray:
         """The numbers of a column; without the last row where it may be empty (it begins no step)."""
@@ -68,14 +81,23 @@ class PlanTable:
             try:
                 values.append(float(cell))
             except ValueError:
-                raise TrajectoryError(f"plan {self.path}: line {number}, column {name!r}: {cell!r} is not a number.") from None
+                raise TrajectoryError(f"{self.where}: line {number}, column {name!r}: {cell!r} is not a number.") from None
             if not math.isfinite(values[-1]):
-                raise TrajectoryError(f"plan {self.path}: line {number}, column {name!r}: {cell!r} is not a finite number.")
+                raise TrajectoryError(f"{self.where}: line {number}, column {name!r}: {cell!r} is not a finite number.")
         return np.array(values)
 
 
-def _rows(path: Path) -> list[tuple[int, list[str]]]:
-    """(line number, cells) of the lines that hold any."""
+def _name_and_unit(cell: str) -> tuple[str, str | None]:
+    """Of a column's head: `q1 [m]`, but q[1] is a name, as FMUs number them. Names are in Unicode's composed form: an umlaut may be written in two
+    ways that look the same."""
+    split = re.fullmatch(r"(.*?)(\s*)\[([^\[\]]*)\]", cell)
+    if split is None or (not split.group(2) and re.fullmatch(r"\d+(\s*,\s*\d+)*", split.group(3))):
+        return unicodedata.normalize("NFC", cell), None
+    return unicodedata.normalize("NFC", split.group(1)), split.group(3).strip()
+
+
+def _rows(path: Path) -> tuple[list[tuple[int, list[str]]], dict[str, str]]:
+    """(line number, cells) of the lines that hold any, and what comments declare."""
     try:
         text = path.read_text(encoding="utf-8-sig")  # Excel writes a byte order mark
     except OSError as error:
@@ -84,13 +106,34 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
         raise TrajectoryError(
             f"plan {path}: it is not text in UTF-8 (byte {error.start} is none of it); save it as CSV in UTF-8."
         ) from error
-    lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip() and not line.startswith("#")]
-    header = lines[0][1] if lines else ""
+    numbered = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
+    declared = _declarations(path, [(number, line) for number, line in numbered if line.startswith("#")])
+    lines = [(number, line) for number, line in numbered if not line.startswith("#")]
+    header = re.sub(r'"[^"]*"', "", lines[0][1]) if lines else ""
     mark = next((mark for mark in ";\t" if mark in header), ",")
     rows = [(number, _cells(path, number, line, mark)) for number, line in lines]
     if mark == ";":
-        return [(number, [cell.replace(",", ".") for cell in row]) for number, row in rows]
-    return rows
+        rows[1:] = [(number, [cell.replace(",", ".") for cell in row]) for number, row in rows[1:]]
+    return rows, declared
+
+
+def _declarations(path: Path, comments: list[tuple[int, str]]) -> dict[str, str]:
+    """`# key: value` of the keys that are known; one that is nearly one of them is a mistake, any other comment is a comment."""
+    declared: dict[str, str] = {}
+    for number, line in comments:
+        match = re.fullmatch(r"#+\s*([A-Za-z_]+)\s*[:=]\s*(.*?)\s*", line)
+        if match is None:
+            continue
+        key, value = match.group(1).lower(), match.group(2)
+        if key not in _DECLARED:
+            close = difflib.get_close_matches(key, _DECLARED, n=1, cutoff=0.7)
+            if close:
+                raise TrajectoryError(f"plan {path}: line {number}: there is no {match.group(1)!r} to declare; did you mean {close[0]!r}?")
+            continue
+        if declared.get(key, value) != value:
+            raise TrajectoryError(f"plan {path}: line {number}: it declares the {key} {value!r}, but {declared[key]!r} before.")
+        declared[key] = value
+    return declared
 
 
 def _is_number(cell: str) -> bool:
@@ -106,3 +149,47 @@ def _cells(path: Path, number: int, line: str, mark: str) -> list[str]:
         return [cell.strip() for cell in next(csv.reader([line], delimiter=mark, skipinitialspace=True))]
     except csv.Error as error:
         raise TrajectoryError(f"plan {path}: line {number} cannot be read ({error}); separate its cells by {mark!r}.") from error
+
+
+class ArrayTable:
+    """The same of arrays by column names (a mapping, or a pandas DataFrame): inputs and forces may be one shorter than `t`, or end in NaN.
+
+    declared: scheme and hold, as a CSV would.
+    """
+
+    def __init__(self, columns: Any, **declared: str | None) -> None:
+        """Raises TrajectoryError naming the column."""
+        self.where, self.source = "plan", "arrays"
+        self.declared = {key: value for key, value in declared.items() if value is not None}
+        self.units: dict[str, str] = {}
+        try:
+            self._columns = {str(name): np.asarray(columns[name], dtype=float) for name in columns}
+        except (TypeError, ValueError) as error:
+            raise TrajectoryError(f"plan: its columns must be arrays of numbers by name ({error}).") from error
+        self.names = tuple(self._columns)
+        for name, values in self._columns.items():
+            if values.ndim != 1:
+                raise TrajectoryError(f"plan: the column {name!r} has shape {values.shape}, but must be one row of numbers.")
+        self.rows = len(self._columns["t"]) if "t" in self._columns else max(map(len, self._columns.values()), default=0)
+        if self.rows < 2:
+            raise TrajectoryError(f"plan: it has {self.rows} row{'' if self.rows == 1 else 's'}; at least two are needed.")
+
+    def has_last(self, name: str) -> bool:
+        """Whether the column has a number at the last time."""
+        values = self._columns[name]
+        return len(values) == self.rows and bool(np.isfinite(values[-1]))
+
+    def check_unit(self, name: str, unit: str) -> None:
+        """Arrays say no units."""
+
+    def column(self, name: str, last_is_open: bool) -> np.ndarray:
+        """As of a `PlanTable`."""
+        values = self._columns[name]
+        expected = self.rows - 1 if last_is_open else self.rows
+        if len(values) not in (expected, self.rows):
+            raise TrajectoryError(f"plan: the column {name!r} has {len(values)} numbers, but t has {self.rows}.")
+        values = values[:expected]
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise TrajectoryError(f"plan: column {name!r}, row {int(bad[0])}: {values[bad[0]]} is not a finite number.")
+        return values

@@ -6,7 +6,7 @@
         coordinates=(Coordinate(name="q", symbol=q, velocity=v, unit="m"),),
         kinetic_energy=m * v**2 / 2,
         potential_energy=m * g * q,
-        contacts=(Contact(name="floor", penetration=-q, stiffness=k),),
+        contacts=(Contact(name="floor", bodies=("mass", "floor"), penetration=-q, stiffness=k, depth=0.5, depth_reason="the floor's springs are pressed flat"),),
         ...
     )
 
@@ -194,7 +194,9 @@ class Scene:
     kinetic_energy T(q, v) [J], potential_energy V(q) [J] (without contacts), forces Q(q, v, u): (nq,) non-conservative
     generalised forces (inputs, damping) [N, N m]; the equations of motion follow by Lagrange (models.dynamics). quick: whether a quick campaign
     runs it; False where its first plan that holds takes about a minute. length [m]: what counts as far here, which relaxed contact is measured in
-    (models.contact_law); the paper's metre unless a scene is much smaller.
+    (models.contact_law); the paper's metre unless a scene is much smaller. unstable: why a robot needs feedback here whatever its plan, as a sentence;
+    empty: a plan is expected to hold by its inputs alone. relaxation_time: of a scene without inertia, the symbol by which its drag
+    becomes mass; lag [s]: its value where the scene is judged, None on a grid, whose step it is then (models.quasi_static).
     """
 
     name: str
@@ -214,8 +216,12 @@ class Scene:
     shapes: tuple[Shape, ...] = ()
     quick: bool = True
     length: float = 1.0
+    unstable: str = ""
+    relaxation_time: sp.Symbol | None = None
+    lag: float | None = None
 
     def __post_init__(self) -> None:
+        from models.quasi_static import check_quasi_static, relaxation_parameter
         from models.scene_checks import check_scene
 
         for field, kind in _PARTS.items():
@@ -233,10 +239,15 @@ class Scene:
         settle(
             self, "forces", tuple(as_expression(f"scene {self.name}: forces[{index}]", force) for index, force in enumerate(self.forces))
         )
+        if self.relaxation_time is not None:
+            # It follows the task's step, whatever was changed.
+            others = tuple(item for item in self.parameters if item.symbol != self.relaxation_time)
+            settle(self, "parameters", (*others, relaxation_parameter(self)))
         settle(self, "length", as_number(f"scene {self.name}: length", self.length))
         for field in ("kinetic_energy", "potential_energy"):
             settle(self, field, as_expression(f"scene {self.name}: {field}", getattr(self, field)))
         check_scene(self)
+        check_quasi_static(self)
 
     @property
     def nq(self) -> int:
@@ -265,6 +276,11 @@ class Scene:
         return self.nc + self.nf
 
     @property
+    def relaxation_index(self) -> int | None:
+        """The place of the relaxation time among the parameters, the last; None for a scene with inertia."""
+        return None if self.relaxation_time is None else len(self.parameters) - 1
+
+    @property
     def force_names(self) -> tuple[str, ...]:
         """(nl,) as in the columns of a plan."""
         return tuple(item.force_name for item in (*self.contacts, *self.frictions))
@@ -273,9 +289,14 @@ class Scene:
     def parameter_values(self) -> dict[sp.Symbol, float]:
         return {parameter.symbol: parameter.value for parameter in self.parameters}
 
-    def limit(self, figure: str) -> Limit | None:
-        """The limit this scene sets on a score figure, or None."""
-        return next((limit for limit in self.limits if limit.figure == figure), None)
+    def limit(self, metric: str) -> Limit | None:
+        """What this scene says of the limit on a metric, or None: then the metric's default holds."""
+        return next((limit for limit in self.limits if limit.metric == metric), None)
+
+    @property
+    def depths(self) -> tuple[float, ...]:
+        """(nc,) penetration of each contact at which the model ends [m], at the values of the parameters."""
+        return tuple(float(contact.depth.subs(self.parameter_values).evalf()) for contact in self.contacts)
 
     def with_parameters(self, **values: float) -> Scene:
         """This scene with other parameter values, e.g. `scene.with_parameters(k=300.0)`. Raises SceneError for unknown names."""
@@ -283,9 +304,20 @@ class Scene:
         for name in values:
             if name not in known:
                 raise SceneError(f"scene {self.name}: there is no parameter {name!r}; it has {', '.join(known)}.")
+            if self.relaxation_time is not None and name == self.relaxation_time.name:
+                raise SceneError(f"scene {self.name}: {name} is the relaxation time, which is the task's step; change that.")
         parameters = tuple(replace(parameter, value=float(values.get(parameter.name, parameter.value))) for parameter in self.parameters)
         return replace(self, parameters=parameters)
 
     def with_task(self, **changes: Any) -> Scene:
         """This scene with another task, e.g. `scene.with_task(steps=1000, step=0.005)`."""
         return replace(self, task=replace(self.task, **changes))
+
+    def continuous(self, lag: float | None = None) -> Scene:
+        """This scene as it is judged, in continuous time: without inertia but for a `lag` (models.quasi_static.LAG unless given [s]); itself where it has
+        inertia, or is that already."""
+        from models.quasi_static import LAG
+
+        if self.relaxation_time is None or (self.lag is not None and lag is None):
+            return self
+        return replace(self, lag=LAG if lag is None else lag)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import InitVar, dataclass
 
 import sympy as sp
 
@@ -15,18 +15,40 @@ _SHAPES = {"box": (2,), "disc": (1,), "line": (1,), "wall": (1, 2)}
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:
-    """The largest value of a score figure with which a plan still holds, and the reason for that number."""
+    """The largest value of a metric of the score with which a plan still holds, and the reason for that number.
 
-    figure: str
-    value: float
+    value: in the metric's unit; None waives the limit that the metric has by default (validate.score.table), which takes a reason too.
+    """
+
+    metric: str = ""
+    value: float | None
     reason: str
+    figure: InitVar[str | None] = None  # what `metric` was called up to version 0.1
 
-    def __post_init__(self) -> None:
-        check_text("limit: figure", self.figure)
-        check_text(f"limit on {self.figure}: reason", self.reason, empty=True)
-        settle(self, "value", as_number(f"limit on {self.figure}", self.value))
+    def __post_init__(self, figure: str | None) -> None:
+        if figure is not None:
+            raise SceneError(f"limit on {figure}: figure= is now called metric=; write Limit(metric={figure!r}, value=.., reason=..).")
+        check_text("limit: metric", self.metric)
+        check_text(f"limit on {self.metric}: reason", self.reason, empty=self.value is not None)
+        if self.value is None:
+            return
+        settle(self, "value", as_number(f"limit on {self.metric}", self.value))
         if self.value < 0.0:
-            raise SceneError(f"limit on {self.figure}: {self.value:g} is below 0, which no figure can be.")
+            raise SceneError(f"limit on {self.metric}: {self.value:g} is below 0, which no metric can be.")
+
+
+def goal_limits(*, position: float | None = None, velocity: float | None = None, reason: str) -> tuple[Limit, ...]:
+    """How near to the goal is near enough, the same for a plan and its replay; None where the goal asks for none.
+
+    >>> [limit.metric for limit in goal_limits(position=0.02, reason="as much as the wall shall be pressed in")]
+    ['terminal_position_error', 'replay_terminal_position_error']
+    """
+    return tuple(
+        Limit(metric=f"{of}terminal_{part}_error", value=value, reason=reason)
+        for part, value in (("position", position), ("velocity", velocity))
+        if value is not None
+        for of in ("", "replay_")
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 import sympy as sp
 
 from models.checked_once import checked_once
+from models.dimensions import dimension_problem
 from models.errors import SceneError
 from models.scene import Scene
 from models.scene_functions import function_problem
@@ -49,6 +50,8 @@ def check_scene(scene: Scene) -> None:
     _check_lengths(scene)
     _check_steps(scene)
     _check_symbols(scene)
+    _check_bodies(scene)
+    _check_goal_limits(scene)
     checked_once(scene, check_expressions)
 
 
@@ -61,6 +64,9 @@ def check_expressions(scene: Scene) -> None:
     _check_mass(scene)
     _check_contacts(scene)
     _check_frictions(scene)
+    problem = dimension_problem(scene)
+    if problem is not None:
+        raise _fail(scene, problem)
 
 
 def _fail(scene: Scene, text: str) -> SceneError:
@@ -94,6 +100,7 @@ def _check_names(scene: Scene) -> None:
 def _check_words(scene: Scene) -> None:
     for field in ("title", "source"):
         check_text(f"scene {scene.name}: {field}", getattr(scene, field))
+    check_text(f"scene {scene.name}: unstable", scene.unstable, empty=True)
     if scene.length <= 0:
         raise _fail(scene, f"length (in m, what relaxed contact is measured in) must be positive, not {scene.length:g}.")
     if not isinstance(scene.quick, bool):
@@ -161,6 +168,7 @@ def _check_symbols(scene: Scene) -> None:
         check(f"contact {contact.name}: penetration", contact.penetration, parameters | positions)
         check(f"contact {contact.name}: stiffness", contact.stiffness, parameters)
         check(f"contact {contact.name}: damping", contact.damping, parameters)
+        check(f"contact {contact.name}: depth", contact.depth, parameters)
     for friction in scene.frictions:
         check(f"friction {friction.name}: slip", friction.slip, parameters | positions | velocities)
         check(f"friction {friction.name}: coefficient", friction.coefficient, parameters)
@@ -173,6 +181,38 @@ def _check_symbols(scene: Scene) -> None:
             check(f"shape {shape.name}: {field}", value, parameters | positions)
         for size in shape.size:
             check(f"shape {shape.name}: size", size, parameters)
+
+
+# What may stand for one end of a contact that is no drawn body.
+_FIXED = ("ground", "wall", "joint")
+
+
+def _check_bodies(scene: Scene) -> None:
+    drawn = [shape.name for shape in scene.shapes]
+    for contact in scene.contacts:
+        unknown = [body for body in contact.bodies if body not in drawn and body not in _FIXED]
+        if drawn and unknown:
+            raise _fail(
+                scene,
+                f"contact {contact.name}: bodies names {unknown[0]!r}, which is no shape of the scene ({', '.join(drawn)}), nor one of {', '.join(_FIXED)}.",
+            )
+    for contact, depth in zip(scene.contacts, scene.depths, strict=True):
+        if not depth > 0.0:
+            raise _fail(scene, f"contact {contact.name}: depth is {depth:g} m, but must be positive.")
+
+
+def _check_goal_limits(scene: Scene) -> None:
+    """A goal says how near is near enough, of the plan and of its replay, positions and velocities apart."""
+    goal = scene.task.goal
+    for part, values in (("position", goal[: scene.nq]), ("velocity", goal[scene.nq :])):
+        if all(value is None for value in values):
+            continue
+        for metric in (f"terminal_{part}_error", f"replay_terminal_{part}_error"):
+            if scene.limit(metric) is None:
+                raise _fail(
+                    scene,
+                    f"task.goal asks for a {part}, but no limit says how near is near enough; add Limit(metric={metric!r}, value=.., reason=..).",
+                )
 
 
 def _start(scene: Scene) -> dict[sp.Symbol, float]:
@@ -213,10 +253,6 @@ def _check_mass(scene: Scene) -> None:
             )
 
 
-# Functions with corners or jumps: forces point along the gradient of the gap, and plans need how that turns.
-_ROUGH = (sp.Abs, sp.sign, sp.Max, sp.Min, sp.floor, sp.ceiling, sp.Mod, sp.Heaviside, sp.Piecewise)
-
-
 def _check_contacts(scene: Scene) -> None:
     start = _start(scene)
     for contact in scene.contacts:
@@ -228,13 +264,6 @@ def _check_contacts(scene: Scene) -> None:
             unit = contact.damping_law.unit
             raise _fail(
                 scene, f"contact {contact.name}: the damping is {damping} {unit}, but must not be negative; 0 is a contact without damping."
-            )
-        rough = sorted({type(part).__name__ for part in contact.penetration.atoms(*_ROUGH)})
-        if rough:
-            raise _fail(
-                scene,
-                f"contact {contact.name}: the penetration contains {', '.join(rough)}, which is not differentiable everywhere; give each side a "
-                "contact of its own, or round the corner off, as sqrt(x^2 + r^2) does with Abs(x).",
             )
         gradient = [sp.diff(contact.penetration, coordinate.symbol).subs(start).evalf() for coordinate in scene.coordinates]
         if not all(entry.is_number and entry.is_real and entry.is_finite for entry in gradient):

@@ -1,8 +1,15 @@
-"""Functions that a scene may use: those that have a form in C, and whose derivatives have one, which every plan needs."""
+"""The expressions of a scene that enter its equations, and the functions they may use: smooth ones, that have a form in C, as their derivatives have.
+
+Plans need derivatives: Ipopt's are of the forces, and so of the second derivatives of the energies; gradients by rollouts, the error growth and the
+tracking gains are those of the C kernel. A corner has none. Of Max, Abs and Piecewise in a force the kernel makes do with one-sided slopes, but
+strict_lcp, relaxed_lcp, mpcc, collocation and proofs cannot; of sign and Heaviside, or of an energy with a corner, nothing can.
+"""
 
 from __future__ import annotations
 
 from functools import cache
+from itertools import islice
+from typing import NamedTuple
 
 import sympy as sp
 from sympy.core.function import ArgumentIndexError
@@ -11,36 +18,91 @@ from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
 from models.scene import Scene
 
-# Their derivatives are jumps, which are said where they matter: of a penetration by `scene_checks`, else by code generation.
-_WITH_CORNERS = (sp.Abs, sp.sign, sp.Max, sp.Min, sp.floor, sp.ceiling, sp.Mod, sp.Heaviside, sp.Piecewise)
+# Functions with corners or jumps, and what to write instead; r is the radius of the rounding, a parameter.
+_ROUNDED = {
+    sp.Abs: "sqrt(x^2 + r^2) for Abs(x)",
+    sp.Max: "(x + y + sqrt((x - y)^2 + r^2))/2 for Max(x, y)",
+    sp.Min: "(x + y - sqrt((x - y)^2 + r^2))/2 for Min(x, y)",
+    sp.sign: "tanh(x/r) for sign(x), or a Friction where it rubs",
+    sp.Heaviside: "(1 + tanh(x/r))/2 for Heaviside(x), or a Contact where it pushes on one side",
+    sp.Piecewise: "pieces weighed with (1 + tanh(x/r))/2, or a Contact where it pushes on one side",
+    sp.floor: "x for floor(x)",
+    sp.ceiling: "x for ceiling(x)",
+    sp.Mod: "a sine of the same period for Mod(x, y)",
+}
+_WITH_CORNERS = tuple(_ROUNDED)
+# Symbols, numbers and operations of an expression that is written out.
+_MOST_PARTS = 300
+
+
+class Quantity(NamedTuple):
+    """An expression of a scene: its field, as messages name it, what it is, and its unit; None: whatever its author weighs."""
+
+    field: str
+    expression: sp.Expr
+    what: str
+    unit: str | None
+
+
+def quantities(scene: Scene) -> list[Quantity]:
+    """All that enters the equations of motion, the contact laws and the cost."""
+    found = [Quantity(f"{kind}_energy", getattr(scene, f"{kind}_energy"), "an energy", "J") for kind in ("kinetic", "potential")]
+    for coordinate, force in zip(scene.coordinates, scene.forces, strict=True):
+        above, _, below = coordinate.unit.partition("/")
+        unit = {"m": "N", "rad": "N m"}.get(coordinate.unit, f"J {below.replace('/', ' ')}/{above}")
+        found.append(Quantity(f"forces[{coordinate.name}]", force, f"the force of a coordinate in {coordinate.unit}", unit))
+    for contact in scene.contacts:
+        parts = (("penetration", "m"), ("stiffness", "N/m"), ("damping", contact.damping_law.unit))
+        found += [Quantity(f"contact {contact.name}: {part}", getattr(contact, part), f"a {part}", unit) for part, unit in parts]
+    for friction in scene.frictions:
+        parts = (("slip", "a slip", "m/s"), ("coefficient", "a coefficient of friction", "1"), ("normal_force", "a normal force", "N"))
+        found += [
+            Quantity(f"friction {friction.name}: {part}", expression, what, unit)
+            for part, what, unit in parts
+            if (expression := getattr(friction, part)) is not None
+        ]
+    costs = (("running_cost", scene.task.running_cost), ("final_cost", scene.task.final_cost))
+    return [*found, *(Quantity(f"task.{field}", expression, "a cost", None) for field, expression in costs)]
 
 
 def function_problem(scene: Scene) -> str | None:
-    """`forces[x] contains gamma, whose derivative polygamma has no form in C ..`, the first of them; None: all have one."""
-    fields = [("kinetic_energy", scene.kinetic_energy), ("potential_energy", scene.potential_energy)]
-    fields += [(f"forces[{coordinate.name}]", force) for coordinate, force in zip(scene.coordinates, scene.forces, strict=True)]
-    for contact in scene.contacts:
-        parts = (("penetration", contact.penetration), ("stiffness", contact.stiffness), ("damping", contact.damping))
-        fields += [(f"contact {contact.name}: {part}", expression) for part, expression in parts]
-    for friction in scene.frictions:
-        parts = (("slip", friction.slip), ("coefficient", friction.coefficient), ("normal_force", friction.normal_force))
-        fields += [(f"friction {friction.name}: {part}", expression) for part, expression in parts if expression is not None]
-    fields += [("task.running_cost", scene.task.running_cost), ("task.final_cost", scene.task.final_cost)]
-    for field, expression in fields:
-        for used in sorted(expression.atoms(sp.Function), key=str):
-            missing = _missing(used.func, len(used.args))
+    """`forces[x] contains gamma, whose derivative polygamma has no form in C ..`, the first of them; None: all are smooth and have one."""
+    for field, expression, _, _ in quantities(scene):
+        corners = sorted(expression.atoms(*_WITH_CORNERS), key=lambda used: (type(used).__name__, shortened(used)))
+        if corners:
+            advice = next(words for kind, words in _ROUNDED.items() if isinstance(corners[0], kind))
+            mend = f"round it off: {advice}"
+            if field.endswith(": penetration"):
+                mend = f"give each side a contact of its own, or {mend}"
+            elif field.endswith((": stiffness", ": damping", ": coefficient")):
+                mend = "make it a parameter of its value"
+            return f"{field} contains {shortened(corners[0])}, which is not differentiable everywhere, as plans need it; {mend}."
+        for name, function, count in sorted(
+            {(str(used.func), used.func, len(used.args)) for used in expression.atoms(sp.Function)}, key=str
+        ):
+            missing = _missing(function, count)
             if missing is not None:
-                name = str(used.func)
                 what = name if missing == name else f"{name}, whose derivative contains {missing}"
                 return f"{field} contains {what}, which has no form in C; use smooth elementary functions (sin, exp, sqrt, tanh ..)."
     return None
 
 
+def shortened(expression: sp.Basic) -> str:
+    """For a sentence. Of thousands of terms only the symbols are told: SymPy takes minutes to write them in order."""
+    if is_longer(expression, _MOST_PARTS):
+        return f"a long expression in {', '.join(sorted(str(symbol) for symbol in expression.free_symbols))}"
+    text = str(expression)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def is_longer(expression: sp.Basic, parts: int) -> bool:
+    """Whether an expression has more symbols, numbers and operations than that."""
+    return sum(1 for _ in islice(sp.preorder_traversal(expression), parts + 1)) > parts
+
+
 @cache
 def _missing(function: type[sp.Function], count: int) -> str | None:
     """The function without a form in C in that of `count` arguments, or else in its derivatives."""
-    if issubclass(function, _WITH_CORNERS):
-        return None
     arguments = [sp.Dummy(f"x{index}", real=True) for index in range(count)]
     value = function(*arguments)
     try:

@@ -65,16 +65,17 @@ class StepStability:
 
 @dataclass(frozen=True, eq=False)
 class _Linear:
-    """da = G dq + D dv, of the accelerations with a set of contacts closed."""
+    """da = G dq + D dv, of the accelerations with a set of contacts closed; of a scene without inertia dv = G dq, and D is nothing."""
 
     contacts: tuple[str, ...]
     G: np.ndarray
     D: np.ndarray
+    has_inertia: bool
 
     def step_matrix(self, h: float) -> np.ndarray:
         """(2*nq, 2*nq) of v' = v + h a, q' = q + h v'."""
         identity = np.eye(len(self.G))
-        vq, vv = h * self.G, identity + h * self.D
+        vq, vv = (h * self.G, identity + h * self.D) if self.has_inertia else (self.G, self.D)
         return np.block([[identity + h * vq, h * vv], [vq, vv]])
 
     def radius(self, h: float) -> float:
@@ -83,7 +84,7 @@ class _Linear:
     @property
     def growth(self) -> float:
         identity = np.eye(len(self.G))
-        rates = np.linalg.eigvals(np.block([[np.zeros_like(self.G), identity], [self.G, self.D]])).real
+        rates = np.linalg.eigvals(np.block([[np.zeros_like(self.G), identity], [self.G, self.D]]) if self.has_inertia else self.G).real
         largest = float(rates.max(initial=0.0))
         # zero but for rounding, which a double zero takes the square root of
         return largest if largest > 1e-7 * max(1.0, float(np.sqrt(np.abs(self.G).max(initial=0.0)))) else 0.0
@@ -117,7 +118,7 @@ def step_stability(scene: Scene, step: float | None = None) -> StepStability:
     Raises MachineError without a compiler.
     """
     h = scene.task.step if step is None else step
-    models = _linear_models(replace(scene, frictions=(), limits=()) if scene.frictions else scene)
+    models = _linear_models(replace(scene, frictions=()) if scene.frictions else scene)
     if not models:
         return StepStability(scene=scene.name, step=h, radius=1.0, contacts=(), growth=0.0, largest_step=math.inf)
     worst = max(models, key=lambda model: model.excess(h))
@@ -145,7 +146,8 @@ def _linear_models(scene: Scene) -> list[_Linear]:
             except KernelError:  # the masses are singular where only the search for a closed position led
                 continue
             names = tuple(scene.contacts[index].name for index in indices)
-            found.append(_Linear(names, jacobian[nq:, :nq], jacobian[nq:, nq:] - np.eye(nq)))
+            inertia = scene.relaxation_time is None
+            found.append(_Linear(names, jacobian[nq:, :nq], jacobian[nq:, nq:] - (np.eye(nq) if inertia else 0.0), inertia))
     return found
 
 
@@ -187,7 +189,8 @@ def _closed_positions(scene: Scene, q: np.ndarray) -> list[tuple[tuple[int, ...]
 
 def _largest_step(model: _Linear, h: float) -> float:
     """The step at which the model becomes unstable [s], by doubling from far below and bisection."""
-    stiffest = math.sqrt(float(np.abs(np.linalg.eigvals(model.G)).max(initial=0.0)))
+    stiffest = float(np.abs(np.linalg.eigvals(model.G)).max(initial=0.0))
+    stiffest = math.sqrt(stiffest) if model.has_inertia else stiffest
     rate = max(stiffest, float(np.abs(np.linalg.eigvals(model.D)).max(initial=0.0)))
     if rate == 0.0:
         return math.inf

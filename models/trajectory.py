@@ -3,27 +3,29 @@
     t    (nodes,)       time [s], increasing, nodes = steps + 1
     q, v (nodes, nq)    generalised positions [m, rad] and velocities
     u    (steps, nu)    inputs, held over each step as `hold` says
-    lam  (steps, nl)    contact forces [N] at the *start* of each step: lam[i] belongs to phi(q[i]); behind them the friction
-                        forces of the step, which belong to the slip at its end
-    scheme              the time step it is made of (models.schemes): which equations q, v, u, lam solve, and so what its defect is
-    missing             which of "v" and "lam" its author did not say; the arrays then hold stand-ins (see `read_csv`)
+    lam  (steps, nl)    contact forces, behind them friction forces [N], one a step. Of a plan that declares a scheme a contact force belongs to the
+                        *start* of the step, lam[i] to phi(q[i]), and a friction force to the slip at its end; of any other it may be the force at
+                        the start of the step, at its end, or its mean over the step
+    scheme              the time step it is made of (models.schemes), or None: its author names none, and is not asked about one
+    missing             what its author did not say, of "q", "v", "lam" (contact forces) and "friction"; the arrays then hold stand-ins (see `read_csv`)
+    u_end (nu,)         the input at the last node, which a linear hold heads for in the last step (and no other hold uses); None: not said, constant
 
-CSV: one row a node, columns `t`, then the scene's names (`q1 ... v1 ... u1 ... lam_left ...`); the last row has no u and lam.
-NetCDF-4: the same arrays with units, for the store.
+CSV: one row a node, columns `t`, then the scene's names (`q1 ... v1 ... u1 ... lam_left ...`); the last row has no u and lam. Lines
+`# scheme: semi_implicit_euler` and `# hold: zero` (or `linear`) above declare those. NetCDF-4: the same arrays with units, for the store.
 """
 
 from __future__ import annotations
 
 import difflib
-import math
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 
 import numpy as np
 
 from models.errors import TrajectoryError
-from models.plan_table import PlanTable
+from models.plan_table import ArrayTable, PlanTable
 from models.scene import Scene
 from models.schemes import Scheme
 
@@ -32,7 +34,11 @@ class Hold(Enum):
     """How an input behaves within a step."""
 
     ZERO_ORDER = "zero_order"  # constant
-    LINEAR = "linear"  # towards the next step's value; the last step is constant
+    LINEAR = "linear"  # towards the next step's value, in the last step towards `u_end`
+
+
+# What a hold is called in a CSV, on the command line and in maps.
+HOLDS = {"zero": Hold.ZERO_ORDER, "linear": Hold.LINEAR}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,11 +51,14 @@ class Trajectory:
     u: np.ndarray
     lam: np.ndarray
     hold: Hold = Hold.ZERO_ORDER
-    scheme: Scheme = Scheme.SEMI_IMPLICIT_EULER
+    scheme: Scheme | None = None
     missing: frozenset[str] = frozenset()
+    u_end: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        for field in ("t", "q", "v", "u", "lam"):
+        for field in ("t", "q", "v", "u", "lam", "u_end"):
+            if getattr(self, field) is None and field == "u_end":
+                continue
             array = np.array(getattr(self, field), dtype=float)
             if not np.isfinite(array).all():
                 where = tuple(int(index) for index in np.argwhere(~np.isfinite(array))[0])
@@ -68,9 +77,13 @@ class Trajectory:
             shape = getattr(self, field).shape
             if len(shape) != 2 or shape[0] != rows:
                 raise TrajectoryError(f"plan: {field} has shape {shape}; {rows} rows are needed ({nodes} nodes, {nodes - 1} steps).")
-        if self.scheme is not Scheme.SEMI_IMPLICIT_EULER and self.hold is not Hold.ZERO_ORDER:
+        if self.scheme is not None and self.hold is not Hold.ZERO_ORDER:
             raise TrajectoryError(
-                f"plan: scheme {self.scheme.value} holds its inputs over each step, so hold must be {Hold.ZERO_ORDER.value}."
+                f"plan: scheme {self.scheme.value} holds its inputs over each step, but the plan's hold is linear; leave one of the two out."
+            )
+        if self.u_end is not None and self.u_end.shape != self.u.shape[1:]:
+            raise TrajectoryError(
+                f"plan: u_end has shape {self.u_end.shape}; one value for each of the {self.u.shape[1]} inputs is needed."
             )
         if self.q.shape != self.v.shape:
             raise TrajectoryError(f"plan: q has shape {self.q.shape} but v has {self.v.shape}; they must agree.")
@@ -99,12 +112,19 @@ class Trajectory:
             if found != expected:
                 raise TrajectoryError(f"plan: {field} has {found} columns, but scene {scene.name} has {expected} {what}.")
 
-    def other_duration(self, scene: Scene) -> str:
-        """A sentence if the plan does not last as long as the scene's task, else nothing: what is asked by then is not asked later."""
-        lasts, asked = float(self.t[-1] - self.t[0]), scene.task.horizon
-        if math.isclose(lasts, asked, rel_tol=1e-9):
-            return ""
-        return f"it lasts {lasts:.6g} s, but the task of scene {scene.name} {asked:.6g} s."
+    @property
+    def duration(self) -> float:
+        """From the first node to the last [s]."""
+        return float(self.t[-1] - self.t[0])
+
+    @property
+    def has_states(self) -> bool:
+        """Whether its author says positions."""
+        return "q" not in self.missing
+
+    def with_inputs_in(self, scale: np.ndarray, offset: np.ndarray) -> Trajectory:
+        """The same plan with inputs scale * u + offset, (nu,) each: in the units of an FMU that has others."""
+        return replace(self, u=scale * self.u + offset, u_end=None if self.u_end is None else scale * self.u_end + offset)
 
     def has_uniform_grid(self) -> bool:
         """Whether all steps are equal to rounding."""
@@ -127,60 +147,169 @@ def column_names(scene: Scene) -> dict[str, tuple[str, ...]]:
 
 
 def write_csv(path: Path, trajectory: Trajectory, scene: Scene) -> None:
-    """Write a plan as CSV (17 significant digits: it reads back bit for bit)."""
+    """Write a plan as CSV (17 significant digits: it reads back bit for bit), without the columns that its author did not say."""
     trajectory.check_fits(scene)
     names = column_names(scene)
-    lines = [",".join(["t", *names["q"], *names["v"], *names["u"], *names["lam"]])]
+    held = next(word for word, hold in HOLDS.items() if hold is trajectory.hold)
+    lines = [f"# hold: {held}"]
+    if trajectory.scheme is not None:
+        lines.append(f"# scheme: {trajectory.scheme.value}")
+    said = {
+        "q": "q" not in trajectory.missing, "v": "v" not in trajectory.missing, "u": True,
+        "lam": "lam" not in trajectory.missing, "friction": "friction" not in trajectory.missing,
+    }  # fmt: skip
+    forces = [name for index, name in enumerate(names["lam"]) if said["lam" if index < scene.nc else "friction"]]
+    chosen = [index for index in range(scene.nl) if said["lam" if index < scene.nc else "friction"]]
+    header = [*(names["q"] if said["q"] else ()), *(names["v"] if said["v"] else ()), *names["u"], *forces]
+    lines.append(",".join(["t", *header]))
     for index in range(trajectory.steps + 1):
-        values = [trajectory.t[index], *trajectory.q[index], *trajectory.v[index]]
+        values = [trajectory.t[index], *(trajectory.q[index] if said["q"] else ()), *(trajectory.v[index] if said["v"] else ())]
         cells = [repr(float(value)) for value in values]
         if index < trajectory.steps:
-            cells += [repr(float(value)) for value in (*trajectory.u[index], *trajectory.lam[index])]
+            cells += [repr(float(value)) for value in (*trajectory.u[index], *trajectory.lam[index][chosen])]
         else:
-            cells += [""] * (len(names["u"]) + len(names["lam"]))
+            end = trajectory.u_end if trajectory.hold is Hold.LINEAR and trajectory.u_end is not None else None
+            cells += [""] * scene.nu if end is None else [repr(float(value)) for value in end]
+            cells += [""] * len(chosen)
         lines.append(",".join(cells))
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def read_csv(path: Path, scene: Scene, hold: Hold = Hold.ZERO_ORDER) -> Trajectory:
-    """Read a plan written by anybody: cells apart by comma, semicolon (then 0,5 is a number too) or tab; lines with # are comments.
+def read_csv(path: Path, scene: Scene, hold: Hold | None = None, scheme: str | None = None) -> Trajectory:
+    """Read a plan written by anybody: cells apart by comma, semicolon (then 0,5 is a number too) or tab; lines with # are comments, of which
+    `# scheme: ..` and `# hold: ..` declare. hold, scheme: the same as arguments; None: as declared, else zero and none.
 
-    A column may say its unit, `q1 [m]`, which must then be the scene's. Velocity and `lam_*` columns may be absent; the plan says so in
-    `missing`. Forces are then 0, velocities backward differences (those of semi-implicit Euler) with the task's velocities at the start if
-    the plan starts at the task's positions.
+    A column may say its unit, `q1 [m]`, which must then be the scene's. `t` and the inputs are needed; positions, velocities, contact forces and
+    friction forces may be absent, each group whole, and the plan says so in `missing`. Then positions stand still at the task's start, forces are
+    0, velocities backward differences with the task's velocities at the start if the plan starts at the task's positions. A plan of inputs alone
+    whose last row has inputs, and which would last as long as the task with one more step, gets that step.
     Raises TrajectoryError naming the file, the line and the column.
     """
     table = PlanTable(path)
-    header, names = table.names, column_names(scene)
-    known = ["t", *(name for group in names.values() for name in group)]
     table.check_form()
+    if scheme is not None and table.declared.setdefault("scheme", scheme) != scheme:
+        raise TrajectoryError(
+            f"{table.where}: it declares the scheme {table.declared['scheme']!r}, but {scheme!r} is asked for; leave one of the two out."
+        )
+    return trajectory_from(table, scene, hold)
+
+
+def trajectory_from(table: PlanTable | ArrayTable, scene: Scene, hold: Hold | None = None) -> Trajectory:
+    """A plan of a scene from a table of columns; as `read_csv`, which says what may be absent. Raises TrajectoryError."""
+    where, header, names = table.where, table.names, column_names(scene)
+    groups = {**names, "lam": names["lam"][: scene.nc], "friction": names["lam"][scene.nc :]}
+    known = ["t", *(name for group in names.values() for name in group)]
     for column in header:
         if column not in known:
             hint = _meant(column, known)
-            raise TrajectoryError(f"plan {path}: the column {column!r} is unknown; {hint}scene {scene.name} has {', '.join(known)}.")
-    for column in ("t", *names["q"], *names["u"]):
+            raise TrajectoryError(f"{where}: the column {column!r} is unknown; {hint}scene {scene.name} has {', '.join(known)}.")
+    for column in ("t", *names["u"]):
         if column not in header:
-            raise TrajectoryError(f"plan {path}: the column {column!r} is missing; it has {', '.join(header)}.")
+            raise TrajectoryError(f"{where}: the column {column!r} is missing; it has {', '.join(header)}.")
+    missing = missing_groups(table, groups)
     for column, unit in _units(scene).items():
         table.check_unit(column, unit)
-    columns = {column: table.column(column, last_is_open=column in (*names["u"], *names["lam"])) for column in header}
-    t = columns["t"]
-    q = np.column_stack([columns[name] for name in names["q"]])
-    if all(name in columns for name in names["v"]):
-        v = np.column_stack([columns[name] for name in names["v"]])
-    elif np.isfinite(t).all() and (np.diff(t) > 0).all():
-        v = _velocities(t, q, scene)
-    else:
-        v = np.zeros_like(q)  # the times are refused below, in Trajectory's words
-    missing = frozenset(group for group in ("v", "lam") if not all(name in columns for name in names[group]))
+    scheme, hold = declared_scheme(table), declared_hold(table, hold)
+    asked = None if scene.task is None or "q" not in missing else (scene.task.horizon, scene.task.step / 2.0)
+    t, u, u_end = times_and_inputs(table, "t", names["u"], hold, asked)
     steps = len(t) - 1
-    u = np.column_stack([columns[name] for name in names["u"]]) if names["u"] else np.zeros((steps, 0))
-    forces = [columns.get(name, np.zeros(steps)) for name in names["lam"]]
+    start = np.array(scene.task.start, dtype=float)
+    if "q" in missing:
+        q, v = np.tile(start[: scene.nq], (steps + 1, 1)), np.tile(start[scene.nq :], (steps + 1, 1))
+    else:
+        q = np.column_stack([table.column(name, last_is_open=False) for name in names["q"]])
+        if "v" not in missing:
+            v = np.column_stack([table.column(name, last_is_open=False) for name in names["v"]])
+        elif np.isfinite(t).all() and (np.diff(t) > 0).all():
+            v = _velocities(t, q, scene)
+        else:
+            v = np.zeros_like(q)  # the times are refused below, in Trajectory's words
+    forces = [table.column(name, last_is_open=steps < table.rows) if name in header else np.zeros(steps) for name in names["lam"]]
     lam = np.column_stack(forces) if forces else np.zeros((steps, 0))
     try:
-        return Trajectory(t=t, q=q, v=v, u=u, lam=lam, hold=hold, missing=missing)
+        return Trajectory(t=t, q=q, v=v, u=u, lam=lam, hold=hold, scheme=scheme, missing=missing, u_end=u_end)
     except TrajectoryError as error:
-        raise TrajectoryError(f"{error} (file {path})") from error
+        raise TrajectoryError(f"{error} ({table.source})") from error
+
+
+def missing_groups(table: PlanTable | ArrayTable, groups: Mapping[str, Sequence[str]]) -> frozenset[str]:
+    """Which of the groups q, v, lam, friction of columns a table does not have; a group without columns is no one's to give.
+
+    Raises TrajectoryError for a group that is there in part, and for velocities without positions.
+    """
+    where, header = table.where, table.names
+    for columns in groups.values():
+        given = [name for name in columns if name in header]
+        if given and len(given) < len(columns):
+            absent = next(name for name in columns if name not in header)
+            raise TrajectoryError(
+                f"{where}: the column {absent!r} is missing beside {given[0]!r}; give {', '.join(columns)}, or none of them."
+            )
+    missing = frozenset(group for group, columns in groups.items() if columns and columns[0] not in header)
+    if "q" in missing and groups.get("v") and "v" not in missing:
+        raise TrajectoryError(f"{where}: it has velocities, but no positions; give {', '.join(groups['q'])} too, or neither.")
+    return missing
+
+
+def times_and_inputs(
+    table: PlanTable | ArrayTable, time: str, columns: Sequence[str], hold: Hold, asked: tuple[float, float] | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """t (nodes,), u (steps, nu) and u_end (nu,) or None, from the time column and those of the inputs.
+
+    asked: how long the task is, and how near to that is as long [s]; a plan of inputs alone whose last row has inputs, and which is as long only with
+    one more step, gets that step. None: nothing is added. Raises TrajectoryError.
+    """
+    t = table.column(time, last_is_open=False)
+    ends = bool(columns) and all(table.has_last(name) for name in columns)
+    if asked is not None and ends:
+        t = _with_a_last_step(t, *asked)
+    steps = len(t) - 1
+    inputs = [table.column(name, last_is_open=steps < table.rows) for name in columns]
+    u = np.column_stack(inputs) if inputs else np.zeros((steps, 0))
+    if steps == table.rows or not ends:
+        return t, u, None
+    try:
+        return t, u, np.array([table.column(name, last_is_open=False)[-1] for name in columns])
+    except TrajectoryError:
+        if hold is Hold.LINEAR:
+            raise
+        return t, u, None  # a held input has no use for it, whatever stands there
+
+
+def declared_scheme(table: PlanTable | ArrayTable) -> Scheme | None:
+    """The scheme that the lines above a table declare. Raises TrajectoryError for one that is unknown."""
+    if "scheme" not in table.declared:
+        return None
+    value = table.declared["scheme"]
+    if value not in [item.value for item in Scheme]:
+        close = difflib.get_close_matches(value, [item.value for item in Scheme], n=1)
+        hint = (
+            f"did you mean {close[0]}?"
+            if close
+            else f"there are {', '.join(item.value for item in Scheme)}; without this line it declares none."
+        )
+        raise TrajectoryError(f"{table.where}: the scheme {value!r} is unknown; {hint}")
+    return Scheme(value)
+
+
+def declared_hold(table: PlanTable | ArrayTable, hold: Hold | None, who: str = "--hold") -> Hold:
+    """The hold that the lines above a table declare, else zero; hold: what `who` asks for beside, which must not be another. Raises TrajectoryError."""
+    if "hold" not in table.declared:
+        return hold or Hold.ZERO_ORDER
+    value = table.declared["hold"]
+    if value not in HOLDS:
+        raise TrajectoryError(f"{table.where}: the hold {value!r} is unknown; it is {' or '.join(HOLDS)}.")
+    if hold is not None and hold is not HOLDS[value]:
+        raise TrajectoryError(f"{table.where}: it declares the hold {value!r}, but {who} asks for another; leave one of the two out.")
+    return HOLDS[value]
+
+
+def _with_a_last_step(t: np.ndarray, asked: float, near: float) -> np.ndarray:
+    """The times of a plan of inputs alone with the end of its last step, where only with it the plan lasts as long as is asked, but for `near` [s]."""
+    if t.size < 2 or not (np.isfinite(t).all() and (np.diff(t) > 0).all()):
+        return t
+    longer = np.append(t, 2.0 * t[-1] - t[-2])
+    return longer if abs(t[-1] - t[0] - asked) > near >= abs(longer[-1] - t[0] - asked) else t
 
 
 def _meant(column: str, known: list[str]) -> str:

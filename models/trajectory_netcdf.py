@@ -65,7 +65,12 @@ def write_netcdf(path: Path, trajectory: Trajectory, scene: Scene, gains: np.nda
             for index, (name, unit) in enumerate(_gain_columns(scene))
         ]
     write_columns(
-        path, columns, {"content": _CONTENT, "scene": scene.name, "hold": trajectory.hold.value, "scheme": trajectory.scheme.value}
+        path,
+        columns,
+        {"content": _CONTENT, "scene": scene.name, "hold": trajectory.hold.value}
+        | ({} if trajectory.scheme is None else {"scheme": trajectory.scheme.value})
+        | ({"missing": " ".join(sorted(trajectory.missing))} if trajectory.missing else {})
+        | ({} if trajectory.u_end is None else {"u_end": " ".join(repr(float(value)) for value in trajectory.u_end)}),
     )
 
 
@@ -93,7 +98,7 @@ def read_netcdf(path: Path, scene: Scene) -> Trajectory:
         known = ", ".join(item.value for item in Hold)
         raise TrajectoryError(f"file {path}: hold is {attributes.get('hold')!r}, but must be one of {known}.") from None
     try:
-        scheme = Scheme(attributes.get("scheme", Scheme.SEMI_IMPLICIT_EULER.value))  # files of earlier versions do not say
+        scheme = Scheme(attributes["scheme"]) if "scheme" in attributes else None
     except ValueError:
         known = ", ".join(item.value for item in Scheme)
         raise TrajectoryError(f"file {path}: scheme is {attributes.get('scheme')!r}, but must be one of {known}.") from None
@@ -104,6 +109,8 @@ def read_netcdf(path: Path, scene: Scene) -> Trajectory:
         stacked = [numbers(path, columns, name, unit, size) for name, unit, _ in group]
         arrays[field] = np.column_stack(stacked) if stacked else np.zeros((size, 0))
     try:
-        return Trajectory(t=t, hold=hold, scheme=scheme, **arrays)
+        missing = frozenset(str(attributes.get("missing", "")).split())
+        u_end = np.array([float(word) for word in str(attributes["u_end"]).split()]) if "u_end" in attributes else None
+        return Trajectory(t=t, hold=hold, scheme=scheme, missing=missing, u_end=u_end, **arrays)
     except TrajectoryError as error:
         raise TrajectoryError(f"{error} (file {path})") from error

@@ -8,6 +8,8 @@ from reports.record import RunRecord, SecondsRecord, StageRecord, StartRecord
 
 # Costs that differ by less, relative to the cheapest, are one optimum: solves agree to 1e-12, windows shifted by a step differ by 1e-5.
 SAME_OPTIMUM = 1e-7
+# A plan that holds goes before a cheaper one that does not, and one that holds by its inputs alone before one that needs feedback.
+_RANKS = {"holds": 0, "consistent": 0, "holds with feedback": 1}
 
 
 def collected(runs: Iterable[RunRecord]) -> tuple[RunRecord, ...]:
@@ -37,7 +39,7 @@ def optima(starts: Iterable[StartRecord]) -> list[tuple[float, list[StartRecord]
 
 def _together(parts: list[RunRecord]) -> RunRecord:
     crashed = next((part for part in parts if part.outcome == "crashed"), None)
-    best = min(parts, key=lambda part: (part.verdict != "holds", _cost(part)))
+    best = min(parts, key=lambda part: (_RANKS.get(part.verdict, len(_RANKS)), _cost(part)))
     starts = tuple(sorted((start for part in parts for stage in part.stages for start in stage.starts), key=lambda start: start.number))
     message = " ".join(part for part in (_spread(starts), _lacking(parts), best.message if crashed is None else crashed.message) if part)
     stages = best.stages

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Discriminator, RootModel, Tag
 
 from reports.chart_record import ChartRecord
-from reports.record import SCHEMA_VERSION, FigureRecord, Finite, ProvenanceRecord, RunRecord
+from reports.record import SCHEMA_VERSION, Finite, MetricRecord, ProvenanceRecord, RunRecord
 
 
 class _Model(BaseModel):
@@ -58,7 +58,7 @@ class ExaminationRecord(_Model):
     fmu: what kind `FMU` found in detail; charts: data of plots it draws itself.
     """
 
-    schema_version: int = SCHEMA_VERSION
+    schema_version: Literal[3] = SCHEMA_VERSION
     key: str
     kind: str
     name: str
@@ -68,7 +68,7 @@ class ExaminationRecord(_Model):
     passed: bool
     found: str = ""
     message: str = ""
-    figures: tuple[FigureRecord, ...] = ()
+    figures: tuple[MetricRecord, ...] = ()
     fmu: FmuRecord | None = None
     charts: tuple[ChartRecord, ...] = ()
     wall_seconds: Finite

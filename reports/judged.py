@@ -1,23 +1,115 @@
-"""Which of a stage's two replays its verdict is on, and what of it is shown: the open loop, or the one with tracking feedback."""
+"""Of which of a stage's two replays its verdict is, what of it is shown, and its metrics by question: of the inputs alone, and with feedback.
+
+questions_of(stage)[3].metrics[0].name, .alone.value, .followed.value  ->  "replay_error", 0.6, 0.004
+"""
 
 from __future__ import annotations
 
-from reports.record import FigureRecord, StageRecord, TraceRecord
+from dataclasses import dataclass
+
+from reports.record import MetricRecord, SceneRecord, StageRecord, TraceRecord
+from reports.wording import error, unit
+
+# As validate.score has them: metrics of the replay with feedback, and of what the feedback took.
+TRACKED, FEEDBACK = "tracked_", "feedback_"
+_JUDGE, SHOWN = "Is the judge well?", "Shown, not judged"
+
+
+@dataclass(frozen=True)
+class MetricView:
+    """One metric as the pages show it. alone: for the inputs alone, followed: with feedback; None where there is no such value."""
+
+    name: str
+    alone: MetricRecord | None
+    followed: MetricRecord | None
+
+    @property
+    def metric(self) -> MetricRecord:
+        """Of which unit, limit and meaning are told."""
+        found = self.alone or self.followed
+        assert found is not None  # one of them is there
+        return found
+
+    @property
+    def is_judged(self) -> bool:
+        return any(metric is not None and metric.limit is not None for metric in (self.alone, self.followed))
+
+    @property
+    def waived(self) -> str:
+        """The scene's reason why this is not judged; empty where it is, or where there is nothing to waive."""
+        metric = self.metric
+        return "" if self.is_judged or metric.value is None or metric.question is None else metric.reason
+
+
+@dataclass(frozen=True)
+class QuestionView:
+    """One question, its answer for the replay that the verdict is of, and the metrics it was asked by."""
+
+    number: int | None
+    text: str
+    answer: str
+    metrics: tuple[MetricView, ...]
 
 
 def is_tracked(stage: StageRecord) -> bool:
-    """Whether the verdict is on the tracked replay."""
-    return stage.replay is not None and stage.replay.judged == "tracked"
+    """Whether the verdict is of the replay with feedback."""
+    return stage.replay is not None and stage.replay.judged == "feedback"
 
 
-def judged_figure(stage: StageRecord, name: str) -> FigureRecord | None:
-    """A figure; where it is the distance of a replay from the goal (replay_terminal..), that of the judged replay."""
-    if is_tracked(stage) and name.startswith("replay_terminal"):
-        return stage.figure(name.replace("replay", "tracked", 1))
-    return stage.figure(name)
+def judged_metric(stage: StageRecord, name: str) -> MetricRecord | None:
+    """A metric; where it is of a replay, that of the replay which is judged."""
+    return (stage.metric(f"{TRACKED}{name}") if is_tracked(stage) else None) or stage.metric(name)
 
 
 def judged_trace(stage: StageRecord) -> TraceRecord | None:
     """The trace of the judged replay, if it has any points."""
     trace = stage.tracked_trace if is_tracked(stage) else stage.replay_trace
     return trace if trace is not None and trace.t else None
+
+
+def questions_of(stage: StageRecord) -> list[QuestionView]:
+    """The questions in order, then what was measured of the judge, and what is only shown; a metric that was not asked is in `stage.not_asked`."""
+    views = _views(stage)
+    found = []
+    for question in stage.questions:
+        mine = tuple(view for view in views if _belongs(view, question.number))
+        found.append(QuestionView(question.number, question.text, question.answer, mine))
+    told = {id(view) for question in found for view in question.metrics}
+    rest = tuple(view for view in views if id(view) not in told and (view.metric.question is None or not stage.questions))
+    return [*found, QuestionView(None, SHOWN, "", rest)] if rest else found
+
+
+def _belongs(view: MetricView, number: int | None) -> bool:
+    if number is None:
+        return view.metric.question is None and view.is_judged
+    return view.metric.question == number and (view.is_judged or view.metric.value is not None)
+
+
+def _views(stage: StageRecord) -> list[MetricView]:
+    names = list(dict.fromkeys(metric.name.removeprefix(TRACKED) for metric in stage.metrics))
+    views = []
+    for name in names:
+        alone, followed = stage.metric(name), stage.metric(f"{TRACKED}{name}")
+        views.append(MetricView(name, None, alone) if name.startswith(FEEDBACK) else MetricView(name, alone, followed))
+    return views
+
+
+def end_of(stage: StageRecord, scene: SceneRecord, *, tracked: bool | None = None) -> str:
+    """Where a replay ends: `position 0.11 m, velocity 0.10 m/s`, `free end`, or empty where it was not replayed. tracked: None takes the judged one."""
+    prefix = TRACKED if (is_tracked(stage) if tracked is None else tracked) else ""
+    parts = []
+    for part in ("position", "velocity"):
+        metric = stage.metric(f"{prefix}replay_terminal_{part}_error")
+        if metric is not None and metric.value is not None:
+            parts.append(f"{part} {_with_unit(metric)}")
+    whole = stage.metric(f"{prefix}replay_terminal_error")
+    if not parts and whole is not None and whole.value is not None:
+        parts.append(f"error {_with_unit(whole)}")
+    if parts or stage.replay is None:
+        return ", ".join(parts)
+    return "free end" if all(goal is None for goal in scene.goal) else ""
+
+
+def _with_unit(metric: MetricRecord) -> str:
+    of = "" if "," in metric.unit else unit(metric.unit)
+    return f"{error(metric.value)} {of}".strip()

@@ -19,6 +19,10 @@ from reports.files import LARGEST_BYTES, bench_files, record_files
 from reports.record import SCHEMA_VERSION, CampaignRecord, RunRecord
 from reports.wording import clean
 
+_ANOTHER_SCHEMA = (
+    f"it is of another version's record schema (this one reads {SCHEMA_VERSION}), whose verdicts follow another rule; run it again."
+)
+
 _Record = TypeVar("_Record", bound=BaseModel)
 
 
@@ -82,6 +86,10 @@ def load(folder: Path, read: Callable[[bytes], RunRecord | ExaminationRecord] = 
         return Stored(folder.name, None, collected(runs), tuple(unreadable), (), 0, examinations, benches, grouped(runs))
     keys = list(dict.fromkeys(campaign.keys))
     runs, examinations = divided(found[key] for key in keys if key in found)
+    # What another version left here is of another campaign: this one lists what it has run itself.
+    named = {f"runs/{key}/record.json" for key in keys}
+    earlier = [item for item in unreadable if item.sentence == _ANOTHER_SCHEMA and item.path.startswith("runs/") and item.path not in named]
+    unreadable = [item for item in unreadable if item not in earlier]
     broken = {Path(item.path).parent.name for item in unreadable}
     return Stored(
         folder=folder.name,
@@ -89,7 +97,7 @@ def load(folder: Path, read: Callable[[bytes], RunRecord | ExaminationRecord] = 
         runs=collected(runs),
         unreadable=tuple(unreadable),
         missing=tuple(clean(key) for key in keys if key not in found and clean(key) not in broken),
-        foreign=len(set(found) - set(keys)),
+        foreign=len(set(found) - set(keys)) + len(earlier),
         examinations=examinations,
         benches=benches,
         parts=grouped(runs),
@@ -123,6 +131,8 @@ def _validation_sentence(problem: ValidationError) -> str:
     place = ".".join(str(part) for part in first["loc"])[:120]
     if first["type"] == "json_invalid":
         return f"it is not complete JSON ({first['msg'][:160]}); the file was cut short or edited: run the cell again."
+    if first["loc"][-1:] == ("schema_version",):
+        return _ANOTHER_SCHEMA
     where = f"at {place}: " if place else ""
     others = f", and {more} more" if more else ""
     return f"it does not follow record schema {SCHEMA_VERSION} ({where}{first['msg'][:160]}{others}); written by another version, or edited: run the cell again."

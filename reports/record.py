@@ -17,10 +17,13 @@ from reports.time_step_record import TimeStepRecord
 from reports.trace_record import TraceRecord
 from reports.tracked_record import TrackedRecord
 
-SCHEMA_VERSION = 2  # 1: columns of numbers were lists; they are read as well
+# 3: metrics, questions and the words of the verdict; records of earlier versions are of another rule, and are refused.
+SCHEMA_VERSION = 3
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-Verdict = Literal["holds", "violates", "not resolved", "no plan"]
+Verdict = Literal["holds", "holds with feedback", "violates", "undecided", "no plan", "not applicable", "consistent"]
+# Verdicts of plans that hold.
+HOLD = ("holds", "holds with feedback")
 
 
 class _Model(BaseModel):
@@ -69,24 +72,28 @@ class SceneRecord(_Model):
     absent: tuple[str, ...] = ()
     answers: tuple[QuantityRecord, ...] = ()
     shapes: tuple[ShapeRecord, ...] = ()
+    waived: tuple[str, ...] = ()  # limits that the scene waives, with its reasons
+    unstable: str = ""  # why feedback belongs to this scene
     operations: dict[str, int] = {}  # of the equations one time step evaluates, by kind
 
 
-class FigureRecord(_Model):
-    """One figure of the score. `value` is None where it could not be measured (`reason` says why).
+class MetricRecord(_Model):
+    """One metric of the score, or one figure of an examination. `value` is None where it was not asked or not measured (`reason` says why).
 
-    `ok`: None where the scene sets no limit; `resolved`: False where the replay's own error is not 10x smaller than the figure's limit;
-    `at_least`: the limit is one from below.
+    question: 1 to 6, None for what is of the judge or only shown; error: how wrong the value may be by the replay's own error; ok: None where there is
+    no limit, or the error leaves it open; default: whether the limit is the metric's own, not the scene's; at_least: the limit is one from below.
     """
 
     name: str
     value: Finite | None
     unit: str
     meaning: str
+    question: int | None = None
+    error: Finite = 0.0
     limit: Finite | None = None
     reason: str = ""
     ok: bool | None = None
-    resolved: bool = True
+    default: bool = False
     at_least: bool = False
 
 
@@ -104,7 +111,7 @@ class ReplayRecord(_Model):
     seconds_everyday: Finite = 0.0
     fmu: str = ""
     message: str = ""
-    judged: Literal["open", "tracked"] = "open"
+    judged: Literal["open", "feedback"] = "open"
     growth_rate: Finite | None = None  # of an error in the open loop [1/s]
     tracked: TrackedRecord | None = None
 
@@ -189,6 +196,14 @@ class SizeRecord(_Model):
     paper_equations: int
 
 
+class QuestionRecord(_Model):
+    """One question of the judge, and its answer."""
+
+    number: int | None  # None: whether the judge is well
+    text: str
+    answer: Literal["yes", "no", "undecided", "not asked"]
+
+
 class StageRecord(_Model):
     """One stage of a pipeline: one method at one eps."""
 
@@ -213,9 +228,11 @@ class StageRecord(_Model):
     starts: tuple[StartRecord, ...] = ()
     front: tuple[FrontPointRecord, ...] = ()
     seconds: SecondsRecord = SecondsRecord()
-    figures: tuple[FigureRecord, ...] = ()
+    metrics: tuple[MetricRecord, ...] = ()
     verdict: Verdict = "no plan"
     why: str = ""
+    questions: tuple[QuestionRecord, ...] = ()
+    not_asked: tuple[str, ...] = ()
     replay: ReplayRecord | None = None
     plan_trace: TraceRecord | None = None
     replay_trace: TraceRecord | None = None
@@ -223,8 +240,8 @@ class StageRecord(_Model):
     paper: dict[str, Finite] = {}  # the paper's numbers for this row: cost, stability, physics, time
     shared_from: str = ""  # the pipeline in whose cell this stage ran, where that was another: its seconds were spent there
 
-    def figure(self, name: str) -> FigureRecord | None:
-        return next((figure for figure in self.figures if figure.name == name), None)
+    def metric(self, name: str) -> MetricRecord | None:
+        return next((metric for metric in self.metrics if metric.name == name), None)
 
 
 class ProvenanceRecord(_Model):
@@ -247,7 +264,7 @@ class ProvenanceRecord(_Model):
 class RunRecord(_Model):
     """One cell: a scene by a pipeline."""
 
-    schema_version: int = SCHEMA_VERSION
+    schema_version: Literal[3] = SCHEMA_VERSION
     key: str
     scene: SceneRecord
     pipeline: str
@@ -278,7 +295,7 @@ class ViolationPoint(_Model):
 class CampaignRecord(_Model):
     """What belongs to the campaign as a whole; stored as DIR/campaign.json."""
 
-    schema_version: int = SCHEMA_VERSION
+    schema_version: Literal[3] = SCHEMA_VERSION
     title: str
     command: str
     started: str

@@ -9,10 +9,10 @@ import json
 from collections import Counter
 from dataclasses import dataclass, replace
 
-from reports.judged import judged_figure
+from reports.judged import judged_metric
 from reports.paper import SCENE as PAPER_SCENE
 from reports.paper import TABLE_1, PaperRow
-from reports.record import RunRecord, SceneRecord, StageRecord
+from reports.record import HOLD, RunRecord, SceneRecord, StageRecord
 from reports.wording import small
 
 
@@ -49,10 +49,19 @@ class Row:
         times = [stage.paper.get("time") for stage in self.chain]
         return None if any(time is None for time in times) else sum(time for time in times if time is not None)
 
-    def figure(self, name: str) -> float | None:
-        """Its value; of the replay's end, that of the replay that is judged."""
-        figure = judged_figure(self.stage, name)
-        return figure.value if figure is not None else None
+    def metric(self, name: str) -> float | None:
+        """Its value; of a replay, that of the replay that is judged."""
+        metric = judged_metric(self.stage, name)
+        return metric.value if metric is not None else None
+
+    @property
+    def holds(self) -> bool:
+        return self.stage.verdict in HOLD
+
+    @property
+    def named(self) -> str:
+        """The label, and that it holds with feedback where it does not hold without."""
+        return self.label + (", which holds with feedback" if self.stage.verdict == "holds with feedback" else "")
 
     @property
     def cost_difference(self) -> float | None:

@@ -16,7 +16,7 @@ from reports.pages import tolerance
 from reports.parcels import CLOSES, OPENS, Parcels, Token
 
 _FILTERS = (
-    *("number", "cost", "error", "seconds", "percent", "plain", "spaced", "clean", "verdict"),
+    *("number", "cost", "error", "seconds", "percent", "plain", "spaced", "clean", "verdict", "answer"),
     *("count", "small", "product", "unit", "capital", "exact", "prose"),
 )
 

@@ -35,15 +35,32 @@ class Sign:
 
 
 VERDICTS = {
-    "holds": Sign("holds", "✓", "holds", "every limit of the scene is kept, in the plan and after the replay"),
-    "violates": Sign("violates", "✗", "violates", "at least one limit of the scene is broken"),
-    "not resolved": Sign("not resolved", "?", "unresolved", "the replay's own error is too large to judge the figure"),
-    "no plan": Sign("no plan", "○", "noplan", "the method came back without a plan"),
+    "holds": Sign("holds", "✓", "holds", "every question asked is answered yes for the inputs alone"),
+    "holds with feedback": Sign(
+        "holds with feedback", "↻", "feedback", "not for the inputs alone, but with limited LQR feedback around the plan"
+    ),
+    "violates": Sign("violates", "✗", "violates", "at least one question asked is surely answered no"),
+    "undecided": Sign("undecided", "?", "undecided", "no question surely fails, but one could not be decided"),
+    "no plan": Sign("no plan", "○", "noplan", "the method found none; its outcome says why"),
+    "not applicable": Sign(
+        "not applicable", "⊘", "noplan", "the method does not apply to the scene, or nothing is claimed and nothing asked"
+    ),
+    "consistent": Sign("consistent", "≈", "consistent", "nothing is wrong, and the scene asks for nothing: counted with no holds"),
+}
+ANSWERS = {
+    "yes": Sign("yes", "✓", "holds", "every metric of the question is within its limit"),
+    "no": Sign("no", "✗", "violates", "a metric of the question is surely beyond its limit"),
+    "undecided": Sign("undecided", "?", "undecided", "the replay's own error leaves it open"),
+    "not asked": Sign("not asked", DASH, "noplan", "the plan claims nothing of it, or the scene waives it"),
 }
 
 
 def verdict(name: str) -> Sign:
-    return VERDICTS.get(name, Sign(name, "?", "unresolved", "a verdict this page does not know"))
+    return VERDICTS.get(name, Sign(name, "?", "undecided", "a verdict this page does not know"))
+
+
+def answer(name: str) -> Sign:
+    return ANSWERS.get(name, Sign(name, "?", "undecided", "an answer this page does not know"))
 
 
 def power(exponent: int) -> str:

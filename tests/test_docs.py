@@ -14,7 +14,7 @@ from models.contact_law import worst_case_violation
 from validate.cli.group import run
 
 DOCS = Path(__file__).parents[1] / "docs"
-TEXTS = {name: (DOCS / f"{name}.md").read_text(encoding="utf-8") for name in ("campaigns", "tutorial", "extending", "equations")}
+TEXTS = {name: (DOCS / f"{name}.md").read_text(encoding="utf-8") for name in ("campaigns", "tutorial", "extending", "equations", "verdict")}
 _BLOCK = re.compile(r"(?:<!-- (?P<mark>\w+)(?:: (?P<word>[\w.]+))? -->\n)?```(?P<language>\w+)\n(?P<text>.*?)```", re.DOTALL)
 
 
@@ -71,6 +71,20 @@ def test_the_mistakes_are_those_printed(elsewhere: Path, capfd: pytest.CaptureFi
 def test_an_equation_has_its_function(place: str):
     module, _, name = place.partition(":")
     assert callable(getattr(importlib.import_module(module), name))
+
+
+def test_the_rule_lists_every_metric_beside_its_question():
+    from validate.score.feedback import FEEDBACK
+    from validate.score.result import Question
+    from validate.score.table import TABLE
+
+    rows = re.findall(r"^\| ([1-6-]) \| [^|]*\| ([^|]*)\|", TEXTS["verdict"], re.MULTILINE)
+    told = {name: number for number, names in rows for name in re.findall(r"`(\w+)`", names)}
+    shown = set(re.findall(r"`(\w+)`", re.search(r"^Shown, and judging nothing:.*?\n\n", TEXTS["verdict"], re.MULTILINE | re.DOTALL)[0]))
+    for entry in TABLE:
+        number = "-" if entry.question is Question.JUDGE else str(entry.question.number)
+        assert entry.name in shown if entry.question is Question.SHOWN else told.get(entry.name) == number, entry.name
+    assert all(f"`{entry.name}`" in TEXTS["verdict"] for entry in FEEDBACK)
 
 
 def test_the_errata_say_what_the_closed_form_says():

@@ -23,7 +23,7 @@ from validate.results import write_examinations, write_results
 from validate.shared_stages import beginnings_of, forget, must_wait, wanted_of
 from validate.standing_report import campaign_text, of_content, standing_report
 from validate.store import Store
-from validate.stored import CAMPAIGN, only_last_failed, stored_campaign
+from validate.stored import CAMPAIGN, earlier_schema, only_last_failed, stored_campaign
 from validate.sweeps import write_sweeps
 from validate.tools import DEFAULT_TOOLS, load_tools
 
@@ -119,13 +119,14 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
         write_sweeps(settings.out, told)
         return told, examinations
 
-    before, ran = campaign_text(settings.out), len(records) < len(entries)
+    before, ran, earlier = campaign_text(settings.out), len(records) < len(entries), earlier_schema(settings.out)
     waiting = [entry.cell.key for entry in entries if entry.stored is None]
     anew = store.due(waiting) if settings.fresh or settings.last_failed else [key for key in waiting if store.is_due(key)]
     if ran:  # before the first cell ends: what is stored can be told of while the others run, and if they never end
         write_durably(settings.out / CAMPAIGN, campaign().model_dump_json(indent=1))
     narrator.begins(len(entries), len(records), len(anew))
     for sentence in (
+        *filter(None, [earlier]),
         *(item.warning for item in steps if item.warning),
         *doubts(entry.scene for entry in entries if isinstance(entry, Entry)),
     ):

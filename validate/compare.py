@@ -16,10 +16,11 @@ from typing import Any, TypeVar
 
 from reports.examination_record import ExaminationRecord
 from reports.load import Stored
-from reports.record import RunRecord, StageRecord
+from reports.record import HOLD, RunRecord, StageRecord
 
-# Verdicts from worst to best; a relaxed stage is expected to violate, and is neither better nor worse for it.
-_VERDICTS = ("no plan", "not resolved", "violates", "holds")
+# Verdicts from worst to best; a relaxed stage is expected to violate, and is neither better nor worse for it. "not applicable" and "consistent" are
+# no steps of the ladder: a change to or from them is neither better nor worse.
+_VERDICTS = ("no plan", "undecided", "violates", "holds with feedback", "holds")
 # A cost that differs by less (relative, and in its own unit) is the same; so is a time that differs by less than this factor or these seconds.
 COST_TOLERANCE, COST_FLOOR = 1e-6, 1e-9
 TIME_FACTOR, TIME_FLOOR = 1.5, 1.0
@@ -104,21 +105,22 @@ def _where(key: Any) -> str:
 def _stage_changes(where: str, before: StageRecord, after: StageRecord) -> Iterable[Change]:
     expected = before.kind == after.kind == "indirect"
     if before.verdict != after.verdict:
-        better = _VERDICTS.index(after.verdict) - _VERDICTS.index(before.verdict)
-        relaxed = expected and {before.verdict, after.verdict} == {"holds", "violates"}
-        kind = Kind.OTHER if relaxed else Kind.IMPROVEMENT if better > 0 else Kind.REGRESSION
+        on_ladder = before.verdict in _VERDICTS and after.verdict in _VERDICTS
+        better = _VERDICTS.index(after.verdict) - _VERDICTS.index(before.verdict) if on_ladder else 0
+        relaxed = expected and {before.verdict, after.verdict} <= {*HOLD, "violates"}
+        kind = Kind.OTHER if relaxed or not better else Kind.IMPROVEMENT if better > 0 else Kind.REGRESSION
         yield Change(kind=kind, where=where, what="verdict", before=before.verdict, after=after.verdict)
     if before.outcome != after.outcome:
         kind = {"solved": Kind.REGRESSION}.get(before.outcome, {"solved": Kind.IMPROVEMENT}.get(after.outcome, Kind.OTHER))
         yield Change(kind=kind, where=where, what="outcome", before=before.outcome, after=after.outcome)
     elif before.verdict == after.verdict and before.cost is not None and after.cost is not None:
         yield from _cost_change(where, before.cost, after.cost)
-    for figure in after.figures:
-        was = before.figure(figure.name)
-        if was is not None and was.ok is not None and figure.ok is not None and was.ok != figure.ok:
-            kind = Kind.OTHER if expected else Kind.IMPROVEMENT if figure.ok else Kind.REGRESSION
+    for metric in after.metrics:
+        was = before.metric(metric.name)
+        if was is not None and was.ok is not None and metric.ok is not None and was.ok != metric.ok:
+            kind = Kind.OTHER if expected else Kind.IMPROVEMENT if metric.ok else Kind.REGRESSION
             words = ("within its limit", "beyond its limit")
-            yield Change(kind=kind, where=where, what=figure.name, before=words[not was.ok], after=words[not figure.ok])
+            yield Change(kind=kind, where=where, what=metric.name, before=words[not was.ok], after=words[not metric.ok])
     yield from _time_change(where, before.seconds.stage_cpu, after.seconds.stage_cpu)
 
 

@@ -26,7 +26,7 @@ from validate.store import LOG, PROGRESS
 if TYPE_CHECKING:
     from models.scene import Scene
     from reports.examination_record import ExaminationRecord
-    from reports.record import FigureRecord, ProvenanceRecord
+    from reports.record import MetricRecord, ProvenanceRecord
     from validate.variant import Variant
     from validate.worker import Lost
 
@@ -95,7 +95,7 @@ class Found:
 
     passed: bool
     sentence: str
-    figures: tuple[FigureRecord, ...] = ()
+    figures: tuple[MetricRecord, ...] = ()
     details: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -73,13 +73,11 @@ def _judge(tools: Tools, scene: Scene, fmu: Path | None, item: Solved, folder: P
     write_netcdf(folder / names["trajectory"], trajectory, scene)
     profile.lap("writing")
     began = time.perf_counter()
-    replay = None
     try:
-        replay = tools.replay(scene, fmu, trajectory)
+        judgement = tools.judge(scene, fmu, trajectory)
         profile.lap("replay")
-        score = tools.score(scene, trajectory, replay)
-        profile.lap("score")
         seconds = time.perf_counter() - began
+        replay = judgement.replay
         tools.write_replay(folder / names["replay"], replay, scene)
         tracked = getattr(replay, "tracked", None)
         if tracked is not None:
@@ -88,14 +86,12 @@ def _judge(tools: Tools, scene: Scene, fmu: Path | None, item: Solved, folder: P
         profile.lap("writing")
     except MachineError:
         raise
-    except Exception as error:  # noqa: BLE001 - the plan is kept even if the judge stumbles; the verdict is then not resolved
+    except Exception as error:  # noqa: BLE001 - the plan is kept even if the judge stumbles; the verdict is then undecided
         raise_if_disk_ended(folder, error)
         traceback.print_exc()
-        profile.lap("replay" if replay is None else "score")
-        return Judged(
-            replay=replay, seconds=time.perf_counter() - began, problem=f"the judge ended with {type(error).__name__}: {first_line(error)}"
-        )
-    return Judged(replay=replay, score=score, seconds=seconds)
+        profile.lap("replay")
+        return Judged(seconds=time.perf_counter() - began, problem=f"the judge ended with {type(error).__name__}: {first_line(error)}")
+    return Judged(replay=replay, score=judgement.score, seconds=seconds)
 
 
 def first_line(error: BaseException) -> str:

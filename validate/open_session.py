@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 import traceback
 from collections.abc import Callable
@@ -66,22 +67,27 @@ class OpenSession:
     def run(self, planned: Planned, warm_start: Trajectory | None, time_limit: float) -> Solved:
         """Run a stage. Raises what its method raises, TypeError for an answer that is no Solution, TrajectoryError for a plan of another scene or of
         another duration."""
-        from formulations.solution import Outcome, Solution
+        from formulations.method import Kind
+        from formulations.solution import Outcome, Solution, as_asked
 
         wall, cpu = time.perf_counter() - self._asked[0], time.process_time() - self._asked[1]
         self._asked = (0.0, 0.0)
         solution = self._for(planned).solve(eps=planned.eps, warm_start=warm_start, time_limit=time_limit)
-        solved = Solved(planned, solution, time.perf_counter() - wall, time.process_time() - cpu)
+        wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         if not isinstance(solution, Solution):
             raise TypeError(f"it must hand back a Solution, not {type(solution).__name__}.")
         if not isinstance(solution.outcome, Outcome):
             raise TypeError(f"the outcome of its Solution must be an Outcome, not {type(solution.outcome).__name__}.")
         if solution.trajectory is not None:
             solution.trajectory.check_fits(self._scene)
-            other = solution.trajectory.other_duration(self._scene)
-            if other:
-                raise TrajectoryError(f"plan: {other}")
-        return solved
+            asked = self._scene.task.horizon
+            if not math.isclose(solution.trajectory.duration, asked, rel_tol=1e-9):
+                raise TrajectoryError(
+                    f"plan: it lasts {solution.trajectory.duration:.6g} s, but the task of scene {self._scene.name} {asked:.6g} s."
+                )
+            if planned.method.kind is Kind.DIRECT:
+                solution = as_asked(self._scene, solution)
+        return Solved(planned, solution, wall, cpu)
 
     def close(self) -> None:
         session, self._session = self._session, None

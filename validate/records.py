@@ -13,7 +13,18 @@ from typing import TYPE_CHECKING, Any
 
 from formulations.pipeline import stage_plan
 from formulations.solution import Bound, Outcome, Seconds, Solution
-from reports.record import BoundRecord, FigureRecord, ReplayRecord, RunRecord, SceneRecord, SecondsRecord, SizeRecord, StageRecord, Verdict
+from reports.record import (
+    BoundRecord,
+    MetricRecord,
+    QuestionRecord,
+    ReplayRecord,
+    RunRecord,
+    SceneRecord,
+    SecondsRecord,
+    SizeRecord,
+    StageRecord,
+    Verdict,
+)
 from reports.tracked_record import TrackedRecord
 from validate.evidence_records import certificate_record, front_records, start_records
 from validate.table_one import paper_row
@@ -97,9 +108,11 @@ def stage_record(
         starts=start_records(solution),
         front=front_records(scene, solution),
         seconds=_seconds(solution.seconds, wall, cpu, before, judged.seconds),
-        figures=tuple(_figure(figure) for figure in judged.score.figures) if judged.score is not None else (),
+        metrics=tuple(_metric(metric) for metric in judged.score.metrics) if judged.score is not None else (),
         verdict=verdict,
         why=why,
+        questions=_questions(judged.score),
+        not_asked=() if judged.score is None else judged.score.not_asked,
         replay=_replay(judged.replay, judged.score) if judged.replay is not None else None,
         plan_trace=plan_trace(scene, trajectory) if trajectory is not None else None,
         replay_trace=_replay_trace(scene, trajectory, judged.replay),
@@ -126,6 +139,7 @@ def unfinished_stage(scene: str, pipeline: str, planned: Planned, outcome: Outco
         advice=outcome.value,
         message=message,
         options=_options(planned.options),
+        verdict="not applicable" if outcome is Outcome.REFUSED else "no plan",
         why=message,
         paper=dict(paper_row(scene, pipeline, planned.index)),
     )
@@ -182,9 +196,9 @@ def finite(value: Any) -> float | None:
 
 def _verdict(solution: Solution, judged: Judged) -> tuple[Verdict, str]:
     if solution.trajectory is None:
-        return "no plan", solution.message or solution.outcome.value
+        return "not applicable" if solution.outcome is Outcome.REFUSED else "no plan", solution.message or solution.outcome.value
     if judged.score is None:
-        return "not resolved", judged.problem
+        return "undecided", judged.problem
     verdict = judged.score.verdict
     return getattr(verdict, "value", verdict), judged.score.why
 
@@ -241,17 +255,25 @@ def _replay_trace(scene: Scene, trajectory: Trajectory | None, replay: Any):
     return replay_trace(scene, trajectory, replay)
 
 
-def _figure(figure: Any) -> FigureRecord:
-    return FigureRecord(
-        name=figure.name,
-        value=finite(figure.value),
-        unit=figure.unit,
-        meaning=figure.meaning,
-        limit=finite(figure.limit),
-        reason=figure.reason,
-        ok=figure.ok,
-        resolved=figure.resolved,
+def _metric(metric: Any) -> MetricRecord:
+    return MetricRecord(
+        name=metric.name,
+        value=finite(metric.value),
+        unit=metric.unit,
+        meaning=metric.meaning,
+        question=metric.question.number,
+        error=finite(metric.error) or 0.0,
+        limit=finite(metric.limit),
+        reason=metric.reason,
+        ok=metric.ok,
+        default=metric.default,
     )
+
+
+def _questions(score: Any) -> tuple[QuestionRecord, ...]:
+    if score is None:
+        return ()
+    return tuple(QuestionRecord(number=question.number, text=question.value, answer=answer) for question, answer in score.questions)
 
 
 def _seconds(seconds: Seconds, wall: float, cpu: float, before: float, replay: float) -> SecondsRecord:

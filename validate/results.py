@@ -16,16 +16,25 @@ from reports.examination_record import ExaminationRecord
 from reports.record import RunRecord, StageRecord
 from validate.disk import remove, write_durably
 
-_FIGURES_FIRST = ("terminal_error", "physics", "physics_scaled", "defect", "discrete_terminal_error", "replay_terminal_error")
-_FIGURES_LAST = ("replay_error", "ghost_impulse", "missed_impulse", "energy_residual")
+_METRICS_FIRST = (
+    "terminal_error",
+    "physics",
+    "physics_scaled",
+    "defect",
+    "discrete_terminal_error",
+    "replay_terminal_error",
+    "replay_terminal_position_error",
+    "replay_terminal_velocity_error",
+)
+_METRICS_LAST = ("replay_error", "max_penetration", "ghost_impulse", "missed_impulse", "energy_residual")
 # Of the replay with feedback, and which of the two replays the verdict is on.
-_FIGURES_TRACKED = ("tracked_terminal_error", "tracked_replay_error", "feedback_effort")
+_METRICS_FEEDBACK = ("tracked_replay_terminal_error", "tracked_replay_error", "feedback_effort", "feedback_share")
 COLUMNS = (
     *("scene", "pipeline", "stage", "method", "eps", "outcome", "cost"),
-    *_FIGURES_FIRST,
-    *_FIGURES_LAST,
+    *_METRICS_FIRST,
+    *_METRICS_LAST,
     *("verdict", "iterations", "build_s", "solve_s", "stage_s", "total_s", "replay_s"),
-    *("judged", *_FIGURES_TRACKED, "growth_rate"),
+    *("judged", *_METRICS_FEEDBACK, "growth_rate"),
 )
 
 
@@ -35,7 +44,7 @@ def rows(records: Iterable[RunRecord]) -> list[dict[str, Any]]:
 
 
 def _row(record: RunRecord, stage: StageRecord) -> dict[str, Any]:
-    figures = {figure.name: figure.value for figure in stage.figures}
+    metrics = {metric.name: metric.value for metric in stage.metrics}
     ran = stage.seconds.stage > 0
     return {
         "scene": record.scene.name,
@@ -45,7 +54,7 @@ def _row(record: RunRecord, stage: StageRecord) -> dict[str, Any]:
         "eps": stage.eps,
         "outcome": stage.outcome,
         "cost": stage.cost,
-        **{name: figures.get(name) for name in (*_FIGURES_FIRST, *_FIGURES_LAST)},
+        **{name: metrics.get(name) for name in (*_METRICS_FIRST, *_METRICS_LAST)},
         "verdict": stage.verdict,
         "iterations": stage.iterations if ran else None,
         "build_s": stage.seconds.build + stage.seconds.translate if ran else None,
@@ -54,7 +63,7 @@ def _row(record: RunRecord, stage: StageRecord) -> dict[str, Any]:
         "total_s": stage.seconds.total if ran else None,
         "replay_s": stage.seconds.replay if ran else None,
         "judged": stage.replay.judged if stage.replay is not None else None,
-        **{name: figures.get(name) for name in _FIGURES_TRACKED},
+        **{name: metrics.get(name) for name in _METRICS_FEEDBACK},
         "growth_rate": stage.replay.growth_rate if stage.replay is not None else None,
     }
 

@@ -13,14 +13,13 @@ import sympy as sp
 if TYPE_CHECKING:
     from models.scene import Scene
 
-_OF_THE_REPLAY = ("replay_error", "replay_terminal_error", "replay_terminal_position_error", "answer_error")
 # Scenes of the bank start at most one nominal penetration deep.
 DEEP = 3.0
 
 
 def scene_doubts(scene: Scene) -> tuple[str, ...]:
-    """Sentences: contacts that are deep at the start, parameters that change nothing, inputs that move nothing, limits on nothing or on no replay."""
-    return (*_deep_starts(scene), *_idle(scene), *_idle_limits(scene), *_blind_limits(scene))
+    """Sentences: contacts that are deep at the start, parameters that change nothing, inputs that move nothing, limits on nothing."""
+    return (*_deep_starts(scene), *_idle(scene), *_idle_limits(scene))
 
 
 def doubts(scenes: Iterable[Scene]) -> Iterator[str]:
@@ -66,18 +65,9 @@ def _idle_limits(scene: Scene) -> list[str]:
 
     absent = {entry.name: entry.meaning for entry in TABLE if not entry.applies(scene)}
     return [
-        f"scene {scene.name}: the limit on {limit.figure} judges nothing; nothing here has this figure ({absent[limit.figure]})."
+        f"scene {scene.name}: the limit on {limit.metric} judges nothing; nothing here has this metric ({absent[limit.metric]})."
         for limit in scene.limits
-        if limit.figure in absent
-    ]
-
-
-def _blind_limits(scene: Scene) -> list[str]:
-    """Limits that let a plan through whatever its replay does: through a wall between two nodes of a coarse grid, for one."""
-    if not scene.limits or any(limit.figure in _OF_THE_REPLAY for limit in scene.limits):
-        return []
-    return [
-        f"scene {scene.name}: no limit looks at where the replay goes, so that a plan may hold whatever it does; limit replay_error, for one."
+        if limit.metric in absent
     ]
 
 

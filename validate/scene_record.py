@@ -67,6 +67,8 @@ def scene_record(scene: Scene) -> SceneRecord:
             )
             for shape in scene.shapes
         ),
+        waived=tuple(f"{limit.metric}: {limit.reason}" for limit in scene.limits if limit.value is None),
+        unstable=scene.unstable,
         operations=asdict(step_operations(scene)),
     )
 

@@ -192,7 +192,7 @@ def is_late(records: Sequence[StageRecord]) -> bool:
 
 
 def _is_judged(records: Sequence[StageRecord]) -> bool:
-    return all(record.plan_trace is None or record.figures for record in records)
+    return all(record.plan_trace is None or record.metrics for record in records)
 
 
 def share(item: Beginning, pipeline: str, records: Sequence[StageRecord], stages: int, folder: Path, late: float | None = None) -> None:

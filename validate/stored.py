@@ -43,9 +43,27 @@ def campaign_of(folder: Path) -> CampaignRecord:
             f"{folder}: there is no campaign in this folder ({CAMPAIGN} cannot be read); run one with --out {folder}."
         ) from error
     except ValidationError as error:
+        if sentence := earlier_schema(folder):
+            raise CampaignError(f"{sentence.partition(': ')[0]}; run the campaign again.") from error
         raise CampaignError(
             f"{path}: it is damaged, or of another version ({error.error_count()} fields do not fit); run the campaign again."
         ) from error
+
+
+def earlier_schema(folder: Path) -> str:
+    """Why nothing of a folder is used again whose campaign was recorded by another version; empty where there is none, or it is of this one."""
+    from reports.record import SCHEMA_VERSION
+
+    try:
+        version = json.loads((folder / CAMPAIGN).read_bytes())["schema_version"]
+    except (OSError, ValueError, TypeError, KeyError):
+        return ""
+    if version == SCHEMA_VERSION:
+        return ""
+    return (
+        f"{folder} holds the records of schema {version!s:.20}, whose verdicts follow another rule than those of schema {SCHEMA_VERSION}: "
+        "none of them is used, and what is selected is run again."
+    )
 
 
 def only_last_failed(entries: Sequence[Entry | Examined], store: Store) -> list[Entry | Examined]:

@@ -67,16 +67,10 @@ def _certify(scene: Scene, solution: Solution) -> Solution:
     return certify_solution(scene, solution)
 
 
-def _replay(scene: Scene, fmu: Path, trajectory: Trajectory) -> Any:
-    from validate.replay import replay
+def _judge(scene: Scene, fmu: Path, trajectory: Trajectory) -> Any:
+    from validate.judge import judge_trajectory
 
-    return replay(scene, fmu, trajectory)
-
-
-def _score(scene: Scene, trajectory: Trajectory, replay: Any) -> Any:
-    from validate.score import score
-
-    return score(scene, trajectory, replay)
+    return judge_trajectory(scene, fmu, trajectory)
 
 
 def _write_replay(path: Path, replay: Any, scene: Scene) -> None:
@@ -123,8 +117,7 @@ class Tools:
     compile: Callable[[Scene], None] = _compile
     build_fmu: Callable[[Scene], Path] = _build_fmu
     certify: Callable[[Scene, Solution], Solution] = _certify
-    replay: Callable[[Scene, Path, Trajectory], Any] = _replay
-    score: Callable[[Scene, Trajectory, Any], Any] = _score
+    judge: Callable[[Scene, Path, Trajectory], Any] = _judge
     write_replay: Callable[[Path, Any, Scene], None] = _write_replay
     tell: Callable[[Path, bytes], None] = _tell
     write_report: Callable[[Path], Path] = _write_report

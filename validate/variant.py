@@ -22,7 +22,7 @@ _BY_ANSWERS = "answer_error"
 
 @dataclass(frozen=True, kw_only=True)
 class Variant:
-    """What is changed: parameters by name; start and goal by coordinate or velocity (None: that component of the end is free); limits: (value, reason) by figure."""
+    """What is changed: parameters by name; start and goal by coordinate or velocity (None: that component of the end is free); limits: (value, reason) by metric."""
 
     name: str
     parameters: Mapping[str, float] = field(default_factory=dict)
@@ -47,7 +47,7 @@ def state_names(scene: Scene) -> tuple[str, ...]:
 
 def varied(scene: Scene, variant: Variant) -> Scene:
     """The changed scene. Closed forms of the unchanged one, and the limit on them, are left out where motion changes. Raises SceneError."""
-    limits = {limit.figure: limit for limit in scene.limits}
+    limits = {limit.metric: limit for limit in scene.limits}
     moves = variant.parameters or variant.start or variant.goal or variant.steps is not None or variant.step is not None
     if moves:
         limits.pop(_BY_ANSWERS, None)
@@ -58,7 +58,7 @@ def varied(scene: Scene, variant: Variant) -> Scene:
         steps=scene.task.steps if variant.steps is None else variant.steps,
         step=scene.task.step if variant.step is None else variant.step,
     )
-    limits |= {figure: _limit(figure, *limit) for figure, limit in variant.limits.items()}
+    limits |= {metric: _limit(metric, *limit) for metric, limit in variant.limits.items()}
     told = ", ".join(in_words(scene, variant))
     return replace(
         scene.with_parameters(**variant.parameters),
@@ -88,7 +88,7 @@ def _state(scene: Scene, what: str, values: Iterable[float | None], changes: Map
     return tuple(changes.get(name, value) for name, value in zip(names, values, strict=True))
 
 
-def _limit(figure: str, value: float, reason: str) -> Limit:
+def _limit(metric: str, value: float, reason: str) -> Limit:
     from models.scene import Limit
 
-    return Limit(figure=figure, value=value, reason=reason)
+    return Limit(metric=metric, value=value, reason=reason)

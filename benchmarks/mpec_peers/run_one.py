@@ -55,9 +55,12 @@ def on_three_cart(peer: str, seed: int, result: Path) -> dict[str, Any]:
         from program import plan_of, three_cart
 
         return by_peer(peer, three_cart(start), Notes(lambda x: judged(plan_of(x)), result))
+    from models.schemes import Scheme
     from models.trajectory import Trajectory, uniform_grid
 
-    plan = Trajectory(t=uniform_grid(STEP, STEPS), q=start["q"], v=start["v"], u=start["u"], lam=start["lam"])
+    plan = Trajectory(
+        t=uniform_grid(STEP, STEPS), q=start["q"], v=start["v"], u=start["u"], lam=start["lam"], scheme=Scheme.SEMI_IMPLICIT_EULER
+    )
     if peer == "mpcc":
         from formulations.catalog import load_method
         from models.catalog import load_scene

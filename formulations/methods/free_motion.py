@@ -12,6 +12,7 @@ from formulations.solution import Outcome, Seconds, Solution
 from models.codegen.kernel import Kernel, load_kernel
 from models.goal import distance, goal_state
 from models.scene import Scene
+from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 
 
@@ -33,7 +34,9 @@ class _FreeMotionSession(Session):
                 f"the time step of {task.step:g} s let the motion grow without bound by step {motion.finite_steps}; use a smaller one."
             )
             return Solution(method=self._method.name, outcome=Outcome.DIVERGED, message=message, seconds=seconds)
-        plan = Trajectory(t=uniform_grid(task.step, task.steps), q=motion.q, v=motion.v, u=u, lam=motion.lam)
+        plan = Trajectory(
+            t=uniform_grid(task.step, task.steps), q=motion.q, v=motion.v, u=u, lam=motion.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
+        )
         return Solution(
             method=self._method.name,
             outcome=Outcome.SOLVED,

@@ -19,6 +19,7 @@ from formulations.solution import Seconds, Solution
 from models.codegen.kernel import load_kernel
 from models.codegen.steps import load_steps
 from models.scene import Scene
+from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 
 if TYPE_CHECKING:
@@ -96,9 +97,11 @@ class MultipleShootingSession(Session):
         if run.diverged or found.gap > self._settings.gap_tolerance:
             linear = self._steps.linearise(found.x[:-1], u, task.step, law, eps)
             lam = np.zeros((task.steps, scene.nl)) if linear is None else linear.lam
-            plan = Trajectory(t=uniform_grid(task.step, task.steps), q=found.x[:, :nq], v=found.x[:, nq:], u=u, lam=lam)
+            plan = Trajectory(
+                t=uniform_grid(task.step, task.steps), q=found.x[:, :nq], v=found.x[:, nq:], u=u, lam=lam, scheme=Scheme.SEMI_IMPLICIT_EULER
+            )
         else:
-            plan = Trajectory(t=uniform_grid(task.step, task.steps), q=run.q, v=run.v, u=u, lam=run.lam)
+            plan = Trajectory(t=uniform_grid(task.step, task.steps), q=run.q, v=run.v, u=u, lam=run.lam, scheme=Scheme.SEMI_IMPLICIT_EULER)
         growth = measure_growth(self._steps, np.hstack([plan.q, plan.v]), u, law, eps)
         residuals = {
             "gap": found.gap,

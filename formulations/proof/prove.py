@@ -29,6 +29,7 @@ from models.codegen.kernel import load_kernel
 from models.errors import SceneError
 from models.goal import distance, goal_state
 from models.scene import Scene
+from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 
 GAP = 1e-5  # relative, below which a plan counts as proved optimal: SCIP keeps the quadratic cost row to 1e-6 of its size
@@ -207,7 +208,9 @@ def exact_plan(scene: Scene, u: np.ndarray) -> Trajectory | None:
     rollout, u = land(kernel, np.array(task.start), goal_state(task), u, task.step, bounds)
     if rollout.diverged:
         return None
-    plan = Trajectory(t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+    plan = Trajectory(
+        t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
+    )
     return plan if is_exact(scene, plan) else None
 
 

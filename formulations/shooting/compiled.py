@@ -91,7 +91,7 @@ class CompiledLoss:
             setattr(self.data, name, ctypes.cast(function, _POINTER))
         for name in ("start", "u", "q", "v", "lam", "q_bar", "v_bar", "u_bar", "start_bar"):
             setattr(self.data, name, getattr(work, name).ctypes.data)
-        self.data.parameters = work.kernel.parameters.ctypes.data
+        self.data.parameters = work.kernel.parameters_of(work.step).ctypes.data
         self.data.goal, self.data.error = objective.goal.ctypes.data, objective.error.ctypes.data
         self.use_weights()
 

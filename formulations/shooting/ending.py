@@ -12,6 +12,9 @@ from models.goal import goal_state, miss
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
 
+# Beyond a velocity bound by less [m/s, rad/s] is rounding.
+_TOLERANCE = 1e-6
+
 
 def first_inputs(scene: Scene, warm_start: Trajectory | None) -> np.ndarray:
     """Inputs (steps, nu) of the warm start within their bounds, or zeros. Raises TrajectoryError for a plan of another scene or grid."""
@@ -40,12 +43,13 @@ def input_bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def plan_residuals(scene: Scene, plan: Trajectory) -> dict[str, float]:
-    """terminal_error, terminal_position_error, input_bound_excess and, where the scene has such bounds, velocity_bound_excess."""
+    """terminal_error, its position and velocity parts, input_bound_excess and, where the scene has such bounds, velocity_bound_excess."""
     error = miss(plan.end, goal_state(scene.task))
     lower, upper = input_bounds(scene)
     residuals = {
         "terminal_error": float(np.linalg.norm(error)),
         "terminal_position_error": float(np.linalg.norm(error[: scene.nq])),
+        "terminal_velocity_error": float(np.linalg.norm(error[scene.nq :])),
         "input_bound_excess": float(np.maximum(np.maximum(lower - plan.u, plan.u - upper), 0.0).max(initial=0.0)),
     }
     if any(coordinate.has_velocity_bounds for coordinate in scene.coordinates):
@@ -63,13 +67,13 @@ def arrived(
 
     advice: what brings it nearer to the goal.
     """
-    for name in ("terminal_position_error", "terminal_error"):
-        limit = scene.limit(f"discrete_{name}")
-        if outcome is Outcome.SOLVED and limit is not None and residuals[name] > limit.value:
+    for name in ("terminal_position_error", "terminal_velocity_error"):
+        limit = scene.limit(name)
+        if outcome is Outcome.SOLVED and limit is not None and limit.value is not None and residuals[name] > limit.value:
             told = f"{name} is {residuals[name]:.3g}, the scene asks for {limit.value:g}; {advice} brings it nearer"
             outcome, message = Outcome.STALLED, f"{message} It converged away from the goal: {told}.".strip()
-    excess, limit = residuals.get("velocity_bound_excess", 0.0), scene.limit("velocity_bound_violation")
-    if outcome is Outcome.SOLVED and limit is not None and excess > limit.value:
+    excess = residuals.get("velocity_bound_excess", 0.0)
+    if outcome is Outcome.SOLVED and excess > _TOLERANCE:
         outcome, message = (
             Outcome.STALLED,
             f"{message} A velocity exceeds its bound by {excess:.3g}: this method does not know such bounds.".strip(),

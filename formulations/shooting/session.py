@@ -18,6 +18,7 @@ from models.codegen.kernel import load_kernel
 from models.codegen.steps import load_steps
 from models.contact_law import ContactLaw
 from models.scene import Scene
+from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 
 
@@ -73,7 +74,9 @@ class ShootingSession(Session):
             return empty if growth is None else replace(empty, message=told(descent.message, growth), residuals=growth.figures())
         if plan.diverged:  # impossible while the kernel is deterministic: the descent has just evaluated these inputs
             return replace(empty, outcome=Outcome.EVALUATION_ERROR, message="the plan could not be simulated again.")
-        trajectory = Trajectory(t=uniform_grid(task.step, task.steps), q=plan.q, v=plan.v, u=u, lam=plan.lam)
+        trajectory = Trajectory(
+            t=uniform_grid(task.step, task.steps), q=plan.q, v=plan.v, u=u, lam=plan.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
+        )
         residuals = {
             "gradient_norm": descent.gradient_norm,
             **plan_residuals(self._scene, trajectory),

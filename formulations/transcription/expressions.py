@@ -25,7 +25,7 @@ Entries = Callable[..., Sequence[Any]]
 
 
 class SceneExpressions:
-    """The functions a transcription needs. Raises SceneError for a function that is not smooth (abs, Max, Piecewise ...)."""
+    """The functions a transcription needs. Raises SceneError for a function that Pyomo does not have (erf, atan2 ..)."""
 
     def __init__(self, dynamics: Dynamics) -> None:
         d = dynamics

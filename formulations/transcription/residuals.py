@@ -72,9 +72,12 @@ class PlanResiduals:
         return float(self._cost(plan.q[:-1], plan.v[:-1], plan.u).sum() + self._final_cost(plan.q[-1:], plan.v[-1:]).sum())
 
     def dynamics_defect(self, plan: Trajectory) -> float:
-        """Largest miss of the plan's own time step, in velocity or position; a collocation's is taken with the true contact law."""
-        if plan.scheme is not Scheme.SEMI_IMPLICIT_EULER:
-            return defect(load_kernel(self._scene), plan)
+        """Largest miss of the plan's own time step, in velocity or position; a collocation's is taken with the true contact law.
+
+        A plan that declares no scheme is asked for the step of the transcription, semi-implicit Euler.
+        """
+        if plan.scheme not in (None, Scheme.SEMI_IMPLICIT_EULER):
+            return float(defect(load_kernel(self._scene), plan).max())
         h = (plan.t[-1] - plan.t[0]) / plan.steps
         mass = self._mass(plan.q[:-1]).reshape(-1, self._scene.nq, self._scene.nq)
         force = self._force(plan.q[:-1], plan.v[:-1], plan.u, plan.lam)

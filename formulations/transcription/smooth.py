@@ -1,4 +1,4 @@
-"""Which functions of SymPy have a smooth form in Pyomo. Light to import: no Pyomo."""
+"""Which functions of SymPy have a form in Pyomo. Light to import: no Pyomo."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ SMOOTH = ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "
 
 
 def check_smooth(scene: Scene, what: str, expressions: Iterable[Any]) -> None:
-    """Raises SceneError for a function that is not smooth (abs, Max, Piecewise ...)."""
+    """Raises SceneError for a function that Pyomo does not have (erf, atan2 ..); scenes have none with corners (models.scene_functions)."""
     for expression in expressions:
-        for call in sp.sympify(expression).atoms(sp.Function, sp.Piecewise, sp.Max, sp.Min):
+        for call in sp.sympify(expression).atoms(sp.Function):
             if call.func.__name__ not in SMOOTH:
                 raise SceneError(
-                    f"scene {scene.name}: {what} contains {call}, which has no smooth Pyomo form; use {', '.join(SMOOTH)} and powers."
+                    f"scene {scene.name}: {what} contains {call}, which has no form in Pyomo; use {', '.join(SMOOTH)} and powers."
                 )

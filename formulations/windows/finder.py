@@ -24,10 +24,11 @@ from formulations.windows.structures import Structures
 from models.codegen.kernel import Kernel
 from models.goal import goal_state
 from models.scene import Scene
+from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 
 _ARRIVED = 1e-6  # from the goal: what remains is taken out by the exact problem
-_STRIDES = 125  # the first stride is this part of the steps: 4 steps of 500
+STRIDES = 125  # the first stride is this part of the steps: 4 steps of 500
 _STAGES = 3  # of the homotopy whose modes are tried, the sharpest first
 _RANDOM = 6  # random inputs that are steered to the goal if the first guess leads nowhere
 _NONLINEAR = 20  # a nonlinear scene tries this part of the windows that a linear one may
@@ -65,7 +66,7 @@ class Finder:
         account.most_work = min(self._most_work, account.work + 1e6 * self._number("first_work"))
         self._ending = (Outcome.FAILED, "no source of contact modes gave a plan.")
         self._near: list[tuple[float, np.ndarray]] = []  # (miss, modes) of rollouts that do not quite reach the goal
-        answer, stride, is_refined = None, max(1, self._scene.task.steps // _STRIDES), False
+        answer, stride, is_refined = None, max(1, self._scene.task.steps // STRIDES), False
         for guess, fineness in self._guesses(account, modes_of, start):
             answer = self._approached(account, problem, stride) if guess is None else self._exact(account, problem, guess)
             if answer is not None or account.is_over:
@@ -85,7 +86,7 @@ class Finder:
                 )
                 outcome = Outcome.ITERATION_LIMIT
             return Search(answer=None, outcome=outcome, message=message)
-        return self._searched(account, problem, answer, stride, far=not is_refined)
+        return self.searched(account, problem, answer, stride, far=not is_refined)
 
     def _modes_problem(self, account: Account) -> ModesProblem | NonlinearModes:
         ball = self._number("goal_tolerance") if self._scene.task.has_goal else 0.0
@@ -143,7 +144,9 @@ class Finder:
             sharpness = self._number("first_sharpness")
             rollout, u = land_by_softplus(self._kernel, np.array(task.start), goal_state(task), plan.u, task.step, bounds, ball, sharpness)
             if not rollout.diverged:
-                yield Trajectory(t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+                yield Trajectory(
+                    t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
+                )
 
     def _is_out_of_reach(self, account: Account) -> bool:
         """Not even softplus contact had a plan: how near do the inputs come to the goal at all?"""
@@ -173,7 +176,14 @@ class Finder:
         rollout = self._kernel.rollout(np.array(task.start), found.answer.u, task.step)
         if rollout.diverged:
             return None
-        plan = Trajectory(t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=found.answer.u, lam=rollout.lam)
+        plan = Trajectory(
+            t=uniform_grid(task.step, task.steps),
+            q=rollout.q,
+            v=rollout.v,
+            u=found.answer.u,
+            lam=rollout.lam,
+            scheme=Scheme.SEMI_IMPLICIT_EULER,
+        )
         return on_grid(plan, self._scene), max(1, self._scene.task.steps // task.steps // 2)
 
     def _words(self, outcome: Outcome, message: str) -> tuple[Outcome, str]:
@@ -232,7 +242,7 @@ class Finder:
             account.linear_algebra += perf_counter() - begin
         return answer
 
-    def _searched(self, account: Account, problem: Any, answer: Answer, stride: int, *, far: bool) -> Search:
+    def searched(self, account: Account, problem: Any, answer: Answer, stride: int, *, far: bool) -> Search:
         """The cheapest plan around. far: whether to look further than a step (a coarser grid has seen to that already)."""
         how = "the rest is a convex quadratic program, solved exactly" if self._is_linear else "the rest was solved by Ipopt"
         if not self._scene.nc:

@@ -9,6 +9,8 @@
 | others | seeded random inputs, in turn as start of a homotopy and, steered to the goal, as source of modes |
 
 The homotopy forgets where it began, modes do not: hence both.
+
+Where the end is free, and the best of these plans touches nothing although the last state has a cost, throws are tried (`throws`).
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from formulations.windows.finder import Finder, Search
 from formulations.windows.moves import windows_of
 from formulations.windows.starts import descended_plan, mirrored, random_plan
 from formulations.windows.structures import Structures
+from formulations.windows.throws import Throws
 from models.codegen.kernel import Kernel
 from models.scene import Scene
 from models.trajectory import Trajectory
@@ -53,6 +56,7 @@ class MultiStart:
     ) -> None:
         self._scene, self._kernel, self._finder, self._ipopt = scene, kernel, finder, dict(ipopt)
         self._structures = structures or Structures(scene, kernel)
+        self._throws = Throws(scene, kernel, finder, options, self._structures)
         self._seed, self._ball = int(str(options["seed"])), float(str(options["goal_tolerance"]))
 
     def run(self, account: Account, numbers: range, warm_start: Trajectory | None) -> tuple[Search, tuple[Attempt, ...]]:
@@ -75,7 +79,13 @@ class MultiStart:
                 best = found
         if best is None:
             raise ValueError("a range of starts is never empty: the options see to that.")
-        return best, tuple(attempts)
+        began = process_time()
+        thrown = self._throws.instead_of(best, account, (self._seed, numbers[0]))
+        if thrown is not best:
+            place = min(range(len(attempts)), key=lambda place: (attempts[place].cost is None, attempts[place].cost or 0.0))
+            start = _Start(words=f"{attempts[place].start}, then throws", plan=None, for_modes=False)
+            attempts[place] = self._attempt(attempts[place].number, start, thrown, attempts[place].seconds + process_time() - began)
+        return thrown, tuple(attempts)
 
     def _start(self, account: Account, number: int, warm_start: Trajectory | None) -> _Start:
         if number == 0:

@@ -3,7 +3,7 @@
     softplus homotopy -> which contact is closed when -> exact optimum for these modes -> cheaper windows -> rollout of the inputs
 
 The plan is the rollout of its own inputs through the true contact law: complementarity is zero by construction, and what the solvers leave of
-the terminal error (1e-9) is taken out by Newton steps.
+the terminal error (1e-9) is taken out by Newton steps. Where the end is free and the plan touches nothing, `throws` looks for one that does.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from models.codegen.kernel import load_kernel
 from models.errors import TrajectoryError
 from models.goal import distance, goal_state
 from models.scene import Scene
+from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 
 if TYPE_CHECKING:
@@ -132,7 +133,9 @@ class MpccSession(Session):
         rollout, u = land(
             self._kernel, np.array(task.start), goal_state(task), u, task.step, (bounds[0], bounds[1]), self._number("goal_tolerance")
         )
-        return Trajectory(t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+        return Trajectory(
+            t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
+        )
 
     def certificate(self, plan: Trajectory) -> dict[str, float]:
         """Residuals of the plan by name; complementarity with the penetration of the same compiled code that the forces come from."""

@@ -8,6 +8,7 @@ from models.codegen.kernel import Kernel
 from models.contact_law import ContactLaw
 from models.goal import goal_state, miss
 from models.scene import Scene
+from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 
 _PIECES = 10  # of constant input over the horizon
@@ -21,14 +22,23 @@ _SHARE, _UNBOUNDED = 0.3, 1.0  # part of the bounds that is used [1], and what s
 def random_plan(scene: Scene, kernel: Kernel, seed: tuple[int, ...]) -> Trajectory | None:
     """Piecewise constant random inputs through softplus contact at eps = 1e-3; None where the rollout diverges."""
     random, task = np.random.default_rng(seed), scene.task
-    lower = np.array([max(item.lower, -_UNBOUNDED / _SHARE) if np.isinf(item.lower) else item.lower for item in scene.inputs])
-    upper = np.array([min(item.upper, _UNBOUNDED / _SHARE) if np.isinf(item.upper) else item.upper for item in scene.inputs])
+    lower, upper = input_range(scene)
     pieces = 0.5 * (lower + upper) + _SHARE * 0.5 * (upper - lower) * random.uniform(-1.0, 1.0, (_PIECES, scene.nu))
     u = pieces[np.arange(task.steps) * _PIECES // task.steps]
     rollout = kernel.rollout(np.array(task.start), u, task.step, ContactLaw.SOFTPLUS, 1e-3)
     if rollout.diverged:
         return None
-    return Trajectory(t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+    return Trajectory(
+        t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
+    )
+
+
+def input_range(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of the inputs, (nu,) each [N, N m], with a number where one is missing."""
+    far = _UNBOUNDED / _SHARE
+    lower = np.array([-far if np.isinf(item.lower) else item.lower for item in scene.inputs])
+    upper = np.array([far if np.isinf(item.upper) else item.upper for item in scene.inputs])
+    return lower, upper
 
 
 def descended_plan(scene: Scene, kernel: Kernel) -> Trajectory | None:
@@ -58,7 +68,9 @@ def descended_plan(scene: Scene, kernel: Kernel) -> Trajectory | None:
     rollout = kernel.rollout(np.array(task.start), u, task.step, ContactLaw.SOFTPLUS, 1e-7)
     if rollout.diverged:
         return None
-    return Trajectory(t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+    return Trajectory(
+        t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
+    )
 
 
 def mirrored(scene: Scene, kernel: Kernel, plan: Trajectory) -> Trajectory | None:
@@ -77,4 +89,11 @@ def mirrored(scene: Scene, kernel: Kernel, plan: Trajectory) -> Trajectory | Non
         return None
     lam = np.zeros_like(plan.lam)
     lam[:, : scene.nc] = plan.lam[::-1, : scene.nc][:, same.argmax(axis=1)]
-    return Trajectory(t=plan.t, q=centre - plan.q[::-1, ::-1], v=plan.v[::-1, ::-1].copy(), u=-plan.u[::-1, ::-1], lam=lam)
+    return Trajectory(
+        t=plan.t,
+        q=centre - plan.q[::-1, ::-1],
+        v=plan.v[::-1, ::-1].copy(),
+        u=-plan.u[::-1, ::-1],
+        lam=lam,
+        scheme=Scheme.SEMI_IMPLICIT_EULER,
+    )

@@ -40,7 +40,7 @@ def emit_model(scene: Scene, *, defaults: bool = True) -> str:
             *_energy_functions(vectors),
         ]
     except PrintMethodNotImplementedError as error:
-        function = str(error).splitlines()[0].rpartition(": ")[2]
+        function = str(error).splitlines()[0].rpartition(": ")[2].rpartition(".")[2].rstrip("'>")  # a name, or the whole of a class
         raise SceneError(
             f"scene {scene.name}: its equations or their derivatives contain {function}, which has no form in C; "
             "use smooth elementary functions (sin, exp, sqrt, tanh ..)."

@@ -125,6 +125,17 @@ class Kernel:
             function.restype, function.argtypes = result, [_TYPES[letter] for letter in arguments]
         values = [parameter.value for parameter in scene.parameters]
         self._p = np.array(values or [0.0])
+        self._p_of_step: dict[float, np.ndarray] = {}
+
+    def parameters_of(self, step: float) -> np.ndarray:
+        """(np,) `parameters` for time steps of `step` seconds, which is the relaxation time of a scene without inertia (models.quasi_static)."""
+        index = self.scene.relaxation_index
+        if index is None or self._p[index] == step:
+            return self._p
+        if step not in self._p_of_step:  # kept as long as the kernel: others have its address
+            self._p_of_step[step] = self._p.copy()
+            self._p_of_step[step][index] = step
+        return self._p_of_step[step]
 
     @property
     def parameters(self) -> np.ndarray:
@@ -137,7 +148,7 @@ class Kernel:
 
     def batch_functions(self, steps: int, step: float, law: ContactLaw, eps: float | None) -> BatchFunctions:
         """The C functions for several plans in one call (`models.codegen.batch`)."""
-        head = (steps, step, _at(self._p), law.value, _b(law, eps, self.scene.length))
+        head = (steps, step, _at(self.parameters_of(step)), law.value, _b(law, eps, self.scene.length))
         return BatchFunctions(self._library.kernel_rollouts, self._library.kernel_adjoints, head)
 
     def penetration(self, q: np.ndarray) -> np.ndarray:
@@ -212,7 +223,7 @@ class Kernel:
         q, v = np.empty((steps + 1, self.scene.nq)), np.empty((steps + 1, self.scene.nq))
         lam = np.empty((steps, self.scene.nl))
         done = self._library.kernel_rollout(
-            steps, step, _at(self._p), law.value, _b(law, eps, self.scene.length), _at(start), _at(u), _at(q), _at(v), _at(lam)
+            steps, step, _at(self.parameters_of(step)), law.value, _b(law, eps, self.scene.length), _at(start), _at(u), _at(q), _at(v), _at(lam)
         )  # fmt: skip
         if done < steps:
             q[done + 1 :] = v[done + 1 :] = np.nan
@@ -236,7 +247,7 @@ class Kernel:
         lam_bar = None if lam_bar is None else self._array("lam_bar", lam_bar, self.scene.nl, nodes - 1)
         u_bar, start_bar = np.empty_like(u), np.empty(2 * self.scene.nq)
         failed = self._library.kernel_adjoint(
-            len(u), rollout.step, _at(self._p), rollout.law.value, _b(rollout.law, rollout.eps, self.scene.length), _at(rollout.q), _at(rollout.v),
+            len(u), rollout.step, _at(self.parameters_of(rollout.step)), rollout.law.value, _b(rollout.law, rollout.eps, self.scene.length), _at(rollout.q), _at(rollout.v),
             _at(rollout.lam), _at(u), _at(q_bar), _at(v_bar), None if lam_bar is None else _at(lam_bar), cost_bar, _at(u_bar), _at(start_bar),
         )  # fmt: skip
         if failed:

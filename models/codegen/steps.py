@@ -69,6 +69,7 @@ class Steps:
             function = getattr(self._library, f"kernel_{name}")
             function.restype, function.argtypes = ctypes.c_int, [*_HEAD, *[_POINTER] * arguments]
         self._p = np.array([parameter.value for parameter in scene.parameters] or [0.0])
+        self._tau = scene.relaxation_index
         self._lower = np.array([item.lower for item in scene.inputs] or [0.0])
         self._upper = np.array([item.upper for item in scene.inputs] or [0.0])
 
@@ -112,6 +113,8 @@ class Steps:
         return Followed(x=x, u=u, lam=lam, finite_steps=done)
 
     def _head(self, n: int, step: float, law: ContactLaw, eps: float | None) -> tuple[int, float, int, int, float]:
+        if self._tau is not None:
+            self._p[self._tau] = step  # models.quasi_static
         return (
             n,
             step,

@@ -45,7 +45,7 @@ class Workspace:
         self.q_bar, self.v_bar = np.zeros_like(self.q), np.zeros_like(self.v)
         self.functions = kernel.bound_functions()
         self.sharpness = 0.0 if law is ContactLaw.RELU else sharpness(eps if eps is not None else 0.0, scene.length)
-        p = kernel.parameters.ctypes.data
+        p = kernel.parameters_of(step).ctypes.data
         head, states = (steps, step, p, law.value, self.sharpness), [array.ctypes.data for array in (self.q, self.v, self.lam)]
         u = self.u.ctypes.data
         self._rollout_arguments = (*head, self.start.ctypes.data, u, *states)

@@ -34,13 +34,14 @@ _EXPERIMENT = ("experiment.py", "reference.py")
 
 
 def build_fmu(scene: Scene, version: str = "2.0", platforms: Sequence[str] = ()) -> Path:
-    """The FMU of a scene: Co-Simulation and Model Exchange in one file; found in the cache or built there.
+    """The FMU of a scene, in continuous time: Co-Simulation and Model Exchange in one file; found in the cache or built there.
 
     platforms: names of FMI 2.0 or 3.0 (`linux64` or `x86_64-linux`); without any, this machine's. Raises UnknownNameError for an
     FMI version or platform that is not offered, SceneError for a scene whose names an FMU cannot carry, MachineError without a
     compiler or a cache folder that can be written.
     """
     standard = find_standard(version)
+    scene = scene.continuous()
     identifier = model_identifier(scene)
     compilers = {platform: platform_compiler(platform) for platform in find_platforms(platforms)}
     files = fmu_texts(scene, standard)

@@ -6,6 +6,7 @@ variable_table(scene)            every variable with unit, start, range; its pos
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 
@@ -266,7 +267,7 @@ def _parameters(scene: Scene) -> list[Variable]:
         name="internal_step",
         kind=Kind.INTERNAL_STEP,
         unit="s",
-        start=scene.task.step / INTERNAL_STEPS,
+        start=min(scene.task.step / INTERNAL_STEPS, math.inf if scene.lag is None else scene.lag),
         lower=SMALLEST_INTERNAL_STEP,
         description="largest internal step of Co-Simulation; equal steps divide each communication step",
     )

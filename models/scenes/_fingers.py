@@ -25,7 +25,7 @@ import math
 import sympy as sp
 
 from models.contacts import Friction
-from models.scene import Answer, Contact, Coordinate, Input, Limit, Parameter, Shape
+from models.scene import Answer, Contact, Coordinate, Input, Parameter, Shape
 
 BLUR = 1e-6
 NEAR = 0.002
@@ -103,8 +103,11 @@ def tip_contacts(nominal: float) -> tuple[Contact, ...]:
     return tuple(
         Contact(
             name=side,
+            bodies=(f"{side} tip", "disc"),
             penetration=R + w / 2 - _centres(side)[2],
             stiffness=k,
+            depth=R,
+            depth_reason="the radius of the disc: there the rim of the tip has reached its centre, and soon nothing tells on which side the tip is",
             nominal=nominal,
             description=f"{side} finger tip against the disc",
         )
@@ -175,20 +178,6 @@ def pinch(gap: float, height: float) -> tuple[float, float, float, float]:
     outwards = math.copysign(half, up)
     first, second = direction + outwards, direction - outwards
     return first, second, first, second
-
-
-def solver_limits() -> tuple[Limit, ...]:
-    """What both scenes ask of any plan."""
-    return (
-        Limit(
-            figure="physics_scaled",
-            value=1e-6,
-            reason="averaged over 0.4 s a product of 2.5e-6 (k L)^2 with k L = 1 N: 1.6 mN at tips that only just touch, or less at a distance",
-        ),
-        Limit(figure="defect", value=1e-6, reason="a plan that misses its own time step by more than 1e-6 was not solved to the end"),
-        Limit(figure="start_error", value=1e-6, reason="a plan from another start solves another task; 1e-6 is the solvers' own tolerance"),
-        Limit(figure="bound_violation", value=1e-6, reason="the joints give at most 2 N m; 1e-6 is the solvers' own tolerance"),
-    )
 
 
 def stretched_answer() -> Answer:

@@ -39,22 +39,33 @@ SCENE = Scene(
     kinetic_energy=m * v**2 / 2,
     potential_energy=m * g * q,
     forces=(sp.Integer(0),),
-    contacts=(Contact(name="floor", penetration=-q, stiffness=k, nominal=0.1, description="mass against floor"),),
+    contacts=(
+        Contact(
+            name="floor",
+            bodies=("mass", "floor"),
+            penetration=-q,
+            stiffness=k,
+            depth=DROP,
+            depth_reason="the springs of the floor, chosen here to be as long as the mass falls, 0.5 m, are pressed flat",
+            nominal=0.1,
+            description="mass against floor",
+        ),
+    ),
     task=Task(start=(DROP, 0.0), goal=(None,) * 2, running_cost=sp.Integer(0), step=0.001, steps=1000),
     limits=(
         Limit(
-            figure="answer_error",
+            metric="answer_error",
             value=1.0,
             reason="the continuous motion is known exactly: a replay that is further off than the tolerance of a closed form is wrong",
         ),
         Limit(
-            figure="energy_residual",
+            metric="energy_residual",
             value=1e-8,
             reason="nothing drives and nothing dissipates: of the 4.9 J that the mass has, all is kept to what the replay resolves",
         ),
-        Limit(figure="defect", value=1e-9, reason="the time step is evaluated, not solved for: only rounding is left"),
+        Limit(metric="defect", value=1e-9, reason="the time step is evaluated, not solved for: only rounding is left"),
         Limit(
-            figure="replay_error",
+            metric="replay_error",
             value=0.005,
             reason="the time step of 1 ms is g t h/2 = 1.6 mm off when the mass has fallen for t = 0.32 s, and keeps that over the one bounce; three times that",
         ),

@@ -7,6 +7,8 @@ Beyond three carts the row starts with a free space of 1 m in all, shared by the
 for three carts, as in the paper. No cart in between can move unless it is pushed, so every plan needs contact.
 """
 
+from itertools import pairwise
+
 import sympy as sp
 
 from models.errors import SceneError
@@ -56,12 +58,17 @@ def cart_chain(n: int, steps: int = 500, name: str = "cart_chain") -> Scene:
         contacts=tuple(
             Contact(
                 name=contact,
+                bodies=bodies,
                 penetration=d - (right - left),
                 stiffness=k,
+                depth=d,
+                depth_reason=THREE_CART.contacts[0].depth_reason,
                 nominal=0.1,
                 description=f"cart {index} against cart {index + 1}",
             )
-            for index, (contact, left, right) in enumerate(zip(_contact_names(n), q[:-1], q[1:], strict=True), start=1)
+            for index, (contact, bodies, left, right) in enumerate(
+                zip(_contact_names(n), pairwise(places), q[:-1], q[1:], strict=True), start=1
+            )
         ),
         task=Task(
             start=(*start, *[0.0] * n),
@@ -81,7 +88,7 @@ def _contact_names(n: int) -> list[str]:
 
 def _limit(limit: Limit) -> Limit:
     """The same cart on the same grid: the paper's limits, whatever the number of carts."""
-    return Limit(figure=limit.figure, value=limit.value, reason=f"as for three carts of this kind on this grid: {limit.reason}")
+    return Limit(metric=limit.metric, value=limit.value, reason=f"as for three carts of this kind on this grid: {limit.reason}")
 
 
 SCENE = cart_chain(5, steps=250)

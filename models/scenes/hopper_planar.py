@@ -14,7 +14,7 @@ m = 1 kg, l0 = 1 m, h = 0.02 s, T = 200, (0, 1.5) -> (2, 1) are those of our sce
 stable up to 2 and wrong by some per cent of the foot's energy, little of the whole. Static, the foot sinks in by 4 cm.
 
 Standing is falling over: sqrt(g/l0) = 3.1 1/s, and each landing adds to it. In the open loop an error at the start is some 1e6 times larger
-after the 4 s, so that plans are judged by the tracked replay.
+after the 4 s, so that a plan of this grid needs feedback to hold.
 """
 
 import sympy as sp
@@ -40,6 +40,7 @@ SCENE = Scene(
     name="hopper_planar",
     title="A hopper hops to the side",
     source="Lagrange's equations of two masses, a turning body and a spring, derived by computer algebra from the energies in this file",
+    unstable="a body on one leg falls over, as exp(3.1 t) with sqrt(g/l0) = 3.1/s: 3e5 times over the 4 s if it stood all the while, and where the foot lands decides what follows",
     coordinates=tuple(
         Coordinate(symbol=place, velocity=speed, unit=unit, description=words)
         for place, speed, unit, words in zip(
@@ -71,7 +72,18 @@ SCENE = Scene(
     kinetic_energy=(m * (v_x**2 + v_z**2) + inertia * omega**2 + m_f * (v_xf**2 + v_zf**2)) / 2,
     potential_energy=g * (m * z + m_f * z_f) + k_l * (_leg - l0) ** 2 / 2,
     forces=(_force_x, _force_z, -_across * (_dx**2 + _dz**2), -_force_x, -_force_z),
-    contacts=(Contact(name="floor", penetration=-z_f, stiffness=k, nominal=0.05, description="foot against floor"),),
+    contacts=(
+        Contact(
+            name="floor",
+            bodies=("foot", "floor"),
+            penetration=-z_f,
+            stiffness=k,
+            depth=l0,
+            depth_reason="the length of the leg at rest: a foot that deep has its body on the floor as well, which holds the foot alone",
+            nominal=0.05,
+            description="foot against floor",
+        ),
+    ),
     frictions=(Friction(name="floor", slip=v_xf, coefficient=mu, contact="floor", nominal=0.1, description="foot along the floor"),),
     task=Task(
         start=(0.0, 1.5, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0),
@@ -82,35 +94,39 @@ SCENE = Scene(
     ),
     limits=(
         Limit(
-            figure="physics_scaled",
-            value=1e-5,
-            reason="averaged over the 4 s a product of 2.5e-6 (k L)^2, L = 0.05 m: a force of 24 mN where the foot only just touches",
+            metric="feedback_share",
+            value=0.85,
+            reason="the leg's spring pays for the hops: the plan's own inputs are 7 % of half their range, and half of that is next to nothing; exact plans "
+            "need 0.77 of it (5 % of the half-range), relaxed ones 2.2 and more",
         ),
-        Limit(figure="defect", value=1e-6, reason="a plan that misses its own time step by more than 1e-6 was not solved to the end"),
-        Limit(figure="start_error", value=1e-6, reason="a plan from another start solves another task; 1e-6 is the solvers' own tolerance"),
-        Limit(figure="bound_violation", value=1e-6, reason="thrust and torque have their bounds; 1e-6 is the solvers' own tolerance"),
-        Limit(
-            figure="friction_violation",
-            value=1e-3,
-            reason="mu N is up to 60 N; more than 1 mN above it is force that friction does not have",
+        *(
+            Limit(
+                metric=metric,
+                value=0.05,
+                reason="a fortieth of the 2 m; what the solvers leave (1e-9) grows 1e6 times in the open loop and is still far below",
+            )
+            for metric in ("terminal_position_error", "discrete_terminal_position_error")
+        ),
+        *(
+            Limit(
+                metric=metric,
+                value=0.05,
+                reason="who falls over at sqrt(g/l0) = 3.1/s is carried another 0.05/3.1 = 0.016 m by it, a third of the position's limit",
+            )
+            for metric in ("terminal_velocity_error", "discrete_terminal_velocity_error")
         ),
         Limit(
-            figure="friction_dissipation_error",
-            value=1e-3,
-            reason="a milliwatt: a creep of 0.02 mm/s under all of mu N, less than 0.1 mm over the 4 s",
-        ),
-        Limit(
-            figure="discrete_terminal_error",
-            value=0.05,
-            reason="a fortieth of the 2 m; what the solvers leave (1e-9) grows 1e6 times in the open loop and is still far below",
-        ),
-        Limit(
-            figure="replay_terminal_position_error",
+            metric="replay_terminal_position_error",
             value=0.1,
             reason="a twentieth of the 2 m; at 3.6 m/s the foot lands up to 0.07 m early or late on a step of 0.02 s",
         ),
         Limit(
-            figure="replay_error",
+            metric="replay_terminal_velocity_error",
+            value=0.3,
+            reason="who falls over at sqrt(g/l0) = 3.1/s is carried another 0.3/3.1 = 0.1 m by it, the limit of the position",
+        ),
+        Limit(
+            metric="replay_error",
             value=0.12,
             reason="1.7 times the 0.07 m of a step at landing speed; plans whose floor acts at a distance leave theirs by metres",
         ),

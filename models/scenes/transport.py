@@ -19,6 +19,9 @@ cargo, cart = sp.symbols("cargo cart", real=True)
 v_cargo, v_cart = sp.symbols("v_cargo v_cart", real=True)
 u = sp.Symbol("u", real=True)
 m, m_c, mu, g, half, k = sp.symbols("m m_c mu g half k", positive=True)
+# Length of the cargo [m], as drawn.
+CARGO = sp.Rational(3, 10)
+_OFF_THE_CART = "half the length of the cargo: beyond it no part of the cargo lies on the cart, and its weight presses no longer"
 
 SCENE = Scene(
     name="transport",
@@ -41,8 +44,26 @@ SCENE = Scene(
     potential_energy=sp.Integer(0),
     forces=(sp.Integer(0), u),
     contacts=(
-        Contact(name="front", penetration=cargo - cart - half, stiffness=k, nominal=0.02, description="cargo against the front stop"),
-        Contact(name="rear", penetration=cart - cargo - half, stiffness=k, nominal=0.02, description="cargo against the rear stop"),
+        Contact(
+            name="front",
+            bodies=("cargo", "cart"),
+            penetration=cargo - cart - half,
+            stiffness=k,
+            depth=CARGO / 2,
+            depth_reason=_OFF_THE_CART,
+            nominal=0.02,
+            description="cargo against the front stop",
+        ),
+        Contact(
+            name="rear",
+            bodies=("cargo", "cart"),
+            penetration=cart - cargo - half,
+            stiffness=k,
+            depth=CARGO / 2,
+            depth_reason=_OFF_THE_CART,
+            nominal=0.02,
+            description="cargo against the rear stop",
+        ),
     ),
     frictions=(
         Friction(name="belt", slip=v_cargo - v_cart, coefficient=mu, normal_force=m * g, nominal=0.1, description="cargo on the cart"),
@@ -55,33 +76,42 @@ SCENE = Scene(
         steps=200,
     ),
     limits=(
-        Limit(
-            figure="physics_scaled",
-            value=1e-5,
-            reason="averaged over the 4 s a product of 2.5e-6 (k L)^2, L = 0.02 m: a force of 30 mN at a closed gap, where a stop gives 20 N",
+        *(
+            Limit(
+                metric=metric, value=0.2, reason="half a step of the 20 N that a stop gives: where on the grid it comes and goes is chance"
+            )
+            for metric in ("ghost_impulse", "missed_impulse")
         ),
-        Limit(figure="defect", value=1e-6, reason="a plan that misses its own time step by more than 1e-6 was not solved to the end"),
-        Limit(figure="start_error", value=1e-6, reason="a plan from another start solves another task; 1e-6 is the solvers' own tolerance"),
-        Limit(figure="bound_violation", value=1e-6, reason="the drive gives at most 40 N; 1e-6 is the solvers' own tolerance"),
-        Limit(
-            figure="friction_violation",
-            value=1e-4,
-            reason="mu N is 1.962 N; more than 0.1 mN above it is force that friction does not have",
+        *(
+            Limit(
+                metric=metric,
+                value=0.05,
+                reason="a twentieth of the metre by which the cargo is to be shifted",
+            )
+            for metric in ("terminal_position_error", "discrete_terminal_position_error")
+        ),
+        *(
+            Limit(
+                metric=metric,
+                value=0.05,
+                reason="as fast the cargo shifts a twentieth of that metre in a second; one step of friction changes its speed by mu g h = 0.04 m/s",
+            )
+            for metric in ("terminal_velocity_error", "discrete_terminal_velocity_error")
         ),
         Limit(
-            figure="friction_dissipation_error",
-            value=2e-5,
-            reason="20 microwatts: a creep of 0.01 mm/s under all of mu N, 0.04 mm over the 4 s",
-        ),
-        Limit(
-            figure="discrete_terminal_error",
-            value=0.05,
-            reason="a twentieth of the metre by which the cargo is to be shifted, and of a metre a second",
-        ),
-        Limit(
-            figure="replay_terminal_error",
+            metric="replay_terminal_position_error",
             value=0.15,
-            reason="the discrete limit plus 0.1 for the grid: at 4 m/s a step of 0.02 s is 0.08 m long",
+            reason="the plan's limit plus 0.1 for the grid: at 4 m/s a step of 0.02 s is 0.08 m long",
+        ),
+        Limit(
+            metric="replay_terminal_velocity_error",
+            value=0.09,
+            reason="the plan's limit plus one step of friction more or less, mu g h = 0.04 m/s",
+        ),
+        Limit(
+            metric="replay_error",
+            value=0.15,
+            reason="as at the end: a step of 0.02 s is 0.08 m long at 4 m/s, by which the cargo meets a stop early or late; measured up to 0.12 m for exact plans",
         ),
     ),
     answers=(
@@ -94,6 +124,6 @@ SCENE = Scene(
     ),
     shapes=(
         Shape(name="cart", kind="box", x=cart, y=sp.Rational(-1, 10), size=(2 * half, sp.Rational(1, 5))),
-        Shape(name="cargo", kind="box", x=cargo, y=sp.Rational(3, 20), size=(sp.Rational(3, 10), sp.Rational(3, 10))),
+        Shape(name="cargo", kind="box", x=cargo, y=sp.Rational(3, 20), size=(CARGO, CARGO)),
     ),
 )

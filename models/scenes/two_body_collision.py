@@ -45,22 +45,33 @@ SCENE = Scene(
     kinetic_energy=(m1 * v1**2 + m2 * v2**2) / 2,
     potential_energy=sp.Integer(0),
     forces=(sp.Integer(0), sp.Integer(0)),
-    contacts=(Contact(name="pair", penetration=2 * r - (q2 - q1), stiffness=k, nominal=0.05, description="left disc against right disc"),),
+    contacts=(
+        Contact(
+            name="pair",
+            bodies=("left", "right"),
+            penetration=2 * r - (q2 - q1),
+            stiffness=k,
+            depth=2 * r,
+            depth_reason="two radii: there the centres of the discs coincide, and beyond it the line between them has turned over",
+            nominal=0.05,
+            description="left disc against right disc",
+        ),
+    ),
     task=Task(start=START, goal=(None,) * 4, running_cost=sp.Integer(0), step=0.001, steps=600),
     limits=(
         Limit(
-            figure="answer_error",
+            metric="answer_error",
             value=1.0,
             reason="the continuous motion is known exactly: a replay that is further off than the tolerance of a closed form is wrong",
         ),
         Limit(
-            figure="energy_residual",
+            metric="energy_residual",
             value=1e-8,
             reason="nothing drives and nothing dissipates: of the 3.5 J that the discs have, all is kept to what the replay resolves",
         ),
-        Limit(figure="defect", value=1e-9, reason="the time step is evaluated, not solved for: only rounding is left"),
+        Limit(metric="defect", value=1e-9, reason="the time step is evaluated, not solved for: only rounding is left"),
         Limit(
-            figure="replay_error",
+            metric="replay_error",
             value=0.003,
             reason="the first force comes up to one step of 1 ms late, in which the discs close by 3 mm; what is left of it is at most that",
         ),

@@ -25,6 +25,7 @@ SCENE = Scene(
     name="two_finger_lift",
     title="Two fingers lift a disc off a table by friction",
     source="Lagrange's equations of four bars and a disc; dimensions of planar grippers in contact-implicit planning (see the file)",
+    unstable="a disc held between two round tips turns them over: what squeezes them drives an error of the height on, and the tips roll on the disc",
     coordinates=fingers.coordinates(),
     inputs=fingers.inputs(2.0),
     parameters=(
@@ -39,7 +40,16 @@ SCENE = Scene(
     forces=fingers.forces(),
     contacts=(
         *fingers.tip_contacts(0.01),
-        Contact(name="table", penetration=fingers.R - fingers.y - y_t, stiffness=k_t, nominal=0.002, description="disc on the table"),
+        Contact(
+            name="table",
+            bodies=("disc", "table"),
+            penetration=fingers.R - fingers.y - y_t,
+            stiffness=k_t,
+            depth=fingers.R,
+            depth_reason="the radius of the disc: there its centre is in the top of the table, and beyond it the nearer way out is below",
+            nominal=0.002,
+            description="disc on the table",
+        ),
     ),
     frictions=fingers.tip_frictions(mu, 0.1),
     task=Task(
@@ -50,27 +60,44 @@ SCENE = Scene(
         steps=200,
     ),
     limits=(
-        *fingers.solver_limits(),
-        Limit(
-            figure="friction_violation",
-            value=1e-4,
-            reason="mu N is 0.5 N and more while it lifts; 0.1 mN beyond is force that friction does not have",
+        *(
+            Limit(
+                metric=metric,
+                value=0.02,
+                reason="a twentieth of the impulse m g T by which the disc is held up: what a step of 2 ms may misplace at the ten touches of a plan",
+            )
+            for metric in ("ghost_impulse", "missed_impulse")
+        ),
+        *(
+            Limit(
+                metric=metric,
+                value=0.005,
+                reason="a tenth of the way that the disc is to be lifted",
+            )
+            for metric in ("terminal_position_error", "discrete_terminal_position_error")
+        ),
+        *(
+            Limit(
+                metric=metric,
+                value=0.01,
+                reason="the speed that falling freely gives in 1 ms, half a step",
+            )
+            for metric in ("terminal_velocity_error", "discrete_terminal_velocity_error")
         ),
         Limit(
-            figure="friction_dissipation_error",
-            value=2e-5,
-            reason="20 microwatts: a creep of 0.04 mm/s under the friction that holds the disc, 8 micrometres over the 0.2 s",
+            metric="replay_terminal_position_error",
+            value=0.005,
+            reason="a tenth of the way that the disc is to be lifted",
         ),
         Limit(
-            figure="discrete_terminal_error",
-            value=0.01,
-            reason="a fifth of the way, or the speed that falling freely gives in 1 ms",
-        ),
-        Limit(figure="replay_terminal_position_error", value=0.005, reason="a tenth of the way that the disc is to be lifted"),
-        Limit(
-            figure="ghost_impulse",
+            metric="replay_terminal_velocity_error",
             value=0.02,
-            reason="a twentieth of the impulse m g T by which the disc is held up: what a step of 2 ms may misplace at the ten touches of a plan",
+            reason="the speed that falling freely gives in one step of 2 ms",
+        ),
+        Limit(
+            metric="replay_error",
+            value=0.05,
+            reason="a link of 0.1 m that is 0.05 rad off has its end 5 mm off, the limit of the disc at the goal",
         ),
     ),
     answers=(

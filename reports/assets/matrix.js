@@ -2,7 +2,8 @@
 (() => {
   const table = document.getElementById("matrix-table");
   if (!table) return;
-  const RANKS = ["holds", "not resolved", "violates", "no plan"];
+  // As the ladder has them; what is asked of nobody comes last.
+  const RANKS = ["holds", "holds with feedback", "undecided", "violates", "no plan", "consistent", "not applicable"];
   const tools = document.querySelector("[data-matrix]");
   const [scene, pipeline, verdict] = ["scene", "pipeline", "verdict"].map((name) => document.getElementById(`matrix-${name}`));
   const count = document.getElementById("matrix-count");
@@ -64,7 +65,7 @@
     for (const row of [table.tHead.rows[0], ...rows]) {
       [...row.cells].forEach((cell, place) => { cell.hidden = place > 1 && (!open[place] || (filtered && !used[place])); });
     }
-    count.textContent = filtered ? `${shown} cells` : "";
+    count.textContent = filtered ? `${shown} runs` : "";
   };
   const remember = () => {
     const state = new URLSearchParams();

@@ -65,7 +65,7 @@ def _ends(record: BalanceRecord) -> Plot:
     plot = Plot(
         "The same inputs without feedback and with it",
         Axis.fitted("end in the open loop", "", [x for _, _, x, _ in shown] or [1.0], log=True),
-        Axis.fitted("end with tracking feedback", "", [*(y for *_, y in shown), record.limit], log=True),
+        Axis.fitted("end with feedback", "", [*(y for *_, y in shown), record.limit], log=True),
     )
     plot.level(record.limit, f"limit {number(record.limit, 2)}")
     for place, start, x, y in shown:
@@ -81,7 +81,7 @@ def _sentence(record: BalanceRecord) -> str:
     alone = sum(start.open_end is not None and start.open_end <= record.limit for start in balanced)
     margin = sum(start.share < 1.0 for start in balanced)
     cpu = [start.plan_cpu_s for start in record.starts]
-    words = f"{len(balanced)} of {len(record.starts)} starts are balanced in the tracked replay, {len(walls)} of them by a wall; "
+    words = f"{len(balanced)} of {len(record.starts)} starts are balanced in the replay with feedback, {len(walls)} of them by a wall; "
     words += f"in the open loop {alone} of these plans end as near." if balanced else "no plan holds."
     for name, group in (("without a wall", [start for start in balanced if start not in walls]), ("by a wall", walls)):
         efforts = [start.effort for start in group if start.effort is not None]

@@ -29,7 +29,7 @@ def _closed_form(report: Report) -> str:
 
 
 def _physics(report: Report) -> str:
-    found = [(row.number, value) for row in report.rows if row.stage.method == "relu_gd" and (value := row.figure("physics")) is not None]
+    found = [(row.number, value) for row in report.rows if row.stage.method == "relu_gd" and (value := row.metric("physics")) is not None]
     if not found:
         return ""
     if all(value == 0 for _, value in found):

@@ -50,12 +50,12 @@ def _front(scene: SceneRecord, rows: list[Row]) -> Front:
     plots: list[Plot] = []
     best: list[Row] = []
     for name, title, quantity in _ERRORS:
-        points = [(value, row.stage.cost, row) for row in rows if (value := row.figure(name)) is not None and row.stage.cost is not None]
+        points = [(value, row.stage.cost, row) for row in rows if (value := row.metric(name)) is not None and row.stage.cost is not None]
         if points:
             front = unbeaten(points)
             plots.append(_plot(scene, title, quantity, points, front))
             best = best or [row for _, _, row in front]
-    absent = [row for row in rows if row.stage.cost is None or row.figure("replay_terminal_error") is None]
+    absent = [row for row in rows if row.stage.cost is None or row.metric("replay_terminal_error") is None]
     return Front(scene, plots, best, absent)
 
 
@@ -64,7 +64,7 @@ def _plot(
 ) -> Plot:
     known = next((answer for answer in scene.answers if "cost" in answer.name and answer.value is not None), None)
     costs = [point[1] for point in points] + ([known.value] if known and known.value is not None else [])
-    units = {figure.unit for _, _, row in points if (figure := row.stage.figure("replay_terminal_error"))}
+    units = {metric.unit for _, _, row in points if (metric := row.stage.metric("replay_terminal_error"))}
     wide = min(costs) > 0 and max(costs) / min(costs) > _WIDE
     plot = Plot(
         title,

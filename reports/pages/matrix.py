@@ -1,32 +1,32 @@
-"""Scene by pipeline: verdict, cost, and the terminal error after the replay."""
+"""Scene by pipeline: verdict, cost, and where the replay ends."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from reports.judged import judged_figure
+from reports.judged import end_of
 from reports.pages.section import Report, Section
-from reports.record import RunRecord
+from reports.record import HOLD, RunRecord
 from reports.wording import VERDICTS
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A run of a pipeline on a scene, as the matrix shows it; `missed` is the terminal error after the replay."""
+    """A run of a pipeline on a scene, as the matrix shows it; end: where the judged replay ends, in words."""
 
     run: RunRecord
     anchor: str
     cost: float | None
-    missed: float | None
-    unit: str
+    end: list[str]
 
 
 @dataclass(frozen=True)
 class Holding:
-    """On how many scenes a pipeline's plan holds, of those it was run on."""
+    """On how many scenes a pipeline's plan holds, of those that it could hold on; with_feedback: of these not by its inputs alone."""
 
     holds: int
     run: int
+    with_feedback: int
 
 
 def build(report: Report) -> Section | None:
@@ -36,7 +36,7 @@ def build(report: Report) -> Section | None:
     cells = {(run.pipeline, run.scene.name): _cell(report, run) for run in runs}
     titles = {run.pipeline: run.pipeline_title for run in runs}
     holding = {
-        name: Holding(sum(run.verdict == "holds" for run in mine), len(mine))
+        name: _holding([run.verdict for run in mine])
         for name in titles
         if (mine := [cell.run for (pipeline, _), cell in cells.items() if pipeline == name])
     }
@@ -51,5 +51,11 @@ def build(report: Report) -> Section | None:
 
 def _cell(report: Report, run: RunRecord) -> Cell:
     last = run.stages[-1] if run.stages else None
-    missed = judged_figure(last, "replay_terminal_error") if last else None
-    return Cell(run, report.anchor(run), last.cost if last else None, missed.value if missed else None, missed.unit if missed else "")
+    return Cell(
+        run, report.anchor(run), last.cost if last else None, [part for part in end_of(last, run.scene).split(", ") if part] if last else []
+    )
+
+
+def _holding(verdicts: list[str]) -> Holding:
+    able = [word for word in verdicts if word not in ("not applicable", "consistent")]
+    return Holding(sum(word in HOLD for word in able), len(able), able.count("holds with feedback"))

@@ -1,7 +1,7 @@
 """What a plan costs to find against how good it is: CPU time against replay error, and against cost at equal terminal error, scene by scene.
 
 Equal means: within what the scene itself allows. A cost is compared only among plans whose judged replay ends within the scene's limits on the terminal
-error (the scene of a free end has none: there the last state is in the cost), and the front is drawn through those that keep every other limit too.
+error (the scene of a free end has none: there the last state is in the cost), and the front is drawn through those that hold, with feedback or without.
 A plan that ends farther away has bought its lower cost with the miss; no price of a metre would make the two comparable, so none is invented.
 """
 
@@ -10,12 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from reports.judged import is_tracked
+from reports.judged import TRACKED, is_tracked, judged_metric
 from reports.pages.front import unbeaten
 from reports.pages.section import Report, Section
 from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
-from reports.record import FigureRecord, SceneRecord
+from reports.record import MetricRecord, SceneRecord
 from reports.rows import Row
 from reports.wording import cost, count, error, listing, seconds, spaced, times
 
@@ -68,22 +68,22 @@ def cpu(row: Row) -> float:
     return sum(stage.seconds.stage_cpu for stage in row.chain)
 
 
-def replay_error(row: Row) -> FigureRecord | None:
+def replay_error(row: Row) -> MetricRecord | None:
     """Of the replay that is judged."""
-    return row.stage.figure("tracked_replay_error" if is_tracked(row.stage) else "replay_error")
+    return judged_metric(row.stage, "replay_error")
 
 
 def arrives(row: Row) -> bool:
     """Whether its replay ends within the scene's limits on the terminal error; True where there is none."""
-    return all(figure.ok is True for figure in _terminal(row))
+    return all(metric.ok is True for metric in _terminal(row))
 
 
-def _terminal(row: Row) -> list[FigureRecord]:
+def _terminal(row: Row) -> list[MetricRecord]:
     """The limited terminal errors of the judged replay; where the scene limits none of a replay, those on the plan's own grid."""
-    limited = [figure for figure in row.stage.figures if "terminal" in figure.name and figure.limit is not None]
-    name = "tracked_terminal" if is_tracked(row.stage) else "replay_terminal"
-    return [figure for figure in limited if figure.name.startswith(name)] or [
-        figure for figure in limited if not figure.name.startswith(("replay", "tracked"))
+    limited = [metric for metric in row.stage.metrics if "terminal" in metric.name and metric.limit is not None]
+    name = f"{TRACKED}replay_terminal" if is_tracked(row.stage) else "replay_terminal"
+    return [metric for metric in limited if metric.name.startswith(name)] or [
+        metric for metric in limited if not metric.name.startswith(("replay", TRACKED))
     ]
 
 
@@ -100,12 +100,12 @@ def _pareto(scene: SceneRecord, rows: list[Row]) -> Pareto:
 
 
 def _why_absent(row: Row) -> str:
-    stage, figure = row.stage, replay_error(row)
-    if figure is None:
+    stage, metric = row.stage, replay_error(row)
+    if metric is None:
         words = stage.message.split(". ")[0].rstrip(".") if stage.message else ""
         return f"{spaced(stage.outcome)}, {stage.verdict}" + (f": {words}" if words else "")
-    if figure.value is None:
-        return f"its replay error is not known: {figure.reason}"
+    if metric.value is None:
+        return f"its replay error is not known: {metric.reason}"
     return ""
 
 
@@ -113,11 +113,11 @@ def _error_view(rows: list[Row]) -> View | None:
     points = [(max(cpu(row), _TICK), value, row) for row in rows if (value := _told_error(row)) is not None]
     if not points:
         return None
-    unit = next(figure.unit for _, _, row in points if (figure := replay_error(row)))
+    unit = next(metric.unit for _, _, row in points if (metric := replay_error(row)))
     axis = Axis.fitted("replay error", unit, [y for _, y, _ in points], log=True, margin=0.06)
     plot = _plot("CPU time against replay error", axis, points, unbeaten(points), error)
     said = _concluded(
-        unbeaten([point for point in points if point[2].stage.verdict == "holds"]),
+        unbeaten([point for point in points if point[2].holds]),
         lambda y: f"replay error {error(y)}{' ' + unit if unit in ('m', 'rad') else ''}",
         lambda before, after: f"{_nearer(before / after)} nearer to its replay",
         _SAME_ERROR,
@@ -127,10 +127,10 @@ def _error_view(rows: list[Row]) -> View | None:
 
 def _told_error(row: Row) -> float | None:
     """The replay error, or the replay's own error where that is larger: less cannot be told apart."""
-    figure, replay = replay_error(row), row.stage.replay
-    if figure is None or figure.value is None:
+    metric, replay = replay_error(row), row.stage.replay
+    if metric is None or metric.value is None:
         return None
-    return max(figure.value, (replay.error_estimate if replay else None) or 0.0, _SMALLEST)
+    return max(metric.value, (replay.error_estimate if replay else None) or 0.0, _SMALLEST)
 
 
 def _cost_view(scene: SceneRecord, rows: list[Row]) -> View | None:
@@ -142,7 +142,7 @@ def _cost_view(scene: SceneRecord, rows: list[Row]) -> View | None:
     known = next((answer for answer in scene.answers if "cost" in answer.name and answer.value is not None), None)
     prices = [y for _, y, _ in points] + ([known.value] if known and known.value is not None else [])
     wide = min(prices) > 0 and max(prices) / min(prices) > _WIDE
-    lasting = unbeaten([point for point in points if point[2].stage.verdict == "holds"])
+    lasting = unbeaten([point for point in points if point[2].holds])
     plot = _plot(
         "CPU time against cost at equal terminal error", Axis.fitted("cost", "", prices, log=wide, margin=0.1), points, lasting, cost
     )
@@ -159,7 +159,7 @@ def _cost_view(scene: SceneRecord, rows: list[Row]) -> View | None:
 
 
 def _nothing_holds(plans: int) -> str:
-    return f"None of {count(plans, 'plan')} keeps every limit of the scene, so there is none to recommend."
+    return f"None of {count(plans, 'plan')} holds, so there is none to recommend."
 
 
 def _concluded(front: list[Point], value: Callable[[float], str], gain: Callable[[float, float], str], same: float) -> str:
@@ -172,19 +172,19 @@ def _concluded(front: list[Point], value: Callable[[float], str], gain: Callable
             steps.append(point)
     (first, least, row), rest = steps[0], steps[1:]
     by = f" by more than {100 * same:g} %" if len(steps) < len(front) else ""
-    said = f"The least CPU time for a plan that holds is {seconds(first)} s, row {row.number} ({row.label}), {value(least)}."
+    said = f"The least CPU time for a plan that holds is {seconds(first)} s, row {row.number} ({row.named}), {value(least)}."
     if not rest:
         return f"{said} No other plan that holds is better{by}, whatever time it takes."
     after, better, second = rest[0]
     said += (
-        f" The next one that is better{by} takes {_longer(after / first)}, {seconds(after)} s: row {second.number} ({second.label}), "
+        f" The next one that is better{by} takes {_longer(after / first)}, {seconds(after)} s: row {second.number} ({second.named}), "
         f"{value(better)}, {gain(least, better)}."
     )
     if len(rest) == 1:
         return f"{said} More time buys nothing further."
     last, best, third = rest[-1]
     return (
-        f"{said} The best takes {_longer(last / first)} as the first, {seconds(last)} s: row {third.number} ({third.label}), {value(best)}, "
+        f"{said} The best takes {_longer(last / first)} as the first, {seconds(last)} s: row {third.number} ({third.named}), {value(best)}, "
         f"{gain(least, best)}."
     )
 
@@ -217,9 +217,9 @@ def _plot(title: str, y_axis: Axis, points: list[Point], front: list[Point], sai
         corners.append((plot.x.high, corners[-1][1]))
         plot.line("front", "front", [x for x, _ in corners], [y for _, y in corners])
     for x, y, row in points:
-        holds = row.stage.verdict == "holds"
+        holds = row.holds
         quantity = y_axis.quantity
-        missed = row.figure("replay_terminal_error")
+        missed = row.metric("replay_terminal_error")
         ends = f", ends {error(missed)} from the goal" if missed is not None else ""
         tip = f"Row {row.number}, {row.label}, pipeline {row.run.pipeline}, stage {row.stage.index + 1}: {seconds(x)} CPU s, {quantity} {said(y)}{ends}, {row.stage.verdict}"
         plot.point(x, y, "direct" if holds else "indirect", "square" if holds else "circle", tip, row.anchor)

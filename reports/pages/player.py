@@ -63,7 +63,7 @@ def film(run: RunRecord) -> Film | None:
         "plan_force": _stepped_forces(pushes, push),
         "replay_force": _stepped_forces(pushed, push),
     }
-    how = "replayed with tracking feedback" if is_tracked(stage) else "replayed"
+    how = "replayed with feedback" if is_tracked(stage) else "replayed"
     words = f"The bodies of {run.scene.name} moving as planned (dashed outline) and as {how} (filled), with the contact forces{' as arrows, and' if any(data['touches']) else ''} as bars (above: planned, below: replayed)."
     return Film(script_json(data), stage, words)
 

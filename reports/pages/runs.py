@@ -1,16 +1,16 @@
-"""One section a run: its stages with figures, plan against replay, iteration history, certificate, options, seconds, log."""
+"""One section a run: its stages with questions and metrics, plan against replay, iteration history, certificate, options, seconds, log."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from reports.again import again
-from reports.judged import is_tracked, judged_figure
+from reports.judged import QuestionView, end_of, is_tracked, questions_of
 from reports.pages.player import Film, film
 from reports.pages.section import Report, Section
 from reports.pages.stage_plots import StagePlots, is_empty, stage_plots
 from reports.pages.starts import Spread, spread
-from reports.record import FigureRecord, RunRecord, StageRecord
+from reports.record import RunRecord, SceneRecord, StageRecord
 from reports.wording import tail
 
 # So many runs are shown open; of more, a reader wants the list first.
@@ -19,15 +19,17 @@ _FEW = 12
 
 @dataclass(frozen=True)
 class StageView:
-    """A stage and what is drawn of it; missed: where the judged replay ends, tracked: whether that is the one with feedback; empty: it left no
-    plan, idle: it did not even run."""
+    """A stage and what is drawn of it; questions: what was asked and measured, ends: (which replay, where it ends); tracked: whether the verdict is of
+    the replay with feedback, both: whether there is one; empty: it left no plan, idle: it did not even run."""
 
     stage: StageRecord
     plots: StagePlots
     spread: Spread | None
     last: bool
-    missed: FigureRecord | None
+    questions: list[QuestionView]
+    ends: list[tuple[str, str]]
     tracked: bool
+    both: bool
     empty: bool
     idle: bool
 
@@ -67,11 +69,25 @@ def view_of(run: RunRecord) -> RunView:
             stage_plots(run.scene, stage),
             spread(stage),
             place == last,
-            judged_figure(stage, "replay_terminal_error"),
+            questions_of(stage),
+            _ends(run.scene, stage),
             is_tracked(stage),
+            _is_followed(stage),
             is_empty(stage),
             is_empty(stage) and stage.seconds.stage == 0 and stage.iterations == 0,
         )
         for place, stage in enumerate(run.stages)
     ]
     return RunView(run, stages, film(run), tail(run.log_tail), again(run))
+
+
+def _is_followed(stage: StageRecord) -> bool:
+    return stage.replay is not None and stage.replay.tracked is not None
+
+
+def _ends(scene: SceneRecord, stage: StageRecord) -> list[tuple[str, str]]:
+    """Where the replays end, in words: that of the inputs alone, and that with feedback where there is one."""
+    found = [("inputs alone" if _is_followed(stage) else "replay", end_of(stage, scene, tracked=False))]
+    if _is_followed(stage):
+        found.append(("with feedback", end_of(stage, scene, tracked=True)))
+    return [(words, end) for words, end in found if end]

@@ -9,7 +9,7 @@ from reports.examination_record import ExaminationRecord
 from reports.pages.section import Report, Section
 from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
-from reports.record import FigureRecord
+from reports.record import MetricRecord
 from reports.wording import Sign, capital, count, number, spaced, unit
 
 KIND = "hard case"
@@ -85,7 +85,7 @@ def _row(record: ExaminationRecord) -> Row:
     )
 
 
-def _shown(figure: FigureRecord) -> Shown:
+def _shown(figure: MetricRecord) -> Shown:
     of = f" {unit(figure.unit)}" if unit(figure.unit) else ""
     limit = "" if figure.limit is None else f"{'≥' if figure.at_least else '≤'} {number(figure.limit, 7)}{of}"
     value, measured = ("no number", "") if figure.value is None else (number(figure.value, 3), unit(figure.unit))

@@ -48,7 +48,7 @@ class StagePlots:
 
 def is_empty(stage: StageRecord) -> bool:
     """Whether it left nothing to draw or to score: the reason stands in its sentence."""
-    return not (stage.figures or stage.replay or any(trace and trace.t for trace in (stage.plan_trace, stage.replay_trace)))
+    return not (stage.metrics or stage.replay or any(trace and trace.t for trace in (stage.plan_trace, stage.replay_trace)))
 
 
 def stage_plots(scene: SceneRecord, stage: StageRecord) -> StagePlots:
@@ -83,7 +83,7 @@ def stage_plots(scene: SceneRecord, stage: StageRecord) -> StagePlots:
             motion.append(_contact(scene, f"Gap, {contact.name}", "gap", "m", contact.name, x, plan, replay))
         motion.append(_inputs(scene, x, plan, tracked))
     history = [_history(name, values, stage.iterations) for name, values in list(stage.history.items())[:_MOST_HISTORY] if len(values) > 1]
-    keys = [*_KEYS[:1], Key("replay", "replay with tracking feedback"), *_KEYS[2:]] if is_tracked(stage) else _KEYS
+    keys = [*_KEYS[:1], Key("replay", "replay with feedback"), *_KEYS[2:]] if is_tracked(stage) else _KEYS
     return StagePlots(keys, [plot for plot in motion if plot is not None], history, absent)
 
 
@@ -160,10 +160,10 @@ def _error(scene: SceneRecord, x: Axis, plan: TraceRecord | None, replay: TraceR
 
 
 def _two_errors(scene: SceneRecord, x: Axis, plan: TraceRecord | None, opened: TraceRecord | None, tracked: TraceRecord) -> Plot | None:
-    """Open loop and tracked on one logarithmic axis: what grows, and what feedback leaves of it."""
+    """Inputs alone and with feedback on one logarithmic axis: what grows, and what feedback leaves of it."""
     found = [
         (name, style, position_error(scene, plan, trace))
-        for name, style, trace in (("open loop", "c3", opened), ("tracked", "c5", tracked))
+        for name, style, trace in (("inputs alone", "c3", opened), ("with feedback", "c5", tracked))
     ]
     lines = [(name, style, *values) for name, style, values in found if values is not None]
     positive = [value for *_, values in lines for value in values if value > 0.0]
@@ -173,7 +173,7 @@ def _two_errors(scene: SceneRecord, x: Axis, plan: TraceRecord | None, opened: T
     # The start is exact: below a millionth of the largest nothing needs to be read.
     floor = max(min(positive), 1e-6 * max(positive))
     plot = Plot(
-        "Position error: open loop and tracked",
+        "Position error: inputs alone and with feedback",
         x,
         Axis.fitted("largest difference", unit, [max(value, floor) for value in positive], log=True),
     )

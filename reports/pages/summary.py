@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from reports.examination_record import ExaminationRecord
-from reports.pages.judged_cells import Sentence, direct, failure, scene_by_scene
+from reports.judged import end_of
+from reports.load import Unreadable
+from reports.pages.judged_cells import Sentence, direct, failure, scene_by_scene, solved_scenes
 from reports.pages.section import Report, Section
-from reports.record import RunRecord
+from reports.record import HOLD, RunRecord
 from reports.rows import Row
 from reports.rule import RESULTS, RULE, failures, findings
-from reports.wording import capital, cost, count, error, listing, seconds
+from reports.wording import VERDICTS, capital, cost, count, error, listing, seconds
 
 # So many cells that ended otherwise than asked are told one below the other; more are folded, and those refused only with their scene.
 _FEW = 12
@@ -30,6 +32,7 @@ def build(report: Report) -> Section:
                 *_rule(runs, stored.examinations, whole=whole),
                 *_time_steps(report),
                 *direct(runs, whole=whole),
+                *solved_scenes(runs),
                 *_examined(stored.examinations),
                 *_indirect(report.rows),
                 *_cheapest(report.rows),
@@ -43,7 +46,7 @@ def build(report: Report) -> Section:
             "failures": ended,
             "few": len(ended) <= _FEW,
             "campaign": stored.campaign,
-            "unreadable": stored.unreadable,
+            "unreadable": _by_sentence(stored.unreadable),
             "missing": stored.missing,
             "provenance": stored.campaign.provenance if stored.campaign else (runs[0].provenance if runs else None),
         },
@@ -51,17 +54,27 @@ def build(report: Report) -> Section:
     )
 
 
+def _by_sentence(unreadable: tuple[Unreadable, ...]) -> list[tuple[str, list[str]]]:
+    """(why, the files of which it is true)."""
+    found: dict[str, list[str]] = {}
+    for item in unreadable:
+        found.setdefault(item.sentence, []).append(item.path)
+    return list(found.items())
+
+
 def _counts(runs: tuple[RunRecord, ...]) -> dict[str, int]:
-    return {name: sum(run.verdict == name for run in runs) for name in ("holds", "violates", "not resolved", "no plan")}
+    """Of each verdict; of what is asked of nobody only where there is any."""
+    amounts = {name: sum(run.verdict == name for run in runs) for name in VERDICTS}
+    return {name: amount for name, amount in amounts.items() if amount or name not in ("not applicable", "consistent")}
 
 
 def _rule(runs: tuple[RunRecord, ...], examinations: tuple[ExaminationRecord, ...], *, whole: bool) -> list[Sentence]:
     """Whether the campaign fails, by its rule, and why; and what the replay found beside."""
-    besides = [Sentence("unresolved", "!", f"Found by the replay: {sentence.rstrip('.')}.") for sentence in findings(runs)]
+    besides = [Sentence("undecided", "!", f"Found by the replay: {sentence.rstrip('.')}.") for sentence in findings(runs)]
     failed = [Sentence("violates", "✗", f"The campaign fails: {sentence.rstrip('.')}.") for sentence in failures(runs, examinations)]
     if failed or not (runs or examinations):
         return [*failed, *besides]
-    return [Sentence("holds", "✓", f"The campaign does not fail{'' if whole else ', as far as it is stored'}."), *besides]
+    return [Sentence("holds", "✓", f"All required checks passed{'' if whole else ', as far as they are stored'}."), *besides]
 
 
 def _examined(examinations: tuple[ExaminationRecord, ...]) -> list[Sentence]:
@@ -77,56 +90,59 @@ def _examined(examinations: tuple[ExaminationRecord, ...]) -> list[Sentence]:
 def _time_steps(report: Report) -> list[Sentence]:
     """Scenes whose time step is unstable in contact, said before anything ran."""
     campaign = report.stored.campaign
-    return [Sentence("unresolved", "!", capital(item.warning)) for item in campaign.time_steps if item.warning] if campaign else []
+    return [Sentence("undecided", "!", capital(item.warning)) for item in campaign.time_steps if item.warning] if campaign else []
 
 
 def _indirect(rows: list[Row]) -> list[Sentence]:
-    asked = [row for row in rows if row.stage.kind == "indirect"]
-    relaxed = [row for row in asked if row.stage.verdict != "no plan"]
+    asked = [row for row in rows if row.stage.kind == "indirect" and row.stage.verdict != "not applicable"]
+    relaxed = [row for row in asked if row.stage.verdict not in ("no plan", "not applicable")]
     if not asked:
         return []
     lost = f" {count(len(asked) - len(relaxed), 'other')} came back without a plan." if len(relaxed) < len(asked) else ""
     if not relaxed:
         return [Sentence("plain", "•", f"No relaxed stage came back with a plan, of {len(asked)}.")]
     violating = [row for row in relaxed if row.stage.verdict == "violates"]
-    errors = [value for row in violating if (value := row.figure("replay_terminal_error")) is not None]
+    errors = [value for row in violating if (value := row.metric("replay_terminal_error")) is not None]
     reach = f", missing the goal by {error(min(errors))} to {error(max(errors))} after the replay" if errors else ""
     planned = f"{count(len(relaxed), 'relaxed stage')} with a plan"
     text = (
-        f"{len(violating)} of {planned} {'violates' if len(violating) == 1 else 'violate'} a limit, as relaxations are expected to{reach}."
+        f"{len(violating)} of {planned} {'violates' if len(violating) == 1 else 'violate'}, as relaxations are expected to{reach}; "
+        "each is judged by all that it claims, its contact forces too."
     )
     if len(violating) == len(relaxed):
         return [Sentence("plain", "•", text + lost)]
-    exempt = [row.label for row in relaxed if row.stage.verdict == "holds"]
+    exempt = [row.label for row in relaxed if row.stage.verdict in HOLD]
+    open_still = sum(row.stage.verdict == "undecided" for row in relaxed)
     named = listing(exempt) if len(exempt) <= _FEW else f"{len(exempt)} of them"
-    return [Sentence("plain", "•", text + (f" {named} {'keeps' if len(exempt) == 1 else 'keep'} every limit." if exempt else "") + lost)]
+    holding = f" {named} {'holds' if len(exempt) == 1 else 'hold'}." if exempt else ""
+    undecided = f" {open_still} {'is' if open_still == 1 else 'are'} undecided." if open_still else ""
+    return [Sentence("plain", "•", text + holding + undecided + lost)]
 
 
 def _cheapest(rows: list[Row]) -> list[Sentence]:
     """Never a cost without its terminal error; none where there is nothing to choose."""
     said = []
     for name in dict.fromkeys(row.run.scene.name for row in rows if row.run.scene.inputs):
-        holding = [row for row in rows if row.run.scene.name == name and row.stage.verdict == "holds" and row.stage.cost is not None]
+        holding = [row for row in rows if row.run.scene.name == name and row.stage.verdict in HOLD and row.stage.cost is not None]
         if not holding:
             continue
-        exact = [row for row in holding if (missed := row.figure("discrete_terminal_error")) is not None and missed <= 1e-4]
+        exact = [row for row in holding if (missed := row.metric("discrete_terminal_error")) is not None and missed <= 1e-4]
         best = min(holding, key=lambda row: row.stage.cost or 0.0)
-        parts = [f"On {name} the cheapest plan that holds is row {best.number}, {best.label}: {_price(best)}."]
+        parts = [f"On {name} the cheapest plan that holds is row {best.number}, {best.named}: {_price(best)}."]
         if exact:
             strictest = min(exact, key=lambda row: row.stage.cost or 0.0)
             if strictest is not best:
                 parts.append(
-                    f"The cheapest that also reaches the goal on its own grid is row {strictest.number}, {strictest.label}: {_price(strictest)}."
+                    f"The cheapest that also reaches the goal on its own grid is row {strictest.number}, {strictest.named}: {_price(strictest)}."
                 )
         said.append(Sentence("plain", "•", " ".join(parts)))
     return said
 
 
 def _price(row: Row) -> str:
-    missed = row.figure("replay_terminal_error")
-    if missed is None and all(goal is None for goal in row.run.scene.goal):
+    if all(goal is None for goal in row.run.scene.goal):
         return f"cost {cost(row.stage.cost)}; the scene leaves its end free"
-    return f"cost {cost(row.stage.cost)}, terminal error after the replay " + (error(missed) if missed is not None else "not measured")
+    return f"cost {cost(row.stage.cost)}, terminal error after the replay: {end_of(row.stage, row.run.scene) or 'not measured'}"
 
 
 def _times(runs: tuple[RunRecord, ...]) -> list[Sentence]:
@@ -148,7 +164,7 @@ def _stored(report: Report) -> list[Sentence]:
     if stored.campaign is None:
         said.append(
             Sentence(
-                "unresolved",
+                "undecided",
                 "!",
                 "The campaign's own record is missing or unreadable: the page shows every run it finds, in the order of their names.",
             )
@@ -164,7 +180,13 @@ def _stored(report: Report) -> list[Sentence]:
             )
         )
     if stored.unreadable:
-        said.append(Sentence("unresolved", "!", f"{count(len(stored.unreadable), 'file')} could not be read; see below."))
+        said.append(
+            Sentence(
+                "undecided",
+                "!",
+                f"{count(len(stored.unreadable), 'file')} could not be read: {_first_reason(stored.unreadable)}; see below.",
+            )
+        )
     if stored.foreign:
         said.append(
             Sentence(
@@ -174,3 +196,9 @@ def _stored(report: Report) -> list[Sentence]:
             )
         )
     return said
+
+
+def _first_reason(unreadable: tuple[Unreadable, ...]) -> str:
+    """Why most of them could not."""
+    (why, files), *others = sorted(_by_sentence(unreadable), key=lambda item: -len(item[1]))
+    return (f"of {len(files)} of them " if others else "") + why.rstrip(".").replace("; ", ", ")

@@ -60,14 +60,14 @@ def _failed(both: list[Row]) -> list[str]:
         theirs, ours = row.stage.paper.get("cost"), row.stage.cost
         if theirs is None or ours is None or min(ours, theirs) <= 0:
             continue
-        pair = f"ours {cost(ours)} at a replayed terminal error of {error(row.figure('replay_terminal_error'))}, the paper's {cost(theirs)}"
+        pair = f"ours {cost(ours)} at a replayed terminal error of {error(row.metric('replay_terminal_error'))}, the paper's {cost(theirs)}"
         if theirs / ours >= _FAILED_COST:
             dear.append((row, f"{row.label} (row {row.number}): {pair}, {times(theirs / ours)} as much"))
         elif ours / theirs >= _FAILED_COST:
             worse.append(f"{row.label} (row {row.number}): {pair}, so ours is the worse one.")
     said = []
     if dear:
-        held = all(row.stage.verdict == "holds" for row, _ in dear)
+        held = all(row.holds for row, _ in dear)
         judged = (
             "Plans at a fraction of the paper's cost hold after the replay, so its solver stopped far from the optimum there; the method is not to blame."
             if held
@@ -87,11 +87,11 @@ def _relaxed(rows: list[Row]) -> list[str]:
         if cold is None or not warm or cold.stage.cost is None:
             continue
         parts = [
-            f"{row.methods[0]}{f' ({row.run.pipeline})' if row.twin else ''} {_against(row.stage.cost or 0.0, cold.stage.cost)} at {error(row.figure('replay_terminal_error'))} terminal error, "
+            f"{row.methods[0]}{f' ({row.run.pipeline})' if row.twin else ''} {_against(row.stage.cost or 0.0, cold.stage.cost)} at {error(row.metric('replay_terminal_error'))} terminal error, "
             f"{seconds(row.stage.seconds.total)} s in all"
             for row in warm
         ]
-        start = f"{method} cold: cost {cost(cold.stage.cost)} at {error(cold.figure('replay_terminal_error'))} terminal error, {seconds(cold.stage.seconds.total)} s"
+        start = f"{method} cold: cost {cost(cold.stage.cost)} at {error(cold.metric('replay_terminal_error'))} terminal error, {seconds(cold.stage.seconds.total)} s"
         said.append(f"{start}. Warm started after {'; after '.join(parts)}.")
     return said
 
@@ -106,27 +106,27 @@ def _own_model(rows: list[Row]) -> list[str]:
     cheating = [
         row
         for row in rows
-        if (planned := row.figure("terminal_error")) is not None
-        and (truly := row.figure("discrete_terminal_error")) is not None
+        if (planned := row.metric("terminal_error")) is not None
+        and (truly := row.metric("discrete_terminal_error")) is not None
         and planned <= 1e-3
         and truly >= 0.05
     ]
     if not cheating:
         return []
-    parts = [f"{row.label} misses by {error(row.figure('discrete_terminal_error'))}" for row in cheating]
+    parts = [f"{row.label} misses by {error(row.metric('discrete_terminal_error'))}" for row in cheating]
     return [f"Plans that reach the goal in their own model only: with the true contact law in the same time step, {listing(parts)}."]
 
 
 def _physics(rows: list[Row]) -> list[str]:
-    descended = [row for row in rows if row.stage.method == "relu_gd" and row.figure("physics") is not None]
+    descended = [row for row in rows if row.stage.method == "relu_gd" and row.metric("physics") is not None]
     if not descended:
         return []
-    nonzero = [row for row in descended if row.figure("physics") != 0]
+    nonzero = [row for row in descended if row.metric("physics") != 0]
     if not nonzero:
         return [
             "The physics of every ReLU gradient-descent row is exactly 0, as it must be when force and penetration have the same time index (erratum 5)."
         ]
-    parts = [f"row {row.number}: {error(row.figure('physics'))}" for row in nonzero]
+    parts = [f"row {row.number}: {error(row.metric('physics'))}" for row in nonzero]
     return [f"The physics of a ReLU gradient-descent row must be exactly 0, but is not in {listing(parts)}."]
 
 
@@ -146,7 +146,7 @@ def _bought(rows: list[Row]) -> list[str]:
         ]
         if known is None or not below:
             continue
-        parts = [f"row {row.number} ({cost(row.stage.cost)} at {error(row.figure('discrete_terminal_error'))})" for row in below]
+        parts = [f"row {row.number} ({cost(row.stage.cost)} at {error(row.metric('discrete_terminal_error'))})" for row in below]
         said.append(
             f"The best known cost of an exact plan is {cost(known.value)}. Direct rows below it buy their cost with terminal error "
             f"on their own grid: {listing(parts)}. A cost means nothing without the error beside it."

@@ -25,7 +25,6 @@ PHASES = {
     "certificate": ("certificates", "judging"),
     "fmu_build": ("building the FMU", "compiling"),
     "replay": ("replaying", "judging"),
-    "score": ("scoring", "judging"),
     "writing": ("writing files", "other"),
     "record": ("the record", "other"),
 }

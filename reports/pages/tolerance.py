@@ -66,13 +66,13 @@ def _view(report: Report, run: RunRecord) -> Exactness | None:
         return None
     points = tuple(sorted(stage.front, key=lambda point: point.tolerance))
     others = [row for row in report.rows_of_scene(run.scene) if not row.stage.front]
-    beside = [_beside(points, row) for row in others if row.figure("discrete_terminal_error") is not None and row.stage.cost is not None]
+    beside = [_beside(points, row) for row in others if row.metric("discrete_terminal_error") is not None and row.stage.cost is not None]
     anchor = report.anchor(run)
     return Exactness(run.scene, anchor, points, _plot(points, beside, anchor), beside)
 
 
 def _beside(points: tuple[FrontPointRecord, ...], row: Row) -> Beside:
-    missed, price = row.figure("discrete_terminal_error") or 0.0, row.stage.cost or 0.0
+    missed, price = row.metric("discrete_terminal_error") or 0.0, row.stage.cost or 0.0
     loose, tight = least_within(points, missed)
     near = missed < _edge(points) and tight is not None
     if near:

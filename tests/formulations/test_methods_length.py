@@ -27,11 +27,12 @@ from models.contact_law import ContactLaw as ForceLaw
 from models.contacts import Contact, DampingLaw
 from models.goal import goal_state
 from models.scene import Coordinate, Input, Parameter, Scene, Task
+from models.scene_annotations import goal_limits
 from models.trajectory import Trajectory, uniform_grid
 
 SIZE, EPS = 0.1, 1e-3
 x, y, vx, vy, push = sp.symbols("x y vx vy push", real=True)
-m, c, k, d = sp.symbols("m c k d", positive=True)
+m, b, c, k, d = sp.symbols("m b c k d", positive=True)
 
 
 def damped(law: DampingLaw) -> Scene:
@@ -47,12 +48,26 @@ def damped(law: DampingLaw) -> Scene:
             Parameter(symbol=k, value=120.0, unit="N/m"),
             Parameter(symbol=c, value=4.0 if law is DampingLaw.KELVIN_VOIGT else 0.5, unit=law.unit),
             Parameter(symbol=d, value=0.1, unit="m"),
+            Parameter(symbol=b, value=1.0, unit="N s/m"),
         ),
         kinetic_energy=m * (vx**2 + 2 * vy**2) / 2,
         potential_energy=sp.S.Zero,
-        forces=(push - vx * m, sp.S.Zero),
-        contacts=(Contact(name="pad", penetration=d + x - y, stiffness=k, damping=c, damping_law=law, nominal=0.05),),
+        forces=(push - b * vx, sp.S.Zero),
+        contacts=(
+            Contact(
+                name="pad",
+                bodies=("pusher", "cart"),
+                depth=d,
+                depth_reason="the length of a cart",
+                penetration=d + x - y,
+                stiffness=k,
+                damping=c,
+                damping_law=law,
+                nominal=0.05,
+            ),
+        ),
         task=Task(start=(-0.2, 0.1, 0.0, 0.0), goal=(None, 0.6, None, None), running_cost=push**2, step=0.03, steps=60),
+        limits=goal_limits(position=0.01, reason="this test"),
     )
 
 
@@ -65,7 +80,7 @@ def shrunk(scene: Scene) -> Scene:
     values = {parameter.name: parameter.value * (SIZE if parameter.unit == "m" else 1 / SIZE) for parameter in scene.parameters}
     task, contacts = scene.task, tuple(replace(contact, nominal=contact.nominal * SIZE) for contact in scene.contacts)
     goal = tuple(None if value is None else value * SIZE for value in task.goal)
-    scaled = replace(scene.with_parameters(**values), contacts=contacts, length=SIZE, answers=(), limits=())
+    scaled = replace(scene.with_parameters(**values), contacts=contacts, length=SIZE, answers=())
     return scaled.with_task(start=tuple(value * SIZE for value in task.start), goal=goal)
 
 

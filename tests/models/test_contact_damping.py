@@ -135,4 +135,15 @@ def test_contacts_of_one_name_with_the_name_of_a_push():
 
 
 def test_kelvin_voigt_is_the_default():
-    assert Contact(name="pad", penetration=sp.Symbol("q"), stiffness=1.0, damping=2.0).damping_law is DampingLaw.KELVIN_VOIGT  # type: ignore[arg-type] - of a type that was checked or made so above
+    assert (
+        Contact(
+            name="pad",
+            bodies=("cart", "wall"),
+            penetration=sp.Symbol("q"),
+            stiffness=1.0,
+            depth=0.1,
+            depth_reason="the pad is flat",
+            damping=2.0,
+        ).damping_law
+        is DampingLaw.KELVIN_VOIGT
+    )  # type: ignore[arg-type] - of a type that was checked or made so above

@@ -10,6 +10,7 @@ from models.contacts import Contact, Friction
 from models.dynamics import derive
 from models.errors import SceneError, TrajectoryError
 from models.scene import Coordinate, Input, Parameter, Scene, Task
+from models.scene_annotations import goal_limits
 from models.trajectory import Trajectory
 
 x1, x2, z, w1, w2, wz, push = sp.symbols("x1 x2 z w1 w2 wz push", real=True)
@@ -36,9 +37,14 @@ def block_on_a_cart(**friction: object) -> Scene:
         kinetic_energy=m * (w1**2 + w2**2 + wz**2) / 2,
         potential_energy=m * g * z,
         forces=(push, sp.Integer(0), sp.Integer(0)),
-        contacts=(Contact(name="floor", penetration=-z, stiffness=k),),
+        contacts=(
+            Contact(
+                name="floor", bodies=("block", "ground"), depth=1.0, depth_reason="nothing here goes as deep", penetration=-z, stiffness=k
+            ),
+        ),
         frictions=(Friction(**fields),),
         task=Task(start=(0.0,) * 6, goal=(0.0,) * 6, running_cost=push**2, step=STEP, steps=STEPS),
+        limits=goal_limits(position=0.01, velocity=0.01, reason="this test"),
     )
 
 
@@ -57,6 +63,7 @@ def two_coupled_frictions() -> Scene:
             Friction(name="foot", slip=w1 * sp.cos(x2) + w2 + wz / 5, coefficient=mu / 2, contact="floor"),
         ),
         task=Task(start=(0.0, 0.1, -0.03, 0.0, 0.2, 0.0), goal=(0.0,) * 6, running_cost=push**2, step=STEP, steps=STEPS),
+        limits=goal_limits(position=0.01, velocity=0.01, reason="this test"),
     )
 
 

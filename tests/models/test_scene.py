@@ -10,17 +10,31 @@ import sympy as sp
 
 from models.catalog import load_scene, scene_names
 from models.codegen.emit import emit_model
+from models.contacts import Friction
 from models.errors import SceneError, UnknownNameError
 from models.scene import Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
+from models.scene_annotations import goal_limits
 from models.units import base_exponents
 
 x, vx, u = sp.symbols("x vx u", real=True)
-m, k = sp.symbols("m k", positive=True)
+m, k, w = sp.symbols("m k w", positive=True)
 
 
 def part(kind: Any, /, **fields: Any) -> Any:
     """A part of a scene of fields that its types need not allow."""
     return kind(**fields)
+
+
+def wall(**changes: Any) -> Contact:
+    fields: dict = {
+        "name": "wall",
+        "bodies": ("mass", "wall"),
+        "penetration": x - 1,
+        "stiffness": k,
+        "depth": 0.2,
+        "depth_reason": "a spring",
+    }
+    return Contact(**(fields | changes))
 
 
 def small_scene(**changes: object) -> Scene:
@@ -34,8 +48,9 @@ def small_scene(**changes: object) -> Scene:
         "kinetic_energy": m * vx**2 / 2,
         "potential_energy": sp.Integer(0),
         "forces": (u,),
-        "contacts": (Contact(name="wall", penetration=x - 1, stiffness=k),),
+        "contacts": (wall(),),
         "task": Task(start=(0.0, 0.0), goal=(0.5, 0.0), running_cost=u**2, step=0.01, steps=10),
+        "limits": goal_limits(position=0.01, velocity=0.01, reason="this test"),
     }
     return Scene(**(fields | changes))
 
@@ -61,15 +76,21 @@ def test_a_sound_scene_is_accepted():
         ),
         ({"parameters": (Parameter(symbol=m, value=1.0, unit="kg"), Parameter(symbol=k, value=-1.0, unit="N/m"))}, ["wall", "stiffness"]),
         ({"kinetic_energy": m * vx}, ["kinetic_energy", "quadratic"]),
-        ({"contacts": (Contact(name="wall", penetration=sp.sqrt(x), stiffness=k),)}, ["wall", "not differentiable at the start"]),
-        ({"contacts": (Contact(name="wall", penetration=sp.Abs(x) - 1, stiffness=k),)}, ["wall", "Abs", "not differentiable", "sqrt"]),
-        ({"contacts": (Contact(name="wall", penetration=sp.Max(x, 0) - 1, stiffness=k),)}, ["wall", "Max", "a contact of its own"]),
-        ({"contacts": (Contact(name="wall", penetration=sp.Integer(1) * m, stiffness=k),)}, ["wall", "no coordinate"]),
-        ({"contacts": (Contact(name="a", penetration=x, stiffness=k),) * 2}, ["2 contacts are named 'a'", "a name of its own"]),
+        ({"contacts": (wall(penetration=sp.sqrt(x)),)}, ["wall", "not differentiable at the start"]),
+        ({"contacts": (wall(penetration=sp.Abs(x) - 1),)}, ["wall", "Abs", "not differentiable", "sqrt"]),
+        ({"contacts": (wall(penetration=sp.Max(x, 0) - 1),)}, ["wall", "Max", "a contact of its own"]),
+        ({"contacts": (wall(penetration=sp.Integer(1) * m),)}, ["wall", "no coordinate"]),
+        ({"contacts": (wall(name="a"),) * 2}, ["2 contacts are named 'a'", "a name of its own"]),
         ({"inputs": (Input(symbol=x, unit="N"),)}, ["'x'", "2 times"]),
         ({"coordinates": ()}, ["no coordinates"]),
         ({"name": "two words"}, ["two words", "identifier"]),
         ({"forces": u}, ["forces", "tuple"]),
+        ({"contacts": (wall(depth=sp.Symbol("s") / 2),)}, ["contact wall: depth uses s", "neither a parameter"]),
+        ({"contacts": (wall(depth=-m),)}, ["contact wall: depth is -1 m, but must be positive"]),
+        (
+            {"shapes": (Shape(name="box", kind="disc", x=x, y=sp.Integer(0), size=(1,)),)},
+            ["contact wall: bodies names 'mass', which is no shape of the scene (box), nor one of ground, wall, joint"],
+        ),
     ],
 )
 def test_a_mistake_is_one_sentence(changes: dict, words: list[str]):
@@ -78,6 +99,68 @@ def test_a_mistake_is_one_sentence(changes: dict, words: list[str]):
     text = str(caught.value)
     assert "\n" not in text
     assert all(word in text for word in words), text
+
+
+def test_bodies_are_shapes_or_what_stands_fixed():
+    """A scene that draws nothing may name its bodies as it likes."""
+    box = Shape(name="mass", kind="disc", x=x, y=sp.Integer(0), size=(1,))
+    assert small_scene(shapes=(box,)).contacts[0].bodies == ("mass", "wall")
+    assert small_scene(contacts=(wall(bodies=["here", "there"]),)).contacts[0].bodies == ("here", "there")
+
+
+def test_a_depth_follows_the_parameters():
+    scene = small_scene(contacts=(wall(depth=w / 4),), parameters=(*small_scene().parameters, Parameter(symbol=w, value=1.0, unit="m")))
+    assert scene.depths == (0.25,)
+    assert scene.with_parameters(w=2.0).depths == (0.5,)
+
+
+@pytest.mark.parametrize(
+    ("goal", "limits", "missing"),
+    [
+        ((0.5, None), (), "terminal_position_error"),
+        ((0.5, None), ("terminal_position_error",), "replay_terminal_position_error"),
+        ((0.5, 0.0), ("terminal_position_error", "replay_terminal_position_error"), "terminal_velocity_error"),
+        ((None, 0.0), ("terminal_velocity_error",), "replay_terminal_velocity_error"),
+        ((None, None), (), None),
+    ],
+)
+def test_a_goal_says_how_near_is_near_enough(goal: tuple, limits: tuple[str, ...], missing: str | None):
+    task = Task(start=(0.0, 0.0), goal=goal, running_cost=u**2, step=0.01, steps=10)
+    given = tuple(Limit(metric=metric, value=0.01, reason="this test") for metric in limits)
+    if missing is None:
+        assert small_scene(task=task, limits=given).limits == given
+        return
+    part_asked = "position" if "position" in missing else "velocity"
+    with pytest.raises(SceneError) as caught:
+        small_scene(task=task, limits=given)
+    assert str(caught.value) == (
+        f"scene small: task.goal asks for a {part_asked}, but no limit says how near is near enough; "
+        f"add Limit(metric={missing!r}, value=.., reason=..)."
+    )
+
+
+def test_limits_of_a_goal_are_of_the_plan_and_its_replay():
+    found = {limit.metric: limit.value for limit in goal_limits(position=0.02, velocity=0.1, reason="this test")}
+    assert found == {
+        "terminal_position_error": 0.02,
+        "replay_terminal_position_error": 0.02,
+        "terminal_velocity_error": 0.1,
+        "replay_terminal_velocity_error": 0.1,
+    }
+    assert goal_limits(reason="nothing is asked") == ()
+
+
+def test_a_limit_is_waived_with_a_reason():
+    waived = Limit(metric="defect", value=None, reason="its step is not ours")
+    assert small_scene(limits=(*small_scene().limits, waived)).limit("defect") is waived
+    assert small_scene().limit("defect") is None, "then the default holds"
+
+
+def mend_of(missing: str) -> str:
+    return (
+        f"contact wall: {missing} must be given: between which bodies it acts and how deep they may press into each other before the model ends; "
+        'for example bodies=("cart", "wall"), depth=0.1, depth_reason="the length of the spring".'
+    )
 
 
 @pytest.mark.parametrize("unit", ["", None, "newton", "N/", "m^x"])
@@ -158,7 +241,7 @@ def test_a_missing_scene_file_is_named():
         ({"kinetic_energy": "m*vx**2/2"}, ["kinetic_energy", "str"]),
         ({"potential_energy": float("nan")}, ["potential_energy", "nan"]),
         ({"parameters": (m, k)}, ["parameters[0] must be a Parameter", "Symbol"]),
-        ({"contacts": Contact(name="wall", penetration=x - 1, stiffness=k)}, ["contacts must be a tuple"]),
+        ({"contacts": wall()}, ["contacts must be a tuple"]),
         ({"task": {}}, ["task must be a Task", "dict"]),
     ],
 )
@@ -178,8 +261,23 @@ def test_what_is_no_part_of_a_scene_is_named(changes: dict, words: list[str]):
         (lambda: part(Task, start=None, goal=(0, 0), running_cost=u**2, step=0.1, steps=1), ["task: start", "None"]),
         (lambda: part(Task, start="00", goal=(0, 0), running_cost=u**2, step=0.1, steps=1), ["task: start", "'00'"]),
         (lambda: part(Task, start=(0, 0), goal=(0, 0), running_cost="u**2", step=0.1, steps=1), ["running_cost", "str"]),
-        (lambda: part(Limit, figure="defect", value=-1.0, reason=""), ["limit on defect", "below 0"]),
-        (lambda: part(Limit, figure="defect", value="1", reason=""), ["limit on defect", "'1'"]),
+        (lambda: part(Limit, metric="defect", value=-1.0, reason=""), ["limit on defect", "below 0"]),
+        (lambda: part(Limit, metric="defect", value="1", reason=""), ["limit on defect", "'1'"]),
+        (lambda: part(Limit, metric="defect", value=None, reason=""), ["limit on defect: reason", "words"]),
+        (lambda: part(Limit, metric="", value=1.0, reason=""), ["limit: metric", "words"]),
+        (
+            lambda: part(Limit, figure="defect", value=1.0, reason=""),
+            ["limit on defect: figure= is now called metric=; write Limit(metric='defect', value=.., reason=..)."],
+        ),
+        (lambda: part(Contact, name="wall", penetration=x - 1, stiffness=k), [mend_of("bodies, depth, depth_reason")]),
+        (lambda: wall(bodies=("", "")), [mend_of("bodies")]),
+        (lambda: wall(depth=0.0), [mend_of("depth")]),
+        (lambda: wall(depth_reason=""), [mend_of("depth_reason")]),
+        (lambda: wall(bodies=("mass", "mass")), ["contact wall: bodies must be the names of two different bodies, not ('mass', 'mass')"]),
+        (lambda: wall(bodies="mass"), ["contact wall: bodies must be the names of two different bodies, not 'mass'"]),
+        (lambda: wall(bodies=("mass", 3)), ["contact wall: bodies", "3"]),
+        (lambda: wall(depth="deep"), ["contact wall: depth", "str"]),
+        (lambda: wall(depth=float("nan")), ["contact wall: depth", "nan"]),
         (lambda: part(Shape, name="a", kind="blob", x=x, y=x, size=(1,)), ["shape a", "'blob'", "box"]),
         (lambda: part(Shape, name="a", kind="disc", x=x, y=x, size=(1, 2)), ["shape a", "disc", "1 lengths"]),
         (lambda: part(Shape, name="a", kind="disc", x="x", y=x, size=(1,)), ["shape a: x", "str"]),
@@ -206,7 +304,7 @@ def test_a_quantity_that_moves_may_have_any_value(assumption: str):
 
 def test_plain_numbers_are_expressions_and_numbers_of_other_libraries_are_floats():
     task = part(Task, start=np.array([0, 0]), goal=(sp.Rational(1, 2), np.float32(0)), running_cost=0, step=np.float32(0.5), steps=1)
-    scene = small_scene(potential_energy=0, forces=[0.0], contacts=[Contact(name="wall", penetration=x - 1, stiffness=30)], task=task)
+    scene = small_scene(potential_energy=0, forces=[0.0], contacts=[wall(stiffness=30)], task=task)
     assert scene.potential_energy is sp.S.Zero
     assert scene.forces[0] is sp.S.Zero, "a force that is not there is left out of every model"
     assert scene.contacts[0].stiffness == sp.Integer(30)
@@ -216,7 +314,7 @@ def test_plain_numbers_are_expressions_and_numbers_of_other_libraries_are_floats
 
 def test_expressions_stay_exact():
     third = sp.Rational(1, 3)
-    scene = small_scene(potential_energy=third, contacts=(Contact(name="wall", penetration=x - third, stiffness=third),))
+    scene = small_scene(potential_energy=third, contacts=(wall(penetration=x - third, stiffness=third),))
     assert (scene.potential_energy, scene.contacts[0].stiffness) == (third, third)
 
 
@@ -253,9 +351,51 @@ def test_an_equation_without_a_form_in_c_is_the_scene_s_mistake(force: sp.Expr, 
         small_scene(task=replace(small_scene().task, final_cost=force))
 
 
-def test_a_jump_is_said_where_it_is_differentiated():
-    with pytest.raises(SceneError, match=r"scene small: .* contain DiracDelta, which has no form in C"):
-        emit_model(small_scene(forces=(sp.sign(vx),)))
+NOT_SMOOTH = {
+    "Abs": (sp.Abs(x), "sqrt(x^2 + r^2) for Abs(x)"),
+    "Max": (sp.Max(x, 1), "(x + y + sqrt((x - y)^2 + r^2))/2 for Max(x, y)"),
+    "Min": (sp.Min(x, 1), "(x + y - sqrt((x - y)^2 + r^2))/2 for Min(x, y)"),
+    "sign": (sp.sign(x), "tanh(x/r) for sign(x)"),
+    "Heaviside": (sp.Heaviside(x), "tanh(x/r)"),
+    "Piecewise": (sp.Piecewise((x, x > 0), (0, True)), "tanh(x/r)"),
+    "floor": (sp.floor(x), "x for floor(x)"),
+    "ceiling": (sp.ceiling(x), "x for ceiling(x)"),
+    "Mod": (sp.Mod(x, 2), "a sine of the same period"),
+}
+
+
+@pytest.mark.parametrize("name", NOT_SMOOTH)
+def test_a_corner_is_said_once_when_the_scene_is_made(name: str):
+    """Wherever plans need derivatives, and how it is rounded off; a depth is a number, and may be a smallest one."""
+    bent, advice = NOT_SMOOTH[name]
+    task, rubbing = small_scene().task, Friction(name="f", slip=vx, coefficient=1, contact="wall")
+    for field, changes in {
+        "kinetic_energy": {"kinetic_energy": m * vx**2 * (9 + bent)},
+        "potential_energy": {"potential_energy": k * bent**3},
+        "forces[x]": {"forces": (u - k * bent,)},
+        "friction f: slip": {"frictions": (replace(rubbing, slip=vx * (2 + bent)),)},
+        "friction f: normal_force": {"frictions": (replace(rubbing, contact=None, normal_force=k * bent),)},
+        "task.running_cost": {"task": replace(task, running_cost=u**2 + bent)},
+        "task.final_cost": {"task": replace(task, final_cost=bent)},
+    }.items():
+        with pytest.raises(SceneError) as caught:
+            small_scene(**changes)
+        text = str(caught.value)
+        assert text.startswith(f"scene small: {field} contains {name}("), text
+        assert "which is not differentiable everywhere, as plans need it; round it off: " in text
+        assert advice in text
+
+
+@pytest.mark.parametrize("field", ["stiffness", "damping"])
+def test_a_corner_of_parameters_is_a_parameter(field: str):
+    wall = replace(small_scene().contacts[0], **{field: sp.Max(k, 2 * m)})
+    with pytest.raises(SceneError, match=rf"contact wall: {field} contains Max\(k, 2\*m\), .* make it a parameter of its value"):
+        small_scene(contacts=(wall,))
+
+
+def test_what_has_no_form_in_c_but_is_no_function_is_said_where_it_is_written():
+    with pytest.raises(SceneError, match=r"scene small: .* contain Integral, which has no form in C"):
+        emit_model(small_scene(forces=(u + sp.Integral(sp.cos(sp.Symbol("s") ** 5 + x), (sp.Symbol("s"), 0, 1)),)))
 
 
 def test_a_plan_must_fit_into_memory():

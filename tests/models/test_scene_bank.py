@@ -10,12 +10,12 @@ import numpy as np
 import pyomo.environ as pyo
 import pytest
 import torch
-from scipy.optimize import minimize
+from scipy.optimize import minimize, minimize_scalar
 
 from formulations import ContactLaw, build_model
 from formulations.shooting.reference import _acceleration, reference_rollout
 from formulations.transcription.expressions import SceneExpressions
-from models.catalog import load_scene
+from models.catalog import load_scene, scene_names
 from models.codegen.emit import emit_model
 from models.codegen.kernel import Kernel, load_kernel
 from models.dynamics import derive
@@ -23,7 +23,7 @@ from models.errors import SceneError
 from models.fmu import build_fmu
 from models.scene import Scene
 from models.scenes.cart_chain import cart_chain
-from models.scenes.two_discs import RIGID_OPTIMUM, RIGID_OPTIMUM_WALL, rigid_cost, two_discs
+from models.scenes.two_discs import RIGID_HIT, RIGID_HIT_WALL, RIGID_OPTIMUM, RIGID_OPTIMUM_WALL, rigid_cost, rigid_hit_cost, two_discs
 from models.trajectory import Trajectory, uniform_grid
 from validate.replay import replay
 
@@ -214,6 +214,69 @@ def test_the_rigid_optimum_of_the_discs(start: tuple[float, ...], goal: tuple[fl
     best = min(minimize(cost, point, method="Nelder-Mead", options=options).fun for point in starts)
     assert best == pytest.approx(optimum, abs=1e-7)
     assert 0.0 < printed - best < 2e-4
+
+
+@pytest.mark.parametrize(
+    ("start", "goal", "optimum", "hit"),
+    [
+        ((-1.0, -2.0, -1.0, -1.0), (0.0, 0.0), RIGID_OPTIMUM, RIGID_HIT),
+        ((0.25, -0.3, -0.5, 0.6), (0.0, 1.6), RIGID_OPTIMUM_WALL, RIGID_HIT_WALL),
+    ],
+)
+def test_the_discs_limit_is_the_cheapest_throw_onto_the_goal(
+    start: tuple[float, ...], goal: tuple[float, float], optimum: float, hit: float
+):
+    found = minimize_scalar(lambda time: rigid_hit_cost(time, start, goal), bounds=(0.05, 0.95), method="bounded", options={"xatol": 1e-9})
+    assert found.fun == pytest.approx(hit, abs=1e-7)
+    idle = start[2] ** 2 + start[3] ** 2
+    assert optimum < hit < idle, "the optimum holds, doing nothing does not"
+
+
+@pytest.mark.parametrize("name", scene_names())
+def test_contacts_say_between_whom_and_how_deep(name: str):
+    """Deeper than the start is deep, and the bodies are what is drawn."""
+    scene = load_scene(name)
+    drawn = {shape.name for shape in scene.shapes} | {"ground", "wall", "joint"}
+    positions = np.array(scene.task.start[: scene.nq])
+    depths = derive(scene).function(derive(scene).penetration, derive(scene).q)(positions).ravel()
+    for contact, depth, start in zip(scene.contacts, scene.depths, depths, strict=True):
+        assert set(contact.bodies) <= drawn
+        assert depth > max(0.0, start), contact.name
+        assert depth > contact.nominal, "a typical penetration is within the model"
+        assert len(contact.depth_reason.split()) > 3
+
+
+@pytest.mark.parametrize("name", scene_names())
+def test_every_limit_of_the_bank_has_a_reason_and_the_plan_the_tighter_one(name: str):
+    scene = load_scene(name)
+    assert len({limit.metric for limit in scene.limits}) == len(scene.limits)
+    assert all(limit.reason for limit in scene.limits)
+    for part in ("position", "velocity"):
+        plan, replayed, own = (scene.limit(f"{of}terminal_{part}_error") for of in ("", "replay_", "discrete_"))
+        if plan is not None and replayed is not None and own is not None:
+            assert (plan.value or 0.0) == own.value
+            assert (plan.value or 0.0) <= (replayed.value or 0.0)
+
+
+def test_doing_nothing_in_the_wall_pendulum_costs_more_than_its_limit():
+    """And the proved optimum less."""
+    scene = load_scene("wall_pendulum")
+    kernel, steps = load_kernel(scene), scene.task.steps
+    idle = kernel.rollout(np.array(scene.task.start), np.zeros((steps, 1)), scene.task.step)
+    limit = scene.limit("cost")
+    assert limit is not None
+    assert limit.value is not None
+    assert scene.answers[0].value < limit.value < kernel.cost(idle.q, idle.v, np.zeros((steps, 1)))
+    motion = replay(
+        scene,
+        build_fmu(scene),
+        Trajectory(t=uniform_grid(scene.task.step, steps), q=idle.q, v=idle.v, u=np.zeros((steps, 1)), lam=idle.lam),
+    )
+    nodes = np.searchsorted(motion.t, uniform_grid(scene.task.step, steps)[:-1] - 1e-9)
+    asked = scene.limit("replay_cost")
+    assert asked is not None
+    assert asked.value is not None
+    assert 0.0 < (motion.q[nodes] ** 2 + motion.v[nodes] ** 2).sum() - asked.value < 2e-4
 
 
 @pytest.mark.parametrize("name", ["cart_pole_walls", "acrobot_limits"])

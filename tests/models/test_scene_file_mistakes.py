@@ -12,7 +12,7 @@ SOUND = '''"""A mass before a wall, rubbing along it."""
 import sympy as sp
 from models.contacts import Friction
 from models.scene import Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
-
+from models.scene_annotations import goal_limits
 x, vx, y, vy, u = sp.symbols("x vx y vy u", real=True)
 m, k, mu = sp.symbols("m k mu", positive=True)
 SCENE = Scene(
@@ -27,14 +27,15 @@ SCENE = Scene(
     kinetic_energy=m * (vx**2 + vy**2) / 2,
     potential_energy=sp.Integer(0),
     forces=(u, sp.Integer(0)),
-    contacts=(Contact(name="wall", penetration=x - 1, stiffness=k),),
+    contacts=(Contact(name="wall", bodies=("mass", "wall"), penetration=x - 1, stiffness=k, depth=0.2, depth_reason="a spring"),),
     frictions=(Friction(name="wall", slip=vy, coefficient=mu, contact="wall"),),
     task=Task(start=(0.0, 0.0, 0.0, 0.0), goal=(0.5, None, 0.0, None), running_cost=u**2, step=0.01, steps=10),
-    limits=(Limit(figure="defect", value=1e-6, reason="tolerance"),),
+    limits=(Limit(metric="defect", value=1e-6, reason="tolerance"), *goal_limits(position=0.01, velocity=0.02, reason="near")),
     shapes=(Shape(name="mass", kind="disc", x=x, y=y, size=(0.1,)),),
 )
 '''
 ENERGY = "kinetic_energy=m * (vx**2 + vy**2) / 2"
+CONTACT = 'contacts=(Contact(name="wall", bodies=("mass", "wall"), penetration=x - 1, stiffness=k, depth=0.2, depth_reason="a spring"),)'
 GOAL = "goal=(0.5, None, 0.0, None)"
 # what is wrong: (the text of the sound file, what stands there instead, words of the sentence)
 MISTAKES = {
@@ -42,7 +43,7 @@ MISTAKES = {
     "an energy of the scene itself": ("potential_energy=sp.Integer(0)", "potential_energy=SCENE.kinetic_energy", ["SCENE", "not defined"]),
     "two contacts of one name": (
         "contacts=(",
-        'contacts=(Contact(name="wall", penetration=-x - 1, stiffness=k), ',
+        'contacts=(Contact(name="wall", bodies=("mass", "wall"), penetration=-x - 1, stiffness=k, depth=0.2, depth_reason="a spring"), ',
         ["2 contacts are named 'wall'", "a name of its own"],
     ),
     "two frictions of one name": (
@@ -67,7 +68,7 @@ MISTAKES = {
     "a gap without a slope at the start": ("x - 1,", "1 - sp.sqrt(x**2 + y**2),", ["contact wall", "not differentiable at the start"]),
     "a gap of a velocity": ("x - 1,", "x + vx - 1,", ["contact wall: penetration uses vx"]),
     "friction of a contact that is not there": (
-        'contacts=(Contact(name="wall", penetration=x - 1, stiffness=k),)',
+        CONTACT,
         "contacts=()",
         ["friction wall", "no contact 'wall'", "it has no contacts"],
     ),
@@ -104,7 +105,43 @@ MISTAKES = {
     "quick in words": ('name="own",', 'name="own", quick="no",', ["quick", "True or False", "'no'"]),
     "quick as a number": ('name="own",', 'name="own", quick=1,', ["quick", "True or False"]),
     "a limit without a reason": ('reason="tolerance"', "reason=None", ["limit on defect: reason", "None"]),
-    "a limit on a number": ('figure="defect"', "figure=3", ["limit: figure", "3"]),
+    "a limit on a number": ('metric="defect"', "metric=3", ["limit: metric", "3"]),
+    "a limit waived without a reason": ('value=1e-6, reason="tolerance"', 'value=None, reason=""', ["limit on defect: reason", "words"]),
+    "a limit of old": (
+        'metric="defect"',
+        'figure="defect"',
+        ["figure= is now called metric=; write Limit(metric='defect', value=.., reason=..)."],
+    ),
+    "a goal without limits": (
+        '*goal_limits(position=0.01, velocity=0.02, reason="near")',
+        "",
+        ["task.goal asks for a position", "add Limit(metric='terminal_position_error', value=.., reason=..)."],
+    ),
+    "a goal without a limit on its velocity": (", velocity=0.02", "", ["asks for a velocity", "Limit(metric='terminal_velocity_error'"]),
+    "a contact of old": (
+        'bodies=("mass", "wall"), penetration=x - 1, stiffness=k, depth=0.2, depth_reason="a spring"',
+        "penetration=x - 1, stiffness=k",
+        [
+            "contact wall: bodies, depth, depth_reason must be given",
+            'bodies=("cart", "wall"), depth=0.1, depth_reason="the length of the spring".',
+        ],
+    ),
+    "a contact without a depth": ("depth=0.2, ", "", ["contact wall: depth must be given"]),
+    "a depth without a reason": (', depth_reason="a spring"', "", ["contact wall: depth_reason must be given"]),
+    "a contact of no bodies": ('bodies=("mass", "wall"), ', "", ["contact wall: bodies must be given"]),
+    "a contact of an unknown body": (
+        '("mass", "wall")',
+        '("mess", "wall")',
+        ["contact wall: bodies names 'mess'", "no shape of the scene (mass)"],
+    ),
+    "a contact of one body": (
+        'bodies=("mass", "wall")',
+        'bodies=("mass", "mass")',
+        ["contact wall: bodies must be the names of two different bodies"],
+    ),
+    "a depth below zero": ("depth=0.2", "depth=-k", ["contact wall: depth is -10 m, but must be positive"]),
+    "a depth of an unknown symbol": ("depth=0.2", "depth=sp.Symbol('s')", ["contact wall: depth uses s", "neither a parameter"]),
+    "a depth of a coordinate": ("depth=0.2", "depth=x", ["contact wall: depth uses x"]),
     "a cost of an unknown": ("running_cost=u**2", "running_cost=u**2 + sp.Symbol('w')", ["running_cost uses w"]),
     "a cost that is a condition": ("running_cost=u**2", "running_cost=u > 1", ["running_cost", "StrictGreaterThan"]),
     "a cost without end at the start": ("running_cost=u**2", "running_cost=sp.log(x)", ["task.running_cost", "at the start", "finite"]),
@@ -114,10 +151,10 @@ MISTAKES = {
     "a potential of a velocity": ("potential_energy=sp.Integer(0)", "potential_energy=vx", ["potential_energy uses vx"]),
     "a symbol of two assumptions": ("forces=(u,", "forces=(sp.Symbol('u'),", ["forces[x]", "other assumptions"]),
     "one symbol for two coordinates": ("symbol=y, velocity=vy", "symbol=x, velocity=vx", ["'x'", "2 times"]),
-    "a contact with a blank in its name": ('name="wall", pen', 'name="the wall", pen', ["'the wall'", "identifier"]),
-    "a contact without a size": ("stiffness=k)", "stiffness=k, nominal=0.0)", ["contact wall: nominal", "positive"]),
-    "a damping that drives": ("stiffness=k)", "stiffness=k, damping=-1.0)", ["contact wall: the damping", "negative"]),
-    "a damping law in words": ("stiffness=k)", "stiffness=k, damping_law='kelvin')", ["contact wall: damping_law", "'kelvin'"]),
+    "a contact with a blank in its name": ('name="wall", bodies', 'name="the wall", bodies', ["'the wall'", "identifier"]),
+    "a contact without a size": ("stiffness=k,", "stiffness=k, nominal=0.0,", ["contact wall: nominal", "positive"]),
+    "a damping that drives": ("stiffness=k,", "stiffness=k, damping=-1.0,", ["contact wall: the damping", "negative"]),
+    "a damping law in words": ("stiffness=k,", "stiffness=k, damping_law='kelvin',", ["contact wall: damping_law", "'kelvin'"]),
     "a shape that nobody draws": ('kind="disc"', "kind=['disc']", ["shape mass", "box"]),
     "a file that ends the program": ("import sympy as sp", "import sympy as sp, sys\nsys.exit(0)", ["SystemExit", "line 3"]),
     "a function that calls itself": ("SCENE =", "def f(n):\n  return f(n + 1)\nf(0)\nSCENE =", ["RecursionError"]),
@@ -144,15 +181,15 @@ def test_a_mistake_is_named_with_its_file_and_field(tmp_path: Path, kind: str):
     assert all(word in text for word in words), text
 
 
-# Not of the scene alone: which figures there are, the score knows.
-UNKNOWN_FIGURE = ('figure="defect"', 'figure="defekt"')
+# Not of the scene alone: which metrics there are, the score knows.
+UNKNOWN_METRIC = ('metric="defect"', 'metric="defekt"')
 
 
 def test_a_limit_on_an_unknown_figure_is_named_with_its_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    path = written(tmp_path, SOUND.replace(*UNKNOWN_FIGURE, 1))
+    path = written(tmp_path, SOUND.replace(*UNKNOWN_METRIC, 1))
     assert run(["plan", "--scene", path, "--out", str(tmp_path / "runs")]) == 2
     said = capsys.readouterr().err
-    assert said.startswith(f"error: scene file {path}: scene own: there is a limit on 'defekt', which is no figure; did you mean defect?")
+    assert said.startswith(f"error: scene file {path}: scene own: there is a limit on 'defekt', which is no metric; did you mean defect?")
     assert said.count("\n") == 1, said
 
 

@@ -95,12 +95,12 @@ def test_the_defect_is_that_of_the_plans_own_step() -> None:
     lam = kernel.contact_force(q[:-1])
     assert lam.max() > 1.0
     plan = Trajectory(t=uniform_grid(0.1, 50), q=q, v=v, u=u, lam=lam, scheme=Scheme.RADAU_IIA_2)
-    assert defect(kernel, plan) < 1e-12
+    assert defect(kernel, plan).max() < 1e-12
     other = Trajectory(t=plan.t, q=q, v=v, u=u, lam=lam, scheme=Scheme.IMPLICIT_MIDPOINT)
-    assert defect(kernel, other) > 1e-4
+    assert defect(kernel, other).max() > 1e-4
     shifted = q.copy()
     shifted[20, 1] += 1e-5
-    assert defect(kernel, Trajectory(t=plan.t, q=shifted, v=v, u=u, lam=lam, scheme=plan.scheme)) >= 1e-5
+    assert defect(kernel, Trajectory(t=plan.t, q=shifted, v=v, u=u, lam=lam, scheme=plan.scheme)).max() >= 1e-5
 
 
 def test_friction_is_refused_and_so_is_a_hold_that_a_step_does_not_have() -> None:
@@ -108,7 +108,7 @@ def test_friction_is_refused_and_so_is_a_hold_that_a_step_does_not_have() -> Non
     q, v = np.array([scene.task.start[: scene.nq]]), np.array([scene.task.start[scene.nq :]])
     with pytest.raises(KernelError, match="friction"):
         advance(load_kernel(scene), Scheme.RADAU_IIA_2, q, v, np.zeros((1, scene.nu)), 0.01)
-    with pytest.raises(TrajectoryError, match="zero_order"):
+    with pytest.raises(TrajectoryError, match="holds its inputs over each step, but the plan's hold is linear"):
         Trajectory(
             t=np.array([0.0, 1.0]),
             q=np.zeros((2, 1)),

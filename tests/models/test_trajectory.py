@@ -8,7 +8,9 @@ import pytest
 
 from models.catalog import load_scene
 from models.errors import TrajectoryError
-from models.trajectory import Trajectory, read_csv, uniform_grid, write_csv
+from models.plan_table import ArrayTable
+from models.schemes import Scheme
+from models.trajectory import Hold, Trajectory, read_csv, trajectory_from, uniform_grid, write_csv
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +37,27 @@ def test_csv_reads_back_bit_for_bit(tmp_path: Path, scene, plan: Trajectory):
     back = read_csv(path, scene)
     for field in ("t", "q", "v", "u", "lam"):
         assert np.array_equal(getattr(back, field), getattr(plan, field)), field
+
+
+@pytest.mark.parametrize("scheme", [None, *Scheme])
+@pytest.mark.parametrize("silent", [(), ("lam",), ("v", "lam"), ("q", "v", "lam")])
+def test_csv_keeps_what_a_plan_declares_and_what_it_does_not_say(tmp_path: Path, scene, plan: Trajectory, scheme, silent):
+    path = tmp_path / "plan.csv"
+    write_csv(path, replace(plan, scheme=scheme, missing=frozenset(silent)), scene)
+    back = read_csv(path, scene)
+    assert (back.scheme, back.hold, back.missing) == (scheme, Hold.ZERO_ORDER, frozenset(silent))
+    header = next(line for line in path.read_text().splitlines() if not line.startswith("#"))
+    assert ("q1" in header, "lam_left" in header) == ("q" not in silent, "lam" not in silent)
+
+
+def test_csv_keeps_a_linear_hold_and_its_last_input(tmp_path: Path, scene, plan: Trajectory):
+    path, end = tmp_path / "plan.csv", np.array([0.1, 0.7])
+    for u_end in (end, None):
+        write_csv(path, replace(plan, hold=Hold.LINEAR, u_end=u_end), scene)
+        back = read_csv(path, scene)
+        assert back.hold is Hold.LINEAR
+        assert (back.u_end is None) if u_end is None else np.array_equal(back.u_end, end)
+        assert np.array_equal(back.u, plan.u)
 
 
 def test_forces_and_velocities_may_be_left_out(tmp_path: Path, scene):
@@ -110,6 +133,157 @@ def test_a_bad_file_is_told_where(tmp_path: Path, scene, text: str, words: list[
     assert all(word in str(caught.value) for word in words), str(caught.value)
 
 
+BODY = "t,q1,q2,q3,u1,u3\n0,0,1,2,1,0.5\n1,1,2,3,1,0\n2,2,3,4,,\n"
+
+
+@pytest.mark.parametrize(
+    ("above", "scheme", "hold"),
+    [
+        ("", None, Hold.ZERO_ORDER),
+        ("# scheme: semi_implicit_euler\n", Scheme.SEMI_IMPLICIT_EULER, Hold.ZERO_ORDER),
+        ("#scheme = semi_implicit_euler \n# hold: zero\n", Scheme.SEMI_IMPLICIT_EULER, Hold.ZERO_ORDER),
+        ("# hold: linear\n", None, Hold.LINEAR),
+        ("# Hold: linear\n", None, Hold.LINEAR),
+        ("# made by: me\n# on: Monday\n# a plan; hold your breath\n", None, Hold.ZERO_ORDER),  # any other comment is a comment
+    ],
+)
+def test_comments_declare_scheme_and_hold(tmp_path: Path, scene, above: str, scheme, hold):
+    path = tmp_path / "plan.csv"
+    path.write_text(above + BODY)
+    plan = read_csv(path, scene)
+    assert (plan.scheme, plan.hold) == (scheme, hold)
+
+
+@pytest.mark.parametrize(
+    ("above", "words"),
+    [
+        ("# sheme: semi_implicit_euler\n", "line 1: there is no 'sheme' to declare; did you mean 'scheme'?"),
+        ("# mine\n# holds: zero\n", "line 2: there is no 'holds' to declare; did you mean 'hold'?"),
+        ("# scheme: semi_implicit_eular\n", "the scheme 'semi_implicit_eular' is unknown; did you mean semi_implicit_euler?"),
+        ("# scheme: my own\n", "the scheme 'my own' is unknown; there are semi_implicit_euler,"),
+        ("# scheme: my own\n", "without this line it declares none"),
+        ("# hold: cubic\n", "the hold 'cubic' is unknown; it is zero or linear."),
+        ("# hold: zero\n# hold: linear\n", "line 2: it declares the hold 'linear', but 'zero' before."),
+        (
+            "# scheme: semi_implicit_euler\n# hold: linear\n",
+            "holds its inputs over each step, but the plan's hold is linear; leave one of the two out.",
+        ),
+    ],
+)
+def test_a_declaration_that_is_none_is_refused(tmp_path: Path, scene, above: str, words: str):
+    path = tmp_path / "plan.csv"
+    path.write_text(above + BODY)
+    with pytest.raises(TrajectoryError) as caught:
+        read_csv(path, scene)
+    assert words in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+def test_what_is_asked_for_must_not_contradict_what_is_declared(tmp_path: Path, scene):
+    path = tmp_path / "plan.csv"
+    path.write_text("# hold: zero\n" + BODY)
+    assert read_csv(path, scene, Hold.ZERO_ORDER).hold is Hold.ZERO_ORDER
+    with pytest.raises(TrajectoryError, match="declares the hold 'zero', but --hold asks for another"):
+        read_csv(path, scene, Hold.LINEAR)
+    path.write_text(f"# scheme: {list(Scheme)[1].value}\n" + BODY)
+    with pytest.raises(TrajectoryError, match="but 'semi_implicit_euler' is asked for; leave one of the two out"):
+        read_csv(path, scene, scheme="semi_implicit_euler")
+    path.write_text(BODY)
+    assert read_csv(path, scene, Hold.LINEAR).hold is Hold.LINEAR
+    assert read_csv(path, scene, scheme="semi_implicit_euler").scheme is Scheme.SEMI_IMPLICIT_EULER
+
+
+@pytest.mark.parametrize(
+    ("header", "words"),
+    [
+        ("t,q1,q2,u1,u3", "the column 'q3' is missing beside 'q1'; give q1, q2, q3, or none of them."),
+        ("t,q1,q2,q3,v1,u1,u3", "the column 'v2' is missing beside 'v1'; give v1, v2, v3, or none of them."),
+        ("t,u1,u3,lam_right", "the column 'lam_left' is missing beside 'lam_right'"),
+        ("t,v1,v2,v3,u1,u3", "it has velocities, but no positions; give q1, q2, q3 too, or neither."),
+    ],
+)
+def test_half_a_group_of_columns_is_refused(tmp_path: Path, scene, header: str, words: str):
+    columns = header.split(",")
+    path = tmp_path / "plan.csv"
+    path.write_text("\n".join([header, *(",".join([str(row), *["1"] * (len(columns) - 1)]) for row in range(3))]) + "\n")
+    with pytest.raises(TrajectoryError) as caught:
+        read_csv(path, scene)
+    assert words in str(caught.value)
+    with pytest.raises(TrajectoryError) as caught:
+        trajectory_from(ArrayTable({name: np.arange(3.0) for name in columns}), scene)
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("last", [True, False])
+def test_inputs_alone_last_as_long_as_the_task_with_and_without_a_final_time(tmp_path: Path, scene, last: bool):
+    """five hundred inputs at 0, 0.01 .. 4.99 s: the last is held for one step more, whether or not 5 s stands there without one."""
+    task, path = scene.task, tmp_path / "plan.csv"
+    rows = [f"{task.step * n!r},{n % 3},{-(n % 2)}" for n in range(task.steps)] + [f"{task.horizon!r},,"] * last
+    path.write_text("\n".join(["t,u1,u3", *rows]) + "\n")
+    plan = read_csv(path, scene)
+    assert plan.steps == task.steps
+    assert plan.duration == pytest.approx(task.horizon, abs=1e-12)
+    assert plan.u[-1].tolist() == [(task.steps - 1) % 3, -((task.steps - 1) % 2)]
+    assert plan.missing == {"q", "v", "lam"}
+    assert np.array_equal(plan.q, np.tile(task.start[:3], (task.steps + 1, 1))), "it stands in for the start alone"
+    arrays = {"t": plan.t[: task.steps + last], "u1": plan.u[:, 0], "u3": plan.u[:, 1]}
+    again = trajectory_from(ArrayTable(arrays), scene)
+    assert np.array_equal(again.t, plan.t)
+    assert np.array_equal(again.u, plan.u)
+
+
+def test_inputs_at_both_ends_of_the_last_step_need_no_step_more(tmp_path: Path, scene):
+    task, path = scene.task, tmp_path / "plan.csv"
+    path.write_text("\n".join(["# hold: linear", "t,u1,u3", *(f"{task.step * n!r},{n},0" for n in range(task.steps + 1))]) + "\n")
+    plan = read_csv(path, scene)
+    assert plan.steps == task.steps
+    assert plan.u_end is not None
+    assert plan.u_end.tolist() == [task.steps, 0.0]
+    path.write_text(path.read_text().replace("linear", "zero"))
+    held = read_csv(path, scene)
+    assert (held.steps, held.u_end.tolist()) == (task.steps, [task.steps, 0.0])  # kept, for who should have said `linear`
+    path.write_text(path.read_text().replace(f"{task.step * task.steps!r},{task.steps},0", f"{task.step * task.steps!r},x,0"))
+    assert read_csv(path, scene).u_end is None, "a held input has no use for what stands there"
+
+
+ARRAYS = {"t": np.arange(4.0), "q1": np.arange(4.0), "q2": np.arange(4.0), "q3": np.arange(4.0), "u1": np.ones(4), "u3": np.ones(3)}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{}, {"u1": np.array([1.0, 1.0, 1.0, np.nan])}, {"u1": [1, 1, 1]}, {"q1": (0, 1, 2, 3)}],
+    ids=["as long as t", "ends in NaN", "one shorter", "no array"],
+)
+def test_arrays_by_name_are_a_plan(scene, changes: dict):
+    plan = trajectory_from(ArrayTable(ARRAYS | changes, scheme="semi_implicit_euler"), scene)
+    assert (plan.steps, plan.scheme, plan.missing) == (3, Scheme.SEMI_IMPLICIT_EULER, {"v", "lam"})
+    assert plan.q[:, 0].tolist() == [0.0, 1.0, 2.0, 3.0]
+    assert plan.u.tolist() == [[1.0, 1.0]] * 3
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"q2": np.arange(3.0)}, "the column 'q2' has 3 numbers, but t has 4"),
+        ({"u1": np.ones(2)}, "the column 'u1' has 2 numbers, but t has 4"),
+        ({"q2": np.array([0.0, np.nan, 2.0, 3.0])}, "column 'q2', row 1: nan is not a finite number"),
+        ({"q2": np.zeros((4, 2))}, "the column 'q2' has shape (4, 2)"),
+        ({"q2": ["a", "b", "c", "d"]}, "its columns must be arrays of numbers by name"),
+        ({"q4": np.zeros(4)}, "the column 'q4' is unknown"),
+        ({"t": np.zeros(1)}, "it has 1 row; at least two are needed"),
+    ],
+)
+def test_arrays_that_are_no_plan_are_told_which(scene, changes: dict, words: str):
+    with pytest.raises(TrajectoryError) as caught:
+        trajectory_from(ArrayTable(ARRAYS | changes), scene)
+    assert words in str(caught.value)
+
+
+def test_arrays_without_time_are_told_so(scene):
+    with pytest.raises(TrajectoryError, match="the column 't' is missing"):
+        trajectory_from(ArrayTable({name: values for name, values in ARRAYS.items() if name != "t"}), scene)
+
+
 def test_a_file_that_is_no_text(tmp_path: Path, scene):
     path = tmp_path / "plan.csv"
     path.write_bytes(b"\xff\xfe\x00")
@@ -126,6 +300,8 @@ def test_a_file_that_is_no_text(tmp_path: Path, scene):
         ({"q": np.zeros((7, 3))}, "q has shape"),
         ({"v": np.zeros((8, 2))}, "agree"),
         ({"u": np.full((7, 2), np.nan)}, r"u\[0, 0\]"),
+        ({"u_end": np.zeros(3)}, "u_end has shape"),
+        ({"scheme": Scheme.SEMI_IMPLICIT_EULER, "hold": Hold.LINEAR}, "holds its inputs over each step"),
     ],
 )
 def test_shapes_are_checked(plan: Trajectory, changes: dict, word: str):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from reports.record import EquationRecord, FigureRecord, RunRecord, ShapeRecord
+from reports.record import EquationRecord, MetricRecord, RunRecord, ShapeRecord
 
 
 def crashed(factory) -> RunRecord:
@@ -24,7 +24,7 @@ def out_of_time(factory) -> RunRecord:
         "plan_trace": None,
         "replay_trace": None,
         "replay": None,
-        "figures": (),
+        "metrics": (),
         "history": {},
         "residuals": {},
         "cost": None,
@@ -53,7 +53,7 @@ def refused(factory) -> RunRecord:
         stages=(),
         outcome="refused",
         message="The scene has friction, which this method does not know.",
-        verdict="no plan",
+        verdict="not applicable",
         must_hold=False,
     )
 
@@ -74,8 +74,8 @@ def hostile(factory) -> RunRecord:
             "options": {factory.HOSTILE: factory.HOSTILE},
             "residuals": {factory.HOSTILE: 1.0},
             "history": {factory.HOSTILE: (3.0, 2.0, 1.0)},
-            "figures": (
-                FigureRecord(name=factory.HOSTILE, value=None, unit=factory.HOSTILE, meaning=factory.HOSTILE, reason=factory.HOSTILE),
+            "metrics": (
+                MetricRecord(name=factory.HOSTILE, value=None, unit=factory.HOSTILE, meaning=factory.HOSTILE, reason=factory.HOSTILE),
             ),
             "paper": {},
             "plan_trace": trace.model_copy(update={"poses": {factory.HOSTILE: trace.poses["left"]}}),

@@ -12,9 +12,10 @@ from reports.paper import TABLE_1
 from reports.record import (
     CampaignRecord,
     EquationRecord,
-    FigureRecord,
+    MetricRecord,
     ProvenanceRecord,
     QuantityRecord,
+    QuestionRecord,
     ReplayRecord,
     RunRecord,
     SceneRecord,
@@ -96,8 +97,28 @@ def simulate(law, push: float, every: int = 2) -> TraceRecord:
     return TraceRecord(t=tuple(times), columns={name: tuple(values) for name, values in columns.items()}, poses=poses)
 
 
-def _figure(name: str, value: float | None, unit: str, limit: float | None = None) -> FigureRecord:
-    return FigureRecord(
+QUESTIONS = (
+    (1, "Is it a plan of this task?"),
+    (2, "Does it say that it reaches the goal?"),
+    (3, "Is what it claims of its forces physical?"),
+    (4, "Do its inputs give its motion, and the goal?"),
+    (5, "Is the replayed motion possible?"),
+    (6, "Does it solve its own discrete equations?"),
+    (None, "Is the judge well?"),
+)
+
+
+def questions(**answers: str) -> tuple[QuestionRecord, ...]:
+    """Answered yes unless given by number: q3="no"."""
+    return tuple(QuestionRecord(number=number, text=text, answer=answers.get(f"q{number}", "yes")) for number, text in QUESTIONS)
+
+
+def _metric(
+    name: str, value: float | None, unit: str, limit: float | None = None, question: int | None = None, error: float = 0.0
+) -> MetricRecord:
+    return MetricRecord(
+        question=question,
+        error=error,
         name=name,
         value=value,
         unit=unit,
@@ -178,16 +199,19 @@ def stage(index: int, method: str, eps: float | None, before: str | None, total:
             total=total + 0.73,
             replay=0.5,
         ),
-        "figures": (
-            _figure("physics", physics, "N^2"),
-            _figure("physics_scaled", physics * STEP / 225.0, "s", 1e-6),
-            _figure("defect", 1e-13, "1", 1e-6),
-            _figure("terminal_error", planned, "m"),
-            _figure("discrete_terminal_error", grid, "m", 0.05),
-            _figure("replay_terminal_error", replayed, "m", 0.06),
-            _figure("replay_error", 0.009, "m", 0.02),
-            _figure("ghost_impulse", 0.02 if violates else 1e-4, "N s"),
+        "metrics": (
+            _metric("physics", physics, "N^2"),
+            _metric("physics_scaled", physics * STEP / 225.0, "s", 1e-6, 3),
+            _metric("defect", 1e-13, "1", 1e-6, 6),
+            _metric("terminal_error", planned, "m"),
+            _metric("discrete_terminal_error", grid, "m"),
+            _metric("replay_terminal_error", replayed, "m, m/s"),
+            _metric("replay_terminal_position_error", 0.8 * replayed, "m", 0.06, 4, 3e-9),
+            _metric("replay_terminal_velocity_error", 0.6 * replayed, "m/s", 0.06, 4, 3e-9),
+            _metric("replay_error", 0.009, "m", 0.02, 4, 3e-9),
+            _metric("ghost_impulse", 0.02 if violates else 1e-4, "N s", 0.01, 5),
         ),
+        "questions": questions(**({"q3": "no"} if violates else {})),
         "verdict": "violates" if violates else "holds",
         "why": f"physics scaled is {physics * STEP / 225.0:.2g} s, but at most 1e-06 s holds." if violates else "",
         "replay": ReplayRecord(

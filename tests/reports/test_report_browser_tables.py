@@ -44,19 +44,25 @@ def test_every_file_has_one_head_and_rows_of_its_length(tables):
 
 
 def test_units_and_second_numbers_have_columns_of_their_own(tables):
-    score = next(rows for name, rows in tables.items() if name == "strict-on-three_cart-stage-1-score-of-this-stage.csv")
+    score = next(rows for name, rows in tables.items() if name == "strict-on-three_cart-stage-1-judgement-of-this-stage.csv")
     value, unit = score[0].index("Value"), score[0].index("Value, unit")
     told = [row for row in score[1:] if row[value]]
     assert len(told) > 5
-    assert all(float(row[value]) >= 0 for row in told)
-    assert {"m", "N s"} <= {row[unit] for row in told}
+    named = [row for row in told if not row[0].endswith("?")]  # a question has its answer there
+    assert all(float(row[value]) >= 0 for row in named)
+    assert {"m", "N s"} <= {row[unit] for row in named}
+    own, against = score[0].index("Value, own error"), score[0].index("Value, against its limit")
+    assert {row[own] for row in named} == {"", "3e-09"}
+    assert {row[against] for row in named} == {"", "✓ within"}
 
 
 def test_a_second_number_of_a_cell_has_a_column_too(chromium, factory, tmp_path):
     run = factory.run("strict", None, "strict_lcp")
     (stage,) = run.stages
-    position = stage.figure("replay_terminal_error").model_copy(update={"name": "replay_terminal_position_error", "value": 1.25e-3})
-    stage = stage.model_copy(update={"figures": (*stage.figures, position)})
+    metrics = [
+        item.model_copy(update={"value": 1.25e-3}) if item.name == "replay_terminal_position_error" else item for item in stage.metrics
+    ]
+    stage = stage.model_copy(update={"metrics": tuple(metrics)})
     folder = factory.store(tmp_path / "two", [run.model_copy(update={"stages": (stage,)})])
     head, row, *_ = _saved(chromium.open(write_report(folder)))["three_cart-stages.csv"]
     place = head.index("Terminal error replay, position alone")
@@ -64,11 +70,12 @@ def test_a_second_number_of_a_cell_has_a_column_too(chromium, factory, tmp_path)
 
 
 def test_what_is_not_there_is_empty_and_says_why(tables):
-    head, *rows = tables["strict-on-three_cart-stage-1-score-of-this-stage.csv"]
+    head, *rows = tables["strict-on-three_cart-stage-1-judgement-of-this-stage.csv"]
     assert head[-1] == "Why a value is not there"
     limit = head.index("Limit")
+    rows = [row for row in rows if not row[0].endswith("?") and row[0] != "Shown, not judged"]
     assert {bool(row[limit]) for row in rows} == {True, False}
-    assert all(row[-1] == ("" if row[limit] else "the scene sets no limit") for row in rows)
+    assert all(row[-1] == ("" if row[limit] else "no limit") for row in rows)
     assert all(float(row[limit]) > 0 for row in rows if row[limit])
 
 

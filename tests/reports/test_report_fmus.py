@@ -51,7 +51,7 @@ def test_each_fmu_has_a_row_and_all_of_its_checks(factory, tmp_path):
     assert "three_cart 2.0 ME, CS 2 0 1 79.9 2.50 4.25 ✓ none" in words
     assert "Claim <2>. Found 2." in words
     assert "FMU: 2 of 2 examinations passed." in words
-    assert "The campaign does not fail" in words
+    assert "All required checks passed" in words
 
 
 def test_a_failed_check_fails_the_campaign_and_is_named(factory, tmp_path):

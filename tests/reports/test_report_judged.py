@@ -1,14 +1,20 @@
-"""Cells that must hold and do not: named one by one where they are few, scene by scene where they are many, refusals by their reason."""
+"""Runs that end with exact contact and do not hold: named one by one where they are few, scene by scene where they are many, refusals by their reason."""
 
 from __future__ import annotations
+
+import html
+import re
 
 import pytest
 from pydantic import ValidationError
 
+from reports.judged import end_of, judged_metric, questions_of
 from reports.pages.judged_cells import direct, scene_by_scene
 from reports.pages.table1 import conclude
-from reports.record import TraceRecord
+from reports.record import MetricRecord, TraceRecord
+from reports.render import write_report
 from reports.rows import rows_of
+from reports.tracked_record import TrackedRecord
 
 
 def ended(factory, number: int, scene: str, verdict: str, **changes):
@@ -16,24 +22,29 @@ def ended(factory, number: int, scene: str, verdict: str, **changes):
     return run.model_copy(update={"scene": factory.scene(scene), "pipeline": f"p{number}"})
 
 
-def test_many_cells_are_told_scene_by_scene(factory):
-    runs = [ended(factory, number, "bank", "violates", outcome="solved", message="Too far.") for number in range(10)]
+def test_many_runs_are_told_scene_by_scene(factory):
+    runs = [ended(factory, number, "bank", "violates", outcome="solved", message="Too far.") for number in range(12)]
+    runs += [ended(factory, 30, "bank", "undecided", outcome="solved", message="Too near.")]
     runs += [
-        ended(factory, 10 + number, "bank", "no plan", outcome="refused", message=f"m{number}: scene bank has no wall.")
+        ended(factory, 10 + number, "bank", "not applicable", outcome="refused", message=f"m{number}: scene bank has no wall.")
         for number in range(3)
     ]
     runs += [ended(factory, 20, "hill", "holds", outcome="solved")]
     (sentence,) = direct(tuple(runs), whole=True)
     assert sentence.text == (
-        "1 of 14 cells that end in a direct method hold. Of the others 10 violate a limit and 3 are of methods that do not apply to the scene; "
-        "scene by scene below."
+        "1 of 14 runs that end with exact contact hold (3 not applicable). Of the others 12 violate and 1 is undecided; scene by scene below."
     )
     bank, hill = scene_by_scene(tuple(runs))
-    assert (bank.words, hill.words, hill.sentences) == ("0 of 10 cells hold", "1 of 1 cell holds", [])
-    assert [one.text for one in bank.sentences[-2:]] == ["p9: violates. Too far.", "p10, p11 and p12 do not apply: scene bank has no wall."]
+    assert (bank.words, hill.words, hill.sentences) == ("0 of 13 runs hold", "1 of 1 run holds", [])
+    assert [one.text for one in bank.sentences[-3:]] == [
+        "p11: violates. Too far.",
+        "p30: undecided. Too near.",
+        "p10, p11 and p12 do not apply: scene bank has no wall.",
+    ]
+    assert [one.symbol for one in bank.sentences[-3:]] == ["✗", "?", "⊘"]
 
 
-def test_few_cells_are_named_where_they_are_counted(factory):
+def test_few_runs_are_named_where_they_are_counted(factory):
     runs = tuple(ended(factory, number, "bank", "violates", outcome="solved", message="Too far.") for number in range(12))
     assert [one.text for one in direct(runs, whole=True)[1:]] == [f"p{number} on bank: violates. Too far." for number in range(12)]
     assert scene_by_scene(runs) == []
@@ -62,3 +73,73 @@ def test_a_plan_that_violates_says_which_limit_however_its_method_ended(factory)
     assert told.endswith("No step lowers the loss.")
     solved = run.model_copy(update={"outcome": "solved", "message": stage.why})
     assert direct((solved,), whole=True)[1].text == "p on three_cart: violates. The replay misses the goal by 0.1 m, limit 0.05 m."
+
+
+def followed(factory):
+    """A stage that holds with feedback, not for its inputs alone."""
+    (stage,) = factory.run("strict", None, "strict_lcp").stages
+
+    def metric(name: str, value: float, **changes) -> MetricRecord:
+        return MetricRecord(name=name, value=value, unit="m", meaning="m", **changes)
+
+    both = (
+        metric("cost", 7.0, question=2, reason="no way is known to be cheap"),
+        metric("replay_error", 0.6, question=4, limit=0.01, ok=False),
+        metric("replay_terminal_position_error", 0.5, question=4, limit=0.06, ok=False),
+        metric("unexplained_force", 1.0, question=4).model_copy(update={"value": None, "reason": "the plan declares a scheme"}),
+        metric("tracked_replay_error", 0.004, question=4, limit=0.01, ok=True),
+        metric("tracked_replay_terminal_position_error", 0.002, question=4, limit=0.06, ok=True),
+        metric("feedback_effort", 0.1, question=4, limit=0.25, ok=True),
+        metric("energy_residual_relative", 1e-9, limit=1e-6, ok=True),
+        metric("physics", 0.0),
+    )
+    assert stage.replay is not None
+    replay = stage.replay.model_copy(update={"judged": "feedback"})
+    return stage.model_copy(update={"metrics": both, "verdict": "holds with feedback", "replay": replay, "questions": factory.questions()})
+
+
+def test_metrics_stand_by_question_with_both_ends_side_by_side(factory):
+    stage = followed(factory)
+    found = {question.number or question.text: question for question in questions_of(stage)}
+    (cost,) = found[2].metrics
+    assert (cost.is_judged, cost.waived) == (False, "no way is known to be cheap")
+    error, end, effort = found[4].metrics
+    assert (error.name, error.alone.value, error.followed.value) == ("replay_error", 0.6, 0.004)
+    assert (end.alone.ok, end.followed.ok) == (False, True)
+    assert (effort.alone, effort.followed.value) == (None, 0.1)
+    assert [view.name for view in found["Is the judge well?"].metrics] == ["energy_residual_relative"]
+    assert [view.name for view in found["Shown, not judged"].metrics] == ["physics"]
+
+
+def test_the_end_of_a_stage_is_that_of_the_replay_that_is_judged(factory):
+    stage, scene = followed(factory), factory.scene()
+    assert judged_metric(stage, "replay_error").value == 0.004
+    assert end_of(stage, scene) == "position 0.0020 m"
+    assert end_of(stage, scene, tracked=False) == "position 0.50 m"
+    free = scene.model_copy(update={"goal": (None,) * len(scene.goal)})
+    bare = stage.model_copy(update={"metrics": ()})
+    assert (end_of(bare, free), end_of(bare, scene)) == ("free end", "")
+    assert end_of(bare.model_copy(update={"replay": None}), free) == ""
+
+
+def test_the_page_shows_questions_metrics_and_both_ends(factory, tmp_path):
+    stage = followed(factory)
+    replay = stage.replay.model_copy(update={"tracked": TrackedRecord(error_estimate=1e-9, rms=(0.1, 0.1), peak=(0.3, 0.3))})
+    stage = stage.model_copy(update={"replay": replay, "not_asked": ("contact_law_error: the plan does not say its forces.",)})
+    scene = factory.scene().model_copy(update={"waived": ("cost: no way is known to be cheap",), "unstable": "It falls over."})
+    run = factory.run("strict", None, "strict_lcp", stages=(stage,), verdict="holds with feedback", scene=scene)
+    page = write_report(factory.store(tmp_path / "all", [run])).read_text(encoding="utf-8")
+    words = " ".join(html.unescape(re.sub(r"<(script|style)[^>]*>.*?</\1>|<[^>]*>", " ", page, flags=re.DOTALL)).split())
+    for told in (
+        "↻ holds with feedback cost 496.63 position 0.0020 m",  # the matrix
+        "inputs alone: position 0.50 m; with feedback: position 0.0020 m",  # the card
+        "Metric Inputs alone With feedback Limit Reason of the limit 1. Is it a plan of this task? ✓ yes",
+        "the answers are for the one with feedback",
+        "0.6 m ✗ beyond 0.004 m ✓ within 0.01",
+        "waived Waived by the scene: no way is known to be cheap",
+        "Shown, not judged physics",
+        "Not asked contact_law_error: the plan does not say its forces.",
+        "Limits that this scene waives cost: no way is known to be cheap",
+        "so that a plan which holds with feedback is enough here: It falls over.",
+    ):
+        assert told in words, told

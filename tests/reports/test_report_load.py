@@ -7,6 +7,7 @@ import json
 import pytest
 
 from reports.load import ReportError, load
+from reports.render import write_report
 
 _BROKEN = {
     "cut short": lambda text: text[: len(text) // 2],
@@ -63,3 +64,31 @@ def test_the_order_is_the_campaigns_and_strangers_are_counted(factory, tmp_path)
 def test_no_folder_is_one_sentence(tmp_path):
     with pytest.raises(ReportError, match="there is no such folder"):
         load(tmp_path / "nowhere")
+
+
+def test_records_of_an_earlier_schema_are_refused_in_one_sentence(factory, tmp_path):
+    """Those that the campaign lists are named, those that it does not are another campaign's."""
+    good, old, older = factory.runs()[:3]
+    folder = factory.store(tmp_path / "all", [good, old, older], factory.campaign([good, old]))
+    for run in (old, older):
+        path = folder / "runs" / run.key / "record.json"
+        path.write_text(path.read_text().replace('"schema_version":3', '"schema_version":2'))
+    stored = load(folder)
+    assert [run.key for run in stored.runs] == [good.key]
+    (item,) = stored.unreadable
+    assert item.path == f"runs/{old.key}/record.json"
+    assert item.sentence == (
+        "it is of another version's record schema (this one reads 3), whose verdicts follow another rule; run it again."
+    )
+    assert stored.foreign == 1
+
+
+def test_many_files_that_could_not_be_read_for_one_reason_are_told_once(factory, tmp_path):
+    runs = [factory.run("strict", None, "strict_lcp", key=f"strict-{number}") for number in range(15)]
+    folder = factory.store(tmp_path / "all", runs)
+    for run in runs[1:]:
+        path = folder / "runs" / run.key / "record.json"
+        path.write_text(path.read_text().replace('"schema_version":3', '"schema_version":2'))
+    text = write_report(folder).read_text(encoding="utf-8")
+    assert text.count("of another version&#39;s record schema") == 2
+    assert "14 files could not be read: it is of another version&#39;s record schema" in text

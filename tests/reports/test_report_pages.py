@@ -49,7 +49,7 @@ def test_the_same_methods_with_other_options_are_other_rows_and_another_sweep(fa
 
 def test_the_front_is_unbeaten(factory, tmp_path):
     report = report_of(factory, tmp_path / "all", factory.runs())
-    points = [(row.figure("replay_terminal_error"), row.stage.cost, row) for row in report.rows]
+    points = [(row.metric("replay_terminal_error"), row.stage.cost, row) for row in report.rows]
     best = front.unbeaten(points)
     for missed, price, row in points:
         beaten = any(m <= missed and c <= price and (m, c) != (missed, price) for m, c, _ in best)

@@ -10,14 +10,14 @@ import pytest
 from reports.load import Stored
 from reports.pages import pareto
 from reports.pages.section import Report
-from reports.record import FigureRecord, RunRecord
+from reports.record import MetricRecord, RunRecord
 from reports.render import render
 from tests.reports import record_factory as factory
 
 
-def figure(name: str, value: float | None, limit: float | None = None) -> FigureRecord:
+def figure(name: str, value: float | None, limit: float | None = None) -> MetricRecord:
     ok = None if limit is None or value is None else value <= limit
-    return FigureRecord(
+    return MetricRecord(
         name=name, value=value, unit="m", meaning=name, limit=limit, reason="" if value is not None else "it was not replayed.", ok=ok
     )
 
@@ -32,7 +32,7 @@ def cell(name: str, cpu: float, error: float | None, cost: float, missed: float,
             "verdict": verdict,
             "paper": {},
             "seconds": first.seconds.model_copy(update={"stage_cpu": cpu}),
-            "figures": (figure("replay_error", error, 0.02), figure("replay_terminal_error", missed, 0.06)),
+            "metrics": (figure("replay_error", error, 0.02), figure("replay_terminal_error", missed, 0.06)),
             **changes,
         }
     )
@@ -91,8 +91,8 @@ def test_a_gain_too_small_for_a_sentence_is_told_as_one() -> None:
 
 
 def test_failures_and_refusals_are_listed() -> None:
-    failed = cell("lost", 3.0, None, 490.0, 0.01, "no plan", outcome="stalled", message="no step was left. More words.", figures=())
-    refused = cell("refuses", 0.0, None, 490.0, 0.01, "no plan", outcome="refused", figures=())
+    failed = cell("lost", 3.0, None, 490.0, 0.01, "no plan", outcome="stalled", message="no step was left. More words.", metrics=())
+    refused = cell("refuses", 0.0, None, 490.0, 0.01, "no plan", outcome="refused", metrics=())
     found = page(cell("good", 1.0, 0.01, 490.0, 0.01), failed, refused)
     assert [(row.label, why) for row, why in found.failed] == [("lost", "stalled, no plan: no step was left")]
     assert found.refused == ["refuses"]
@@ -100,7 +100,7 @@ def test_failures_and_refusals_are_listed() -> None:
 
 def test_where_nothing_holds_it_says_so() -> None:
     found = page(cell("bad", 1.0, 0.3, 490.0, 0.01, "violates"))
-    assert found.views[0].sentence == "None of 1 plan keeps every limit of the scene, so there is none to recommend."
+    assert found.views[0].sentence == "None of 1 plan holds, so there is none to recommend."
 
 
 def test_a_scene_without_inputs_has_nothing_to_choose_from() -> None:

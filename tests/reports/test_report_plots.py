@@ -157,11 +157,12 @@ def test_a_tracked_replay_is_shown_where_it_is_judged(factory):
     calm["q1"] = tuple(0.5 for _ in opened.t)
     calm["u1"] = tuple(0.25 for _ in opened.t)
     feedback = TrackedRecord(error_estimate=1e-9, rms=(0.1,), peak=(0.3,), rms_share=0.02, peak_share=0.06)
-    replay = stage.replay.model_copy(update={"judged": "tracked", "tracked": feedback, "growth_rate": 3.7})
+    replay = stage.replay.model_copy(update={"judged": "feedback", "tracked": feedback, "growth_rate": 3.7})
     both = stage.model_copy(update={"replay": replay, "tracked_trace": opened.model_copy(update={"columns": calm})})
     plots = {plot.title: plot for plot in stage_plots(factory.scene(), both).motion}
-    assert "Open loop: at most" in plots["Position error: open loop and tracked"].words
-    assert "Tracked: at most 0.0010 m, at the end 0.0010 m." in plots["Position error: open loop and tracked"].words
+    title = "Position error: inputs alone and with feedback"
+    assert "Inputs alone: at most" in plots[title].words
+    assert "With feedback: at most 0.0010 m, at the end 0.0010 m." in plots[title].words
     assert "u1 with feedback" in str(plots["Inputs of the plan (dotted) and with feedback"].markup())
     assert "The replay ends at q1 0.5" in plots["Positions: plan dotted, replay solid"].words
     only = stage_plots(factory.scene(), stage)

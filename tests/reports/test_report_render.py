@@ -130,15 +130,15 @@ def test_conclusions_are_computed(factory, tmp_path):
     _, page = render(factory.store(tmp_path / "bad", [bad]))
     assert "ours is the worse one" in page.text
     assert "hold after the replay, so" not in page.text
-    assert "0 of 1 cells that end in a direct method hold" in page.text
+    assert "0 of 1 runs that end with exact contact hold" in page.text
 
 
 def test_physics_of_relu_rows_is_judged_by_the_records(factory, tmp_path):
     run = factory.run("relu_gd", None, "relu_gd")
     _, page = render(factory.store(tmp_path / "zero", [run]))
     assert "is exactly 0, as it must be" in page.text
-    figures = tuple(figure.model_copy(update={"value": 0.16}) if figure.name == "physics" else figure for figure in run.stages[0].figures)
-    wrong = run.model_copy(update={"stages": (run.stages[0].model_copy(update={"figures": figures}),)})
+    metrics = tuple(metric.model_copy(update={"value": 0.16}) if metric.name == "physics" else metric for metric in run.stages[0].metrics)
+    wrong = run.model_copy(update={"stages": (run.stages[0].model_copy(update={"metrics": metrics}),)})
     _, page = render(factory.store(tmp_path / "wrong", [wrong]))
     assert "must be exactly 0, but is not in row 1: 0.16" in page.text
 
@@ -146,7 +146,7 @@ def test_physics_of_relu_rows_is_judged_by_the_records(factory, tmp_path):
 def test_failures_are_told_with_their_sentence_and_log(full):
     _, page = full
     for words in (
-        "8 of 10 stored cells that end in a direct method hold.",
+        "8 of 10 stored runs that end with exact contact hold.",
         "The process ended with signal 11.",
         "Segmentation fault",
         "Stopped at its time limit; allow more time",
@@ -182,7 +182,7 @@ def test_hostile_strings_stay_text(factory, hostile_folder):
             "plan_trace": None,
             "replay_trace": None,
             "replay": None,
-            "figures": (),
+            "metrics": (),
             "cost": None,
             "verdict": "no plan",
             "history": {},

@@ -7,14 +7,14 @@ import pytest
 
 from reports.chart_record import AxisRecord, ChartRecord, SeriesRecord
 from reports.examination_record import ExaminationRecord
-from reports.record import FigureRecord
+from reports.record import MetricRecord
 from reports.render import render
 from reports.time_step_record import TimeStepRecord
 
 
-def figure(name: str, value: float | None, limit: float | None, **changes) -> FigureRecord:
+def figure(name: str, value: float | None, limit: float | None, **changes) -> MetricRecord:
     ok = None if limit is None else value is not None and (value >= limit if changes.get("at_least") else value <= limit)
-    return FigureRecord(name=name, value=value, unit="m", meaning="", limit=limit, reason="why so", ok=ok, **changes)
+    return MetricRecord(name=name, value=value, unit="m", meaning="", limit=limit, reason="why so", ok=ok, **changes)
 
 
 def chart(**changes) -> ChartRecord:

@@ -77,6 +77,10 @@ def test_a_plan_that_holds_goes_before_a_cheaper_one_that_does_not(factory) -> N
     (whole,) = collected([part(factory, 1, [480.0], verdict="violates"), part(factory, 2, [490.55])])
     assert whole.verdict == "holds"
     assert whole.stages[-1].cost == 490.55
+    (whole,) = collected([part(factory, 1, [480.0], verdict="holds with feedback"), part(factory, 2, [490.55])])
+    assert whole.verdict == "holds", "by its inputs alone, though dearer"
+    (whole,) = collected([part(factory, 1, [480.0], verdict="violates"), part(factory, 2, [490.55], verdict="holds with feedback")])
+    assert whole.verdict == "holds with feedback"
 
 
 def test_optima_that_differ_by_rounding_are_one() -> None:

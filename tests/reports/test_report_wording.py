@@ -51,7 +51,7 @@ def test_no_digit_is_lost_or_made_up(value: float, places: int):
 def test_why_there_is_no_plan_is_told_once_a_stage(factory, tmp_path):
     """Not again as the message, as the reason of a missing trace, and as that of missing figures; a stage that never ran has no table of noughts."""
     why = "the cell's time was used up before this stage, past 2.18e-04 m."
-    nothing = {"plan_trace": None, "replay_trace": None, "replay": None, "figures": (), "history": {}, "residuals": {}, "cost": None}
+    nothing = {"plan_trace": None, "replay_trace": None, "replay": None, "metrics": (), "history": {}, "residuals": {}, "cost": None}
     late = factory.stage(0, "strict_lcp", None, None, 0.0, outcome="time_limit", message=why, why=why, verdict="no plan", **nothing)
     idle = late.model_copy(update={"iterations": 0, "seconds": late.seconds.model_copy(update={"stage": 0.0})})
     run = factory.run("late", None, "strict_lcp", stages=(idle,), outcome="time_limit", message=why, verdict="no plan")

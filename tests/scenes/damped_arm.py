@@ -6,7 +6,7 @@ from models.contacts import Contact, DampingLaw, Friction
 from models.scene import Coordinate, Input, Parameter, Scene, Task
 
 x, a, z, vx, va, vz, push, twist = sp.symbols("x a z vx va vz push twist", real=True)
-m, k, c, d, mu, g = sp.symbols("m k c d mu g", positive=True)
+m, k, c, d, mu, g, l = sp.symbols("m k c d mu g l", positive=True)  # noqa: E741 - l is the field's name for a length
 
 SCENE = Scene(
     name="damped_arm",
@@ -25,16 +25,37 @@ SCENE = Scene(
         Parameter(symbol=d, value=0.8, unit="s/m"),
         Parameter(symbol=mu, value=0.3, unit="1"),
         Parameter(symbol=g, value=9.81, unit="m/s^2"),
+        Parameter(symbol=l, value=1.0, unit="m"),
     ),
-    kinetic_energy=m * ((vx + va * sp.cos(a)) ** 2 + (va * sp.sin(a)) ** 2 + vx**2 + vz**2 + va**2 / 3) / 2,
-    potential_energy=m * g * (sp.cos(a) + z),
+    kinetic_energy=m * ((vx + l * va * sp.cos(a)) ** 2 + (l * va * sp.sin(a)) ** 2 + vx**2 + vz**2 + l**2 * va**2 / 3) / 2,
+    potential_energy=m * g * (l * sp.cos(a) + z),
     forces=(push, twist, sp.Integer(0)),
     contacts=(
-        Contact(name="foot", penetration=-z - x**2 / 20, stiffness=k, damping=c * (1 + mu), nominal=0.05),
-        Contact(name="bumper", penetration=x - sp.Rational(1, 20), stiffness=2 * k, nominal=0.05),
+        Contact(
+            name="foot",
+            bodies=("arm", "ground"),
+            depth=1.0,
+            depth_reason="the length of the arm",
+            penetration=-z - x**2 / 20,
+            stiffness=k,
+            damping=c * (1 + mu),
+            nominal=0.05,
+        ),
+        Contact(
+            name="bumper",
+            bodies=("cart", "wall"),
+            depth=1.0,
+            depth_reason="the length of the arm",
+            penetration=x - sp.Rational(1, 20),
+            stiffness=2 * k,
+            nominal=0.05,
+        ),
         Contact(
             name="hand",
-            penetration=x + sp.sin(a) - sp.Rational(1, 2),
+            bodies=("arm", "wall"),
+            depth=1.0,
+            depth_reason="the length of the arm",
+            penetration=x + l * sp.sin(a) - sp.Rational(1, 2),
             stiffness=k,
             damping=d,
             damping_law=DampingLaw.HUNT_CROSSLEY,

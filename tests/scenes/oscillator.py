@@ -6,6 +6,7 @@ Every back end must leave out what is not here.
 import sympy as sp
 
 from models.scene import Coordinate, Scene, Task
+from models.scene_annotations import goal_limits
 
 q, v = sp.symbols("q v", real=True)
 
@@ -21,4 +22,5 @@ SCENE = Scene(
     forces=(sp.Integer(0),),
     contacts=(),
     task=Task(start=(1.0, 0.0), goal=(-1.0, 0.0), running_cost=sp.Integer(0), step=0.01, steps=314),
+    limits=goal_limits(position=0.01, velocity=0.01, reason="a step of the time"),
 )

@@ -8,6 +8,7 @@ x = w. Without torques, damping and contact the energy is kept.
 import sympy as sp
 
 from models.scene import Contact, Coordinate, Input, Parameter, Scene, Shape, Task
+from models.scene_annotations import goal_limits
 
 q1, q2 = sp.symbols("q1 q2", real=True)
 v1, v2 = sp.symbols("v1 v2", real=True)
@@ -52,7 +53,18 @@ SCENE = Scene(
     kinetic_energy=sp.simplify(sp.expand(FIRST + SECOND)),
     potential_energy=g * (m1 * Y1 / 2 + m2 * (Y1 + Y2) / 2),
     forces=(u1 - c * v1, u2 - c * v2),
-    contacts=(Contact(name="wall", penetration=X2 - w, stiffness=k, nominal=0.05, description="tip against wall"),),
+    contacts=(
+        Contact(
+            name="wall",
+            bodies=("second rod", "wall"),
+            penetration=X2 - w,
+            stiffness=k,
+            depth=l1 + l2 - w,
+            depth_reason="the tip of a stretched arm: no arm reaches deeper",
+            nominal=0.05,
+            description="tip against wall",
+        ),
+    ),
     task=Task(
         start=(1.4, -0.3, 0.0, 0.0),
         goal=(1.1, -0.5, 0.0, 0.0),
@@ -60,6 +72,7 @@ SCENE = Scene(
         step=0.01,
         steps=100,
     ),
+    limits=goal_limits(position=0.01, velocity=0.01, reason="half a degree, and half a degree a second"),
     shapes=(
         Shape(name="first rod", kind="line", x=X1 / 2, y=Y1 / 2, size=(l1,), angle=q1),
         Shape(name="second rod", kind="line", x=(X1 + X2) / 2, y=(Y1 + Y2) / 2, size=(l2,), angle=q1 + q2),

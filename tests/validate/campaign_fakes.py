@@ -20,6 +20,7 @@ from formulations.method import Kind, Leg, Method, OptionSpec, Pipeline, Session
 from formulations.solution import Outcome, Solution
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
+from validate.score.result import Question
 from validate.tools import Tools
 
 
@@ -194,22 +195,38 @@ class FakeReplay:
 
 
 @dataclass
-class FakeFigure:
+class FakeMetric:
     name: str
     value: float | None
     unit: str = "m"
     meaning: str = "fake"
+    question: Question = Question.SHOWN
+    error: float = 0.0
     limit: float | None = None
     reason: str = ""
     ok: bool | None = None
-    resolved: bool = True
+    default: bool = True
 
 
 @dataclass
 class FakeScore:
-    figures: tuple[FakeFigure, ...]
+    metrics: tuple[FakeMetric, ...]
     verdict: str
     why: str
+    judged: str = "open"
+    questions: tuple[tuple[Question, str], ...] = ()
+    not_asked: tuple[str, ...] = ()
+
+
+@dataclass
+class FakeJudgement:
+    replay: FakeReplay
+    score: FakeScore
+
+
+def _judge(score, scene: Scene, fmu: Path, trajectory: Trajectory) -> FakeJudgement:
+    replay = _replay(scene, fmu, trajectory)
+    return FakeJudgement(replay, score(scene, trajectory, replay))
 
 
 def _replay(scene: Scene, fmu: Path, trajectory: Trajectory) -> FakeReplay:
@@ -219,12 +236,12 @@ def _replay(scene: Scene, fmu: Path, trajectory: Trajectory) -> FakeReplay:
 
 def _score(scene: Scene, trajectory: Trajectory, replay: FakeReplay) -> FakeScore:
     error = float(np.linalg.norm(trajectory.end - np.array(scene.task.goal)))
-    figures = (FakeFigure("terminal_error", error), FakeFigure("physics", 0.0, "N^2"), FakeFigure("replay_error", float("nan")))
-    return FakeScore(figures, "holds", "it is a fake")
+    metrics = (FakeMetric("terminal_error", error), FakeMetric("physics", 0.0, "N^2"), FakeMetric("replay_error", float("nan")))
+    return FakeScore(metrics, "holds", "it is a fake")
 
 
 def _score_badly(scene: Scene, trajectory: Trajectory, replay: FakeReplay) -> FakeScore:
-    return FakeScore(_score(scene, trajectory, replay).figures, "violates", "the fake judge is strict")
+    return FakeScore(_score(scene, trajectory, replay).metrics, "violates", "the fake judge is strict")
 
 
 def _stumble(scene: Scene, trajectory: Trajectory, replay: FakeReplay) -> FakeScore:
@@ -244,8 +261,7 @@ def _fake_tools(score=_score) -> Tools:
         examinations=lambda scenes: (),
         compile=lambda scene: None,
         build_fmu=lambda scene: Path(os.devnull),
-        replay=_replay,
-        score=score,
+        judge=lambda scene, fmu, trajectory: _judge(score, scene, fmu, trajectory),
         write_replay=lambda path, replay, scene: None,
         tell=lambda folder, text: None,
         write_report=_write_report,

@@ -15,7 +15,7 @@ import campaign_fakes
 
 from models.errors import TouchstoneError
 from models.scene_text import scene_text
-from reports.record import FigureRecord
+from reports.record import MetricRecord
 from validate.examination import Course, Examination, Found, SceneReference
 
 
@@ -41,7 +41,7 @@ def ask(arguments: Mapping[str, str], course: Course) -> Found:
         file.write(f"{arguments['says']}\n")
     course.at(f"the question {arguments['says']}")
     _MISBEHAVIOUR.get(arguments["says"], lambda: None)()
-    figure = FigureRecord(name="patience", value=course.seconds_left, unit="s", meaning="what is left of its time")
+    figure = MetricRecord(name="patience", value=course.seconds_left, unit="s", meaning="what is left of its time")
     return Found(arguments["says"] == "yes", f"it says {arguments['says']}.", (figure,))
 
 

@@ -48,6 +48,7 @@ x = 0.2
 [limits]
 replay_error = { value = 1e-2, reason = "a centimetre" }
 ghost_impulse = 0.1
+replay_terminal_position_error = { value = 1.0, reason = "anywhere near" }
 """
 MASS, STIFFNESS, STOP = 2.0, 1000.0, 0.5
 

@@ -17,7 +17,7 @@ def good_record() -> dict[str, Any]:
     provenance = dict.fromkeys(("touchstone", "commit", "python", "platform", "cpu", "compiler", "started", "command"), "x")
     provenance |= {"cores": 1, "threads": 1, "packages": {}, "seed": 0}
     scene = {name: [] for name in ("coordinates", "velocities", "inputs", "contacts", "parameters", "start", "goal")}
-    figure = {"name": "physics", "value": 1.0, "unit": "N^2", "meaning": "m", "limit": 2.0, "ok": True}
+    metric = {"name": "physics", "value": 1.0, "unit": "N^2", "meaning": "m", "question": 3, "error": 0.1, "limit": 2.0, "ok": True}
     stage = {
         "index": 0,
         "method": "m",
@@ -26,7 +26,9 @@ def good_record() -> dict[str, Any]:
         "eps": 0.5,
         "outcome": "solved",
         "advice": "",
-        "figures": [figure],
+        "metrics": [metric],
+        "questions": [{"number": 3, "text": "t", "answer": "yes"}],
+        "not_asked": ["n"],
     }
     return {
         "key": KEY, "scene": {"name": "s", "title": "", "source": "", "step": 0.01, "steps": 2, **scene}, "pipeline": "p", "pipeline_title": "",

@@ -138,13 +138,15 @@ def test_writing_leaves_no_second_file(tmp_path):
 def test_results_have_the_columns_of_the_design(entry):
     design = (
         "scene, pipeline, stage, method, eps, outcome, cost, terminal_error, physics, physics_scaled, defect, discrete_terminal_error, "
-        "replay_terminal_error, replay_error, ghost_impulse, missed_impulse, energy_residual, verdict, iterations, build_s, solve_s, "
-        "stage_s, total_s, replay_s, judged, tracked_terminal_error, tracked_replay_error, feedback_effort, growth_rate"
+        "replay_terminal_error, replay_terminal_position_error, replay_terminal_velocity_error, replay_error, max_penetration, ghost_impulse, "
+        "missed_impulse, energy_residual, verdict, iterations, build_s, solve_s, stage_s, total_s, replay_s, judged, "
+        "tracked_replay_terminal_error, tracked_replay_error, feedback_effort, feedback_share, growth_rate"
     )
     assert tuple(design.split(", ")) == COLUMNS
     header, row = results_text([_record(entry, "infeasible")]).splitlines()
     assert header == ",".join(COLUMNS)
-    assert row == "three_cart,relu_gd,1,relu_gd,,infeasible," + "," * 11 + "no plan" + "," * 11
+    told = {"scene": "three_cart", "pipeline": "relu_gd", "stage": "1", "method": "relu_gd", "outcome": "infeasible", "verdict": "no plan"}
+    assert row.split(",") == [told.get(name, "") for name in COLUMNS]
 
 
 HARMS = {

@@ -62,7 +62,9 @@ def test_every_end_is_the_right_row(misbehaved, pipeline, outcome, words):
     assert words in record.message
     assert "\n" not in record.message
     assert [stage.outcome for stage in record.stages] == [outcome]
-    assert (record.verdict == "no plan") == (outcome != "solved")
+    without = {"solved": False, "refused": record.verdict == "not applicable"}.get(outcome, record.verdict == "no plan")
+    assert without == (outcome != "solved")
+    assert (record.verdict == "not applicable") == (outcome == "refused"), "never counted with failures"
 
 
 def test_the_traceback_is_in_the_log_and_not_on_the_screen(misbehaved):

@@ -72,7 +72,7 @@ def store(tmp_path) -> Store:
 
 
 def _told(record: RunRecord) -> tuple:
-    stages = [(stage.outcome, stage.verdict, stage.cost, len(stage.figures)) for stage in record.stages]
+    stages = [(stage.outcome, stage.verdict, stage.cost, len(stage.metrics)) for stage in record.stages]
     return record.outcome, record.verdict, record.message, stages
 
 

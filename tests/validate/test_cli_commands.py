@@ -218,7 +218,7 @@ def test_quick_says_what_it_left_out(cli, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("tools", "words"), [("STRICT", "violates - the fake judge is strict"), ("STUMBLING", "not resolved - the judge ended with")]
+    ("tools", "words"), [("STRICT", "violates - the fake judge is strict"), ("STUMBLING", "undecided - the judge ended with")]
 )
 def test_a_direct_plan_that_does_not_hold_fails(cli, tmp_path, tools, words):
     done = cli(
@@ -228,14 +228,14 @@ def test_a_direct_plan_that_does_not_hold_fails(cli, tmp_path, tools, words):
     failures = [line for line in done.stdout.splitlines() if line.startswith("fails: ")]
     assert len(failures) == 2, "the indirect cell is expected to violate, but then none of the scene holds"
     assert f"three_cart x only_good: {words}" in failures[0]
-    assert "three_cart: no cell holds (only_good solved" in failures[1]
+    assert "three_cart: no run holds (only_good solved" in failures[1]
 
 
 def test_a_limit_on_no_figure_is_said_before_anything_runs(cli, tmp_path: Path):
     path = tmp_path / "misspelt.py"
     path.write_text(
         "from dataclasses import replace\nfrom models.catalog import load_scene\nfrom models.scene import Limit\n"
-        "SCENE = replace(load_scene('three_cart'), name='misspelt', limits=(Limit(figure='defct', value=1.0, reason=''),))\n",
+        "SCENE = replace(load_scene('three_cart'), name='misspelt', limits=(*load_scene('three_cart').limits, Limit(metric='defct', value=1.0, reason='')))\n",
         encoding="utf-8",
     )
     done = cli("all", *GOOD, "--scene", str(path), "--out", str(tmp_path / "out"))
@@ -252,5 +252,5 @@ def test_numbers_too_large_for_decimals_are_short():
 def test_a_campaign_of_refusals_claims_nothing(cli, tmp_path):
     done = cli("all", "--scene", "bouncing_mass", "-k", "softplus_dc+strict", "--out", str(tmp_path / "refused"))
     assert done.returncode == 0
-    assert "every method refused its scene" in done.stdout
+    assert "no method applies to its scene" in done.stdout
     assert "holds" not in done.stdout

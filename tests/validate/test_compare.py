@@ -82,13 +82,13 @@ def test_a_cheaper_plan_that_no_longer_holds_is_no_progress(tmp_path, runs):
     assert {change.what for change in found.changes} == {"verdict"}
 
 
-def test_a_figure_that_left_its_limit_is_a_regression(tmp_path, runs):
+def test_a_metric_that_left_its_limit_is_a_regression(tmp_path, runs):
     run = direct(runs)
     stage = run.stages[-1]
-    place, figure = next((place, figure) for place, figure in enumerate(stage.figures) if figure.ok)
-    figures = (*stage.figures[:place], figure.model_copy(update={"ok": False}), *stage.figures[place + 1 :])
-    (change,) = compared(tmp_path, [run], [changed_last(run, figures=figures)]).changes
-    assert (change.kind, change.what) == (Kind.REGRESSION, figure.name)
+    place, metric = next((place, metric) for place, metric in enumerate(stage.metrics) if metric.ok)
+    metrics = (*stage.metrics[:place], metric.model_copy(update={"ok": False}), *stage.metrics[place + 1 :])
+    (change,) = compared(tmp_path, [run], [changed_last(run, metrics=metrics)]).changes
+    assert (change.kind, change.what) == (Kind.REGRESSION, metric.name)
 
 
 def test_rows_that_are_gone_and_new_ones(tmp_path, runs):

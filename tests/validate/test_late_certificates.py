@@ -90,7 +90,7 @@ def test_nothing_but_the_certificate_is_lost(last, outcome, why, in_reach, tmp_p
     for stage in record.stages:
         assert stage.plan_trace is not None
         assert stage.replay_trace is not None
-        assert [figure.name for figure in stage.figures] == ["terminal_error", "physics", "replay_error"]
+        assert [figure.name for figure in stage.metrics] == ["terminal_error", "physics", "replay_error"]
     names = {path.name for path in folder.iterdir()}
     assert names == {"record.json", "cell.json", "log.txt", "files.json", "trajectory.nc", "trajectory_1.nc", "trajectory_2.nc"}
     assert sum(record.profile.values()) == pytest.approx(record.wall_seconds)

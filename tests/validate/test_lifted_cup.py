@@ -7,9 +7,8 @@ import pytest
 from formulations.catalog import load_method
 from formulations.solution import Solution
 from models.catalog import load_scene
-from models.fmu import build_fmu
-from validate.replay import replay
-from validate.score import Score, score
+from validate.judge import judge
+from validate.score import Question, Score, Verdict
 
 
 @pytest.fixture(scope="module")
@@ -26,9 +25,8 @@ def plans() -> tuple[Solution, Solution]:
 
 
 def judged(solution: Solution) -> Score:
-    scene = load_scene("two_finger_lift")
     assert solution.trajectory is not None
-    return score(scene, solution.trajectory, replay(scene, build_fmu(scene), solution.trajectory))
+    return judge("two_finger_lift", solution).score
 
 
 def test_both_plans_lift_the_cup_on_paper(plans):
@@ -43,16 +41,21 @@ def test_both_plans_lift_the_cup_on_paper(plans):
 
 def test_the_relaxed_plan_violates_and_says_where_its_forces_come_from(plans):
     found = judged(plans[0])
-    assert found.verdict.value == "violates"
-    beyond = {figure.name for figure in found.figures if figure.ok is False}
-    assert {"physics_scaled", "friction_dissipation_error", "discrete_terminal_error"} <= beyond
-    assert "force from a distance" in found.why
+    assert found.verdict is Verdict.VIOLATES
+    beyond = {metric.name for metric in found.metrics if metric.ok is False}
+    assert {"physics_scaled", "friction_dissipation_error", "ghost_impulse", "discrete_terminal_velocity_error"} <= beyond
+    assert found.why.startswith("its contact forces are not those of contact")
+    assert dict(found.questions)[Question.GOAL] == "yes", "on paper"
 
 
 def test_the_exact_plan_from_the_same_start_holds(plans):
+    """With feedback: what squeezes the cup drives an error of its height on, whatever the plan."""
     found = judged(plans[1])
-    assert found.verdict.value == "holds", found.why
-    figures = {figure.name: figure.value for figure in found.figures}
-    assert figures["physics_scaled"] < 1e-9
-    assert figures["friction_violation"] < 1e-9
-    assert figures["discrete_terminal_error"] < 1e-6
+    assert found.verdict is Verdict.HOLDS_WITH_FEEDBACK, found.why
+    assert load_scene("two_finger_lift").unstable
+    values = {metric.name: metric.value for metric in found.metrics}
+    assert values["physics_scaled"] < 1e-9
+    assert values["friction_violation"] < 1e-9
+    assert values["discrete_terminal_error"] < 1e-6
+    assert values["feedback_effort"] < 0.01, "a finger's tremble, not another plan"
+    assert values["feedback_share"] < 0.05

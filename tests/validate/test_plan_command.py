@@ -80,3 +80,35 @@ def test_bad_words_are_one_sentence(cli, tmp_path):
 def test_the_table_ends_with_the_counts(cli, tmp_path):
     done = cli("plan", *FAKES, "--out", str(tmp_path), "-k", "only_good or only_segfault")
     assert done.stdout.splitlines()[-2:] == ["2 to run: nothing is stored of it", "0 stored, 2 to run"]
+
+
+def test_what_a_scene_waives_and_that_it_is_unstable_is_told(cli, tmp_path):
+    path = tmp_path / "waiving.py"
+    path.write_text(
+        "from dataclasses import replace\nfrom models.catalog import load_scene\nfrom models.scene import Limit\n"
+        "CARTS = load_scene('three_cart')\n"
+        "SCENE = replace(CARTS, name='waiving', unstable='It falls over.', limits=(\n"
+        "    *CARTS.limits, Limit(metric='missed_impulse', value=None, reason='nothing is touched twice')))\n",
+        encoding="utf-8",
+    )
+    words = ("--tools", "campaign_fakes:TOOLS", "--scene", str(path), "-k", "only_good", "--out", str(tmp_path / "out"))
+    told = json.loads(cli("plan", *words, "--json").stdout)
+    assert told["waived"] == {"waiving": ["missed_impulse: nothing is touched twice"]}
+    assert told["unstable"] == {"waiving": "It falls over."}
+    lines = cli("plan", *words).stdout.splitlines()
+    assert "waived by waiving: missed_impulse: nothing is touched twice" in lines
+    assert "waiving is unstable in the open loop, so that feedback is enough there: It falls over." in lines
+
+
+def test_a_folder_of_an_earlier_schema_is_said_to_be_run_again(cli, tmp_path):
+    out = tmp_path / "old"
+    out.mkdir()
+    (out / "campaign.json").write_text('{"schema_version": 2}')
+    sentence = f"{out} holds the records of schema 2, whose verdicts follow another rule than those of schema 3"
+    planned = cli("plan", *FAKES, "--out", str(out), "-k", "only_good")
+    assert sentence in planned.stderr
+    assert cli("report", str(out)).stderr.startswith(f"error: {sentence}; run the campaign again.")
+    done = cli("all", *FAKES, "--out", str(out), "-k", "only_good")
+    assert sentence in done.stderr
+    assert "1 to run" in done.stderr
+    assert sentence not in cli("plan", *FAKES, "--out", str(out), "-k", "only_good").stderr

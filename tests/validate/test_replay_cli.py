@@ -45,15 +45,22 @@ def write(path: Path, text: str) -> str:
 
 
 def test_a_foreign_fmu_is_judged_by_its_map(command: Command, folder: Path):
-    code, out, _ = command("plan.csv", "--fmu", "cart.fmu", "--map", "map.toml", "--json", "--out", "told")
+    deep = FULL_MAP.replace("[goal]", "depth = 0.2\n[goal]")
+    write(folder / "deep.toml", deep)
+    code, out, _ = command("plan.csv", "--fmu", "cart.fmu", "--map", "deep.toml", "--json", "--out", "told")
     told = json.loads(out)
-    figures = {figure["name"]: figure for figure in told["figures"]}
+    metrics = {metric["name"]: metric for metric in told["metrics"]}
     assert (code, told["verdict"]) == (0, "holds")
-    assert figures["replay_error"]["value"] < 1e-7
-    assert figures["ghost_impulse"]["value"] < 0.1
-    assert figures["max_penetration"]["value"] == pytest.approx(foreign_plan()[:, 4].max() / 1000, rel=0.1)
-    assert figures["replay_terminal_position_error"]["value"] == pytest.approx(abs(foreign_plan()[-1, 1] - 0.2), abs=1e-6)
-    assert "equations" in figures["physics"]["reason"]
+    assert metrics["replay_error"]["value"] < 1e-7
+    assert metrics["ghost_impulse"]["value"] < 0.1
+    assert metrics["max_penetration"]["value"] == pytest.approx(foreign_plan()[:, 4].max() / 1000, rel=0.1)
+    assert metrics["replay_terminal_position_error"]["value"] == pytest.approx(abs(foreign_plan()[-1, 1] - 0.2), abs=1e-6)
+    assert metrics["max_penetration"]["limit"] == 0.2
+    assert told["why"].startswith("holds for what this FMU shows (questions 1, 2, 3, 4, 5)")
+    assert any("an FMU keeps its equations to itself" in text for text in told["not_asked"])
+    assert not {"physics", "defect", "unexplained_force"} & set(metrics)
+    answers = {item["number"]: item["answer"] for item in told["questions"]}
+    assert answers | {6: "not asked", None: "not asked"} == answers
     # Its Co-Simulation has a step of its own that nobody can halve, so its distance from the reference counts: 1e-8.
     assert told["replay"]["error"]["estimate"]["position"] < 1e-7
     assert sorted(path.name for path in (folder / "told").iterdir()) == ["replay.nc", "score.json"]
@@ -66,20 +73,28 @@ def test_what_is_not_named_is_said_and_not_shown(command: Command, folder: Path)
     write_plan(folder / "short.csv", "t,x,F,lam_stop")
     code, out, _ = command("short.csv", "--fmu", "cart.fmu", "--map", write(folder / "bare.toml", bare), "--json")
     told = json.loads(out)
-    figures = {figure["name"]: figure for figure in told["figures"]}
-    assert (code, told["verdict"]) == (1, "not resolved")
-    assert figures["ghost_impulse"]["reason"] == "not every contact has a gap named."
-    assert told["not_shown"]["gap"] == "not every contact has a gap named"
-    assert figures["replay_error"]["value"] < 1e-7
-    assert figures["missed_impulse"]["value"] is not None
+    metrics = {metric["name"]: metric for metric in told["metrics"]}
+    assert (code, told["verdict"]) == (0, "holds"), told["why"]
+    assert told["why"].startswith("holds for what this FMU shows (questions 1, 3, 4)")
+    assert metrics["ghost_impulse"]["reason"] == metrics["missed_impulse"]["reason"] == "not every contact has a gap named."
+    for words in (
+        "max_penetration: contact stop has no gap",
+        "no [goal]",
+        "no [task] duration",
+        "ghost_impulse, missed_impulse: not every contact",
+    ):
+        assert any(words in text for text in told["not_asked"]), words
+    assert metrics["replay_error"]["value"] < 1e-7
+    assert metrics["replay_error"]["limit"] == 1e-3
 
 
-def test_an_input_that_the_plan_does_not_drive_is_said(command: Command, folder: Path):
+def test_a_plan_that_drives_no_input_is_judged_by_what_the_fmu_does_alone(command: Command, folder: Path):
     bare = '[positions]\nx = { variable = "body.pos", scale = 0.001 }\n'
     write_plan(folder / "idle.csv", "t,x")
     code, out, _ = command("idle.csv", "--fmu", "cart.fmu", "--map", write(folder / "idle.toml", bare), "--json")
-    assert code == 1
-    assert "drive.force" in json.loads(out)["not_shown"]["inputs"]
+    told = json.loads(out)
+    assert (code, told["verdict"]) == (1, "violates")
+    assert told["why"].startswith("driven by its inputs the motion departs from the plan by 0.302")
 
 
 def test_equal_names_need_no_map(command: Command, folder: Path):
@@ -87,9 +102,12 @@ def test_equal_names_need_no_map(command: Command, folder: Path):
     rows = [[0.01 * n, 2, 3, 4, 0, 0, 0, 1.0, -1.0] for n in range(6)]
     text = "t,q1,q2,q3,v1,v2,v3,u1,u3\n" + "\n".join(",".join(map(str, row)) for row in rows)
     code, out, _ = command(write(folder / "own.csv", text), "--fmu", "own.fmu")
+    assert code == 0
+    assert "the map names no [contacts]" in out
+    assert "holds for what this FMU shows (questions 1, 4)" in out
+    code, out, _ = command(write(folder / "own.csv", text.replace("1.0,-1.0", "9.0,-9.0")), "--fmu", "own.fmu")
     assert code == 1
-    assert "Not shown: no contacts are named" in out
-    assert "no limits" in out
+    assert "violates: driven by its inputs the motion departs from the plan by 0.0109 m" in out
 
 
 @pytest.mark.parametrize(
@@ -99,7 +117,7 @@ def test_equal_names_need_no_map(command: Command, folder: Path):
         (('"drive.force"', '"body.mass"'), "inputs.F: 'body.mass' is no input of the FMU"),
         (("scale = 0.001, unit = \"m\" }\n[velocities]", "unit = \"m\" }\n[velocities]"), "positions.x: the plan is in 'm', but 'body.pos' is in 'mm'; give a scale"),
         (("[goal]\nx", "[goal]\nxx"), "goal.xx: there is no position or velocity of that name (near it: x"),
-        (("ghost_impulse", "ghost_impuls"), "limits.ghost_impuls: there is no figure of that name (near it: ghost_impulse"),
+        (("ghost_impulse", "ghost_impuls"), "limits.ghost_impuls: there is no metric of that name (near it: ghost_impulse"),
         (("[goal]", '[parameters]\n"body.mas" = 1\n[goal]'), "parameters.body.mas: the FMU has no variable 'body.mas' (near it: body.mass"),
         (("[goal]", "[start]\nlabel = 1\n[goal]"), "start.label: 'label' is of type String"),
         (("[goal]", '[start]\n"body.vel" = "w"\n[goal]'), "start.body.vel: the plan has no column 'w'"),
@@ -194,13 +212,18 @@ def test_a_scene_plan_with_another_unit_is_refused(command: Command, folder: Pat
     assert (code, "did you mean 'u3'" in err) == (2, True)
 
 
-def test_a_plan_of_another_duration_is_told(command: Command, folder: Path):
+def test_a_plan_of_another_duration_does_not_hold(command: Command, folder: Path):
+    """Until now a warning on stderr beside `holds`; the grid of a plan that declares no scheme is nobody's business."""
     text = "t,q1,q2,q3,u1,u3\n0,2,3,4,0,0\n0.5,2,3,4,0,0\n1,2,3,4,0,0\n"
-    code, _, err = command(write(folder / "brief.csv", text), "--scene", "three_cart", "--json")
-    assert code in (0, 1)
-    steps, lasts = err.splitlines()
-    assert "a step of 0.5 s lies past the stability limit" in steps
-    assert lasts == "warning: plan " + str(folder / "brief.csv") + ": it lasts 1 s, but the task of scene three_cart 5 s."
+    code, out, err = command(write(folder / "brief.csv", text), "--scene", "three_cart", "--json")
+    told = json.loads(out)
+    assert (code, told["verdict"], err) == (1, "violates", "")
+    assert told["why"].startswith("the plan and the task differ in duration by 4 s, limit 0.005 s (it lasts 1 s, the task 5 s)")
+    assert told["warnings"] == []
+    declared = "# scheme: semi_implicit_euler\n" + text
+    _, out, _ = command(write(folder / "brief.csv", declared), "--scene", "three_cart", "--json")
+    (warning,) = json.loads(out)["warnings"]
+    assert "a step of 0.5 s lies past the stability limit" in warning
 
 
 def _entries(path: Path, change: Callable[[str, bytes], bytes | None], source: Path) -> str:
@@ -249,7 +272,7 @@ def test_a_misbehaving_fmu_leaves_a_verdict(command: Command, folder: Path):
     build_foreign(folder / "segfault.fmu", "segfault")
     code, out, _ = command("plan.csv", "--fmu", "segfault.fmu", "--map", "map.toml", "--json", "--out", "crashed")
     told = json.loads(out)
-    assert (code, told["verdict"], told["replay"]["outcome"]) == (1, "not resolved", "crashed")
+    assert (code, told["verdict"], told["replay"]["outcome"]) == (1, "undecided", "crashed")
     assert "SIGSEGV" in told["why"]
     assert (folder / "crashed/score.json").exists()
 
@@ -259,6 +282,6 @@ def test_a_cosimulation_that_does_not_heed_its_step_is_not_resolved(command: Com
     build_foreign(folder / "only_cs.fmu", kinds=COSIMULATION)
     code, out, _ = command("plan.csv", "--fmu", "only_cs.fmu", "--map", "map.toml", "--json")
     told = json.loads(out)
-    assert (code, told["verdict"]) == (1, "not resolved")
+    assert (code, told["verdict"]) == (1, "undecided")
     assert told["replay"]["error"]["estimate"] is None
     assert "Half the communication step changes nothing" in told["replay"]["message"]

@@ -13,6 +13,7 @@ from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.fmu import build_fmu
 from models.scene import Contact, Coordinate, Input, Parameter, Scene, Task
+from models.scene_annotations import goal_limits
 from models.trajectory import Hold, Trajectory, uniform_grid
 from validate.replay import Replay, ReplayOutcome, replay
 from validate.replay.package import FmuError
@@ -57,6 +58,7 @@ def mass_on_a_line(growth: float = 0.0) -> Scene:
         forces=(u + g * q,),
         contacts=(),
         task=Task(start=(0.0, 0.0), goal=(1.0, 0.0), running_cost=u**2, step=0.2, steps=6),
+        limits=goal_limits(position=0.01, velocity=0.01, reason="this test"),
     )
 
 
@@ -203,6 +205,7 @@ def test_another_fmu_is_replayed_by_a_map_of_names():
         forces=tuple(force.subs({old[0].symbol: x, old[1].symbol: f}) for force in scene.forces),
         contacts=(),
         task=Task(start=(0.0, 0.0), goal=(1.0, 0.0), running_cost=f**2, step=0.2, steps=6),
+        limits=goal_limits(position=0.01, velocity=0.01, reason="this test"),
     )
     plan = driven(scene, np.ones((6, 1)))
     foreign = replay(scene, build_fmu(renamed), plan, {"q": "x", "v": "w", "u": "f"})
@@ -259,8 +262,11 @@ def test_a_start_that_already_touches_is_in_contact_from_the_first_moment():
         kinetic_energy=v**2 / 2,
         potential_energy=sp.Integer(0),
         forces=(u,),
-        contacts=(Contact(name="wall", penetration=q, stiffness=k),),
+        contacts=(
+            Contact(name="wall", bodies=("mass", "wall"), depth=1.0, depth_reason="nothing here goes as deep", penetration=q, stiffness=k),
+        ),
         task=Task(start=(0.02, 0.0), goal=(0.02, 0.0), running_cost=u**2, step=0.1, steps=5),
+        limits=goal_limits(position=0.01, velocity=0.01, reason="this test"),
     )
     resting = replay(scene, build_fmu(scene), driven(scene, np.full((5, 1), 2.0)))
     assert resting.q[:, 0] == pytest.approx(0.02, abs=1e-12)

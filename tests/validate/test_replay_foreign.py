@@ -80,10 +80,10 @@ def test_without_model_exchange_the_everyday_replay_is_judged(tmp_path: Path, sc
     assert result.error.tolerance is None
     assert result.q == pytest.approx(whole.q[whole.knots], abs=1e-10)
     assert (result.input_work, result.contact_impulse) == (None, None)
-    figure = score(scene, make_plan(scene), result).figure("energy_residual")
-    assert figure is not None
-    assert figure.value is None
-    assert "input_power" in figure.reason
+    metric = score(scene, make_plan(scene), result).metric("energy_residual")
+    assert metric is not None
+    assert metric.value is None
+    assert "input_power" in metric.reason
 
 
 def test_without_cosimulation_the_reference_stands_alone(tmp_path: Path, scene: Scene, fmu: Path, whole: Replay):

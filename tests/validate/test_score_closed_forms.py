@@ -27,11 +27,12 @@ def judged(scene: Scene):
 def test_the_replay_meets_every_closed_form(name: str):
     scene = load_scene(name)
     result = judged(scene)
-    assert result.verdict is Verdict.HOLDS, result.why
+    assert result.verdict is Verdict.CONSISTENT, result.why  # nothing is asked of a motion that nobody plans
     assert {answer.measure for answer in scene.answers} - {""} <= set(MEASURES)
-    figure = next(figure for figure in result.figures if figure.name == "answer_error")
-    assert figure.value is not None
-    assert figure.value < 0.1
+    metric = result.metric("answer_error")
+    assert metric is not None
+    assert metric.value is not None
+    assert metric.value < 0.1
     # each answer alone is watched: moved by ten tolerances, it is found
     for index, answer in enumerate(scene.answers):
         if not answer.measure:
@@ -39,14 +40,15 @@ def test_the_replay_meets_every_closed_form(name: str):
         moved = replace(answer, value=answer.value + 10.0 * answer.tolerance)
         wrong = replace(scene, answers=(*scene.answers[:index], moved, *scene.answers[index + 1 :]))
         result = judged(wrong)
-        assert result.verdict is Verdict.VIOLATES
+        assert result.verdict is Verdict.UNDECIDED, "it accuses the judge, never the plan"
+        assert "the judge is not well" in result.why
         assert "tolerances off a closed form" in result.why
 
 
 def test_a_contact_that_never_closes_is_not_measured():
     scene = load_scene("bouncing_mass").with_task(steps=100)
     result = judged(scene)
-    assert result.verdict is Verdict.NOT_RESOLVED
+    assert result.verdict is Verdict.UNDECIDED
     assert "no contact closes" in result.why
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from validate.score import equations as eq
+from validate.score.printing import half_unit
 
 
 def test_physics_and_its_scale():
@@ -26,29 +27,119 @@ def test_physics_scaled_depends_on_neither_grid_nor_stiffness():
     assert once == pytest.approx(eq.physics_scaled(7 * lam, 7 * k * phi, 7 * k, length, h))
 
 
-def test_defect_is_the_largest_residual_in_state_units():
+def test_defect_is_the_largest_residual_of_each_component():
     h = np.array([0.5, 0.5])
     a = np.array([[2.0], [0.0]])
     v = np.array([[0.0], [1.0], [1.0]])
     q = np.array([[0.0], [0.5], [1.0]])
-    assert eq.defect(q, v, a, h) == 0.0
-    assert eq.defect(q + np.array([[0.0], [0.0], [1e-3]]), v, a, h) == pytest.approx(1e-3)
-    assert eq.defect(q, v + np.array([[0.0], [0.0], [-4e-3]]), a, h) == pytest.approx(4e-3)
+    assert eq.defect(q, v, a, h).tolist() == [0.0, 0.0]
+    assert eq.defect(q + np.array([[0.0], [0.0], [1e-3]]), v, a, h) == pytest.approx([1e-3, 0.0])
+    assert eq.defect(q, v + np.array([[0.0], [0.0], [-4e-3]]), a, h) == pytest.approx([2e-3, 4e-3])
 
 
-def test_ghost_and_missed_impulse_by_pieces():
-    """Two steps of 1 s at 2 N planned. The gap is open for the first 1.5 s; after that the replay pushes with up to 6 N."""
-    gap = np.array([[0.3], [0.2], [0.0], [-0.1]])  # at 0, 1, 1.5 (event) and 2 s
-    lam = np.array([[0.0], [0.0], [0.0], [6.0]])
-    planned, step_of, duration = np.array([[2.0], [2.0]]), np.array([0, 1, 1]), np.array([1.0, 0.5, 0.5])
-    assert eq.ghost_impulse(planned, step_of, gap, duration) == pytest.approx(3.0)
-    assert eq.ghost_impulse(planned, step_of, gap, duration, shift=-0.22) == pytest.approx(1.0 * 2.0)
-    assert eq.missed_impulse(planned, step_of, lam, duration) == pytest.approx(0.5 * 4.0 / 2)
+# A contact that closes within the second of three steps of 0.1 s and is deepest at the end: the law's force at the four nodes.
+LAW = np.array([[0.0], [0.0], [6.0], [10.0]])
+H = np.full(3, 0.1)
 
 
-def test_bounds_and_penetration():
+@pytest.mark.parametrize("forces", [LAW[:-1], LAW[1:], (LAW[:-1] + LAW[1:]) / 2.0], ids=["start", "end", "mean"])
+def test_forces_of_the_start_the_end_or_a_mean_of_a_step_are_those_of_contact(forces: np.ndarray):
+    assert eq.contact_law_error(forces, LAW, H) == 0.0
+
+
+def test_forces_of_another_motion_are_counted_to_the_newton_second():
+    bend = np.array([6.0, 10.0 - 6.0, 6.0]) / 16.0  # second differences of the law over each step and its neighbours
+    invented = LAW[:-1] + np.array([[5.0], [0.0], [0.0]])
+    assert eq.contact_law_error(invented, LAW, H) == pytest.approx(0.1 * (5.0 - bend[0]))
+    far = np.vstack([np.zeros((5, 1)), LAW])  # five steps before anything touches
+    planned = np.zeros((8, 1))
+    planned[1:3] = 4.0
+    planned[6:] = far[6:-1]
+    assert eq.contact_law_error(planned, far, np.full(8, 0.1)) == pytest.approx(0.1 * 2 * 4.0)
+    mirrored = -LAW[1:]
+    assert eq.contact_law_error(mirrored, LAW, H) == pytest.approx(0.1 * (0.0 + 6.0 - bend[1] + 6.0 + 10.0 - bend[2]))
+
+
+def window(lam: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of a replay of one row a node."""
+    return eq.force_window(lam, np.arange(steps), steps)
+
+
+def test_a_window_reaches_one_step_to_either_side():
+    lam = np.array([0.0, 0.0, 0.0, 8.0, 0.0, 0.0, 0.0, 0.0])[:, None]
+    least, largest = window(lam, 7)
+    assert not least.any()
+    assert largest[:, 0].tolist() == [0.0, 8.0, 8.0, 8.0, 8.0, 0.0, 0.0]  # the node ends step 2 and begins step 3
+
+
+def test_a_contact_that_closes_a_step_sooner_is_neither_ghost_nor_missed():
+    h, replayed = np.full(10, 0.1), np.repeat([0.0, 6.0], [5, 6])[:, None]
+    least, largest = window(replayed, 10)
+    for shift in (-1, 0, 1):
+        planned = np.repeat([0.0, 6.0], [5 + shift, 5 - shift])[:, None]
+        assert eq.ghost_impulse(planned, largest, h) == 0.0
+        assert eq.missed_impulse(planned, least, h) == 0.0
+    sooner = np.repeat([0.0, 6.0], [2, 8])[:, None]
+    assert eq.ghost_impulse(sooner, largest, h) == pytest.approx(0.1 * 6.0)  # step 2; step 3 reaches the force at the end of step 4
+    later = np.repeat([0.0, 6.0], [9, 1])[:, None]
+    assert eq.missed_impulse(later, least, h) == pytest.approx(0.1 * 6.0 * 3)
+
+
+@pytest.mark.parametrize("replayed", [0.0, 3.0, 6.0])
+def test_alternating_forces_are_not_excused(replayed: float):
+    """A plan of 0 and 6 N by turns, where the replay has a steady force: no window of steps makes the one the other."""
+    h, planned = np.full(10, 0.1), np.tile([6.0, 0.0], 5)[:, None]
+    least, largest = window(np.full((11, 1), replayed), 10)
+    assert eq.ghost_impulse(planned, largest, h) == pytest.approx(0.1 * 5 * (6.0 - replayed))
+    assert eq.missed_impulse(planned, least, h) == pytest.approx(0.1 * 5 * replayed)
+
+
+def test_what_lies_outside_of_bounds():
     u = np.array([[1.0, -3.0], [2.5, 0.0]])
-    assert eq.bound_violation(u, np.array([-2.0, -2.0]), np.array([2.0, 2.0])) == 1.0
-    assert eq.bound_violation(u, np.array([-9.0, -9.0]), np.array([np.inf, 2.0])) == 0.0
-    assert eq.max_penetration(np.array([[0.1, -0.02], [-0.01, 0.3]])) == 0.02
-    assert eq.max_penetration(np.array([[0.1]])) == 0.0
+    assert eq.outside(u, np.array([-2.0, -2.0]), np.array([2.0, 2.0])).tolist() == [0.5, 1.0]
+    assert eq.outside(u, np.array([-9.0, -9.0]), np.array([np.inf, 2.0])).tolist() == [0.0, 0.0]
+    assert eq.outside(np.zeros((0, 2)), np.zeros(2), np.ones(2)).tolist() == [0.0, 0.0]
+
+
+def test_the_deepest_point_lies_between_the_rows():
+    """A gap of (t - 0.3)^2 - 0.04, seen at 0 and 1 alone: open at both, 0.04 deep in between, and a cubic follows a parabola exactly."""
+    t = np.array([0.0, 1.0])
+    for low in (0.25, 0.5, 0.75):
+        gap, rate = (t - low)[:, None] ** 2 - 0.04, 2.0 * (t - low)[:, None]
+        assert eq.deepest(t, gap, rate) == pytest.approx(0.04)
+        assert eq.deepest(t, gap, None) == 0.0  # the rows alone
+    assert eq.deepest(t, np.array([[0.1, -0.02], [-0.01, 0.3]]), None) == pytest.approx([0.01, 0.02])
+    assert eq.deepest(t[:1], np.array([[-0.3]]), np.zeros((1, 1))) == pytest.approx(0.3)
+
+
+MOTION = np.random.default_rng(4).normal(size=(50, 3)) * np.array([1.0, 3.0, 20.0])
+
+
+@pytest.mark.parametrize("decimals", [3, 4, 6])
+def test_printed_decimals_are_found(decimals: int):
+    printed = np.array([float(f"{value:.{decimals}f}") for value in MOTION.ravel()]).reshape(MOTION.shape)
+    assert half_unit(printed, most=1e4) == pytest.approx(0.5 * 10.0**-decimals)
+    assert np.abs(printed - MOTION).max() <= half_unit(printed, most=1e4)
+
+
+@pytest.mark.parametrize("digits", [4, 7])
+def test_printed_digits_are_found(digits: int):
+    """%.4g of a motion that begins small: so many decimals that they are none that anybody chose; the largest number has the coarsest unit, and counts."""
+    motion = np.vstack([1e-5 * MOTION[:1], MOTION])
+    printed = np.array([float(f"{value:.{digits}g}") for value in motion.ravel()]).reshape(motion.shape)
+    assert half_unit(printed, most=1e4) == pytest.approx(0.5 * 10.0 ** (2 - digits))  # the largest is some ten
+    assert np.abs(printed - motion).max() <= half_unit(printed, most=1e4)
+
+
+def test_few_decimals_are_decimals_though_the_largest_number_is_round():
+    """9.1234 beside 10.5: as five digits their unit would be 1e-3."""
+    assert half_unit(np.array([9.1234, 10.5, -0.0321]), most=10.0) == pytest.approx(5e-5)
+
+
+def test_all_digits_excuse_nothing_and_neither_do_round_numbers():
+    assert half_unit(MOTION, most=1.0) == 0.0
+    assert half_unit(np.zeros((5, 2)), most=1.0) == 0.0
+    assert half_unit(np.round(MOTION), most=1.0) == 0.0  # whole numbers are taken as they stand: half a metre is no rounding
+    assert half_unit(np.round(MOTION), most=1000.0) == pytest.approx(0.5)  # but it is where kilometres count
+    assert half_unit(np.round(MOTION), most=999.0) == 0.0
+    assert half_unit(0.01 * np.arange(500.0)[:, None] ** 2 / 3.0, most=1.0) == 0.0

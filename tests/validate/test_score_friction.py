@@ -11,11 +11,12 @@ from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw
 from models.fmu import build_fmu
 from models.scene import Scene
+from models.schemes import Scheme
 from models.trajectory import Trajectory, read_csv, uniform_grid, write_csv
 from validate.replay import replay
 from validate.replay.netcdf import read_replay, write_replay
 from validate.replay.result import Replay
-from validate.score import Score, score
+from validate.score import Question, Score, score
 from validate.traces import plan_trace, replay_trace
 
 STEPS = 100
@@ -31,7 +32,7 @@ def rolled(scene: Scene, law: ContactLaw = ContactLaw.RELU, eps: float | None = 
     times = np.arange(STEPS) * 0.02
     u = np.select([times < 0.4, times < 0.8, times < 1.2], [4.0, 12.0, -12.0], 1.0)[:, None]
     result = load_kernel(scene).rollout(np.array(scene.task.start), u, 0.02, law, eps)
-    return Trajectory(t=uniform_grid(0.02, STEPS), q=result.q, v=result.v, u=u, lam=result.lam)
+    return Trajectory(t=uniform_grid(0.02, STEPS), q=result.q, v=result.v, u=u, lam=result.lam, scheme=Scheme.SEMI_IMPLICIT_EULER)
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +46,8 @@ def replayed(scene: Scene, plan: Trajectory) -> Replay:
 
 
 def value(result: Score, name: str) -> float:
-    found = next(figure for figure in result.figures if figure.name == name)
+    found = result.metric(name)
+    assert found is not None
     assert found.value is not None, found.reason
     return found.value
 
@@ -81,13 +83,36 @@ def test_force_beyond_mu_n_and_creep_are_found(scene: Scene, plan: Trajectory, r
     creeping = score(scene, rolled(scene, ContactLaw.SOFTPLUS, 1e-3), None)
     assert value(creeping, "friction_dissipation_error") > 10 * 2e-5  # the limit of the scene
     assert value(creeping, "friction_violation") == 0.0
+    for wrong, name in ((beyond, "friction_violation"), (creeping, "friction_dissipation_error")):
+        metric = wrong.metric(name)
+        assert metric is not None
+        assert metric.ok is False
+        assert dict(wrong.questions)[Question.FORCES] == "no"
+
+
+def test_an_undeclared_plan_is_asked_the_friction_law_too_at_either_end_of_its_steps(scene: Scene, plan: Trajectory) -> None:
+    """Sliding against all of mu N is that wherever in a step one looks; a force that helps the slip is none of friction."""
+    undeclared = dataclasses.replace(plan, scheme=None)
+    metric = score(scene, undeclared, None).metric("friction_dissipation_error")
+    assert metric is not None
+    assert metric.ok is True
+    helping = dataclasses.replace(undeclared, lam=plan.lam * np.array([1.0, 1.0, -1.0]))
+    metric = score(scene, helping, None).metric("friction_dissipation_error")
+    assert metric is not None
+    assert metric.ok is False
+    stick = np.abs(plan.v[1:, 0] - plan.v[1:, 1]) < 1e-9
+    other = plan.lam.copy()
+    other[stick & np.roll(stick, 1) & np.roll(stick, -1), 2] *= 0.5  # where it sticks a force is not unique: the law allows any up to mu N
+    metric = score(scene, dataclasses.replace(undeclared, lam=other), None).metric("friction_dissipation_error")
+    assert metric is not None
+    assert metric.ok is True
 
 
 def test_plan_and_replay_of_a_scene_with_friction_go_to_files_and_come_back(
     scene: Scene, plan: Trajectory, replayed: Replay, tmp_path: Path
 ) -> None:
     write_csv(tmp_path / "plan.csv", plan, scene)
-    assert "friction_belt" in (tmp_path / "plan.csv").read_text().splitlines()[0]
+    assert "friction_belt" in (tmp_path / "plan.csv").read_text().splitlines()[2]  # below # hold and # scheme
     assert np.array_equal(read_csv(tmp_path / "plan.csv", scene).lam, plan.lam)
     write_replay(tmp_path / "replay.nc", replayed, scene)
     again = read_replay(tmp_path / "replay.nc", scene)

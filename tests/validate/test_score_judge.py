@@ -12,9 +12,13 @@ from models.codegen.kernel import load_kernel
 from models.errors import SceneError, TrajectoryError
 from models.fmu import build_fmu
 from models.scene import Limit, Scene
+from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 from validate.replay import Difference, Replay, ReplayError, replay
-from validate.score import Verdict, score
+from validate.score import Question, Score, Verdict, check_limits, score
+from validate.score.table import TABLE
+
+OWN = Scheme.SEMI_IMPLICIT_EULER
 
 STEPS = 100
 
@@ -26,7 +30,7 @@ def _pushed() -> tuple[Scene, Trajectory]:
     u = np.column_stack([2.0 * np.sin(4 * t), -np.cos(3 * t)])
     rollout = load_kernel(scene).rollout(np.array(scene.task.start), u, 0.01)
     goal = tuple(float(value) for value in (*rollout.q[-1], *rollout.v[-1]))
-    return scene.with_task(goal=goal), Trajectory(t=uniform_grid(0.01, STEPS), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+    return scene.with_task(goal=goal), Trajectory(t=uniform_grid(0.01, STEPS), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=OWN)
 
 
 @pytest.fixture(scope="module")
@@ -45,13 +49,20 @@ def replayed(scene: Scene, plan: Trajectory) -> Replay:
 
 
 def changed(plan: Trajectory, **arrays: np.ndarray) -> Trajectory:
-    return Trajectory(**{"t": plan.t, "q": plan.q, "v": plan.v, "u": plan.u, "lam": plan.lam, "hold": plan.hold, **arrays})
+    return replace(plan, **arrays)  # type: ignore[arg-type] - the arrays are given by name
+
+
+def answered(result: Score) -> dict[int, str]:
+    """Question number -> answer."""
+    return {question.number: answer for question, answer in result.questions if question.number}
 
 
 def test_a_plan_under_the_true_law_holds(scene: Scene, plan: Trajectory, replayed: Replay):
     result = score(scene, plan, replayed)
     assert plan.lam.max() > 0.5
-    assert (result.verdict, result.contact, result.grid) == (Verdict.HOLDS, Verdict.HOLDS, Verdict.HOLDS), result.why
+    assert result.verdict is Verdict.HOLDS, result.why
+    assert answered(result) == dict.fromkeys(range(1, 7), "yes")
+    assert (result.judged, result.waived, result.not_asked) == ("open", (), ())
 
 
 def test_a_made_up_force_at_a_distance_is_a_ghost():
@@ -61,13 +72,18 @@ def test_a_made_up_force_at_a_distance_is_a_ghost():
     lam[5:15, 0] = 4.0
     scene = load_scene("three_cart")
     rollout = load_kernel(scene).rollout(np.array(scene.task.start), np.zeros((steps, 2)), 0.01)
-    plan = Trajectory(t=uniform_grid(0.01, steps), q=rollout.q, v=rollout.v, u=np.zeros((steps, 2)), lam=lam)
+    plan = Trajectory(t=uniform_grid(0.01, steps), q=rollout.q, v=rollout.v, u=np.zeros((steps, 2)), lam=lam, scheme=OWN)
     result = score(scene, plan, replay(scene, build_fmu(load_scene("three_cart")), plan))
     assert result.value("ghost_impulse") == pytest.approx(0.4, rel=1e-12)
     assert result.value("missed_impulse") == 0.0
     assert result.value("defect") == pytest.approx(0.01 * 4.0)  # the plan did not let that force act: v misses by h*lam/m
     assert result.value("physics") == pytest.approx(10 * 4.0 * (4.0 + 30 * 0.5))
-    assert result.contact is Verdict.VIOLATES
+    assert answered(result)[3] == answered(result)[5] == answered(result)[6] == "no"
+    assert result.verdict is Verdict.VIOLATES
+    undeclared = score(scene, replace(plan, scheme=None), replay(scene, build_fmu(load_scene("three_cart")), plan))
+    assert undeclared.value("contact_law_error") == pytest.approx(0.4, rel=1e-12)
+    assert undeclared.value("defect") is None
+    assert answered(undeclared)[3] == "no"
 
 
 def test_other_start_and_broken_bounds_are_seen(scene: Scene, plan: Trajectory):
@@ -80,9 +96,8 @@ def test_other_start_and_broken_bounds_are_seen(scene: Scene, plan: Trajectory):
 
 def test_without_a_replay_only_a_violation_can_be_found(scene: Scene, plan: Trajectory):
     held = score(scene, plan, None)
-    assert held.verdict is Verdict.NOT_RESOLVED
-    assert held.contact is Verdict.HOLDS
-    assert held.grid is Verdict.NOT_RESOLVED
+    assert held.verdict is Verdict.UNDECIDED
+    assert answered(held) == {1: "yes", 2: "yes", 3: "yes", 4: "undecided", 5: "undecided", 6: "yes"}
     assert "the plan was not replayed" in held.why
     assert held.value("replay_error") is None
     assert score(scene, changed(plan, lam=plan.lam + 0.1), None).verdict is Verdict.VIOLATES
@@ -90,40 +105,51 @@ def test_without_a_replay_only_a_violation_can_be_found(scene: Scene, plan: Traj
 
 def test_no_plan_is_a_verdict(scene: Scene):
     result = score(scene, None, None)
-    assert (result.verdict, result.figures) == (Verdict.NO_PLAN, ())
+    assert (result.verdict, result.metrics) == (Verdict.NO_PLAN, ())
 
 
-def test_a_replay_that_did_not_arrive_leaves_figures_without_value_but_with_a_reason(scene: Scene, plan: Trajectory):
+def test_a_replay_that_did_not_arrive_leaves_metrics_without_value_but_with_a_reason(scene: Scene, plan: Trajectory):
     cut = replay(scene, build_fmu(load_scene("three_cart")), plan, event_budget=1)
     assert not cut.ok
     result = score(scene, plan, cut)
-    figure = result.figure("replay_error")
-    assert figure is not None
-    assert (figure.value, figure.ok, figure.resolved) == (None, None, False)
-    assert "chatters" in figure.reason
-    assert result.verdict is Verdict.NOT_RESOLVED
+    metric = result.metric("replay_error")
+    assert metric is not None
+    assert (metric.value, metric.ok, metric.limit) == (None, None, 0.02)
+    assert "chatters" in metric.reason
+    assert result.verdict is Verdict.UNDECIDED
 
 
-def test_a_replay_too_coarse_for_its_limit_is_not_resolved(scene: Scene, plan: Trajectory, replayed: Replay):
+def test_a_replay_too_coarse_for_its_limit_decides_nothing(scene: Scene, plan: Trajectory, replayed: Replay):
     values = {field.name: getattr(replayed, field.name) for field in fields(Replay)}
     blurred = Replay(**{**values, "error": ReplayError(estimate=Difference(position=2e-3, state=6e-3, gap=1e-3))})
     result = score(scene, plan, blurred)
-    assert result.verdict is Verdict.NOT_RESOLVED
-    assert "own error of 0.006" in result.why
+    assert result.verdict is Verdict.UNDECIDED
+    assert "own error of 0.0" in result.why
+    assert "times below the distance between them" in result.why
     unknown = Replay(**{**values, "error": ReplayError(estimate=None)})
     assert "no error estimate" in score(scene, plan, unknown).why
 
 
 def test_a_plan_whose_own_time_step_blows_up_gets_a_reason_not_a_nan(scene: Scene):
-    """h*c = 5: every step multiplies the velocity by -4."""
+    """h*c = 5: every step multiplies the velocity by -4. That is an answer: with exact contact the plan's own scheme leads nowhere near it."""
     damped = scene.with_parameters(c=500.0)
     plan = Trajectory(
-        t=uniform_grid(0.01, 600), q=np.tile([2.0, 3.0, 4.0], (601, 1)), v=np.ones((601, 3)), u=np.zeros((600, 2)), lam=np.zeros((600, 2))
+        t=uniform_grid(0.01, 600),
+        q=np.tile([2.0, 3.0, 4.0], (601, 1)),
+        v=np.ones((601, 3)),
+        u=np.zeros((600, 2)),
+        lam=np.zeros((600, 2)),
+        scheme=OWN,
     )
-    figure = score(damped, plan, None).figure("discrete_terminal_error")
-    assert figure is not None
-    assert (figure.value, figure.ok, figure.resolved) == (None, None, False)
-    assert "diverges at step" in figure.reason
+    result = score(damped, plan, None)
+    metric = result.metric("law_error")
+    assert metric is not None
+    assert (metric.value, metric.ok) == (None, False)
+    assert "diverges at step" in metric.reason
+    assert result.verdict is Verdict.VIOLATES
+    shown = result.metric("discrete_terminal_error")
+    assert shown is not None
+    assert (shown.value, shown.ok, shown.limit) == (None, None, None)
 
 
 def test_unequal_steps_are_rolled_out_one_by_one(scene: Scene):
@@ -133,7 +159,7 @@ def test_unequal_steps_are_rolled_out_one_by_one(scene: Scene):
     for h, force in zip(np.diff(t), u, strict=True):
         v.append(v[-1] + h * (np.array([force[0], 0.0, force[1]]) - 2 * v[-1]))
         q.append(q[-1] + h * v[-1])
-    plan = Trajectory(t=t, q=np.array(q), v=np.array(v), u=u, lam=np.zeros((20, 2)))
+    plan = Trajectory(t=t, q=np.array(q), v=np.array(v), u=u, lam=np.zeros((20, 2)), scheme=OWN)
     result = score(scene, plan, None)
     assert result.value("defect") == pytest.approx(0.0, abs=1e-14)
     assert result.value("law_error") == pytest.approx(0.0, abs=1e-13)
@@ -147,24 +173,145 @@ def test_plan_replay_and_scene_must_belong_together(scene: Scene, plan: Trajecto
         score(replace(scene, name="other_carts"), plan, replayed)
 
 
-def test_a_limit_on_an_unknown_figure_is_refused(scene: Scene):
-    wrong = replace(scene, limits=(Limit(figure="beauty", value=1.0, reason=""),))
-    with pytest.raises(SceneError, match="limit on 'beauty'"):
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("beauty", "there is a limit on 'beauty', which is no metric; the metrics are start_error,"),
+        ("replay_eror", "did you mean replay_error?"),
+        ("terminal_error", "shown, not judged; limit terminal_position_error and terminal_velocity_error, each with its reason."),
+        ("replay_terminal_error", "limit replay_terminal_position_error and replay_terminal_velocity_error"),
+        ("physics", "shown, not judged; limit physics_scaled."),
+        ("grid_error", "shown, not judged; limit replay_error, which it explains."),
+        ("replay_error_time", "shown, not judged; leave it out."),
+    ],
+)
+def test_a_limit_that_could_judge_nothing_is_refused_with_its_mend(scene: Scene, name: str, says: str):
+    wrong = replace(scene, limits=(*scene.limits, Limit(metric=name, value=1.0, reason="a test")))
+    with pytest.raises(SceneError) as caught:
         score(wrong, None, None)
+    assert says in str(caught.value)
 
 
-def test_what_a_plan_does_not_say_is_missing_not_wrong(scene: Scene, plan: Trajectory, replayed: Replay):
-    """The same plan without its forces and velocities: what needs them has no value and a reason, the rest has the same value."""
+def test_every_shown_metric_refuses_a_limit(scene: Scene):
+    for entry in TABLE:
+        if entry.question is Question.SHOWN:
+            with pytest.raises(SceneError, match="shown, not judged"):
+                check_limits(
+                    replace(
+                        scene,
+                        limits=(
+                            *scene.limits,
+                            Limit(metric=entry.name, value=1.0, reason="a test"),
+                        ),
+                    )
+                )
+
+
+def test_a_scene_cannot_forget_a_limit_but_waive_it(scene: Scene, plan: Trajectory, replayed: Replay):
+    """A force of 11 N where 10 N are allowed: found whatever the scene says, unless it says why not."""
+    strong = changed(plan, u=np.where(np.arange(STEPS)[:, None] == 3, 11.0, plan.u), scheme=None)
+    kept = tuple(limit for limit in scene.limits if "terminal" in limit.metric)
+    forgotten = score(replace(scene, limits=kept), strong, None)
+    metric = forgotten.metric("bound_violation")
+    assert metric is not None
+    assert (metric.ok, metric.default) == (False, True)
+    assert metric.limit == pytest.approx(1e-6 * 20.0)
+    waived = replace(scene, limits=(*kept, Limit(metric="bound_violation", value=None, reason="its motors are stronger for a moment")))
+    found = score(waived, strong, None)
+    metric = found.metric("bound_violation")
+    assert metric is not None
+    assert (metric.ok, metric.limit, metric.reason) == (None, None, "its motors are stronger for a moment")
+    assert metric.value == pytest.approx(1.0)
+    assert found.waived == ("bound_violation: its motors are stronger for a moment",)
+    assert found.why.endswith(" Waived: bound_violation.")
+    loosened = replace(scene, limits=(*kept, Limit(metric="bound_violation", value=2.0, reason="the same")))
+    assert score(loosened, strong, None).metric("bound_violation").ok is True
+
+
+def test_what_a_plan_does_not_say_is_not_asked(scene: Scene, plan: Trajectory, replayed: Replay):
+    """The same plan without its forces and velocities: fewer claims, the same motion, and the same verdict."""
     silent = replace(plan, lam=np.zeros_like(plan.lam), missing=frozenset({"v", "lam"}))
     before, after = score(scene, plan, replayed), score(scene, silent, replayed)
-    assert all(figure.value is not None for figure in before.figures)
-    lost = {figure.name: figure.reason for figure in after.figures if figure.value is None}
-    assert set(lost) == {"physics", "physics_scaled", "defect", "terminal_error", "ghost_impulse", "missed_impulse"}
-    assert "lam_left, lam_right" in lost["physics"]
-    assert "velocities (v1, v2, v3)" in lost["terminal_error"]
-    assert all(after.value(figure.name) == figure.value for figure in before.figures if figure.name not in lost)
-    assert after.verdict is Verdict.NOT_RESOLVED
-    assert "does not say" in after.why
+    lost = {metric.name: metric.reason for metric in after.metrics if metric.value is None and before.value(metric.name) is not None}
+    assert {"physics", "physics_scaled", "defect", "terminal_error", "terminal_velocity_error", "ghost_impulse", "missed_impulse"} <= set(
+        lost
+    )
+    assert lost["physics_scaled"] == "the plan does not say its contact forces."
+    assert lost["terminal_velocity_error"] == "the plan does not say its velocities."
+    motion = [entry.name for entry in TABLE if entry.question is Question.MOTION and before.value(entry.name) is not None]
+    assert "replay_error" in motion
+    assert {name: after.value(name) for name in motion} == {name: before.value(name) for name in motion}
+    assert after.metric("unexplained_force").ok is True, "asked where the forces of its own equations are not said"
+    assert after.verdict is Verdict.HOLDS, after.why
+    assert any("the plan does not say its contact forces" in text for text in after.not_asked)
+    undeclared = score(scene, replace(silent, scheme=None), replayed)
+    assert undeclared.verdict is Verdict.HOLDS, undeclared.why
+    assert answered(undeclared)[6] == "not asked"
+    assert undeclared.metric("unexplained_force").ok is True
+
+
+def test_dropped_columns_do_not_hide_a_motion_that_nothing_moves(scene: Scene, plan: Trajectory):
+    """Hidden behind silence about forces and velocities: the carts drift where no input moves them, and the replay agrees with nothing."""
+    ghost = plan.q + 0.004 * np.sin(40.0 * plan.t)[:, None] * np.sin(np.pi * plan.t / plan.t[-1])[:, None]
+    silent = replace(plan, q=ghost, lam=np.zeros_like(plan.lam), missing=frozenset({"v", "lam"}), scheme=None)
+    result = score(scene, silent, replay(scene, build_fmu(load_scene("three_cart")), plan))
+    assert result.metric("replay_error").ok is True, "near the motion all the same"
+    assert result.metric("unexplained_force").ok is False  # 0.004 m at 40 rad/s is up to 6.4 m/s^2
+    assert result.verdict is Verdict.VIOLATES
+
+
+def test_inputs_alone_are_a_plan(scene: Scene, plan: Trajectory, replayed: Replay):
+    still = np.tile(plan.q[:1], (STEPS + 1, 1))
+    alone = Trajectory(
+        t=plan.t, q=still, v=np.tile(plan.v[:1], (STEPS + 1, 1)), u=plan.u, lam=0.0 * plan.lam, missing=frozenset({"q", "v", "lam"})
+    )
+    result = score(scene, alone, replayed)
+    assert result.verdict is Verdict.HOLDS, result.why
+    assert answered(result) == {1: "yes", 2: "not asked", 3: "not asked", 4: "yes", 5: "yes", 6: "not asked"}
+
+
+def test_the_words_holds_and_reasons_of_what_is_asked_nothing(scene: Scene, plan: Trajectory, replayed: Replay):
+    """A scene without a goal: nothing can hold; who claims nothing is not judged, who claims a motion must be consistent."""
+    kept = tuple(limit for limit in scene.limits if "terminal" not in limit.metric)
+    free = replace(scene.with_task(goal=(None,) * 6), limits=kept)
+    found = score(free, plan, replayed)
+    assert (found.verdict, found.verdict.is_good) == (Verdict.CONSISTENT, False)
+    assert found.why == "consistent; the scene asks for nothing: give it a goal, or a limit on its cost."
+    assert score(free, changed(plan, lam=plan.lam + 1.0), replayed).verdict is Verdict.VIOLATES
+    silent = replace(plan, missing=frozenset({"q", "v", "lam"}), scheme=None)
+    assert score(free, silent, replayed).verdict is Verdict.NOT_APPLICABLE
+    priced = replace(free, limits=(*kept, Limit(metric="replay_cost", value=1e6, reason="a test")))
+    assert score(priced, plan, replayed).verdict is Verdict.HOLDS
+
+
+def test_carts_that_pass_through_each_other_do_not_hold():
+    """Pushed so that they end on the other side: exact contact all along, but the model of a contact ends at the length of a cart."""
+    scene = load_scene("three_cart")
+    start = np.array([2.0, 2.6, 9.0, 6.0, 0.0, 0.0])
+    scene = scene.with_task(steps=STEPS, start=tuple(start)).with_parameters(k=3.0)
+    u = np.tile([9.0, 0.0], (STEPS, 1))
+    rollout = load_kernel(scene).rollout(start, u, 0.01)
+    goal = tuple(float(value) for value in (*rollout.q[-1], *rollout.v[-1]))
+    scene = scene.with_task(goal=goal)
+    plan = Trajectory(t=uniform_grid(0.01, STEPS), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=OWN)
+    result = score(scene, plan, replay(scene, build_fmu(scene), plan))
+    metric = result.metric("max_penetration")
+    assert metric is not None
+    assert metric.ok is False
+    assert metric.limit == pytest.approx(0.5)
+    assert answered(result)[5] == "no"
+    assert result.verdict is Verdict.VIOLATES
+
+
+def test_three_of_many_steps_are_another_task(scene: Scene, plan: Trajectory):
+    """Shorter, and longer: half the task's own step is the limit, whatever the plan's."""
+    short = replace(plan, t=plan.t[:4], q=plan.q[:4], v=plan.v[:4], u=plan.u[:3], lam=plan.lam[:3])
+    result = score(scene, short, None)
+    assert result.value("duration_error") == pytest.approx(0.97)
+    assert result.metric("duration_error").limit == pytest.approx(0.005)
+    assert result.why.startswith("the plan and the task differ in duration by 0.97 s, limit 0.005 s (it lasts 0.03 s, the task 1 s)")
+    coarse = replace(plan, t=np.linspace(0.0, 1.2, 4), q=plan.q[:4], v=plan.v[:4], u=plan.u[:3], lam=plan.lam[:3])
+    assert score(scene, coarse, None).metric("duration_error").limit == pytest.approx(0.005)
 
 
 def test_a_disc_that_leaps_over_another_between_two_nodes_does_not_hold():
@@ -177,8 +324,9 @@ def test_a_disc_that_leaps_over_another_between_two_nodes_does_not_hold():
     u[0] = 1.6 * towards / step**2
     rollout = load_kernel(scene).rollout(start, u, step)
     assert not rollout.lam.any(), "it is over there before it has been here"
-    plan = Trajectory(t=uniform_grid(step, steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+    plan = Trajectory(t=uniform_grid(step, steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=OWN)
     result = score(scene, plan, replay(scene, build_fmu(scene), plan))
     assert result.verdict is Verdict.VIOLATES
-    assert result.figure("law_error").ok is True
-    assert result.figure("replay_error").ok is False
+    assert result.metric("law_error").ok is True
+    assert result.metric("defect").ok is True
+    assert result.metric("replay_error").ok is False

@@ -1,136 +1,318 @@
-"""The rule of resolution and the truth table of verdicts, on made-up figures."""
+"""The rule of a verdict on made-up metrics: when a limit is kept, how answers become a verdict, and what its sentence says."""
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
+from models.catalog import load_scene
+from models.schemes import Scheme
+from models.trajectory import Trajectory, uniform_grid
 from validate.replay.error_estimate import estimate
 from validate.replay.result import Difference
-from validate.score import Figure, Verdict, figure_names
-from validate.score.verdict import CONTACT, GRID, TWINS, compare, explain, verdict_of
+from validate.score import Metric, Question, Verdict, metric_names
+from validate.score.cause import Told, explain
+from validate.score.feedback import feedback_entries
+from validate.score.table import TABLE
+from validate.score.verdict import (
+    EFFORT,
+    SHARE,
+    answers,
+    answers_with_feedback,
+    compare,
+    verdict_of,
+    verdict_with_feedback,
+    wants_feedback,
+)
+
+QUESTION = {entry.name: entry.question for entry in TABLE} | {EFFORT: Question.MOTION, SHARE: Question.MOTION}
 
 
 @pytest.mark.parametrize(
     ("value", "error", "limit", "expected"),
     [
-        (0.04, 0.0, 0.05, (True, True)),
-        (0.05, 0.0, 0.05, (True, True)),  # a limit is the largest value that still holds
-        (0.0501, 0.0, 0.05, (False, True)),
-        (1e-9, 1e-4, 1e-2, (True, True)),  # an error far above the figure, but far below the limit
-        (0.0599, 1e-4, 0.06, (None, False)),
-        (0.0601, 1e-4, 0.06, (None, False)),
-        (0.0589, 1e-4, 0.06, (True, True)),  # ten errors below
-        (0.0611, 1e-4, 0.06, (False, True)),  # ten errors above
-        (0.0591, 1e-4, 0.06, (None, False)),  # nine errors below
-        (0.0609, 1e-4, 0.06, (None, False)),  # nine errors above
-        (0.0, 1e-3, 1e-6, (None, False)),  # an error larger than the limit resolves nothing
-        (5.0, math.inf, 0.06, (None, False)),
-        (0.0, 0.0, 0.0, (True, True)),
+        (0.04, 0.0, 0.05, True),
+        (0.05, 0.0, 0.05, True),  # a limit is the largest value that still holds
+        (0.0501, 0.0, 0.05, False),
+        (1e-9, 1e-4, 1e-2, True),  # an error far above the value, but far below the limit
+        (0.0599, 1e-4, 0.06, None),
+        (0.0601, 1e-4, 0.06, None),
+        (0.0589, 1e-4, 0.06, True),  # eleven errors below
+        (0.0611, 1e-4, 0.06, False),  # eleven errors above
+        (0.0591, 1e-4, 0.06, None),  # nine errors below
+        (0.0609, 1e-4, 0.06, None),  # nine errors above
+        (0.0, 1e-3, 1e-6, None),  # an error larger than the limit decides nothing
+        (5.0, math.inf, 0.06, None),
+        (0.0, 0.0, 0.0, True),
     ],
 )
-def test_a_figure_is_judged_only_ten_errors_away_from_its_limit(
-    value: float, error: float, limit: float, expected: tuple[bool | None, bool]
-):
-    assert compare(value, error, limit) == expected
+def test_a_metric_is_judged_only_ten_errors_away_from_its_limit(value: float, error: float, limit: float, expected: bool | None):
+    assert compare(value, error, limit) is expected
 
 
-def figure(name: str, ok: bool | None, value: float | None = 0.07, limit: float | None = 0.06, **more: object) -> Figure:
-    return Figure(name=name, value=value, unit="m", meaning="", ok=ok, limit=limit, resolved=ok is not None, **more)  # type: ignore[arg-type] - the rest is given by the test by name
+def metric(name: str, ok: bool | None, value: float | None = 0.07, limit: float | None = 0.06, unit: str = "m", **more: object) -> Metric:
+    question = QUESTION[name.removeprefix("tracked_")]
+    return Metric(name=name, question=question, value=value, unit=unit, meaning="", ok=ok, limit=limit, **more)  # type: ignore[arg-type] - the rest is given by the test by name
 
 
-FREE = figure("physics", None, limit=None)
-BELOW, ABOVE, OPEN = figure("replay_error", True), figure("replay_terminal_error", False), figure("grid_error", None)
+def test_every_metric_belongs_to_one_question_or_is_shown():
+    assert len({entry.name for entry in TABLE}) == len(TABLE)
+    judged = [entry for entry in TABLE if entry.question is not Question.SHOWN]
+    for question in Question:
+        assert any(entry.question is question for entry in TABLE), question
+    # A judged metric has a limit of its own, or one that only a scene can know.
+    only_by_scene = {"terminal_position_error", "terminal_velocity_error", "cost", "energy_residual"}
+    only_by_scene |= {"replay_terminal_position_error", "replay_terminal_velocity_error", "replay_cost"}
+    assert {entry.name for entry in judged if entry.default is None} == only_by_scene
+    assert all(entry.default is None for entry in TABLE if entry.question is Question.SHOWN), "what is shown judges nothing"
+    assert all(entry.default[0] > 0.0 and entry.default[1] for entry in judged if entry.default)
+    assert set(metric_names()) == {*(entry.name for entry in TABLE), EFFORT, SHARE}
+
+
+def test_question_four_and_five_are_those_that_a_replay_answers():
+    """And so they have a twin where there is feedback; a question of the plan alone has none."""
+    of_replay = {Question.MOTION, Question.POSSIBLE}
+    for entry in TABLE:
+        if entry.of_replay:
+            assert entry.question in {*of_replay, Question.JUDGE, Question.SHOWN}, entry.name
+        elif entry.question in of_replay:
+            assert entry.name == "unexplained_force"  # of the plan's own states
+    assert {question.number for question in Question} == {1, 2, 3, 4, 5, 6, None}
+    assert feedback_entries(None) == []
+
+
+ABOVE, BELOW = metric("replay_terminal_position_error", False), metric("replay_error", True)
+OPEN, START = metric("max_penetration", None), metric("start_error", True)
+SHOWN = metric("physics", None, limit=None)
+UNWELL, WELL = metric("answer_error", False, unit="1"), metric("answer_error", True, unit="1")
 
 
 @pytest.mark.parametrize(
-    ("figures", "verdict"),
+    ("metrics", "verdict"),
     [
         ((BELOW,), Verdict.HOLDS),
-        ((BELOW, FREE), Verdict.HOLDS),
+        ((BELOW, SHOWN), Verdict.HOLDS),
+        ((BELOW, WELL), Verdict.HOLDS),
         ((ABOVE,), Verdict.VIOLATES),
         ((BELOW, ABOVE), Verdict.VIOLATES),
-        ((OPEN, ABOVE), Verdict.VIOLATES),  # one clear violation is enough
-        ((BELOW, OPEN), Verdict.NOT_RESOLVED),
-        ((OPEN,), Verdict.NOT_RESOLVED),
-        ((FREE,), Verdict.NOT_RESOLVED),  # without limits there is nothing to hold
-        ((), Verdict.NOT_RESOLVED),
+        ((OPEN, ABOVE), Verdict.VIOLATES),  # one that surely fails, even behind an undecided one
+        ((metric("start_error", None), ABOVE), Verdict.VIOLATES),
+        ((BELOW, OPEN), Verdict.UNDECIDED),
+        ((BELOW, UNWELL), Verdict.UNDECIDED),  # it accuses the judge, never the plan
+        ((BELOW, metric("answer_error", None)), Verdict.UNDECIDED),
+        ((ABOVE, UNWELL), Verdict.UNDECIDED),  # what a judge who is not well says of the motion is not sure
+        ((metric("start_error", False), UNWELL), Verdict.VIOLATES),  # but what the plan says of itself is
+        ((metric("defect", False), UNWELL), Verdict.VIOLATES),
     ],
 )
-def test_truth_table(figures: tuple[Figure, ...], verdict: Verdict):
-    assert verdict_of(figures) is verdict
-    assert verdict_of(reversed(figures)) is verdict
+def test_truth_table(metrics: tuple[Metric, ...], verdict: Verdict):
+    assert verdict_of(answers(metrics)) is verdict
+    assert verdict_of(answers(metrics[::-1])) is verdict
 
 
-def test_every_group_names_figures_that_exist():
-    assert set(CONTACT) | set(GRID) <= {*figure_names(), *TWINS.values()}
-    assert set(TWINS) <= set(figure_names())
-    assert not set(CONTACT) & set(GRID)
+def test_a_question_is_as_good_as_its_worst_metric():
+    found = answers((BELOW, ABOVE, OPEN, START))
+    assert found[Question.MOTION] == "no"
+    assert found[Question.POSSIBLE] == "undecided"
+    assert found[Question.TASK] == "yes"
+    assert found[Question.SCHEME] == "not asked"
+    assert Question.SHOWN not in found
 
 
-def test_the_sentence_names_the_miss_its_limit_and_the_ghost():
-    figures = (
-        figure("physics_scaled", False, value=0.7, limit=1e-5),
-        figure("replay_terminal_position_error", False, value=0.27, limit=0.06),
-        Figure(name="ghost_impulse", value=3.1, unit="N s", meaning=""),
+CONSISTENT, DECLARED = metric("unexplained_force", True, unit="1"), metric("defect", True)
+
+
+@pytest.mark.parametrize(
+    ("metrics", "wanted"),
+    [
+        ((START, ABOVE, CONSISTENT), True),
+        ((START, ABOVE, DECLARED), True),
+        ((START, metric("replay_error", None), DECLARED), True),  # undecided for the inputs alone
+        ((START, BELOW, CONSISTENT), False),  # they do: no feedback is needed
+        ((START, ABOVE), False),  # a plan of inputs alone says nothing that can be followed
+        ((START, ABOVE, metric("unexplained_force", False)), False),
+        ((START, ABOVE, metric("defect", False)), False),
+        ((START, ABOVE, metric("defect", None)), False),
+        ((metric("start_error", False), ABOVE, CONSISTENT), False),  # feedback mends no start,
+        ((metric("terminal_position_error", False), ABOVE, CONSISTENT), False),  # no plan that does not arrive,
+        ((metric("contact_law_error", False), ABOVE, CONSISTENT), False),  # no invented force,
+        ((metric("law_error", False), ABOVE, DECLARED), False),  # no relaxed law
+    ],
+)
+def test_feedback_is_tried_where_the_motion_is_missed_and_nothing_else_is_wrong(metrics: tuple[Metric, ...], wanted: bool):
+    assert wants_feedback(metrics) is wanted
+    assert wants_feedback((*metrics, metric_of_growth(1e12))) is wanted, "no threshold of instability changes the judge"
+
+
+def followed(**ok: bool | None) -> tuple[Metric, ...]:
+    """A plan whose inputs alone surely miss the goal, and what feedback makes of it."""
+    kept = {"tracked_replay_terminal_position_error": True, "tracked_replay_error": True, EFFORT: True, SHARE: True} | ok
+    return (START, ABOVE, BELOW, CONSISTENT, *(metric(name, value) for name, value in kept.items()))
+
+
+@pytest.mark.parametrize(
+    ("metrics", "verdict"),
+    [
+        (followed(), Verdict.HOLDS),
+        (followed(tracked_replay_error=False), Verdict.VIOLATES),
+        (followed(**{EFFORT: False}), Verdict.VIOLATES),  # it makes another plan
+        (followed(**{SHARE: False}), Verdict.VIOLATES),
+        (followed(tracked_max_penetration=False), Verdict.VIOLATES),  # question 5 is asked of it too
+        (followed(tracked_replay_error=None), Verdict.UNDECIDED),
+        (followed(tracked_energy_residual_relative=False), Verdict.UNDECIDED),  # its judge is not well
+    ],
+)
+def test_questions_four_and_five_are_asked_of_the_replay_with_feedback(metrics: tuple[Metric, ...], verdict: Verdict):
+    assert verdict_of(answers(metrics)) is Verdict.VIOLATES, "for the inputs alone nothing changes"
+    assert verdict_of(answers_with_feedback(metrics)) is verdict
+
+
+@pytest.mark.parametrize(
+    ("alone", "with_feedback", "verdict"),
+    [
+        (Verdict.VIOLATES, Verdict.HOLDS, Verdict.HOLDS_WITH_FEEDBACK),
+        (Verdict.UNDECIDED, Verdict.HOLDS, Verdict.HOLDS_WITH_FEEDBACK),
+        (Verdict.VIOLATES, Verdict.VIOLATES, Verdict.VIOLATES),
+        (Verdict.UNDECIDED, Verdict.UNDECIDED, Verdict.UNDECIDED),
+        (Verdict.VIOLATES, Verdict.UNDECIDED, Verdict.UNDECIDED),  # it may hold with feedback
+        (Verdict.UNDECIDED, Verdict.VIOLATES, Verdict.UNDECIDED),  # it may hold alone
+    ],
+)
+def test_the_verdict_of_both(alone: Verdict, with_feedback: Verdict, verdict: Verdict):
+    sample = {Verdict.HOLDS: "yes", Verdict.VIOLATES: "no", Verdict.UNDECIDED: "undecided"}
+    found = dict.fromkeys((question for question in Question if question.value), "yes") | {Question.MOTION: sample[with_feedback]}
+    assert verdict_with_feedback(alone, found) is verdict
+
+
+def test_good_verdicts():
+    assert {verdict for verdict in Verdict if verdict.is_good} == {Verdict.HOLDS, Verdict.HOLDS_WITH_FEEDBACK}
+
+
+SCENE = load_scene("three_cart")
+
+
+def told(*metrics: Metric, verdict: Verdict = Verdict.VIOLATES, scheme: bool = True, **more: object) -> str:
+    task = SCENE.task
+    states = np.zeros((task.steps + 1, 3))
+    plan = Trajectory(
+        t=uniform_grid(task.step, task.steps), q=states, v=states, u=np.zeros((task.steps, 2)), lam=np.zeros((task.steps, 2)),
+        scheme=Scheme.SEMI_IMPLICIT_EULER if scheme else None,
+    )  # fmt: skip
+    return explain(
+        Told(
+            scene=SCENE,
+            trajectory=plan,
+            replay=None,
+            metrics={item.name: item for item in metrics},
+            verdict=verdict,
+            questions=answers(metrics),
+            **more,  # type: ignore[arg-type] - the rest is given by the test by name
+        )
     )
-    assert explain(figures, Verdict.VIOLATES, planned_impulse=4.0) == (
-        "the replay misses the goal by 0.27 m, limit 0.06 m: force from a distance of 3.1 N s; also above their limits: physics_scaled."
+
+
+MISS = metric("replay_terminal_position_error", False, value=0.27)
+STRAY = metric("replay_error", False, value=0.2)
+GRID = metric("grid_error", None, value=0.079, limit=None)
+TRUE = metric("physics_scaled", True, value=0.0, limit=1e-5, unit="s")
+
+
+def test_a_relaxed_law_is_named_before_what_follows_from_it():
+    why = told(metric("physics_scaled", False, value=0.7, limit=1e-5, unit="s"), MISS, metric("ghost_impulse", False, 3.1, 0.1, "N s"))
+    assert why == (
+        "its contact forces are not those of contact: complementarity violation 0.7 s (scaled), limit 1e-05 s: a relaxed contact law; "
+        "tighten eps, or go on from it with exact contact (`strict`, `mpcc`); driven by its inputs the motion ends 0.27 m from the goal, limit 0.06 m; "
+        "also above their limits: ghost_impulse."
     )
 
 
 def test_a_miss_by_the_grid_alone_is_not_blamed_on_contact():
-    figures = (
-        figure("physics_scaled", True, value=0.0, limit=1e-5),
-        figure("replay_terminal_position_error", False, value=0.08, limit=0.06),
-        figure("grid_error", None, value=0.079, limit=None),
-        Figure(name="ghost_impulse", value=3.1, unit="N s", meaning=""),
+    why = told(TRUE, metric("replay_terminal_position_error", False, value=0.08), GRID)
+    assert why.startswith(
+        "driven by its inputs the motion ends 0.08 m from the goal, limit 0.06 m: discretisation error 0.079 m; the contact forces are correct"
     )
-    why = explain(figures, Verdict.VIOLATES, planned_impulse=4.0)
-    assert (
-        why
-        == "the replay misses the goal by 0.08 m, limit 0.06 m: contact physics holds, but the time step is 0.079 m off the continuous motion."
-    )
+    # 0.8 * 0.06/0.08 of 0.01 s, as the scheme is of order one: said as a prediction.
+    assert "Try h = 0.006 s (predicted from the order of the scheme)" in why
+
+
+def test_a_plan_through_a_wall_without_forces_is_complementary_but_of_another_law():
+    why = told(TRUE, STRAY, GRID, metric("law_error", None, value=0.2, limit=None))
+    assert ": a relaxed contact law (0.2 m on its own grid already)" in why
+    assert "discretisation" not in why
 
 
 @pytest.mark.parametrize(
-    ("more", "cause"),
+    ("first", "says"),
     [
-        ((figure("law_error", None, value=0.2, limit=None),), "on the plan's own grid already, the true contact law leads its inputs astray by 0.2 m"),
-        ((figure("law_error", None, value=0.001, limit=None),), "contact physics holds, but the time step is 0.079 m off the continuous motion"),
-        ((figure("defect", False, value=0.1, limit=1e-6),), "the plan misses its own time step by 0.1 m; also above their limits: defect"),
-        (
-            (figure("defect", False, value=0.1, limit=1e-6), figure("bound_violation", False, value=47.0, limit=1e-6)),
-            "the inputs leave their bounds by 47 m; also above their limits: defect, bound_violation",
-        ),
-        ((figure("start_error", False, value=0.1, limit=1e-6),), "the plan starts 0.1 m away from the task's start; also above their limits: start_error"),
+        (metric("start_error", False, value=0.1, limit=1e-6), "the plan starts 0.1 m away from the task's start, limit 1e-06 m; driven by"),
+        (metric("bound_violation", False, value=47.0, limit=1e-6, unit="N"), "the inputs leave their bounds by 47 N, limit 1e-06 N; driven by"),
+        (metric("terminal_position_error", False, value=0.5, limit=0.05), "the plan itself ends 0.5 m from the goal, limit 0.05 m; also above"),
     ],
 )  # fmt: skip
-def test_a_miss_is_blamed_on_what_the_figures_show(more: tuple[Figure, ...], cause: str):
-    """A plan through a wall whose forces are 0 is complementary by its product; inputs that are not the plan's leave its motion."""
-    figures = (
-        figure("physics_scaled", True, value=0.0, limit=1e-5),
-        figure("replay_error", False, value=0.2, limit=0.06),
-        figure("grid_error", None, value=0.079, limit=None),
-        *more,
+def test_the_first_question_that_fails_speaks_first(first: Metric, says: str):
+    assert told(TRUE, STRAY, MISS, GRID, first).startswith(says)
+
+
+def test_what_declares_no_scheme_hears_nothing_of_grids():
+    hidden = metric("unexplained_force", False, value=0.4, limit=0.1, unit="1")
+    why = told(STRAY, hidden, scheme=False)
+    assert "its own motion needs a force that neither inputs nor contact give, 40 % of the peak contact force" in why
+    assert "grid" not in why
+    assert "time step" not in why
+    assert told(hidden, scheme=False) == (
+        "its own motion needs a force that neither inputs nor contact give, 40 % of the peak contact force, limit 10 %."
     )
-    assert explain(figures, Verdict.VIOLATES, planned_impulse=4.0) == f"the replay leaves the plan by 0.2 m, limit 0.06 m: {cause}."
+    unstable = told(STRAY, metric_of_growth(549.0), scheme=False)
+    assert (
+        unstable
+        == "driven by its inputs the motion departs from the plan by 0.2 m, limit 0.06 m; unstable in the open loop (amplification 550)."
+    )
 
 
-def test_what_is_not_resolved_says_why():
-    unmeasured = figure("replay_error", None, value=None, reason="the plan was not replayed.")
-    assert explain((unmeasured,), Verdict.NOT_RESOLVED, 0.0) == "replay_error could not be measured: the plan was not replayed."
-    blurred = figure("replay_error", None, value=0.0599, error=1e-4)
-    why = explain((blurred,), Verdict.NOT_RESOLVED, 0.0)
-    assert "the replay leaves the plan by 0.0599 m, limit 0.06 m" in why
-    assert "own error of 0.0001 m" in why
-    assert "there are no limits" in explain((FREE,), Verdict.NOT_RESOLVED, 0.0)
+def metric_of_growth(value: float) -> Metric:
+    return Metric(name="amplification", question=Question.SHOWN, value=value, unit="1", meaning="")
 
 
-def test_what_holds_shows_the_figure_closest_to_its_limit():
-    figures = (figure("defect", True, value=1e-9, limit=1e-6), figure("replay_terminal_position_error", True, value=0.03, limit=0.06))
-    assert "closest to its own: the replay misses the goal by 0.03 m, limit 0.06 m" in explain(figures, Verdict.HOLDS, 0.0)
+def test_the_other_hold_is_named_where_it_passes():
+    assert "with its inputs held the other way it does not: declare `# hold: linear`." in told(STRAY, scheme=False, other_hold=True)
+
+
+def test_what_is_undecided_says_why():
+    unmeasured = metric("replay_error", None, value=None, reason="the plan was not replayed.")
+    why = told(unmeasured, verdict=Verdict.UNDECIDED)
+    assert why == "replay_error could not be measured: the plan was not replayed."
+    blurred = metric("replay_error", None, value=0.0599, error=1e-4)
+    why = told(blurred, OPEN, verdict=Verdict.UNDECIDED)
+    assert "by 0.0599 m, limit 0.06 m, but the replay's own error of 0.0001 m" in why
+    assert "nor decided: max_penetration" in why
+    endless = metric("replay_error", None, value=0.01, error=math.inf)
+    assert "the replay has no error estimate" in told(endless, verdict=Verdict.UNDECIDED)
+    accused = told(BELOW, UNWELL, verdict=Verdict.UNDECIDED)
+    assert accused.startswith("the judge is not well, so nothing is said of the plan: the replay is 0.07 tolerances off")
+
+
+def test_what_holds_shows_the_metric_closest_to_its_limit():
+    near = metric("replay_terminal_position_error", True, value=0.03)
+    why = told(metric("defect", True, value=1e-9, limit=1e-6), near, GRID, verdict=Verdict.HOLDS)
+    assert why == (
+        "every question asked is answered yes; closest to its limit: driven by its inputs the motion ends 0.03 m from the goal, limit 0.06 m, "
+        "of which the grid's discretisation error is 0.079 m."
+    )
+
+
+def test_what_holds_with_feedback_says_what_the_inputs_alone_do_and_what_it_took():
+    why = told(*followed(), metric_of_growth(1005.0), verdict=Verdict.HOLDS_WITH_FEEDBACK)
+    assert why.startswith(
+        "not for the inputs alone: driven by its inputs the motion ends 0.07 m from the goal, limit 0.06 m, unstable in the open loop"
+    )
+    assert "RMS effort 7 % of the half-range and 7 % of the plan's own inputs" in why
+    assert why.endswith("it holds: with feedback the motion ends 0.07 m from the goal, limit 0.06 m.")
+
+
+def test_what_is_waived_stands_in_every_sentence():
+    assert told(STRAY, waived=("defect: its time step is another's",)).endswith(" Waived: defect.")
 
 
 def _difference(position: float) -> Difference:

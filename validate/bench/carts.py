@@ -73,8 +73,11 @@ def push(steps: int) -> np.ndarray:
 def pushed_plan(size: Size) -> Trajectory:
     """The motion under `push`, by the scene's own time step."""
     from models.codegen.kernel import load_kernel
+    from models.schemes import Scheme
     from models.trajectory import Trajectory, uniform_grid
 
     scene, u = scene_of(size), push(size.steps)
     rollout = load_kernel(scene).rollout(np.array(scene.task.start), u, scene.task.step)
-    return Trajectory(t=uniform_grid(scene.task.step, size.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+    return Trajectory(
+        t=uniform_grid(scene.task.step, size.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
+    )

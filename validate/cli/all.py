@@ -40,8 +40,9 @@ Examples:
   python -m validate all --lf                          what failed last time
 
 \b
-Exit codes: 0 all that must hold holds; 1 something does not; 2 usage,
-configuration or nothing selected; 3 this machine cannot; 130 interrupted.
+Exit codes: 0 every required check passed; 1 one failed; 2 usage,
+configuration or nothing selected; 3 a system requirement is missing;
+130 interrupted.
 """
 
 

@@ -16,7 +16,7 @@ Examples:
   python -m validate compare runs/before runs/after --json
 
 \b
-A regression is a worse verdict or outcome, a figure that left its limit, a
+A regression is a worse verdict or outcome, a metric that left its limit, a
 dearer plan of the same verdict, an examination that failed, or a row that is
 gone. Times that differ by half and by a second are told, but are none.
 

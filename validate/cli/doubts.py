@@ -15,13 +15,18 @@ if TYPE_CHECKING:
 
 
 def tell_doubts(scenes: Iterable[Scene], *, steps: bool = False) -> None:
-    """One line a doubt (validate.scene_doubts), each scene once. steps: also of a time step that is unstable in contact, for which scenes that are not
+    """One line a doubt, as `doubts_of`."""
+    for sentence in doubts_of(scenes, steps=steps):
+        click.echo(one_line(f"warning: {sentence}"), err=True)
+
+
+def doubts_of(scenes: Iterable[Scene], *, steps: bool = False) -> list[str]:
+    """A sentence a doubt (validate.scene_doubts), each scene once. steps: also of a time step that is unstable in contact, for which scenes that are not
     the bank's are compiled."""
     from validate.scene_doubts import doubts
 
     each = list({scene.name: scene for scene in scenes}.values())
-    for sentence in (*doubts(each), *(_unstable(each) if steps else ())):
-        click.echo(one_line(f"warning: {sentence}"), err=True)
+    return [*doubts(each), *(_unstable(each) if steps else ())]
 
 
 def _unstable(scenes: Iterable[Scene]) -> Iterator[str]:

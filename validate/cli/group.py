@@ -33,7 +33,7 @@ _COMMANDS = {
     "plan": "What `all` would run, what is stored already, and why the rest is not.",
     "run": "Run a campaign of your own: scenes, changes, sweeps, pipelines and seeds from a TOML file.",
     "list": "Scenes, pipelines and methods.",
-    "show": "One run of a campaign: its stages, verdict, figures, options, log and the command that runs it again.",
+    "show": "One run of a campaign: its stages, verdict, questions, metrics, options, log and the command that runs it again.",
     "report": "Rebuild results.csv and report.html of a campaign from its records.",
     "compare": "What differs between two campaigns, regressions first.",
     "replay": "Replay and score anybody's plan, on a scene or on anybody's FMU.",
@@ -50,12 +50,12 @@ Examples:
 
 \b
 Exit codes:
-  0    all that must hold holds
-  1    something does not (or we made a mistake: then it says so)
+  0    every required check passed
+  1    one failed (or we made a mistake: then it says so)
   2    wrong usage or configuration, or nothing selected
-  3    this machine cannot: what is missing, and how to get it
+  3    a system requirement is missing: which, and how to get it
   130  interrupted; the same command resumes
-  141  whoever read the output went away (`| head`), so not all of it was told
+  141  output pipe closed (`| head`), so not all of it was written
 
 \b
 Environment:

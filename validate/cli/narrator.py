@@ -141,7 +141,7 @@ def _summary(record: RunRecord | ExaminationRecord) -> str:
     if last.cost is not None:
         parts.append(f"cost {last.cost:.2f}")
     parts.append(f"{record.wall_seconds:.1f} s")
-    if record.verdict == "no plan" and record.message:
+    if record.verdict in ("no plan", "not applicable") and record.message:
         parts.append(record.message)
     return one_line(", ".join(parts))
 

@@ -30,7 +30,10 @@ Exit codes: 0 told; 2 usage, or nothing selected.
 @campaign_options
 @click.option("--json", "as_json", is_flag=True, help="As JSON on stdout.")
 def command(as_json: bool, **options: Any) -> int:
-    """What `all` with the same options would run, what of it is stored already, and why the rest is not. Nothing is run or written."""
+    """What `all` with the same options would run, what of it is stored already, and why the rest is not; and which limits its scenes waive.
+
+    Nothing is run or written.
+    """
     from validate.chosen import Settings
 
     return tell_plan(Settings(**options), as_json)
@@ -40,25 +43,46 @@ def tell_plan(settings: Settings, as_json: bool) -> int:
     """Print it. Raises TouchstoneError."""
     from validate.chosen import Entry, reasons, select, with_stored
     from validate.store import Store
-    from validate.stored import only_last_failed
+    from validate.stored import earlier_schema, only_last_failed
 
     entries, left_out = select(settings)
-    tell_doubts((entry.scene for entry in entries if isinstance(entry, Entry)), steps=True)
+    scenes = {entry.scene.name: entry.scene for entry in entries if isinstance(entry, Entry)}
+    tell_doubts(scenes.values(), steps=True)
+    if sentence := earlier_schema(settings.out):
+        click.echo(one_line(f"warning: {sentence}"), err=True)
     store = Store(settings.out)
     entries = with_stored(entries, store, settings)
     if settings.last_failed:
         entries = only_last_failed(entries, store)
     told = list(zip(entries, reasons(entries, store), strict=True))
     stored = sum(entry.stored is not None for entry in entries)
+    waived = {
+        name: [f"{limit.metric}: {limit.reason}" for limit in scene.limits if limit.value is None]
+        for name, scene in scenes.items()
+        if any(limit.value is None for limit in scene.limits)
+    }
+    unstable = {name: scene.unstable for name, scene in scenes.items() if scene.unstable}
     if as_json:
         cells = [{"cell": entry.cell.title, "key": entry.cell.key, "stored": entry.stored is not None, "why": why} for entry, why in told]
-        data = {"cells": cells, "stored": stored, "to_run": len(entries) - stored, "left_out": list(left_out)}
+        data = {
+            "cells": cells,
+            "stored": stored,
+            "to_run": len(entries) - stored,
+            "left_out": list(left_out),
+            "waived": waived,
+            "unstable": unstable,
+        }
         click.echo(json.dumps(data, indent=1))
         return 0
     click.echo(table(["cell", "", "why"], [[one_line(entry.cell.title), "run" if why else "stored", why] for entry, why in told]))
     click.echo()
     if left_out:
         click.echo(f"left out by --quick: {', '.join(left_out)}")
+    for name, limits in waived.items():
+        for limit in limits:
+            click.echo(one_line(f"waived by {name}: {limit}"))
+    for name, reason in unstable.items():
+        click.echo(one_line(f"{name} is unstable in the open loop, so that feedback is enough there: {reason}"))
     for why, count in Counter(why for _, why in told if why).items():
         click.echo(f"{count} to run: {why}")
     click.echo(f"{stored} stored, {len(entries) - stored} to run")

@@ -23,9 +23,9 @@ file as it was) and resolved.toml (with everything filled in; it runs too).
 What is changed in a scene or an option is part of a cell's key.
 
 \b
-Exit codes: 0 all that must hold holds; 1 something does not; 2 mistakes in the
-file (all of them are told), or nothing selected; 3 this machine cannot; 130
-interrupted.
+Exit codes: 0 every required check passed; 1 one failed; 2 mistakes in the
+file (all of them are told), or nothing selected; 3 a system requirement is
+missing; 130 interrupted.
 """
 
 

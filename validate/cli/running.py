@@ -69,9 +69,9 @@ def _print_table(outcome: Outcome, settings: Settings, resume: str) -> None:
     for sentence in outcome.findings:
         click.echo(f"found: {one_line(sentence)}", color=colour)
     if outcome.records and all(record.outcome == "refused" for record in outcome.records):
-        click.echo("nothing was judged: every method refused its scene, for the reasons in the report")
+        click.echo("nothing was judged: no method applies to its scene, for the reasons in the report")
     elif not outcome.failures:
-        click.echo("the campaign does not fail: all that must hold holds")
+        click.echo("all required checks passed")
     click.echo(f"report:  {outcome.report}")
     click.echo(f"results: {settings.out / 'results.csv'}")
     click.echo(f"again:   {resume}   (stored cells are used again; --fresh runs them anew)")

@@ -12,7 +12,7 @@ from validate.cli.table import one_line, short, table, use_colour
 
 if TYPE_CHECKING:
     from reports.examination_record import ExaminationRecord
-    from reports.record import RunRecord, StageRecord
+    from reports.record import MetricRecord, RunRecord, StageRecord
 
 _EPILOG = """\b
 Examples:
@@ -41,7 +41,7 @@ _LOG_LINES = 15
 )
 @click.option("--json", "as_json", is_flag=True, help="The stored record, whole, as JSON.")
 def command(run: str, folder: Path, as_json: bool) -> int:
-    """One run: its stages, verdict, figures, options, the end of its log, and the command that runs it again."""
+    """One run: its stages, verdict, questions, metrics, options, the end of its log, and the command that runs it again."""
     from reports.examination_record import ExaminationRecord
     from reports.rule import fails
 
@@ -69,7 +69,9 @@ def _found(run: str, folder: Path) -> tuple[Path, RunRecord | ExaminationRecord]
     if "\0" not in run and len(run) < 4000 and path.is_dir():
         record = Store(path.parent.parent).read(path.name)
         if record is None:
-            raise CampaignError(f"{run}: this folder holds no readable record; give a folder below DIR/runs.")
+            raise CampaignError(
+                f"{run}: this folder holds no record that this version reads (it is damaged, or of another schema); give a folder below DIR/runs."
+            )
         return path.parent.parent, record
     _, records = stored_campaign(folder)
     names = {record.key: _name(record) for record in records}
@@ -118,10 +120,12 @@ def _tell_run(record: RunRecord) -> None:
         return
     if last.why and last.why != record.message:
         click.echo()
-        click.echo(one_line(f"the last stage {last.verdict}: {last.why}" if last.verdict != "no plan" else last.why))
-    if last.figures:
-        click.echo()
-        click.echo(_figures(last))
+        click.echo(
+            one_line(f"the last stage: {last.verdict}: {last.why}" if last.verdict not in ("no plan", "not applicable") else last.why)
+        )
+    if last.metrics:
+        _tell_score(last)
+    _tell_scene(record)
     click.echo()
     if last.certificate is not None:
         click.echo(one_line(f"certificate: {last.certificate.sentence}"))
@@ -142,16 +146,57 @@ def _stages(record: RunRecord) -> str:
     return table(titles, [[one_line(cell) for cell in row] for row in rows], ("stage", "eps", "cost", "iterations", "seconds", "replay s"))
 
 
-def _figures(stage: StageRecord) -> str:
-    rows = []
-    for figure in stage.figures:
-        judged = "" if figure.ok is None else "ok" if figure.ok else "too large"
-        if figure.value is None:
-            judged = "missing"
-        elif figure.limit is not None and not figure.resolved:
-            judged = "not resolved"
-        rows.append([figure.name, short(figure.value, ".4e"), figure.unit, short(figure.limit, ".3g"), judged])
-    return table(["figure", "value", "unit", "limit", ""], [[one_line(cell) for cell in row] for row in rows], ("value", "limit"))
+def _tell_score(stage: StageRecord) -> None:
+    """Questions and their answers, the metrics, and what was not asked."""
+    from reports.judged import is_tracked
+
+    if stage.questions:
+        of = "the replay with feedback" if is_tracked(stage) else "the inputs alone"
+        rows = [["" if item.number is None else str(item.number), item.text, item.answer] for item in stage.questions]
+        click.echo()
+        click.echo(
+            table(["", f"question, of {of}", "answer"], [[one_line(cell) for cell in row] for row in rows], ("",)), color=use_colour()
+        )
+    click.echo()
+    click.echo(_metrics(stage), color=use_colour())
+    for sentence in stage.not_asked:
+        click.echo(one_line(f"not asked: {sentence}"))
+
+
+def _metrics(stage: StageRecord) -> str:
+    from reports.judged import MetricView, is_tracked, questions_of
+
+    followed = stage.replay is not None and stage.replay.tracked is not None
+    values = ["inputs alone", "with feedback"] if followed else ["value"]
+
+    def row(number: int | None, view: MetricView) -> list[str]:
+        judged = (view.followed if is_tracked(stage) else view.alone) or view.metric
+        # A zero has no sign here.
+        found = [None if metric is None or metric.value is None else metric.value + 0.0 for metric in (view.alone, view.followed)][
+            : len(values)
+        ]
+        limit = "waived" if view.waived else short(judged.limit, ".3g")
+        own = short(judged.error, ".1e") if judged.error else ""
+        cells = [*(short(value, ".4e") for value in found), own, judged.unit, limit, _against(judged)]
+        return ["" if number is None else str(number), view.name, *cells, judged.reason]
+
+    rows = [row(question.number, view) for question in questions_of(stage) for view in question.metrics]
+    titles = ["question", "metric", *values, "+-", "unit", "limit", "", "reason"]
+    return table(titles, [[one_line(cell) for cell in cells] for cells in rows], ("question", *values, "+-", "limit"))
+
+
+def _against(metric: MetricRecord) -> str:
+    if metric.limit is None:
+        return "not measured" if metric.value is None else ""
+    return "undecided" if metric.ok is None else "within" if metric.ok else "beyond"
+
+
+def _tell_scene(record: RunRecord) -> None:
+    """What the scene itself leaves unasked, and why feedback is enough on it."""
+    for sentence in record.scene.waived:
+        click.echo(one_line(f"waived by the scene: {sentence}"))
+    if record.scene.unstable:
+        click.echo(one_line(f"the scene is unstable in the open loop: {record.scene.unstable}"))
 
 
 def _tell_examination(record: ExaminationRecord) -> None:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 # From here on decimals would fill the line: a diverged plan may cost 1e200.
 _LARGE = 1e9
-_COLOURS = {"holds": "green", "violates": "red", "not resolved": "yellow", "no plan": "red"}
+_COLOURS = {"holds": "green", "holds with feedback": "cyan", "violates": "red", "undecided": "yellow", "no plan": "red"}
 
 
 def use_colour() -> bool | None:
@@ -74,8 +74,8 @@ def results_table(records: Sequence[RunRecord]) -> str:
 
     content = rows(records)
     for row in content:
-        if row["judged"] == "tracked":
-            row["replay_terminal_error"] = row["tracked_terminal_error"]
+        if row["judged"] == "feedback":
+            row["replay_terminal_error"] = row["tracked_replay_terminal_error"]
     cells = [[one_line(short(row[name], pattern)) for name, _, pattern in _TITLES] for row in content]
     place = [name for name, _, _ in _TITLES].index("verdict")
     for line, stage in zip(cells, [stage for record in records for stage in record.stages], strict=True):

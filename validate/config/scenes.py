@@ -62,7 +62,7 @@ def _check_limits(scene: Scene, file: Path) -> None:
 
 def _mistakes(entry: SceneEntry, scene: Scene) -> Iterator[str]:
     """What this entry asks of its scene that the scene does not have."""
-    from validate.score import figure_names
+    from validate.score import metric_names
 
     if entry.name in scene_names():
         yield f"name: {entry.name!r} is a scene of ours; choose another name"
@@ -81,8 +81,8 @@ def _mistakes(entry: SceneEntry, scene: Scene) -> Iterator[str]:
             if name not in state_names(scene):
                 yield f"{section}.{name[:80]}: scene {scene.name} has no such coordinate or velocity; {hint(name, state_names(scene))}"
     for figure in entry.limits:
-        if figure not in figure_names():
-            yield f"limits.{figure[:80]}: there is no figure of that name; {hint(figure, figure_names())}"
+        if figure not in metric_names():
+            yield f"limits.{figure[:80]}: there is no figure of that name; {hint(figure, metric_names())}"
     lengths = [len(values) for values in _changes(entry).values() if len(values) > 1]
     if entry.sweep == "together" and len(set(lengths)) > 1:
         yield f'sweep: "together" needs lists of one length, but theirs are {", ".join(map(str, lengths))}'

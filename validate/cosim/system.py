@@ -111,6 +111,7 @@ class System:
 @contextmanager
 def coupled(scene: Scene, inner_step: float) -> Iterator[System]:
     """The parts of a scene as FMUs for Co-Simulation. inner_step: the bodies' own step [s]. Raises SceneError, MachineError, FmuError."""
+    scene = scene.continuous()
     parts = split(scene)
     with ExitStack() as stack:
         outputs = _outputs(parts)
@@ -143,6 +144,7 @@ def coupled(scene: Scene, inner_step: float) -> Iterator[System]:
 @contextmanager
 def whole(scene: Scene, inner_step: float) -> Iterator[System]:
     """The scene as one FMU, as a system of a single body: what it costs to keep the contact inside."""
+    scene = scene.continuous()
     names = [item.name for item in scene.coordinates] + [item.velocity_name for item in scene.coordinates]
     with _opened(build_fmu(scene)) as package:
         part = Part(package, [], names, [], 0)

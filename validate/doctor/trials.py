@@ -109,6 +109,7 @@ def fmu(request: Any, arrays: Any) -> str:
 
     from models.catalog import load_scene
     from models.fmu import build_fmu
+    from models.schemes import Scheme
     from models.trajectory import Trajectory, uniform_grid
     from validate.replay import replay
 
@@ -117,7 +118,12 @@ def fmu(request: Any, arrays: Any) -> str:
     nodes, step = scene.task.steps + 1, scene.task.step
     state = np.tile(np.array(scene.task.start), (nodes, 1))
     plan = Trajectory(
-        t=uniform_grid(step, nodes - 1), q=state[:, :1], v=state[:, 1:], u=np.zeros((nodes - 1, 0)), lam=np.zeros((nodes - 1, scene.nl))
+        t=uniform_grid(step, nodes - 1),
+        q=state[:, :1],
+        v=state[:, 1:],
+        u=np.zeros((nodes - 1, 0)),
+        lam=np.zeros((nodes - 1, scene.nl)),
+        scheme=Scheme.SEMI_IMPLICIT_EULER,
     )
     result = replay(scene, build_fmu(scene), plan)
     if len(result.t) == 0:

@@ -15,7 +15,7 @@ from validate.hardcases.catalog import case_names, describe_case, load_case
 
 if TYPE_CHECKING:
     from reports.chart_record import ChartRecord
-    from reports.record import FigureRecord
+    from reports.record import MetricRecord
     from validate.hardcases.case import Chart, Figure, Finding
 
 KIND = "hard case"
@@ -71,10 +71,10 @@ def found_of(finding: Finding) -> Found:
     )
 
 
-def _figure(figure: Figure) -> FigureRecord:
-    from reports.record import FigureRecord
+def _figure(figure: Figure) -> MetricRecord:
+    from reports.record import MetricRecord
 
-    return FigureRecord(
+    return MetricRecord(
         name=figure.name,
         value=figure.value if math.isfinite(figure.value) else None,
         unit=figure.unit,

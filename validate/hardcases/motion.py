@@ -14,6 +14,7 @@ from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw
 from models.fmu import build_fmu
 from models.scene import Scene
+from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 from validate.replay import Replay, replay
 
@@ -43,6 +44,7 @@ def rolled(
         v=plan.v[::every],
         u=inputs[::every],
         lam=plan.lam[::every],
+        scheme=Scheme.SEMI_IMPLICIT_EULER,
     )
 
 

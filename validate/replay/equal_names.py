@@ -3,19 +3,40 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+import heapq
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from models.plan_table import PlanTable
-from validate.replay.map_schema import MapError, MapFile
+from validate.replay.map_schema import MapError, MapFile, composed
 from validate.replay.package import REAL, Package
 
 _RATES = ("m/s", "rad/s")
 
 
-def by_equal_names(package: Package, table: PlanTable) -> MapFile:
+# Names from which on only some are compared with one that is not there, and how many: comparing takes up to 40 us a name.
+_MANY = 2000
+
+
+class Named:
+    """The variables of an FMU by their names, in Unicode's composed form; `twice`: names that are there more than once, which FMI forbids."""
+
+    def __init__(self, package: Package) -> None:
+        self.by_name: dict[str, Any] = {}
+        self.twice: set[str] = set()
+        for variable in package.description.modelVariables:
+            name = composed(variable.name)
+            if self.by_name.setdefault(name, variable) is not variable:
+                self.twice.add(name)
+
+    def numbers(self) -> list[str]:
+        """Names of the variables that are numbers."""
+        return [name for name, variable in self.by_name.items() if variable.type in REAL]
+
+
+def by_equal_names(named: Named, table: PlanTable) -> MapFile:
     """Columns are what the FMU's variables of their names are: inputs; lam_X (with gap_X) contacts; in m/s or rad/s velocities; else positions."""
-    by_name = {variable.name: variable for variable in package.description.modelVariables}
+    by_name = named.by_name
     sections: dict[str, dict[str, Any]] = {"inputs": {}, "positions": {}, "contacts": {}}
     rates = []
     for name in table.names:
@@ -23,9 +44,8 @@ def by_equal_names(package: Package, table: PlanTable) -> MapFile:
         if name == "t":
             continue
         if variable is None:
-            known = [item for item, value in by_name.items() if value.type in REAL]
             raise MapError(
-                f"plan {table.path}: the FMU has no variable {name!r}{hint(name, known)}; name the right one in a map (--map MAP.toml)."
+                f"plan {table.path}: the FMU has no variable {name!r}{hint(name, named.numbers())}; name the right one in a map (--map MAP.toml)."
             )
         if variable.causality == "input":
             sections["inputs"][name] = name
@@ -40,13 +60,32 @@ def by_equal_names(package: Package, table: PlanTable) -> MapFile:
     if rates and len(rates) != len(sections["positions"]):
         sections["positions"] |= {name: name for name in rates}
         rates = []
-    velocities = {position: {"variable": rate, "column": rate} for position, rate in zip(sections["positions"], rates, strict=False)}
+    velocities = {
+        position: {"variable": rate, "column": rate} for position, rate in _paired(list(sections["positions"]), rates, by_name).items()
+    }
     if not sections["inputs"] and not sections["positions"]:
         raise MapError(f"plan {table.path}: the plan and the FMU share no names; say what belongs together in a map (--map MAP.toml).")
     return MapFile.model_validate({**sections, "velocities": velocities})
 
 
+def _paired(positions: list[str], rates: list[str], by_name: Mapping[str, Any]) -> dict[str, str]:
+    """Velocity of each position: the FMU says that it is its derivative, or its name does; the others by their order in the plan."""
+    pairs = {}
+    for rate in rates:
+        of = getattr(by_name[rate], "derivative", None)
+        owner = composed(of.name) if of is not None else rate.removeprefix("v_").removeprefix("der(").removesuffix(")")
+        if owner in positions and owner not in pairs:
+            pairs[owner] = rate
+    left = [rate for rate in rates if rate not in pairs.values()]
+    pairs |= dict(zip([name for name in positions if name not in pairs], left, strict=False))
+    return {name: pairs[name] for name in positions if name in pairs}
+
+
 def hint(name: str, known: Iterable[str]) -> str:
     """Names that are near it, for the end of a sentence."""
-    close = difflib.get_close_matches(name, list(known), n=3, cutoff=0.5)
+    known = list(known)
+    if len(known) > _MANY:
+        parts = {name[at : at + 3].lower() for at in range(max(1, min(len(name), 200) - 2))}
+        known = heapq.nlargest(_MANY, known, key=lambda item: sum(part in item.lower() for part in parts) / (len(item) + len(name)))
+    close = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
     return f" (near it: {', '.join(close)})" if close else ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Protocol
 
 import numpy as np
@@ -27,6 +28,13 @@ _SOURCES: dict[tuple[bool, bool], StepSource] = {
     (True, False): "second run",
     (False, True): "rollback",
     (True, True): "second run and rollback",
+}
+# The same where the author states an accuracy too.
+_STATED: dict[StepSource, StepSource] = {
+    "none": "stated",
+    "second run": "second run, stated",
+    "rollback": "rollback, stated",
+    "second run and rollback": "second run and rollback, stated",
 }
 
 
@@ -88,6 +96,15 @@ def larger(one: Difference | None, other: Difference | None) -> Difference | Non
     return Difference(position=max(one.position, other.position), state=max(one.state, other.state), gap=max(one.gap, other.gap))
 
 
+def _larger_where_stated(measured: Difference, stated: Difference) -> Difference:
+    """Entry by entry; what the runs say where nothing is stated."""
+    return Difference(
+        position=max(measured.position, stated.position) if math.isfinite(stated.position) else measured.position,
+        state=max(measured.state, stated.state) if math.isfinite(stated.state) else measured.state,
+        gap=max(measured.gap, stated.gap) if math.isfinite(stated.gap) else measured.gap,
+    )
+
+
 def step_ratio(before: Difference | None, after: Difference | None) -> float | None:
     """Position difference of one step halving over that of the next; None where there is none to speak of."""
     if before is None or after is None or after.position < _ROUNDING:
@@ -103,12 +120,18 @@ def estimate(
     has_reference: bool,
     ratio: float | None = None,
     rollback: Difference | None = None,
+    stated: Difference | None = None,
 ) -> ReplayError:
     """The error of the judged trajectory by the rule that `ReplayError` states."""
     source = _SOURCES[step is not None, rollback is not None]
     if not has_reference:
-        return ReplayError(estimate=larger(step, rollback), step=step, step_ratio=ratio, rollback=rollback, step_source=source)
-    judged = tolerance
+        measured = larger(step, rollback)
+        if stated is not None:
+            source = _STATED[source]
+            measured = stated if measured is None else _larger_where_stated(measured, stated)
+        return ReplayError(estimate=measured, step=step, step_ratio=ratio, rollback=rollback, step_source=source, stated=stated)
+    # Where the looser reference did not get to the end, the everyday replay - another method - is as far away as the judged run may be wrong.
+    judged = tolerance if tolerance is not None or step is None else larger(everyday, step) if everyday is not None else None
     if tolerance is not None and step is not None and everyday is not None:
         judged = Difference(
             position=_judged(tolerance.position, step.position, everyday.position),

@@ -16,6 +16,14 @@ from validate.replay.wiring import Variables
 
 # Calls of doStep a plan step, of an FMU that has no internal step to set: its fineness over this.
 _FINENESS_OF_A_CALL = 50
+_SHORTEST = 0.1
+
+
+def base_step(times: np.ndarray) -> float:
+    """What the internal step is a part of [s]: the plan's shortest step, but no less than a tenth of its mean one, so that a single step of a microsecond
+    does not make a thousand times as many of all the others."""
+    steps = np.diff(times)
+    return float(max(steps.min(), _SHORTEST * steps.mean()))
 
 
 def everyday_refusal(package: Package, inputs: HeldInputs) -> str | None:
@@ -58,7 +66,7 @@ def simulate(
         try:
             inputs_of, outputs_of = References(variables.u), References(variables.outputs)
             settings = [*variables.parameters, *zip(variables.start, start.tolist(), strict=True)]
-            own_step = float(np.diff(inputs.times).min()) / fineness
+            own_step = base_step(inputs.times) / fineness
             if variables.internal_step is not None:
                 settings.append((variables.internal_step, own_step))
             fmu.choose(variables.choices)

@@ -46,13 +46,15 @@ class Effort:
     """What the feedback added to the plan's inputs.
 
     rms, peak: root mean square over time and largest value, of each input in its unit; rms_share, peak_share: the largest over the inputs as a share of
-    the input's scale (half the width of its bounds); saturated: share of the steps in which some input stood at a bound that the plan did not ask for.
+    the input's scale (half the width of its bounds); plan_share: root mean square of all that was added over that of the plan's own inputs, each input in
+    its scale (None: the plan's inputs are all 0, but something was added); saturated: share of the steps in which some input stood at a bound that the plan did not ask for.
     """
 
     rms: tuple[float, ...]
     peak: tuple[float, ...]
     rms_share: float
     peak_share: float
+    plan_share: float | None
     saturated: float
 
 
@@ -65,13 +67,16 @@ def measure_effort(plan_u: np.ndarray, applied: np.ndarray, t: np.ndarray, feedb
     added, h = np.abs(applied - plan_u[:steps]), np.diff(t)[:steps]
     if not steps:
         zero = (0.0,) * plan_u.shape[1]
-        return Effort(rms=zero, peak=zero, rms_share=0.0, peak_share=0.0, saturated=0.0)
+        return Effort(rms=zero, peak=zero, rms_share=0.0, peak_share=0.0, plan_share=0.0, saturated=0.0)
     rms, peak = np.sqrt((h[:, None] * added**2).sum(axis=0) / h.sum()), added.max(axis=0)
+    own = np.sqrt((h[:, None] * plan_u[:steps] ** 2).sum(axis=0) / h.sum())
+    share = float(np.linalg.norm(rms / feedback.scale)), float(np.linalg.norm(own / feedback.scale))
     at_bound = ((applied <= feedback.lower) | (applied >= feedback.upper)) & (added > 0.0)
     return Effort(
         rms=tuple(rms.tolist()),
         peak=tuple(peak.tolist()),
         rms_share=float((rms / feedback.scale).max()),
         peak_share=float((peak / feedback.scale).max()),
+        plan_share=share[0] / share[1] if share[1] > 0.0 else None if share[0] > 0.0 else 0.0,
         saturated=float(at_bound.any(axis=1).mean()),
     )

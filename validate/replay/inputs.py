@@ -1,4 +1,4 @@
-"""The plan's inputs between its nodes: constant over a step, or a line to the next step's value; with feedback, a constant is added over each step."""
+"""The plan's inputs between its nodes: constant over a step, or a line to the next node's value; with feedback, a constant is added over each step."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ class HeldInputs:
         self.values = trajectory.u if feedback is None else trajectory.u.copy()
         self.slopes = np.zeros_like(trajectory.u)
         if trajectory.hold is Hold.LINEAR:
-            self.slopes[:-1] = np.diff(trajectory.u, axis=0) / np.diff(trajectory.t)[:-1, None]
+            h = np.diff(trajectory.t)
+            self.slopes[:-1] = np.diff(trajectory.u, axis=0) / h[:-1, None]
+            if trajectory.u_end is not None:
+                self.slopes[-1] = (trajectory.u_end - trajectory.u[-1]) / h[-1]
         self.linear = bool(self.slopes.any())
         jumps = self.slopes[1:] != self.slopes[:-1]
         if trajectory.hold is Hold.ZERO_ORDER:

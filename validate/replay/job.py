@@ -69,10 +69,10 @@ def simulate(
     request: Mapping[str, Any], arrays: Mapping[str, np.ndarray], package: Package | None = None
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """request: path, variables, hold, tolerances, fineness, event_budget, rolls_back, loops (the compiled ones, or None);
-    arrays: t (nodes,), u (steps, nu), start (n,), and with feedback its fields. Raises FmuError."""
+    arrays: t (nodes,), u (steps, nu), start (n,), u_end (nu,) where the plan has one, and with feedback its fields. Raises FmuError."""
     variables = Variables.from_json(request["variables"])
     empty = np.zeros((len(arrays["t"]), 0))
-    plan = Trajectory(t=arrays["t"], q=empty, v=empty, u=arrays["u"], lam=empty[1:], hold=Hold(request["hold"]))
+    plan = Trajectory(t=arrays["t"], q=empty, v=empty, u=arrays["u"], lam=empty[1:], hold=Hold(request["hold"]), u_end=arrays.get("u_end"))
     fields = {name.removeprefix(_FEEDBACK): array for name, array in arrays.items() if name.startswith(_FEEDBACK)}
     inputs, start = HeldInputs(plan, Feedback(**fields) if fields else None), arrays["start"]
     if request.get("loops") is not None:
@@ -149,7 +149,7 @@ def run_job(
         "event_budget": settings.event_budget,
         "rolls_back": True,
     }
-    given = {"t": plan.t, "u": plan.u, "start": start}
+    given = {"t": plan.t, "u": plan.u, "start": start, **({} if plan.u_end is None else {"u_end": plan.u_end})}
     if feedback is not None:
         given |= {_FEEDBACK + name: array for name, array in vars(feedback).items()}
     if limits is None:

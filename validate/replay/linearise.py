@@ -61,8 +61,7 @@ def design_foreign(
     if "q" in plan.missing:
         raise TrackingError("plan: it does not say its positions, so there is nothing to track.")
     (a, b), (c, d) = units
-    driven = Trajectory(t=plan.t, q=plan.q, v=plan.v, u=c * plan.u + d, lam=plan.lam, hold=plan.hold)
-    A, B = linearised(package, variables, driven, start, (np.hstack([plan.q, plan.v]) - b) / a, limits)
+    A, B = linearised(package, variables, plan.with_inputs_in(c, d), start, (np.hstack([plan.q, plan.v]) - b) / a, limits)
     A, B = A * (a[:, None] / a[None, :]), B * (a[:, None] * c[None, :])
     return feedback_from(model, plan, A, B), largest_growth(A, plan.t, nominals(model))
 

@@ -15,29 +15,38 @@ import numpy as np
 from models.errors import TrajectoryError
 from models.plan_table import PlanTable
 from models.scene_annotations import Limit
-from models.trajectory import Hold, Trajectory
-from validate.replay.equal_names import by_equal_names, hint
-from validate.replay.map_schema import MapError, MapFile, Signal
+from models.trajectory import HOLDS, Trajectory, declared_hold, declared_scheme, missing_groups, times_and_inputs
+from models.units import base_exponents
+from validate.replay.equal_names import Named, by_equal_names, hint
+from validate.replay.map_schema import InputSignal, MapError, MapFile, Signal
 from validate.replay.package import REAL, Package
+from validate.replay.result import Difference
 from validate.replay.run import Foreign
 from validate.replay.subject import ForeignContact, ForeignCoordinate, ForeignInput, ForeignModel, ForeignTask
 from validate.replay.wiring import INTERNAL_STEP, Variables
 
-_HOLDS = {"zero": Hold.ZERO_ORDER, "linear": Hold.LINEAR}
+# What forces and gaps of a contact are in, by what they are called where they belong to an angle too.
+_CONTACT_UNITS = {"force": ("N", "N m", "N.m", "Nm"), "gap": ("m", "rad")}
+# Steps that the task of an FMU counts as.
+_STEPS = 500
+# How far a bound in the map may lie beyond the FMU's own, as a share of it: rounding of a change of units.
+_ROUNDING = 1e-9
 
 
 def wire(package: Package, table: PlanTable, given: MapFile | None, hold: str | None, where: str) -> tuple[Foreign, Trajectory]:
     """where: what a mistake is said about, "map FILE" or "FMU FILE". Raises MapError, TrajectoryError."""
     table.check_form()
-    wiring = _Wiring(package, table, given or by_equal_names(package, table), where)
-    return wiring.foreign(), wiring.trajectory(_HOLDS[hold or wiring.map.plan.hold])
+    named = Named(package)
+    wiring = _Wiring(package, named, table, given or by_equal_names(named, table), where)
+    return wiring.foreign(), wiring.trajectory(hold)
 
 
 class _Wiring:
-    def __init__(self, package: Package, table: PlanTable, given: MapFile, where: str) -> None:
-        self.map, self._table, self._package, self._where = given, table, package, where
-        self._by_name = {variable.name: variable for variable in package.description.modelVariables}
+    def __init__(self, package: Package, named: Named, table: PlanTable, given: MapFile, where: str) -> None:
+        self.map, self._table, self._package, self._named, self._where = given, table, package, named, where
+        self._by_name = named.by_name
         self._check_names()
+        self._check_limits()
         self._velocities = [given.velocities[name] for name in given.positions if name in given.velocities]
         self._check_columns()
         self.lacks = self._lacks()
@@ -50,8 +59,9 @@ class _Wiring:
     def _variable(self, path: str, name: str) -> Any:
         variable = self._by_name.get(name)
         if variable is None:
-            known = [item for item, value in self._by_name.items() if value.type in REAL]
-            raise self._fail(path, f"the FMU has no variable {name!r}{hint(name, known)}.")
+            raise self._fail(path, f"the FMU has no variable {name!r}{hint(name, self._named.numbers())}.")
+        if name in self._named.twice:
+            raise self._fail(path, f"the FMU has two variables {name!r}, so it is not clear which is meant.")
         if variable.type not in REAL or getattr(variable, "dimensions", None):
             raise self._fail(
                 path, f"{name!r} is of type {variable.type}{' (an array)' if variable.type in REAL else ''}, but must be one number."
@@ -79,24 +89,36 @@ class _Wiring:
 
     def _check_names(self) -> None:
         given = self.map
-        driven: dict[str, str] = {}
+        driven: dict[int, str] = {}
         for name, signal in given.inputs.items():
             path = f"inputs.{name}"
-            if signal.variable in driven:
-                raise self._fail(path, f"{signal.variable!r} is driven by the column {driven[signal.variable]!r} already.")
-            driven[signal.variable] = name
+            reference = self._reference(path, signal.variable)
+            if reference in driven:
+                raise self._fail(path, f"{signal.variable!r} is driven by the column {driven[reference]!r} already.")
+            driven[reference] = name
             if self._variable(path, signal.variable).causality != "input":
                 raise self._fail(path, f"{signal.variable!r} is no input of the FMU.")
             self._check_unit(path, name, signal)
-        for name, signal in given.positions.items():
-            self._check_unit(f"positions.{name}", name, signal)
-        for name, signal in given.velocities.items():
+        for name in given.velocities:
             if name not in given.positions:
                 raise self._fail(f"velocities.{name}", f"there is no position of that name{hint(name, given.positions)}.")
-            self._check_unit(f"velocities.{name}", self._velocity_column(name), signal)
+        read: dict[int, str] = {}
+        for section, signals in (("positions", given.positions), ("velocities", given.velocities)):
+            for name, signal in signals.items():
+                path = f"{section}.{name}"
+                self._check_once(read, path, signal.variable)
+                self._check_unit(path, name if section == "positions" else self._velocity_column(name), signal)
+        for name in given.velocities:
+            self._check_rate(name)
+        forces: dict[int, str] = {}
+        gaps: dict[int, str] = {}
         for name, entry in given.contacts.items():
             if entry.force is None and entry.gap is None:
                 raise self._fail(f"contacts.{name}", "it names neither force nor gap.")
+            for what, signal, others in (("force", entry.force, forces), ("gap", entry.gap, gaps)):
+                if signal is not None:
+                    self._check_once(others, f"contacts.{name}.{what}", signal.variable)
+                    self._check_contact_unit(f"contacts.{name}.{what}", what, signal)
         known = [*given.positions, *(self._velocity_column(name) for name in given.velocities)]
         for name in given.goal:
             if name not in known:
@@ -115,6 +137,50 @@ class _Wiring:
         if signal.scale == 0.0:
             raise self._fail(path, "scale is 0; it must not be.")
 
+    def _check_once(self, read: dict[int, str], path: str, variable: str) -> None:
+        """A variable is one thing: by its reference, as an FMU may call it by two names."""
+        reference = self._reference(path, variable)
+        if reference in read:
+            raise self._fail(path, f"{variable!r} is {read[reference]} already.")
+        read[reference] = path
+
+    def _check_rate(self, name: str) -> None:
+        """A velocity is in its position's unit per second, where both units are known."""
+        position, velocity = self._unit(name, self.map.positions[name]), self._unit(self._velocity_column(name), self.map.velocities[name])
+        try:
+            expected, found = dict(base_exponents(position)), base_exponents(velocity)
+        except ValueError:  # a unit that we do not know
+            return
+        if not expected:  # "1": a unit that nobody told
+            return
+        expected["s"] = expected.get("s", 0) - 1
+        if found and found != {base: power for base, power in expected.items() if power}:
+            raise self._fail(
+                f"velocities.{name}", f"it is in {velocity!r}, but positions.{name} in {position!r}; it must be in '{position}/s'."
+            )
+
+    def _check_contact_unit(self, path: str, what: str, signal: Signal) -> None:
+        """Forces are in N, gaps in m; where the FMU has another unit, a scale must say how - if only `scale = 1.0`."""
+        known, own = _CONTACT_UNITS[what], self._variable(path, signal.variable).unit
+        if signal.unit and signal.unit not in known:
+            raise self._fail(path, f"it is in {signal.unit!r}, but a {what} must be in {known[0]!r}; give a scale.")
+        if own and own not in known and not signal.model_fields_set & {"scale", "offset"}:
+            raise self._fail(path, f"{signal.variable!r} is in {own!r}, but a {what} must be in {known[0]!r}; give a scale.")
+        if signal.scale == 0.0:
+            raise self._fail(path, "scale is 0; it must not be.")
+
+    def _check_limits(self) -> None:
+        """A goal needs a limit that says how near is near enough, of its positions and of its velocities."""
+        given = self.map
+        for part, columns in (("position", given.positions), ("velocity", map(self._velocity_column, given.velocities))):
+            metric = f"replay_terminal_{part}_error"
+            asked = next((column for column in columns if column in given.goal), None)
+            if asked is not None and metric not in given.limits:
+                raise self._fail(
+                    f"goal.{asked}",
+                    f"no limit says how near is near enough; add {metric} = {{ value = .., reason = '..' }} to [limits].",
+                )
+
     def _velocity_column(self, position: str) -> str:
         return self.map.velocities[position].column or f"v_{position}"
 
@@ -123,6 +189,7 @@ class _Wiring:
 
     def _check_columns(self) -> None:
         given, table = self.map, self._table
+        self._check_roles()
         needed = [given.plan.time, *given.inputs]
         for name in needed:
             if name not in table.names:
@@ -137,6 +204,18 @@ class _Wiring:
                 )
         if given.plan.time in table.units:
             table.check_unit(given.plan.time, "s")
+
+    def _check_roles(self) -> None:
+        """A column is one thing."""
+        given, roles = self.map, {self.map.plan.time: "the time (plan.time)"}
+        claims = [(name, f"inputs.{name}", "call one of the two otherwise") for name in given.inputs]
+        claims += [(name, f"positions.{name}", "call one of the two otherwise") for name in given.positions]
+        claims += [(self._velocity_column(name), f"velocities.{name}", "give it another by column = '..'") for name in given.velocities]
+        claims += [(self._force_column(name), f"contacts.{name}", "give it another by column = '..'") for name in given.contacts]
+        for column, path, advice in claims:
+            if column in roles:
+                raise self._fail(path, f"its column {column!r} is that of {roles[column]} already; {advice}.")
+            roles[column] = path
 
     def _lacks(self) -> Mapping[str, str]:
         """What cannot be shown, and why."""
@@ -210,8 +289,11 @@ class _Wiring:
     def _settings(self) -> list[tuple[int, float]]:
         """Start variables and their values: those of the map, and positions and velocities of the plan's first row that can be set."""
         given, found = self.map, {}
+        taken = {self._reference(f"parameters.{name}", name): f"parameters.{name}" for name in given.parameters}
+        taken |= {self._reference(f"inputs.{name}", signal.variable): f"inputs.{name}" for name, signal in given.inputs.items()}
         for name, value in given.start.items():
             path = f"start.{name}"
+            self._check_once(taken, path, name)
             if isinstance(value, str):
                 if value not in self._table.names:
                     raise self._fail(path, f"the plan has no column {value!r}{hint(value, self._table.names)}.")
@@ -240,59 +322,176 @@ class _Wiring:
             )
             for name, signal in given.positions.items()
         )
-        goal = [given.goal.get(item.name) for item in coordinates] + [given.goal.get(item.velocity_name) for item in coordinates]
+        goal = [given.goal.get(item.name) for item in coordinates]
+        goal += [given.goal.get(item.velocity_name) if item.name in given.velocities else None for item in coordinates]
         times = self._column(given.plan.time, False)
         return ForeignModel(
             name=Path(self._package.path).stem,
             coordinates=coordinates,
             inputs=tuple(self._input(name, signal) for name, signal in given.inputs.items()),
             contacts=tuple(
-                ForeignContact(name=name, force_name=self._force_column(name), gap_name=f"gap_{name}") for name in given.contacts
+                ForeignContact(
+                    name=name,
+                    force_name=self._force_column(name),
+                    gap_name=f"gap_{name}",
+                    depth=entry.depth,
+                    depth_reason=entry.depth_reason,
+                )
+                for name, entry in given.contacts.items()
             ),
-            task=ForeignTask(start=(), goal=tuple(goal), step=float(np.diff(times).min(initial=math.inf))),
-            limits=tuple(Limit(figure=name, value=entry.value, reason=entry.reason) for name, entry in given.limits.items()),
+            task=ForeignTask(
+                start=self._start(),
+                goal=tuple(goal),
+                step=float(np.diff(times).min(initial=math.inf)) if given.task.duration is None else given.task.duration / _STEPS,
+                duration=given.task.duration,
+            ),
+            limits=self._limits(),
             lacks=self.lacks,
+            accuracy=self._accuracy(),
+            not_asked=self._not_asked(),
+            notes=self._notes(),
+        )
+
+    def _start(self) -> tuple[float | None, ...]:
+        """(2*nq,) what the map's [start] says of positions and velocities, in the plan's unit; None where the plan starts as it says."""
+        given = self.map
+        numbers = {
+            int(self._by_name[name].valueReference): float(value)
+            for name, value in given.start.items()
+            if not isinstance(value, str) and name in self._by_name
+        }
+
+        def at(signal: Signal | None) -> float | None:
+            value = None if signal is None else numbers.get(int(self._by_name[signal.variable].valueReference))
+            return None if value is None or signal is None else signal.scale * value + signal.offset
+
+        return tuple(at(given.positions[name]) for name in given.positions) + tuple(
+            at(given.velocities.get(name)) for name in given.positions
+        )
+
+    def _limits(self) -> tuple[Limit, ...]:
+        """Those of the map; how near the replay must come to the goal is asked of the plan itself too, where the map has no other word for that."""
+        given = self.map.limits
+        limits = [Limit(metric=name, value=entry.value, reason=entry.reason or "set in the map") for name, entry in given.items()]
+        for part in ("position", "velocity"):
+            replayed = f"replay_terminal_{part}_error"
+            if replayed in given and f"terminal_{part}_error" not in given:
+                entry = given[replayed]
+                limits.append(
+                    Limit(metric=f"terminal_{part}_error", value=entry.value, reason=entry.reason or "as near as its replay must come")
+                )
+        return tuple(limits)
+
+    def _accuracy(self) -> Difference | None:
+        """As a difference of two simulations: the state's is the norm of what each component may be wrong. Infinite is what is not stated."""
+        stated, count = self.map.accuracy, len(self.map.positions)
+        if stated.position is None and stated.velocity is None and stated.gap is None:
+            return None
+        position, velocity, gap = (math.inf if value is None else value for value in (stated.position, stated.velocity, stated.gap))
+        if "v" in self.lacks:
+            velocity = 0.0  # there is none that could be wrong
+        return Difference(position=position, state=math.sqrt(count) * math.hypot(position, velocity) if count else velocity, gap=gap)
+
+    def _not_asked(self) -> tuple[str, ...]:
+        """For what the map or the FMU leaves out; what the plan does not say is the score's to tell."""
+        given, found = self.map, []
+        if given.task.duration is None:
+            found.append("duration_error: the map gives no [task] duration")
+        if any(value is None for value in self._start()[: len(given.positions)]):
+            found.append("start_error: the map's [start] gives no number for every position, so the plan starts where it says")
+        for name, signal in given.inputs.items():
+            bound = self._input(name, signal)
+            ends = [word for word, end in (("lower", bound.lower), ("upper", bound.upper)) if math.isinf(end)]
+            if ends:
+                found.append(
+                    f"bound_violation: input {name} has no {' and no '.join(ends)} bound, neither in the map ([inputs]) nor in the FMU"
+                )
+        if not given.goal:
+            found.append("replay_terminal_position_error, replay_terminal_velocity_error: the map gives no [goal]")
+        if "q" in self.lacks:
+            found.append("replay_error: the map names no [positions]")
+        for name, entry in given.contacts.items():
+            if entry.gap is None:
+                found.append(f"max_penetration: contact {name} has no gap in the map")
+            elif entry.depth is None:
+                found.append(f"max_penetration: contact {name} has no depth in the map (depth = .., where its model ends)")
+        if not given.contacts:
+            found.append("max_penetration, ghost_impulse, missed_impulse: the map names no [contacts]")
+        elif "gap" in self.lacks or "lam" in self.lacks:
+            found.append("ghost_impulse, missed_impulse: not every contact has both force and gap in the map")
+        found.append("contact_law_error, unexplained_force, defect: an FMU keeps its equations to itself; only a scene has them")
+        return tuple(found)
+
+    def _notes(self) -> tuple[str, ...]:
+        scheme = declared_scheme(self._table)
+        if scheme is None:
+            return ()
+        return (
+            f"The plan declares the scheme {scheme.value}, which is of a scene's equations; an FMU keeps its own, so nothing is asked of it.",
         )
 
     def _unit(self, column: str, signal: Signal) -> str:
         own = self._by_name[signal.variable].unit if signal.scale == 1.0 and signal.offset == 0.0 else None
         return signal.unit or self._table.units.get(column) or own or "1"
 
-    def _input(self, name: str, signal: Signal) -> ForeignInput:
-        """Bounds are those the FMU declares, in the plan's unit."""
+    def _input(self, name: str, signal: InputSignal) -> ForeignInput:
+        """Bounds in the plan's unit are those of the map, which may not lie beyond those that the FMU declares; else the latter."""
         variable = self._by_name[signal.variable]
         ends = [
             (-math.inf if variable.min is None else (float(variable.min) - signal.offset) / signal.scale),
             (math.inf if variable.max is None else (float(variable.max) - signal.offset) / signal.scale),
         ]
-        return ForeignInput(name=name, unit=self._unit(name, signal), lower=min(ends), upper=max(ends))
+        lower, upper = min(ends), max(ends)
+        for word, value, sign, end in (("lower", signal.lower, -1.0, lower), ("upper", signal.upper, 1.0, upper)):
+            if value is not None and sign * (value - end) > _ROUNDING * abs(end):
+                raise self._fail(
+                    f"inputs.{name}.{word}", f"{value:g} lies beyond the FMU's own bound, which is {end:g} in the plan's unit."
+                )
+        lower, upper = (lower if signal.lower is None else signal.lower), (upper if signal.upper is None else signal.upper)
+        if lower >= upper:
+            raise self._fail(f"inputs.{name}", f"its lower bound is {lower:g}, its upper bound {upper:g}, in the plan's unit.")
+        return ForeignInput(name=name, unit=self._unit(name, signal), lower=lower, upper=upper)
 
     def _column(self, name: str, last_is_open: bool) -> np.ndarray:
         return self._table.column(name, last_is_open)
 
-    def trajectory(self, hold: Hold) -> Trajectory:
+    def _groups(self) -> dict[str, list[str]]:
+        """Columns of what a plan may leave out. Velocities count where every position has one."""
+        given = self.map
+        velocities = [self._velocity_column(name) for name in given.positions] if "v" not in self.lacks else []
+        return {"q": list(given.positions), "v": velocities, "lam": [self._force_column(name) for name in given.contacts]}
+
+    def _missing(self) -> frozenset[str]:
+        """What the plan does not say; without positions in the map it says none, and no velocities unless every position has one."""
+        groups = self._groups()
+        return missing_groups(self._table, groups) | {group for group in ("q", "v") if not groups[group]}
+
+    def trajectory(self, hold: str | None) -> Trajectory:
         """The plan; what it does not say is in `missing`, with zeros in its place."""
-        given, table = self.map, self._table
-        t = self._column(given.plan.time, False)
+        given, table, groups, missing = self.map, self._table, self._groups(), self._missing()
+        who = "--hold" if hold else f"{self._where} (plan.hold)"
+        asked = hold or given.plan.hold
+        held = declared_hold(table, None if asked is None else HOLDS[asked], who)
+        t, u, u_end = times_and_inputs(table, given.plan.time, list(given.inputs), held, self._duration(missing))
         nodes, steps = len(t), len(t) - 1
-        missing = set()
 
-        def group(key: str, columns: list[str], rows: int) -> np.ndarray:
-            if not all(column in table.names for column in columns):
-                missing.add(key)
-                return np.zeros((rows, len(columns)))
-            stacked = [self._column(column, rows < nodes) for column in columns]
-            return np.column_stack(stacked) if stacked else np.zeros((rows, 0))
+        def group(key: str, rows: int) -> np.ndarray:
+            columns = groups[key]
+            if key in missing or not columns:
+                return np.zeros((rows, len(given.contacts if key == "lam" else given.positions)))
+            return np.column_stack([self._column(column, rows < nodes) for column in columns])
 
-        q = group("q", list(given.positions), nodes)
-        velocities = [self._velocity_column(name) if name in given.velocities else "" for name in given.positions]
-        v = group("v", velocities, nodes)
-        u = group("u", list(given.inputs), steps)
-        lam = group("lam", [self._force_column(name) for name in given.contacts], steps)
         try:
-            return Trajectory(t=t, q=q, v=v, u=u, lam=lam, hold=hold, missing=frozenset(missing))
+            return Trajectory(
+                t=t, q=group("q", nodes), v=group("v", nodes), u=u, lam=group("lam", steps), hold=held, missing=missing, u_end=u_end
+            )
         except TrajectoryError as error:
             raise TrajectoryError(f"{error} (file {table.path})") from error
+
+    def _duration(self, missing: frozenset[str]) -> tuple[float, float] | None:
+        """How long a plan of inputs alone is meant to last, and how near to that is as long: half its own last step."""
+        duration, times = self.map.task.duration, self._column(self.map.plan.time, False)
+        return (duration, float(times[-1] - times[-2]) / 2.0) if duration is not None and "q" in missing else None
 
 
 def _positive(value: Any) -> float:

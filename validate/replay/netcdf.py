@@ -9,7 +9,9 @@ A tracked replay is a file of its own, with the inputs it applied; the law that 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+import math
+import re
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -79,15 +81,33 @@ def write_replay(path: Path, replay: Replay, scene: Subject) -> None:
         "method": replay.method,
         "events": [[event.time, event.contact, event.closes] for event in replay.events],
         "event_budget": replay.event_budget,
-        "error": asdict(replay.error),
+        "error": replay.error.as_json(),
         "seconds_reference": replay.seconds_reference,
         "seconds_everyday": replay.seconds_everyday,
         "has_impulse": replay.contact_impulse is not None,
         "growth": None if replay.growth is None else asdict(replay.growth),
         "effort": None if replay.effort is None else asdict(replay.effort),
     }
+    if not isinstance(scene, Scene):
+        columns = _storable(columns)
     attributes = {"content": _CONTENT, "scene": scene.name, "fmu_sha256": replay.fmu, "facts": json.dumps(facts, allow_nan=False)}
     write_columns(path, columns, attributes)
+
+
+def _storable(columns: list[Column]) -> list[Column]:
+    """Columns of somebody's FMU under names that NetCDF allows and that are there once; a name that had to be changed stands in the description."""
+    taken: set[str] = {"time", "node", "step"}  # dimensions
+    found = []
+    for column in columns:
+        name = base = re.sub(r"[/\x00-\x1f\x7f]", "_", column.name).strip() or "_"
+        count = 1
+        while name in taken:
+            count += 1
+            name = f"{base}_{count}"
+        taken.add(name)
+        text = column.description if name == column.name else f"{column.name}: {column.description}".rstrip(": ")
+        found.append(replace(column, name=name, description=text))
+    return found
 
 
 def read_replay(path: Path, scene: Scene) -> Replay:
@@ -154,6 +174,7 @@ def _effort(stored: dict[str, Any]) -> Effort:
         peak=tuple(map(float, stored["peak"])),
         rms_share=float(stored["rms_share"]),
         peak_share=float(stored["peak_share"]),
+        plan_share=None if stored["plan_share"] is None else float(stored["plan_share"]),
         saturated=float(stored["saturated"]),
     )
 
@@ -167,7 +188,10 @@ def _applied(path: Path, columns: dict[str, Column], scene: Scene) -> np.ndarray
 
 def _error(stored: dict[str, Any]) -> ReplayError:
     ratio, source = stored.pop("step_ratio", None), stored.pop("step_source", "none")
-    differences = {name: None if item is None else Difference(**item) for name, item in stored.items()}
+    differences = {
+        name: None if item is None else Difference(**{part: math.inf if value is None else value for part, value in item.items()})
+        for name, item in stored.items()
+    }
     return ReplayError(**differences, step_ratio=None if ratio is None else float(ratio), step_source=source)
 
 

@@ -7,6 +7,7 @@ with unpacked(package) as package: ...
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -56,10 +57,15 @@ def read_package(path: Path) -> Package:
     import fmpy  # 0.2 s to import
 
     intake = examine(path)
+    collects = gc.isenabled()
+    gc.disable()  # objects that all stay: looking for garbage among them took a third of the time of 400,000 variables
     try:
         description = fmpy.read_model_description(str(path), validate=False)
     except Exception as error:  # FMPy raises anything for a description it does not understand; it is reported
         raise FmuError(f"FMU {path}: its modelDescription.xml cannot be understood ({type(error).__name__}: {error}).") from error
+    finally:
+        if collects:
+            gc.enable()
     package = Package(path=path, description=description, intake=intake)
     if package.exchange is None and package.cosimulation is None:
         raise FmuError(f"FMU {path}: it offers neither Model Exchange nor Co-Simulation.")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import asdict, dataclass
 from enum import Enum
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -12,7 +13,10 @@ from validate.replay.feedback import Effort, Feedback
 from validate.replay.growth import Growth
 
 # What tells the error of the everyday replay's step.
-StepSource = Literal["none", "second run", "rollback", "second run and rollback"]
+StepSource = Literal[
+    "none", "second run", "rollback", "second run and rollback",
+    "stated", "second run, stated", "rollback, stated", "second run and rollback, stated",
+]  # fmt: skip
 
 
 class ReplayOutcome(Enum):
@@ -62,12 +66,18 @@ class ReplayError:
     tolerance: reference at two tolerances; step: everyday replay at two internal steps; everyday: everyday (finer step)
     against reference. `estimate` is what verdicts use: the tolerance difference, which overstates the error of the tighter
     run that is judged - unless the everyday replay, an independent method, differs from the reference by more than its own
-    step halving explains; then that difference. Without a reference (the FMU has no Model Exchange) the finer everyday run is
+    step halving explains; then that difference. Where the looser reference did not get to the end, the larger of `everyday` and `step` counts. Without a reference (the FMU has no Model Exchange) the finer everyday run is
     judged and its step difference, the error of the coarser run to first order, is the estimate; there is none if half the step changes nothing.
+
+    stated: what the author of an FMU without Model Exchange says its results are good to (the map's [accuracy]), infinite in what is not stated;
+    it is the estimate where no run tells one, and else the larger of the two counts, in what is stated.
 
     rollback: what halving a step changes within that step, summed over all steps (validate.replay.rollback; None: the FMU does not restore its state).
     Without a reference the larger of it and of `step` is the estimate; alone - no coarser run got to the end - it is carried on by its velocities.
     step_source: which of the two the everyday replay's own error was told by.
+
+    lag: the motion at twice the relaxation time against the one that is judged, of scenes without inertia (models.quasi_static): what is left of it, to first
+    order; in the estimate too.
 
     step_ratio: how much the everyday replay's position difference shrank when its step was halved once more (Richardson): 2^order where it
     converges, about 1 or less where it does not; None where the differences are rounding already.
@@ -80,6 +90,36 @@ class ReplayError:
     step_ratio: float | None = None
     rollback: Difference | None = None
     step_source: StepSource = "none"
+    lag: Difference | None = None
+    stated: Difference | None = None
+
+    @property
+    def would_decide(self) -> str:
+        """What would make this error smaller or known; empty where there was a reference to compare with."""
+        if self.tolerance is not None or self.everyday is not None:
+            return ""
+        if self.estimate is None:
+            return (
+                "state how good its results are in the map ([accuracy] position = ..), or take an FMU that offers Model Exchange or names its "
+                "internal step (internal_step = ..)"
+            )
+        parts = (("position", self.estimate.position), ("velocity", self.estimate.state), ("gap", self.estimate.gap))
+        unknown = [name for name, value in parts if math.isinf(value)]
+        if unknown:
+            # The norm of the state is unknown where the position is, whatever is stated of the velocity.
+            unknown = [name for name in unknown if name != "velocity" or "position" not in unknown]
+            return f"state [accuracy] {' and '.join(unknown)} in the map too, or take an FMU that offers Model Exchange"
+        if "stated" in self.step_source:
+            return "a better stated accuracy ([accuracy] in the map), if its author can vouch for it, or an FMU that offers Model Exchange"
+        return "a plan with shorter steps, or an FMU that offers Model Exchange"
+
+    def as_json(self) -> dict[str, Any]:
+        """Its numbers by name; what is infinite is null, as JSON knows no such number."""
+        told = asdict(self)
+        for item in told.values():
+            if isinstance(item, dict):
+                item |= {name: value if math.isfinite(value) else None for name, value in item.items()}
+        return told
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -136,9 +176,9 @@ class Replay:
         return self.outcome is ReplayOutcome.OK
 
     @property
-    def judged(self) -> Replay:
-        """The tracked replay where there is one and an error grows too much for the open loop to say anything of the plan; else this one."""
-        return self.tracked if self.tracked is not None and self.growth is not None and self.growth.is_large else self
+    def would_decide(self) -> str:
+        """What would make this replay's own error smaller or known, for the end of a sentence on an undecided verdict; empty with a reference."""
+        return "" if self.method == "reference" or not self.ok else self.error.would_decide
 
     @property
     def end(self) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +17,7 @@ from validate.replay.error_estimate import difference, estimate, heeds_step, loc
 from validate.replay.feedback import Feedback, measure_effort
 from validate.replay.growth import measure_growth
 from validate.replay.job import Settings, Simulated, run_job
+from validate.replay.lag import fine_enough, twice_the_lag, with_lag_error
 from validate.replay.linearise import design_foreign
 from validate.replay.outputs import Outputs
 from validate.replay.package import Package, find_variables, read_package, unpacked
@@ -61,46 +62,52 @@ def replay(
     fineness: tuple[int, ...] = FINENESS,
     event_budget: int = EVENT_BUDGET,
     limits: Limits | None = None,
-    track: bool | None = None,
+    track: bool | Callable[[Replay], bool] = False,
 ) -> Replay:
     """Apply the plan's inputs from its start to the FMU of the scene, or to anybody's (`names`: scene name -> FMU name).
 
     limits: run the FMU in a child process of its own; None runs it here, which is for our own FMU in a process that is a child already.
-    track: whether to replay once more with feedback around the plan; None: where an error grows too much in the open loop.
-    Raises IntakeError, FmuError or TrajectoryError if FMU, map and plan do not fit the scene, TrackingError if track is asked for and cannot be;
+    track: whether to replay once more with feedback around the plan, or a function that says so of the replay of the inputs alone.
+    Raises IntakeError, FmuError or TrajectoryError if FMU, map and plan do not fit the scene, TrackingError if track is True and cannot be;
     how the simulation went is `Replay.outcome`.
     """
     trajectory.check_fits(scene)
-    settings = Settings(tolerances=tolerances, fineness=fineness, event_budget=event_budget)
+    scene = scene.continuous()
+    settings = fine_enough(scene, trajectory, Settings(tolerances=tolerances, fineness=fineness, event_budget=event_budget))
     with nullcontext(read_package(fmu)) if limits is not None else unpacked(read_package(fmu)) as package:
-        return _replay_twice(scene, package, find_variables(package, scene, names), trajectory, settings, limits, track)
+        variables = find_variables(package, scene, names)
+        twice = twice_the_lag(package, scene, names)
+        return _replay_twice(scene, package, variables, twice, trajectory, settings, limits, track)
 
 
 def _replay_twice(
     scene: Scene,
     package: Package,
     variables: Variables,
+    twice: Variables | None,
     trajectory: Trajectory,
     settings: Settings,
     limits: Limits | None,
-    track: bool | None,
+    track: bool | Callable[[Replay], bool],
 ) -> Replay:
-    """In the open loop, and with feedback where that is asked for or needed."""
+    """In the open loop, and with feedback where that is asked for."""
     event_budget = settings.event_budget
     kernel = load_kernel(scene)
-    growth = measure_growth(kernel, scene, trajectory)
+    growth = measure_growth(kernel, scene, trajectory) if trajectory.has_states else None
     simulated = run_job(package, variables, trajectory, trajectory.start, settings, limits)
     opened = replace(_assemble(scene, package, variables, simulated, event_budget), growth=growth)
-    if not (track or (track is None and growth is not None and growth.is_large)):
+    opened = with_lag_error(scene, package, twice, trajectory, settings, limits, None, opened)
+    if not (track(opened) if callable(track) else track):
         return opened
     try:
         feedback = design_feedback(kernel, scene, trajectory)
     except TrackingError as error:
-        if track:
+        if track is True:
             raise
         return replace(opened, message=f"{opened.message} No tracked replay: {error}".lstrip())
     simulated = run_job(package, variables, trajectory, trajectory.start, settings, limits, feedback)
     tracked = _assemble(scene, package, variables, simulated, event_budget)
+    tracked = with_lag_error(scene, package, twice, trajectory, settings, limits, feedback, tracked)
     return replace(opened, tracked=_with_feedback(tracked, feedback, trajectory, _applied(simulated, trajectory)))
 
 
@@ -122,27 +129,25 @@ def replay_foreign(
     tolerances: tuple[float, float] = (LOOSE, TIGHT),
     fineness: tuple[int, ...] = FINENESS,
     event_budget: int = EVENT_BUDGET,
-    track: bool = False,
+    track: bool | Callable[[Replay], bool] = False,
 ) -> Replay:
     """The same for an FMU without a scene, always in a child process; track: with feedback too, by the FMU's own directional derivatives.
 
-    Raises TrackingError if it is asked for and cannot be.
+    Raises TrackingError if track is True and cannot be.
     """
     trajectory.check_fits(foreign.model)  # type: ignore[arg-type] - it answers what a scene answers
     settings = Settings(tolerances=tolerances, fineness=fineness, event_budget=event_budget)
-    driven = Trajectory(
-        t=trajectory.t,
-        q=trajectory.q,
-        v=trajectory.v,
-        u=foreign.input_scale * trajectory.u + foreign.input_offset,
-        lam=trajectory.lam,
-        hold=trajectory.hold,
-    )
+    driven = trajectory.with_inputs_in(foreign.input_scale, foreign.input_offset)
     simulated = run_job(package, foreign.variables, driven, foreign.start, settings, limits)
     opened = _assemble(foreign.model, package, foreign.variables, _in_plan_units(foreign, simulated), event_budget)
-    if not track:
+    if not (track(opened) if callable(track) else track):
         return opened
-    feedback, growth = design_foreign(foreign.model, package, foreign.variables, trajectory, _units(foreign), foreign.start, limits)
+    try:
+        feedback, growth = design_foreign(foreign.model, package, foreign.variables, trajectory, _units(foreign), foreign.start, limits)
+    except TrackingError as error:
+        if track is True:
+            raise
+        return replace(opened, message=f"{opened.message} No tracked replay: {error}".lstrip())
     inside = feedback.in_units(*_units(foreign))
     simulated = run_job(package, foreign.variables, driven, foreign.start, settings, limits, inside)
     applied = (_applied(simulated, driven) - foreign.input_offset) / foreign.input_scale
@@ -183,6 +188,7 @@ def _assemble(subject: Subject, package: Package, variables: Variables, simulate
         has_reference=bool(reference),
         ratio=step_ratio(difference(first, coarse), difference(coarse, fine)),
         rollback=_local_errors(subject, variables, everyday[-1], fine, carried=coarse is None) if everyday and tells else None,
+        stated=subject.accuracy if isinstance(subject, ForeignModel) else None,
     )
     refusal = simulated.refusal
     if refusal is None and reference:
@@ -194,8 +200,13 @@ def _assemble(subject: Subject, package: Package, variables: Variables, simulate
         notes.append("No reference replay: the FMU offers no Model Exchange.")
         if not tells:
             notes.append(
-                "Half the communication step changes nothing: the FMU has a step of its own, and how wrong that is cannot be told."
+                "Half the communication step changes nothing: the FMU has a step of its own, and how wrong that is "
+                + ("its author states." if error.stated is not None else "cannot be told.")
             )
+    elif error.tolerance is not None and isinstance(subject, ForeignModel) and subject.accuracy is not None:
+        notes.append("The stated accuracy counts for nothing: it is of Co-Simulation, and the reference is integrated by Model Exchange.")
+    if isinstance(subject, ForeignModel):
+        notes += subject.notes
     if simulated.note:
         notes.append(simulated.note)
     return _replay(subject, variables, judged, package, simulated, error, " ".join(notes), event_budget)

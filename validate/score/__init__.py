@@ -1,7 +1,7 @@
-"""Score: (Scene, Trajectory, Replay) -> figures, each with unit, limit and reason, and a verdict.
+"""Score: (Scene, Trajectory, Replay) -> metrics, each with unit, limit and reason, the answers to the judge's questions, and a verdict.
 
     score(scene, plan, replay(scene, fmu, plan)).why
-    -> "the replay misses the goal by 0.27 m, limit 0.06 m: force from a distance of 0.6 N s; ..."
+    -> "its contact forces are not those of contact: ...; driven by its inputs the motion ends 0.27 m from the goal, ..."
 
 The judge knows no method: it sees a plan and what the plan's inputs do.
 """
@@ -10,31 +10,60 @@ from __future__ import annotations
 
 import difflib
 import math
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from models.errors import SceneError, TrajectoryError
-from models.trajectory import Trajectory
+from models.scene import Scene
+from models.trajectory import Hold, Trajectory
 from validate.replay.result import Replay
 from validate.replay.subject import Subject
+from validate.score.cause import Told, explain
 from validate.score.closed_forms import MEASURES
-from validate.score.evidence import Evidence, Unmeasured
-from validate.score.result import Figure, Score, Verdict
-from validate.score.table import TABLE
-from validate.score.tracked import Asked, asked, judged_words
-from validate.score.verdict import CONTACT, EFFORT, GRID, compare, explain, verdict_of
+from validate.score.evidence import Evidence, LeavesBounds, Unmeasured
+from validate.score.feedback import GROWTH, feedback_entries, limit_name
+from validate.score.result import Metric, Question, Score, Verdict
+from validate.score.table import TABLE, Entry, Measured
+from validate.score.verdict import (
+    EFFORT,
+    SHARE,
+    answers,
+    answers_with_feedback,
+    compare,
+    verdict_of,
+    verdict_with_feedback,
+    wants_feedback,
+)
 
-__all__ = ["Figure", "Score", "Verdict", "check_limits", "figure_names", "score"]
+__all__ = ["Metric", "Question", "Score", "Verdict", "check_limits", "metric_names", "score", "wants_feedback"]
+
+# What a plan must say for a metric to be asked, in words.
+_NEEDS = {
+    "q": "the plan does not say its positions",
+    "v": "the plan does not say its velocities",
+    "lam": "the plan does not say its contact forces",
+    "friction": "the plan does not say its friction forces",
+    "scheme": "the plan declares no scheme",
+    "no scheme": "the plan declares a scheme, whose own equations are asked instead",
+    "no defect": "the plan declares a scheme, whose own equations are asked instead",
+}
+
+# What is meant by a limit on a metric that is only shown.
+_INSTEAD = {
+    name: f"limit {name.removesuffix('error')}position_error and {name.removesuffix('error')}velocity_error, each with its reason."
+    for name in ("terminal_error", "replay_terminal_error", "discrete_terminal_error")
+} | {"physics": "limit physics_scaled.", "grid_error": "limit replay_error, which it explains."}
 
 
-def figure_names() -> tuple[str, ...]:
-    """Every figure a scene may set a limit on, in the order of the table; limits on a replay are for the one that is judged."""
-    return (*(entry.name for entry in TABLE), EFFORT)
+def metric_names() -> tuple[str, ...]:
+    """Every metric a scene may set a limit on, in the order of the table; limits on a replay are for the one that is judged."""
+    return (*(entry.name for entry in TABLE), EFFORT, SHARE)
 
 
 def check_limits(scene: Subject, file: Path | None = None) -> None:
-    """Raise SceneError for a limit on a figure, or an answer by a measure, that does not exist. file: the scene's, which the sentence then names."""
+    """Raise SceneError for a limit on a metric, or an answer by a measure, that does not exist. file: the scene's, which the sentence then names."""
     where = f"scene {scene.name}" if file is None else f"scene file {file}: scene {scene.name}"
     for answer in scene.answers:
         if answer.measure and answer.measure not in MEASURES:
@@ -42,36 +71,78 @@ def check_limits(scene: Subject, file: Path | None = None) -> None:
                 f"{where}: answer {answer.quantity!r} is measured by {answer.measure!r}, but the measures are {', '.join(MEASURES)}."
             )
     for limit in scene.limits:
-        if limit.figure not in figure_names():
-            close = difflib.get_close_matches(limit.figure, figure_names(), n=1)
-            hint = f"did you mean {close[0]}?" if close else f"the figures are {', '.join(figure_names())}."
-            raise SceneError(f"{where}: there is a limit on {limit.figure!r}, which is no figure; {hint}")
+        shown = next((entry for entry in TABLE if entry.name == limit.metric and entry.question is Question.SHOWN), None)
+        if shown is not None:
+            raise SceneError(
+                f"{where}: there is a limit on {limit.metric}, which is shown, not judged; {_INSTEAD.get(limit.metric, 'leave it out.')}"
+            )
+        if limit.metric not in metric_names():
+            close = difflib.get_close_matches(limit.metric, metric_names(), n=1)
+            hint = f"did you mean {close[0]}?" if close else f"the metrics are {', '.join(metric_names())}."
+            raise SceneError(f"{where}: there is a limit on {limit.metric!r}, which is no metric; {hint}")
 
 
-def score(scene: Subject, trajectory: Trajectory | None, replay: Replay | None) -> Score:
-    """All figures of a plan, and whether it holds by the scene's limits. Without a replay (or one that failed) only a violation can be found.
+def score(scene: Subject, trajectory: Trajectory | None, replay: Replay | None, other_hold: Replay | None = None) -> Score:
+    """All metrics of a plan, and whether it holds. Without a replay (or one that failed) only a violation can be found.
 
-    Raises TrajectoryError if plan, replay and scene do not belong together, SceneError for a limit on a figure that does not exist.
+    other_hold: the replay of the same plan with its inputs held the other way, where that was made because the stated one fails.
+    Raises TrajectoryError if plan, replay and scene do not belong together, SceneError for a limit on a metric that does not exist.
     """
     check_limits(scene)
     if trajectory is None:
-        none = Verdict.NO_PLAN
-        return Score(figures=(), verdict=none, why="there is no plan to judge.", contact=none, grid=none)
+        return Score(metrics=(), verdict=Verdict.NO_PLAN, why="there is no plan to judge.")
     trajectory.check_fits(scene)  # type: ignore[arg-type] - a foreign model answers what a scene answers
     if replay is not None:
         _check_belongs(scene, trajectory, replay)
     case = Evidence(scene, trajectory, replay)
-    figures = tuple(_figure(item, case) for item in asked(scene, replay))
-    verdict = verdict_of(figures)
+    effort = replay.tracked.effort if replay is not None and replay.tracked is not None else None
+    rows = [entry for entry in TABLE if entry.applies(scene)]
+    rows += GROWTH if replay is not None and replay.growth is not None else ()
+    rows += [entry for entry in feedback_entries(effort) if entry.applies(scene)]
+    metrics = tuple(_metric(entry, case) for entry in rows)
+    alone = answers(metrics)
+    verdict, found, judged = verdict_of(alone), alone, "open"
+    if effort is not None and wants_feedback(metrics):
+        followed = answers_with_feedback(metrics)
+        verdict = verdict_with_feedback(verdict, followed)
+        if verdict is Verdict.HOLDS_WITH_FEEDBACK:
+            found, judged = followed, "feedback"
+    verdict = _of_what_is_asked(scene, trajectory, verdict)
+    waived = tuple(f"{limit.metric}: {limit.reason}" for limit in scene.limits if limit.value is None)
+    told = Told(
+        scene=scene, trajectory=trajectory, replay=replay, metrics={metric.name: metric for metric in metrics}, verdict=verdict,
+        questions=found, waived=waived, other_hold=_passes_otherwise(scene, trajectory, other_hold),
+    )  # fmt: skip
     return Score(
-        figures=figures,
-        verdict=verdict,
-        why=judged_words(replay)
-        + explain(figures, verdict, planned_impulse=float((trajectory.lam[:, : scene.nc] * case.h[:, None]).sum())),
-        contact=verdict_of(figure for figure in figures if figure.name in CONTACT),
-        grid=verdict_of(figure for figure in figures if figure.name in GRID),
-        judged="tracked" if replay is not None and replay.judged is not replay else "open",
-    )
+        metrics=metrics, verdict=verdict, why=explain(told), judged=judged, waived=waived,
+        questions=tuple(found.items()), not_asked=_not_asked(scene, rows, metrics),
+    )  # fmt: skip
+
+
+def asks(scene: Subject) -> bool:
+    """Whether the scene asks for anything: a goal, or a limit on the cost."""
+    limited = {limit.metric for limit in scene.limits if limit.value is not None}
+    return scene.task.has_goal or bool(limited & {"cost", "replay_cost"})
+
+
+def _of_what_is_asked(scene: Subject, plan: Trajectory, verdict: Verdict) -> Verdict:
+    """A scene that asks for nothing has nothing to be held; who claims nothing there is not judged at all."""
+    if asks(scene) or not verdict.is_good:
+        return verdict
+    claims = plan.has_states or (scene.nc > 0 and "lam" not in plan.missing) or (scene.nf > 0 and "friction" not in plan.missing)
+    if not claims:
+        return Verdict.NOT_APPLICABLE
+    return Verdict.CONSISTENT if isinstance(scene, Scene) else verdict
+
+
+def _passes_otherwise(scene: Subject, plan: Trajectory, other: Replay | None) -> bool:
+    """Whether question 4 is answered yes with the inputs held the other way."""
+    if other is None or not other.ok:
+        return False
+    held = Hold.LINEAR if plan.hold is Hold.ZERO_ORDER else Hold.ZERO_ORDER
+    case = Evidence(scene, replace(plan, hold=held), other)
+    of_motion = [entry for entry in TABLE if entry.applies(scene) and entry.question is Question.MOTION]
+    return all(metric.ok is True for metric in (_metric(entry, case) for entry in of_motion) if metric.is_judged)
 
 
 def _check_belongs(scene: Subject, trajectory: Trajectory, replay: Replay) -> None:
@@ -83,26 +154,102 @@ def _check_belongs(scene: Subject, trajectory: Trajectory, replay: Replay) -> No
         )
 
 
-def _figure(item: Asked, case: Evidence) -> Figure:
-    entry, limit = item.entry, item.limit
-    bound = None if limit is None else limit.value
-    unit = entry.unit(case.scene)
+def _why_not_asked(entry: Entry, case: Evidence) -> str:
+    """Why a plan is not asked this; empty: it is."""
+    plan, scene = case.trajectory, case.scene
+    for need in entry.needs:
+        # A scheme can be asked about only with forces; without them the motion is judged as that of a plan that declares none.
+        no_scheme = {"no scheme": plan.scheme is not None, "no defect": plan.scheme is not None and not plan.missing}
+        absent = {"scheme": plan.scheme is None, **no_scheme}.get(need, need in plan.missing)
+        if (need == "friction" and not scene.nf) or (need == "lam" and not scene.nc):
+            absent = False
+        if absent:
+            return f"{_NEEDS[need]}."
+    return ""
+
+
+def _not_asked(scene: Subject, rows: list[Entry], metrics: tuple[Metric, ...]) -> tuple[str, ...]:
+    """A sentence for each group of metrics that could not be asked."""
+    found: dict[str, list[str]] = {}
+    for entry, metric in zip(rows, metrics, strict=True):
+        if entry.question not in (Question.SHOWN, Question.JUDGE) and metric.value is None and metric.limit is None and metric.reason:
+            found.setdefault(metric.reason, []).append(metric.name)
+    sentences = [f"{', '.join(names)}: {reason}" for reason, names in found.items() if not reason.startswith(_NEEDS["no scheme"])]
+    return (*sentences, *getattr(scene, "not_asked", ()))
+
+
+@dataclass(frozen=True)
+class _Worst:
+    """The component of a metric that decides it."""
+
+    value: float
+    error: float
+    scale: float
+    allowed: float
+    base: float
+    unit: str | None
+
+
+def _worst(measured: Measured | tuple[float, float] | float, limited: bool) -> _Worst:
+    """The largest value where the scene sets a limit; else the one that is largest against its own limit."""
+    if not isinstance(measured, Measured):
+        value, error = measured if isinstance(measured, tuple) else (measured, 0.0)
+        return _Worst(float(value), float(error), 1.0, 0.0, 0.0, None)
+    values = np.asarray(measured.values, dtype=float)
+    errors, scales, allowed = (
+        np.broadcast_to(np.asarray(part, dtype=float), values.shape) for part in (measured.error, measured.scales, measured.allowed)
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = np.nan_to_num((values - allowed) / scales, nan=-np.inf)
+    place = int(np.argmax(values if limited else relative))
+    unit = measured.units[place] if len(measured.units) == len(values) else None
+    return _Worst(float(values[place]), float(errors[place]), float(scales[place]), float(allowed[place]), measured.base, unit)
+
+
+def _metric(entry: Entry, case: Evidence) -> Metric:
+    unit, own = entry.unit(case.scene), case.scene.limit(limit_name(entry.name))
+    empty = Metric(name=entry.name, question=entry.question, value=None, unit=unit, meaning=entry.meaning)
+    absent = _why_not_asked(entry, case)
+    if absent:
+        return replace(empty, reason=absent)
+    limited = entry.question is not Question.SHOWN and (own is not None or entry.default is not None)
+    waived = own is not None and own.value is None
     try:
         # The plan's own time step may lead out of every bound, past its stability limit: what comes of it is not finite, and is refused below.
         with np.errstate(over="ignore", invalid="ignore"):
-            measured = entry.measure(case)
+            worst = _worst(entry.measure(case), own is not None and own.value is not None)
+        if not math.isfinite(worst.value):
+            raise LeavesBounds("the metric is too large to be a number.")
+    except LeavesBounds as beyond:
+        if not limited or waived:
+            return replace(empty, reason=str(beyond))
+        bound = own.value if own is not None and own.value is not None else entry.default[0] if entry.default else 0.0
+        return replace(empty, reason=str(beyond), limit=bound, ok=False, default=own is None)
     except Unmeasured as missing:
-        return Figure(
-            name=entry.name, value=None, unit=unit, meaning=entry.meaning, limit=bound, reason=str(missing), ok=None, resolved=bound is None
-        )
-    value, error = measured if isinstance(measured, tuple) else (measured, 0.0)
-    if not math.isfinite(value):
-        reason = "the figure is too large to be a number."
-        return Figure(
-            name=entry.name, value=None, unit=unit, meaning=entry.meaning, limit=bound, reason=reason, ok=None, resolved=bound is None
-        )
-    ok, resolved = (None, True) if bound is None else compare(value, error, bound)
-    return Figure(
-        name=entry.name, value=value, unit=unit, meaning=entry.meaning, error=error, limit=bound,
-        reason="" if limit is None else limit.reason, ok=ok, resolved=resolved,
-    )  # fmt: skip
+        if not limited or waived or not _can_be_asked(entry, case):
+            return replace(empty, reason=str(missing))
+        bound = own.value if own is not None and own.value is not None else entry.default[0] if entry.default else 0.0
+        return replace(empty, reason=str(missing), limit=bound, default=own is None)
+    found = replace(empty, value=worst.value, error=worst.error, unit=worst.unit or unit)
+    if waived or not limited:
+        return replace(found, reason=own.reason if own is not None and waived else "")
+    if own is not None and own.value is not None:
+        bound, reason = own.value + worst.allowed, own.reason
+    else:
+        factor, reason = entry.default or (0.0, "")
+        bound = factor * worst.scale + worst.allowed + worst.base
+    if not math.isfinite(bound):
+        return found
+    return replace(found, limit=bound, reason=reason, ok=compare(worst.value, worst.error, bound), default=own is None)
+
+
+def _can_be_asked(entry: Entry, case: Evidence) -> bool:
+    """Whether a metric that could not be measured leaves a question open: somebody's FMU is not asked what it does not show, nor its plan."""
+    if isinstance(case.scene, Scene):
+        return True
+    try:
+        if entry.of_replay:
+            case.replay  # noqa: B018 - a replay that failed leaves everything open
+    except Unmeasured:
+        return True
+    return False

@@ -19,11 +19,37 @@ def physics_scaled(lam: np.ndarray, push: np.ndarray, k: np.ndarray, length: np.
     return float((h[:, None] * np.abs(lam * (lam - push)) / (k * length) ** 2).sum())
 
 
-def defect(q: np.ndarray, v: np.ndarray, acceleration: np.ndarray, h: np.ndarray) -> float:
-    """max abs of q[t+1] - q[t] - h v[t+1] and v[t+1] - v[t] - h a[t], with a from the plan's own lam [m or rad, and per second]."""
+def defect(q: np.ndarray, v: np.ndarray, acceleration: np.ndarray, h: np.ndarray) -> np.ndarray:
+    """(2 nq,) largest abs of q[t+1] - q[t] - h v[t+1] and of v[t+1] - v[t] - h a[t], with a from the plan's own lam [m or rad, and per second]."""
     positions = q[1:] - (q[:-1] + h[:, None] * v[1:])
     velocities = v[1:] - (v[:-1] + h[:, None] * acceleration)
-    return float(max(np.abs(positions).max(), np.abs(velocities).max()))
+    return np.concatenate([np.abs(positions).max(axis=0), np.abs(velocities).max(axis=0)])
+
+
+def contact_law_error(lam: np.ndarray, law: np.ndarray, h: np.ndarray) -> float:
+    """Sum over steps and contacts of h times the distance of lam (steps, nc) from the range of the true law (nodes, nc) over the step's two ends [N s].
+
+    The range is wider by what the law bends within a step, a sixteenth of its second difference: a mean force lies above both ends where the contact
+    is deepest.
+    """
+    ends = np.vstack([law[:1], law, law[-1:]])
+    bend = np.abs(ends[3:] - ends[2:-1] - ends[1:-2] + ends[:-3]) / 16.0
+    low, high = np.minimum(law[:-1], law[1:]) - bend, np.maximum(law[:-1], law[1:]) + bend
+    return float((h[:, None] * np.maximum(np.maximum(lam - high, low - lam), 0.0)).sum())
+
+
+def force_window(lam: np.ndarray, step_of: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest (steps, nc) of a replay's forces lam (n, nc) from the step before each of the plan's to the one after; step_of (n-1,) the
+    plan's step of each piece.
+
+    A planned force may be one of the start of its step, of its end, or a mean, and a contact may open or close a step sooner or later than on the
+    plan's grid.
+    """
+    first, last = np.searchsorted(step_of, np.arange(steps)), np.searchsorted(step_of, np.arange(steps), side="right")
+    least = np.array([lam[i : j + 1].min(axis=0) for i, j in zip(first, last, strict=True)]).reshape(steps, lam.shape[1])
+    largest = np.array([lam[i : j + 1].max(axis=0) for i, j in zip(first, last, strict=True)]).reshape(steps, lam.shape[1])
+    before, after = [0, *range(steps - 1)], [*range(1, steps), steps - 1]
+    return np.minimum(np.minimum(least[before], least), least[after]), np.maximum(np.maximum(largest[before], largest), largest[after])
 
 
 def distance(state: np.ndarray, goal: np.ndarray) -> float:
@@ -31,14 +57,9 @@ def distance(state: np.ndarray, goal: np.ndarray) -> float:
     return float(np.linalg.norm(np.where(np.isnan(goal), 0.0, state - goal)))
 
 
-def bound_violation(u: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float:
-    """Largest max(u - upper, lower - u, 0) over steps and inputs [N or N m]."""
-    return float(np.maximum(u - upper, lower - u).max(initial=0.0))
-
-
-def velocity_bound_violation(v: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float:
-    """Largest max(v - upper, lower - v, 0) over the starts of the steps, v (nodes, nq) [m/s or rad/s]."""
-    return float(np.maximum(v[:-1] - upper, lower - v[:-1]).max(initial=0.0))
+def outside(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """(n,) largest max(x - upper, lower - x, 0) over the rows of values (rows, n)."""
+    return np.maximum(values - upper, lower - values).max(axis=0, initial=0.0)
 
 
 def largest_difference(one: np.ndarray, other: np.ndarray) -> tuple[float, int]:
@@ -48,22 +69,14 @@ def largest_difference(one: np.ndarray, other: np.ndarray) -> tuple[float, int]:
     return float(worst[node]), node
 
 
-def ghost_impulse(plan_lam: np.ndarray, step_of: np.ndarray, gap: np.ndarray, duration: np.ndarray, shift: float = 0.0) -> float:
-    """Sum of plan_lam*dt over the pieces of time on which the replay's gap is open [N s].
-
-    Pieces (n-1): plan_lam[step_of] the force the plan holds there, gap (n, nc) at their ends. A piece does not cross an event,
-    so the end that is farther from zero tells its side. shift: the same with every gap wider by `shift` [m].
-    """
-    first, last = gap[:-1] + shift, gap[1:] + shift
-    side = np.where(np.abs(first) > np.abs(last), first, last)
-    return float((plan_lam[step_of] * (side > 0) * duration[:, None]).sum())
+def ghost_impulse(plan_lam: np.ndarray, largest: np.ndarray, h: np.ndarray) -> float:
+    """Sum over steps and contacts of h max(plan_lam - largest, 0) [N s], `largest` of `force_window`."""
+    return float((h[:, None] * np.maximum(plan_lam - largest, 0.0)).sum())
 
 
-def missed_impulse(plan_lam: np.ndarray, step_of: np.ndarray, lam: np.ndarray, duration: np.ndarray) -> float:
-    """Integral of max(lam - plan_lam, 0) [N s], lam (n, nc) of the replay, by the trapezoid rule on its pieces."""
-    planned = plan_lam[step_of]
-    excess = np.maximum(lam[:-1] - planned, 0.0) + np.maximum(lam[1:] - planned, 0.0)
-    return float((excess / 2 * duration[:, None]).sum())
+def missed_impulse(plan_lam: np.ndarray, least: np.ndarray, h: np.ndarray) -> float:
+    """Sum over steps and contacts of h max(least - plan_lam, 0) [N s], `least` of `force_window`."""
+    return float((h[:, None] * np.maximum(least - plan_lam, 0.0)).sum())
 
 
 def friction_violation(friction: np.ndarray, limit: np.ndarray) -> float:
@@ -71,9 +84,15 @@ def friction_violation(friction: np.ndarray, limit: np.ndarray) -> float:
     return float(np.maximum(np.abs(friction) - limit, 0.0).max(initial=0.0))
 
 
-def friction_dissipation_error(friction: np.ndarray, limit: np.ndarray, slip: np.ndarray) -> float:
-    """max abs of mu N abs(s) + f s [W]: 0 where it sticks or slips against all of mu N; slip (steps, nf) at the end of each step."""
-    return float(np.abs(limit * np.abs(slip) + friction * slip).max(initial=0.0))
+def friction_dissipation_error(friction: np.ndarray, limit: np.ndarray, slip: np.ndarray) -> np.ndarray:
+    """(nf,) largest abs of mu N abs(s) + f s [W]: 0 where it sticks or slips against all of mu N; slip (steps, nf) that of each step's friction."""
+    return np.abs(limit * np.abs(slip) + friction * slip).max(axis=0, initial=0.0)
+
+
+def least_slip(slip: np.ndarray) -> np.ndarray:
+    """(steps, nf) the slip of least magnitude between the two ends of each step, slip (nodes, nf); 0 where it turns round."""
+    first, last = slip[:-1], slip[1:]
+    return np.where(first * last <= 0.0, 0.0, np.where(np.abs(first) < np.abs(last), first, last))
 
 
 def friction_impulse_error(plan: np.ndarray, step_of: np.ndarray, friction: np.ndarray, duration: np.ndarray) -> float:
@@ -82,9 +101,21 @@ def friction_impulse_error(plan: np.ndarray, step_of: np.ndarray, friction: np.n
     return float(((np.abs(friction[:-1] - planned) + np.abs(friction[1:] - planned)) / 2 * duration[:, None]).sum())
 
 
-def max_penetration(gap: np.ndarray) -> float:
-    """max(-gap, 0) over time and contacts [m]."""
-    return float(np.maximum(-gap, 0.0).max(initial=0.0))
+def deepest(t: np.ndarray, gap: np.ndarray, rate: np.ndarray | None) -> np.ndarray:
+    """(nc,) max(-gap, 0) over time [m], gap (n, nc); between the rows too, where the gap is the cubic with the gaps and their rates (n, nc) at both ends.
+
+    The cubic's values at 1/4, 1/2 and 3/4 of each piece are looked at; a piece does not cross an event. rate None: the rows alone.
+    """
+    lowest = gap.min(axis=0, initial=0.0)
+    if rate is not None and len(t) > 1:
+        h = np.diff(t)[:, None]
+        for s in (0.25, 0.5, 0.75):
+            cubic = (
+                (1 + 2 * s) * (1 - s) ** 2 * gap[:-1] + s * (1 - s) ** 2 * h * rate[:-1]
+                + s**2 * (3 - 2 * s) * gap[1:] - s**2 * (1 - s) * h * rate[1:]
+            )  # fmt: skip
+            lowest = np.minimum(lowest, cubic.min(axis=0, initial=0.0))
+    return np.maximum(-lowest, 0.0)
 
 
 def energy_residual(energy: np.ndarray, input_work: np.ndarray, dissipated_work: np.ndarray) -> float:
@@ -92,7 +123,8 @@ def energy_residual(energy: np.ndarray, input_work: np.ndarray, dissipated_work:
     return float(np.abs(energy - energy[0] - input_work + dissipated_work).max())
 
 
-def energy_turnover(energy: np.ndarray, input_work: np.ndarray, dissipated_work: np.ndarray) -> float:
-    """The largest of the terms of the energy balance [J]: what a residual is relative to."""
-    terms = (energy - energy[0], input_work, dissipated_work)
-    return float(max(np.abs(term).max() for term in terms))
+def energy_turnover(
+    kinetic: np.ndarray, potential: np.ndarray, contact: np.ndarray, input_work: np.ndarray, dissipated_work: np.ndarray
+) -> float:
+    """The largest energy that is there to be turned over [J]: kinetic, in contacts, range of the potential, work in, work dissipated."""
+    return float(max(kinetic.max(), contact.max(), np.ptp(potential), np.abs(input_work).max(), np.abs(dissipated_work).max()))

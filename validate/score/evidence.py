@@ -1,4 +1,4 @@
-"""What the figures are computed from: the plan, its replay, and the plan's inputs under the true contact law on the plan's own grid."""
+"""What the metrics are computed from: the plan, its replay, and the plan's inputs under the true contact law on the plan's own grid."""
 
 from __future__ import annotations
 
@@ -14,12 +14,19 @@ from models.goal import goal_state
 from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory
-from validate.replay.result import Difference, Replay
+from validate.replay.inputs import HeldInputs
+from validate.replay.result import Difference, Replay, ReplayOutcome
 from validate.replay.subject import Subject
+from validate.score import equations
+from validate.score.printing import half_unit
 
 
-class Unmeasured(Exception):  # noqa: N818 - a figure that cannot be measured is a value with a reason
-    """Raised within the measurement of a figure; the text is the reason."""
+class Unmeasured(Exception):  # noqa: N818 - a metric that cannot be measured is a value with a reason
+    """Raised within the measurement of a metric; the text is the reason."""
+
+
+class LeavesBounds(Unmeasured):
+    """The motion leaves every bound: there is no number, but the question is answered."""
 
 
 class Evidence:
@@ -50,7 +57,7 @@ class Evidence:
     def q(self) -> np.ndarray:
         """(nodes, nq) positions of the plan, if it says any."""
         self.need("q")
-        if "q" in self.trajectory.missing:
+        if not self.trajectory.has_states:
             columns = ", ".join(coordinate.name for coordinate in self.scene.coordinates)
             raise Unmeasured(f"the plan does not say its positions ({columns}).")
         return self.trajectory.q
@@ -66,6 +73,17 @@ class Evidence:
         h = np.diff(self.trajectory.t)
         step = self.scene.task.step
         return np.full_like(h, step) if np.allclose(h, step, rtol=1e-9, atol=0.0) else h
+
+    def cost_of(self, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> float:
+        """The task's cost of a motion at the plan's nodes: its sum over the task's own steps, whatever the plan's grid is, and the final cost."""
+        final = self.kernel.cost(q[-1:], v[-1:], u[:0])
+        if (self.h == self.h[0]).all():
+            return (self.kernel.cost(q, v, u) - final) * float(self.h[0]) / self.scene.task.step + final
+        running = [
+            self.kernel.cost(q[i : i + 2], v[i : i + 2], u[i : i + 1]) - self.kernel.cost(q[i + 1 : i + 2], v[i + 1 : i + 2], u[:0])
+            for i in range(len(u))
+        ]
+        return float(np.dot(running, self.h)) / self.scene.task.step + final
 
     @cached_property
     def phi(self) -> np.ndarray:
@@ -101,30 +119,102 @@ class Evidence:
     @property
     def lam(self) -> np.ndarray:
         """(steps, nc) contact forces of the plan [N], if it says any."""
-        return self.forces[:, : self.scene.nc]
+        if "lam" in self.trajectory.missing:
+            raise Unmeasured(f"the plan does not say its contact forces ({', '.join(self.scene.force_names[: self.scene.nc])}).")
+        return self.trajectory.lam[:, : self.scene.nc]
 
     @property
     def forces(self) -> np.ndarray:
-        """(steps, nc + nf) contact forces, then friction forces of the plan [N], if it says any."""
-        if "lam" in self.trajectory.missing:
-            what = "contact and friction forces" if self.scene.nf else "contact forces"
-            raise Unmeasured(f"the plan does not say its {what} ({', '.join(self.scene.force_names)}).")
+        """(steps, nc + nf) contact forces, then friction forces of the plan [N], if it says all of them."""
+        if self.scene.nf and "friction" in self.trajectory.missing:
+            raise Unmeasured(f"the plan does not say its friction forces ({', '.join(self.scene.force_names[self.scene.nc :])}).")
+        if self.scene.nc:
+            self.lam  # noqa: B018 - refused where the plan does not say them
         return self.trajectory.lam
 
     @property
+    def planned_impulse(self) -> float:
+        """Sum over steps and contacts of h |lam| [N s]."""
+        return float((self.h[:, None] * np.abs(self.lam)).sum())
+
+    @cached_property
+    def law(self) -> np.ndarray:
+        """(nodes, nc) contact forces of the true law at the plan's nodes [N]."""
+        return self.kernel.contact_force(self.q, v=self.v if self.equations.damped else None)
+
+    def printing(self, group: str) -> float:
+        """Half a unit of the last printed digit of the plan's t, q, v, u or lam; in the unit of the group."""
+        return self._printing[group]
+
+    @cached_property
+    def _printing(self) -> dict[str, float]:
+        plan, items = self.trajectory, self.scene.coordinates
+        nominal = min((item.nominal for item in items), default=1.0)
+        ranges = [item.upper - item.lower for item in self.scene.inputs]
+        largest = [width if np.isfinite(width) else float(np.abs(plan.u[:, index]).max()) for index, width in enumerate(ranges)]
+        uniform = plan.has_uniform_grid() or bool(np.allclose(np.diff(plan.t), self.scene.task.step, rtol=1e-9, atol=0.0))
+        return {
+            # Of a grid that is no grid to all its digits; a tenth of a step may be lost so.
+            "t": 0.0 if uniform else half_unit(plan.t, 200.0 * float(np.diff(plan.t).min())),
+            "q": half_unit(plan.q, nominal),
+            "v": half_unit(plan.v, nominal),
+            "u": half_unit(plan.u, min(largest, default=0.0)),
+            "lam": half_unit(plan.lam, float(np.abs(plan.lam).max(initial=0.0))),
+        }
+
+    @cached_property
+    def printing_acceleration(self) -> float:
+        """By how much printing may change an acceleration of the plan [m/s^2, rad/s^2]: tried by rounding states, inputs and true forces anew."""
+        plan, size = self.trajectory, {group: self.printing(group) for group in ("q", "v", "u", "lam")}
+        if not any(size.values()):
+            return 0.0
+        random = np.random.default_rng(0)
+
+        def acceleration(scale: float) -> np.ndarray:
+            def moved(group: str, values: np.ndarray) -> np.ndarray:
+                return values + scale * size[group] * random.choice((-1.0, 1.0), size=values.shape)
+
+            q, v, u = moved("q", plan.q[:-1]), moved("v", plan.v[:-1]), moved("u", plan.u)
+            lam = plan.lam.copy()
+            lam[:, : self.scene.nc] = self.kernel.contact_force(q, v=v if self.equations.damped else None)
+            return self._of_steps(self.kernel.acceleration(q, v, u, moved("lam", lam)))
+
+        try:
+            still = acceleration(0.0)
+            return float(max(np.abs(acceleration(1.0) - still).max() for _ in range(3)))
+        except KernelError as error:
+            raise Unmeasured(str(error)) from error
+
+    @cached_property
+    def held_inputs(self) -> HeldInputs:
+        return HeldInputs(self.trajectory)
+
+    @property
+    def start_velocity(self) -> np.ndarray:
+        """(nq,) of the task."""
+        return np.array(self.scene.task.start[self.scene.nq :], dtype=float)
+
+    @property
     def friction(self) -> np.ndarray:
-        """(steps, nf) friction forces of the plan [N]."""
-        return self.forces[:, self.scene.nc :]
+        """(steps, nf) friction forces of the plan [N], if it says any."""
+        if "friction" in self.trajectory.missing:
+            raise Unmeasured(f"the plan does not say its friction forces ({', '.join(self.scene.force_names[self.scene.nc :])}).")
+        return self.trajectory.lam[:, self.scene.nc :]
 
     @cached_property
     def friction_limit(self) -> np.ndarray:
         """(steps, nf) mu N [N], with the plan's own contact forces where they press; what pulls does not press."""
-        return np.maximum(self.kernel.friction_limit(self.trajectory.q[:-1], self.forces), 0.0)
+        forces = self.trajectory.lam
+        if any(friction.contact is not None for friction in self.equations.frictions):
+            self.lam  # noqa: B018 - what presses must be said
+        return np.maximum(self.kernel.friction_limit(self.trajectory.q[:-1], forces), 0.0)
 
     @cached_property
     def slip(self) -> np.ndarray:
-        """(steps, nf) slip speeds [m/s] at the end of each step, to which its friction force belongs."""
-        return self.kernel.slip(self.trajectory.q[:-1], self.v[1:])
+        """(steps, nf) slip speeds [m/s] to which a step's friction force belongs: at its end, or of a plan that declares no scheme the least at both."""
+        if self.trajectory.scheme is not None:
+            return self.kernel.slip(self.trajectory.q[:-1], self.v[1:])
+        return equations.least_slip(self.kernel.slip(self.q, self.v))
 
     @property
     def v(self) -> np.ndarray:
@@ -134,47 +224,62 @@ class Evidence:
             raise Unmeasured(f"the plan does not say its velocities ({columns}).")
         return self.trajectory.v
 
+    def _of_steps(self, acceleration: np.ndarray) -> np.ndarray:
+        """(steps, nq) of the plan's own steps, from those of the task's: without inertia a step takes up all of a force, however short it is."""
+        scene = self.equations
+        if scene.relaxation_index is None:
+            return acceleration
+        return acceleration * (scene.parameters[scene.relaxation_index].value / self.h)[:, None]
+
     @cached_property
     def acceleration(self) -> np.ndarray:
         """(steps, nq) of the plan's states, inputs and own contact forces."""
         plan = self.trajectory
         try:
-            return self.kernel.acceleration(plan.q[:-1], self.v[:-1], plan.u, self.forces)
+            return self._of_steps(self.kernel.acceleration(plan.q[:-1], self.v[:-1], plan.u, self.forces))
         except KernelError as error:
             raise Unmeasured(str(error)) from error
 
     @property
-    def collocation_defect(self) -> float:
-        """Largest miss of a plan made by collocation in its own step; infinite where a step has no solution."""
+    def collocation_defect(self) -> np.ndarray:
+        """(2 nq,) largest miss of a plan made by collocation in its own step; infinite where a step has no solution."""
         self.v  # noqa: B018 - refused where the plan does not say it
         try:
             return collocation.defect(self.kernel, self.trajectory)
         except KernelError as error:
             raise Unmeasured(str(error)) from error
 
+    def refined_motion(self, parts: int) -> np.ndarray:
+        """(nodes, nq) the plan's inputs run through its own time step in so many parts, with the true contact law."""
+        return self._own_motion(parts)[0]
+
     @cached_property
     def true_motion(self) -> tuple[np.ndarray, np.ndarray]:
         """q, v (nodes, nq): the plan's inputs run through the plan's own time step with the true contact law."""
-        plan = self.trajectory
-        if plan.scheme is not Scheme.SEMI_IMPLICIT_EULER:
+        return self._own_motion(1)
+
+    def _own_motion(self, parts: int) -> tuple[np.ndarray, np.ndarray]:
+        """q, v (nodes, nq) with each step of the plan in so many parts."""
+        plan, u, steps = self.trajectory, np.repeat(self.trajectory.u, parts, axis=0), np.repeat(self.h / parts, parts)
+        if plan.scheme not in (None, Scheme.SEMI_IMPLICIT_EULER):
             try:
-                q, v, reached = collocation.rollout(self.kernel, plan.scheme, plan.start, plan.u, self.h)
+                q, v, reached = collocation.rollout(self.kernel, plan.scheme, plan.start, u, steps)
             except KernelError as error:
                 raise Unmeasured(str(error)) from error
-        elif (self.h == self.h[0]).all():
-            rollout = self.kernel.rollout(plan.start, plan.u, float(self.h[0]))
+        elif (steps == steps[0]).all():
+            rollout = self.kernel.rollout(plan.start, u, float(steps[0]))
             q, v, reached = rollout.q, rollout.v, rollout.finite_steps
         else:
-            q, v = np.full_like(plan.q, np.nan), np.full_like(plan.v, np.nan)
+            q, v = np.full((len(steps) + 1, self.scene.nq), np.nan), np.full((len(steps) + 1, self.scene.nq), np.nan)
             q[0], v[0], reached = plan.q[0], plan.v[0], 0
-            for step, h in enumerate(self.h):
-                rollout = self.kernel.rollout(np.concatenate([q[step], v[step]]), plan.u[step : step + 1], float(h))
+            for step, h in enumerate(steps):
+                rollout = self.kernel.rollout(np.concatenate([q[step], v[step]]), u[step : step + 1], float(h))
                 if rollout.diverged:
                     break
                 q[step + 1], v[step + 1], reached = rollout.q[1], rollout.v[1], step + 1
-        if reached < plan.steps:
-            raise Unmeasured(f"with the true contact law the plan's own time step diverges at step {reached} of {plan.steps}.")
-        return q, v
+        if reached < len(steps):
+            raise LeavesBounds(f"with the true contact law the plan's own time step diverges at step {reached // parts} of {plan.steps}.")
+        return q[::parts], v[::parts]
 
     @property
     def true_end(self) -> np.ndarray:
@@ -199,6 +304,8 @@ class Evidence:
         """The replay, if it got to the end."""
         if self._replay is None:
             raise Unmeasured("the plan was not replayed.")
+        if self._replay.outcome is ReplayOutcome.DIVERGED:
+            raise LeavesBounds(f"driven by the plan's inputs the motion leaves every bound after {self._replay.t[-1]:.3g} s.")
         if not self._replay.ok:
             raise Unmeasured(f"the replay did not get to the end: {self._replay.outcome.value} {self._replay.message}".rstrip())
         return self._replay
@@ -222,6 +329,18 @@ class Evidence:
         return np.concatenate([self.q[-1], self.v[-1] if wants_v else np.zeros(self.scene.nq)])
 
     @property
+    def replay_v(self) -> np.ndarray:
+        """(nodes, nq) of the replay, at the plan's nodes."""
+        self.need("v")
+        return self.replay.v[self.replay.knots]
+
+    @property
+    def all_replay_v(self) -> np.ndarray:
+        """(n, nq) of the replay, at all its rows."""
+        self.need("v")
+        return self.replay.v
+
+    @property
     def replay_end(self) -> np.ndarray:
         """(2*nq,) where the replay ends; the velocities only if a velocity of the goal is given."""
         self.need("q")
@@ -234,6 +353,33 @@ class Evidence:
         """(n, nc) of the replay [m], negative in contact."""
         self.need("gap")
         return self.replay.gap
+
+    @cached_property
+    def gap_rate(self) -> np.ndarray | None:
+        """(n, nc) rate of the replay's gaps [m/s]; None of somebody's FMU."""
+        if not isinstance(self.scene, Scene):
+            return None
+        return -self.kernel_rates(self.replay.q, self.replay.v)
+
+    def kernel_rates(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(n, nc) phi' = d phi/dq v [m/s] at states (n, nq)."""
+        return collocation.penetration_rates(self.kernel, q, v)
+
+    @property
+    def opened_q(self) -> np.ndarray:
+        """(n, nq) of the replay of the inputs alone, as far as it got; without one the plan's."""
+        return self.trajectory.q if self._replay is None or not len(self._replay.t) else self._replay.q
+
+    @property
+    def opened_lam(self) -> np.ndarray:
+        """(n, nc) contact forces that belong to `opened_q` [N]."""
+        return self.law if self._replay is None or not len(self._replay.t) else self._replay.lam
+
+    @cached_property
+    def force_window(self) -> tuple[np.ndarray, np.ndarray]:
+        """Least and largest (steps, nc) of the replay's contact forces within a step of each of the plan's [N]."""
+        self.need("lam")
+        return equations.force_window(self.replay.lam, self.step_of, self.trajectory.steps)
 
     @cached_property
     def step_of(self) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What the judge says: figures, and a verdict with the sentence that decided it."""
+"""What the judge says: metrics, the answers to its questions, and a verdict with the sentence that decided it."""
 
 from __future__ import annotations
 
@@ -7,25 +7,57 @@ from enum import Enum
 
 
 class Verdict(Enum):
-    """`holds`: every limited figure is below its limit; `violates`: at least one is above; `not resolved`: none is above, but one
-    could not be measured or is too close to its limit for the replay's own error; `no plan`: there is nothing to judge."""
+    """What is said of a plan; the value is the word that every table, file and sentence uses.
+
+    `holds`: every question that was asked is answered yes for the inputs alone; `holds with feedback`: not so, but with limited feedback around the
+    plan; `violates`: one surely is not; `undecided`: none surely is not, but one could not be decided; `no plan`: there is nothing to judge;
+    `not applicable`: the method does not apply, or nothing is claimed and nothing asked; `consistent`: nothing is wrong, and the scene asks for nothing.
+    """
 
     HOLDS = "holds"
+    HOLDS_WITH_FEEDBACK = "holds with feedback"
     VIOLATES = "violates"
-    NOT_RESOLVED = "not resolved"
+    UNDECIDED = "undecided"
     NO_PLAN = "no plan"
+    NOT_APPLICABLE = "not applicable"
+    CONSISTENT = "consistent"
+
+    @property
+    def is_good(self) -> bool:
+        """Whether the plan holds, by its inputs alone or with feedback."""
+        return self in (Verdict.HOLDS, Verdict.HOLDS_WITH_FEEDBACK)
+
+
+class Question(Enum):
+    """What is asked of a plan, in this order; the value is the question in words. `JUDGE` is asked of the replay, `SHOWN` of nobody."""
+
+    TASK = "Is it a plan of this task?"
+    GOAL = "Does it say that it reaches the goal?"
+    FORCES = "Is what it claims of its forces physical?"
+    MOTION = "Do its inputs give its motion, and the goal?"
+    POSSIBLE = "Is the replayed motion possible?"
+    SCHEME = "Does it solve its own discrete equations?"
+    JUDGE = "Is the judge well?"
+    SHOWN = ""
+
+    @property
+    def number(self) -> int | None:
+        """1 to 6; None for the last two."""
+        place = list(Question).index(self) + 1
+        return place if place <= 6 else None
 
 
 @dataclass(frozen=True, kw_only=True)
-class Figure:
-    """One figure of the score.
+class Metric:
+    """One metric of the score.
 
-    value: None where it could not be measured (`reason` says why); error: how wrong the value may be by the replay's own error
-    (0 for figures of the plan alone); limit and its reason from the scene, or None;
-    ok: value against limit, None without a limit, a value, or resolution; resolved: False where 10 * error reaches from the value to the limit.
+    value: None where it was not asked or could not be measured (`reason` says why); error: how wrong the value may be by the replay's own error (0
+    for what is of the plan alone); limit: with its `reason`, from the scene or the metric's default, None where the metric is not judged;
+    ok: the value against the limit, None where that is undecided or there is no limit; default: whether the limit is the metric's own.
     """
 
     name: str
+    question: Question
     value: float | None
     unit: str
     meaning: str
@@ -33,33 +65,41 @@ class Figure:
     limit: float | None = None
     reason: str = ""
     ok: bool | None = None
-    resolved: bool = True
+    default: bool = True
 
     @property
     def is_judged(self) -> bool:
+        """Whether a question was asked by it."""
         return self.limit is not None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """All figures of one plan and the verdict.
+    """All metrics of one plan and the verdict.
 
-    contact: verdict on the figures of contact physics alone (the plan's forces, and what its inputs do under the true law on the
-    plan's own grid); grid: verdict on the replay in continuous time, where the time step's own error shows too. `why` says which figure decided.
-    judged: the replay that limits are for, "open" (the plan's inputs alone) or "tracked" (with feedback around the plan).
+    why: the sentence that decided it, with the cause and what to do; metrics: of the plan and of the replay of its inputs alone; those of the replay
+    with feedback, where there was one, are called tracked_<name>, and feedback_<..> what it took. judged: "open" or "feedback", of which replay the
+    verdict speaks. waived: limits that the scene waives, with its reasons; not_asked: what was not asked, and why; warnings: what a user should know
+    beside. questions: "yes", "no", "undecided" or "not asked" for each.
     """
 
-    figures: tuple[Figure, ...]
+    metrics: tuple[Metric, ...]
     verdict: Verdict
     why: str
-    contact: Verdict
-    grid: Verdict
     judged: str = "open"
+    questions: tuple[tuple[Question, str], ...] = ()
+    waived: tuple[str, ...] = ()
+    not_asked: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
-    def figure(self, name: str) -> Figure | None:
-        return next((figure for figure in self.figures if figure.name == name), None)
+    def metric(self, name: str) -> Metric | None:
+        """The metric of that name; None if it does not apply."""
+        return next((metric for metric in self.metrics if metric.name == name), None)
 
     def value(self, name: str) -> float | None:
-        """The value of a figure; None if it was not measured."""
-        figure = self.figure(name)
-        return None if figure is None else figure.value
+        """The value of a metric; None if it was not measured."""
+        metric = self.metric(name)
+        return None if metric is None else metric.value
+
+    def __repr__(self) -> str:
+        return f"<Score: {self.verdict.value}: {self.why}>"

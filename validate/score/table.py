@@ -1,4 +1,8 @@
-"""The table of figures: name, unit, meaning, how it is measured, and how wrong the replay may make it."""
+"""The table of metrics: name, the question that it answers, unit, meaning, how it is measured, and the limit where a scene sets none.
+
+Every metric of the score stands here once; those of question `SHOWN` are told and judge nothing. A scene may set another limit with a reason, or
+waive it; it cannot forget one.
+"""
 
 from __future__ import annotations
 
@@ -8,22 +12,33 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.scene import Scene
-from models.schemes import Scheme
 from validate.replay.subject import Subject
-from validate.score import equations as eq
+from validate.score import measures
 from validate.score.closed_forms import answer_error
-from validate.score.evidence import Evidence, Unmeasured
+from validate.score.evidence import Evidence
+from validate.score.measures import DEFECT, Measured
+from validate.score.result import Question
+from validate.score.unexplained import unexplained_force
 
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """One row. measure gives the value, or (value, error by the replay's own error); it raises Unmeasured with a reason."""
+    """One row. measure raises Unmeasured with a reason.
+
+    default: the limit where the scene sets none, as a factor of the component's scale, with its reason; None: only a scene's limit judges it.
+    needs: what the plan must say for the metric to be asked, of "q", "v", "lam", "friction", "scheme", "no scheme", "no defect"; of_replay: whether it is of the
+    replay, and so has a twin where there is a replay with feedback.
+    """
 
     name: str
+    question: Question
     unit: Callable[[Subject], str]
     meaning: str
-    measure: Callable[[Evidence], float | tuple[float, float]]
+    measure: Callable[[Evidence], Measured | tuple[float, float] | float]
     applies: Callable[[Subject], bool] = lambda scene: True
+    needs: tuple[str, ...] = ()
+    default: tuple[float, str] | None = None
+    of_replay: bool = False
 
 
 def _units(*names: str) -> str:
@@ -34,8 +49,12 @@ def _position_unit(scene: Subject) -> str:
     return _units(*(item.unit for item in scene.coordinates))
 
 
+def _velocity_unit(scene: Subject) -> str:
+    return _units(*(item.velocity_unit for item in scene.coordinates))
+
+
 def _state_unit(scene: Subject) -> str:
-    return _units(*(item.unit for item in scene.coordinates), *(item.velocity_unit for item in scene.coordinates))
+    return _units(_position_unit(scene), _velocity_unit(scene))
 
 
 def _input_unit(scene: Subject) -> str:
@@ -54,12 +73,20 @@ def _has_friction(scene: Subject) -> bool:
     return scene.nf > 0
 
 
+def _has_bounds(scene: Subject) -> bool:
+    return any(np.isfinite((item.lower, item.upper)).any() for item in scene.inputs)
+
+
 def _has_velocity_bounds(scene: Subject) -> bool:
     return any(item.has_velocity_bounds for item in scene.coordinates)
 
 
-def _velocity_unit(scene: Subject) -> str:
-    return _units(*(item.velocity_unit for item in scene.coordinates))
+def _is_scene(scene: Subject) -> bool:
+    return isinstance(scene, Scene)
+
+
+def _has_duration(scene: Subject) -> bool:
+    return scene.task.horizon is not None
 
 
 def _has_goal(scene: Subject) -> bool:
@@ -70,224 +97,182 @@ def _has_goal_position(scene: Subject) -> bool:
     return any(value is not None for value in scene.task.goal[: scene.nq])
 
 
-def _physics(case: Evidence) -> float:
-    return eq.physics(lam=case.lam, push=case.push)
+def _has_goal_velocity(scene: Subject) -> bool:
+    return any(value is not None for value in scene.task.goal[scene.nq :])
 
 
-def _physics_scaled(case: Evidence) -> float:
-    return eq.physics_scaled(lam=case.lam, push=case.push, k=case.k, length=case.length, h=case.h)
-
-
-def _defect(case: Evidence) -> float:
-    if (
-        case.trajectory.scheme is not Scheme.SEMI_IMPLICIT_EULER
-    ):  # stages are not stored: its forces are taken to be those of the true law there
-        found = case.collocation_defect
-        if not np.isfinite(found):
-            raise Unmeasured(f"a step of scheme {case.trajectory.scheme.value} from a node of the plan has no solution.")
-        return found
-    return eq.defect(q=case.trajectory.q, v=case.v, acceleration=case.acceleration, h=case.h)
-
-
-def _start_error(case: Evidence) -> float:
-    return float(np.abs(case.trajectory.start - np.array(case.scene.task.start)).max())
-
-
-def _bound_violation(case: Evidence) -> float:
-    inputs = case.scene.inputs
-    lower, upper = np.array([item.lower for item in inputs]), np.array([item.upper for item in inputs])
-    return eq.bound_violation(u=case.trajectory.u, lower=lower, upper=upper)
-
-
-def _velocity_bound_violation(case: Evidence) -> float:
-    items = case.scene.coordinates
-    lower, upper = np.array([item.velocity_lower for item in items]), np.array([item.velocity_upper for item in items])
-    return eq.velocity_bound_violation(v=case.v, lower=lower, upper=upper)
-
-
-def _terminal_error(case: Evidence) -> float:
-    return eq.distance(case.end, case.goal)
-
-
-def _terminal_position_error(case: Evidence) -> float:
-    return eq.distance(case.q[-1], case.goal[: case.scene.nq])
-
-
-def _discrete_terminal_error(case: Evidence) -> float:
-    return eq.distance(case.true_end, case.goal)
-
-
-def _discrete_terminal_position_error(case: Evidence) -> float:
-    return eq.distance(case.true_end[: case.scene.nq], case.goal[: case.scene.nq])
-
-
-def _law_error(case: Evidence) -> float:
-    return eq.largest_difference(case.trajectory.q, case.true_motion[0])[0]
-
-
-def _replay_terminal_error(case: Evidence) -> tuple[float, float]:
-    return eq.distance(case.replay_end, case.goal), case.error.state
-
-
-def _replay_terminal_position_error(case: Evidence) -> tuple[float, float]:
-    # The norm over positions cannot differ by more than the norm over the state does.
-    return eq.distance(case.replay_q[-1], case.goal[: case.scene.nq]), case.error.state
-
-
-def _replay_error(case: Evidence) -> tuple[float, float]:
-    return eq.largest_difference(case.q, case.replay_q)[0], case.error.position
-
-
-def _replay_error_time(case: Evidence) -> float:
-    return float(case.trajectory.t[eq.largest_difference(case.q, case.replay_q)[1]])
-
-
-def _grid_error(case: Evidence) -> tuple[float, float]:
-    return eq.largest_difference(case.true_motion[0], case.replay_q)[0], case.error.position
-
-
-def _ghost_impulse(case: Evidence) -> tuple[float, float]:
-    def ghost(shift: float) -> float:
-        return eq.ghost_impulse(plan_lam=case.lam, step_of=case.step_of, gap=case.replay_gap, duration=case.duration, shift=shift)
-
-    if not np.isfinite(case.error.gap):
-        return ghost(0.0), np.inf
-    return ghost(0.0), max(abs(ghost(case.error.gap) - ghost(0.0)), abs(ghost(-case.error.gap) - ghost(0.0)))
-
-
-def _missed_impulse(case: Evidence) -> tuple[float, float]:
-    case.need("lam")
-    value = eq.missed_impulse(plan_lam=case.lam, step_of=case.step_of, lam=case.replay.lam, duration=case.duration)
-    if not isinstance(case.scene, Scene):
-        return value, np.inf  # how wrong a force is that somebody's FMU puts out, only its own stiffness would say
-    # Each force may be wrong by k times the error of its gap, all the time; a damped one also by its error in the velocities.
-    error = float(case.slopes[0].sum() * case.duration.sum()) * case.error.gap
-    return value, error + (float(case.slopes[1].sum() * case.duration.sum()) * case.error.state if case.scene.damped else 0.0)
-
-
-def _friction_violation(case: Evidence) -> float:
-    return eq.friction_violation(case.friction, case.friction_limit)
-
-
-def _friction_dissipation_error(case: Evidence) -> float:
-    return eq.friction_dissipation_error(case.friction, case.friction_limit, case.slip)
-
-
-def _friction_impulse_error(case: Evidence) -> float:
-    return eq.friction_impulse_error(case.friction, case.step_of, case.replay.friction, case.duration)
-
-
-def _max_penetration(case: Evidence) -> tuple[float, float]:
-    return eq.max_penetration(case.replay_gap), case.error.gap
-
-
-def _work(case: Evidence) -> tuple[np.ndarray, np.ndarray]:
-    if case.replay.input_work is None or case.replay.dissipated_work is None:
-        raise Unmeasured("the FMU has no outputs input_power and dissipated_power.")
-    return case.replay.input_work, case.replay.dissipated_work
-
-
-def _energy_residual(case: Evidence) -> float:
-    return eq.energy_residual(case.replay.energy, *_work(case))
-
-
-def _energy_residual_relative(case: Evidence) -> float:
-    turnover = eq.energy_turnover(case.replay.energy, *_work(case))
-    if turnover == 0.0:
-        raise Unmeasured("nothing moves: no energy is turned over.")
-    return _energy_residual(case) / turnover
+def _has_depths(scene: Subject) -> bool:
+    return any(depth is not None for depth in scene.depths)
 
 
 TABLE = (
     Entry(
-        name="physics", unit=_unit("N^2"), measure=_physics, applies=_has_contacts,
-        meaning="how far the plan's contact forces are from complementarity: sum over steps and contacts of |lam (lam - k phi)|, k phi with its damping",
-    ),
-    Entry(
-        name="physics_scaled", unit=_unit("s"), measure=_physics_scaled, applies=_has_contacts,
-        meaning="sum of h |lam (lam - k phi)| / (k L)^2, with L the nominal penetration of the contact: physics, but the same on any grid and stiffness",
-    ),
-    Entry(
-        name="defect", unit=_state_unit, measure=_defect,
-        meaning="largest residual of the plan in its own time step, with its own contact forces (a collocation: with those of the true law at its stages)",
-    ),
-    Entry(
-        name="start_error", unit=_state_unit, measure=_start_error, applies=lambda scene: isinstance(scene, Scene),
+        name="start_error", question=Question.TASK, unit=_state_unit, measure=measures.start_error, applies=_is_scene, needs=("q",),
+        default=(1e-6, "1e-6 of the nominal: a plan from another start solves another task"),
         meaning="largest distance of the plan's first state from the task's start",
     ),
     Entry(
-        name="bound_violation", unit=_input_unit, measure=_bound_violation, applies=lambda scene: scene.nu > 0,
+        name="duration_error", question=Question.TASK, unit=_unit("s"), measure=measures.duration_error, applies=_has_duration,
+        default=(0.5, "half a step of the task: a plan that lasts another time solves another task"),
+        meaning="by how much the plan is longer or shorter than the task",
+    ),
+    Entry(
+        name="bound_violation", question=Question.TASK, unit=_input_unit, measure=measures.bound_violation, applies=_has_bounds,
+        default=(1e-6, "1e-6 of the range, the solvers' own tolerance: the actuators give no more"),
         meaning="by how much the plan's inputs leave their bounds",
     ),
     Entry(
-        name="velocity_bound_violation", unit=_velocity_unit, measure=_velocity_bound_violation, applies=_has_velocity_bounds,
+        name="velocity_bound_violation", question=Question.TASK, unit=_velocity_unit, measure=measures.velocity_bound_violation,
+        applies=_has_velocity_bounds, needs=("v",), default=(1e-6, "1e-6 of the range, the solvers' own tolerance"),
         meaning="by how much the plan's velocities leave their bounds at the start of a step",
     ),
     Entry(
-        name="terminal_error", unit=_state_unit, measure=_terminal_error, applies=_has_goal,
-        meaning="norm of x_T - x_f in the plan, positions and velocities",
+        name="terminal_position_error", question=Question.GOAL, unit=_position_unit, measure=measures.terminal_position_error, applies=_has_goal_position,
+        needs=("q",), meaning="norm of q_T - q_f in the plan",
     ),
     Entry(
-        name="terminal_position_error", unit=_position_unit, measure=_terminal_position_error, applies=_has_goal_position,
-        meaning="norm of q_T - q_f in the plan",
+        name="terminal_velocity_error", question=Question.GOAL, unit=_velocity_unit, measure=measures.terminal_velocity_error, applies=_has_goal_velocity,
+        needs=("v",), meaning="norm of v_T - v_f in the plan",
     ),
     Entry(
-        name="discrete_terminal_error", unit=_state_unit, measure=_discrete_terminal_error, applies=_has_goal,
-        meaning="norm of x_T - x_f when the plan's inputs run through its own time step with the true contact law: what the relaxation cheats",
+        name="cost", question=Question.GOAL, unit=_unit("1"), measure=measures.cost, applies=_is_scene, needs=("q", "v"),
+        meaning="the task's cost of the plan: sum of the running cost over its steps, and the final cost",
     ),
     Entry(
-        name="discrete_terminal_position_error", unit=_position_unit, measure=_discrete_terminal_position_error, applies=_has_goal_position,
-        meaning="norm of q_T - q_f in the plan's own time step with the true contact law (the paper's stability of gradient descent)",
+        name="contact_law_error", question=Question.FORCES, unit=_unit("N s"), measure=measures.contact_law_error,
+        applies=lambda scene: _is_scene(scene) and _has_contacts(scene), needs=("lam", "q", "no scheme"),
+        default=(0.01, "1 % of the planned contact impulse: forces of the start of a step, of its end and means over it all lie in the range"),
+        meaning="impulse by which the planned contact forces lie outside the range of the true law over the two ends of their step",
     ),
     Entry(
-        name="law_error", unit=_position_unit, measure=_law_error,
-        meaning="largest position difference between the plan and its inputs under the true law on the same grid: the contact law's share of replay_error",
+        name="physics_scaled", question=Question.FORCES, unit=_unit("s"), measure=measures.physics_scaled,
+        applies=lambda scene: _is_scene(scene) and _has_contacts(scene), needs=("lam", "q", "scheme"),
+        default=(2e-6, "averaged over plan and contacts a product of 2e-6 (k L)^2: a thousandth of k L where the gap is just closed, less at a distance"),
+        meaning="sum of h |lam (lam - k phi)| / (k L)^2, with L the nominal penetration of the contact: complementarity violation, the same on any grid",
     ),
     Entry(
-        name="replay_terminal_error", unit=_state_unit, measure=_replay_terminal_error, applies=_has_goal,
-        meaning="norm of x_T - x_f when the plan's inputs drive the true continuous dynamics",
+        name="force_sign_violation", question=Question.FORCES, unit=_unit("N"), measure=measures.force_sign_violation, applies=_has_contacts, needs=("lam",),
+        default=(1e-6, "1e-6 of the largest force: contact does not pull"), meaning="largest planned contact force that pulls",
     ),
     Entry(
-        name="replay_terminal_position_error", unit=_position_unit, measure=_replay_terminal_position_error, applies=_has_goal_position,
-        meaning="norm of q_T - q_f in the replay",
-    ),
-    Entry(name="replay_error", unit=_position_unit, measure=_replay_error, meaning="largest position difference between plan and replay at the plan's nodes"),
-    Entry(name="replay_error_time", unit=_unit("s"), measure=_replay_error_time, meaning="when plan and replay differ most"),
-    Entry(
-        name="grid_error", unit=_position_unit, measure=_grid_error,
-        meaning="largest position difference between the true law on the plan's grid and in continuous time: the time step's share of replay_error",
-    ),
-    Entry(
-        name="ghost_impulse", unit=_unit("N s"), measure=_ghost_impulse, applies=_has_contacts,
-        meaning="impulse of planned contact force where the replay has a gap",
-    ),
-    Entry(
-        name="missed_impulse", unit=_unit("N s"), measure=_missed_impulse, applies=_has_contacts,
-        meaning="impulse by which the replay's contact forces exceed the planned ones",
-    ),
-    Entry(
-        name="friction_violation", unit=_unit("N"), measure=_friction_violation, applies=_has_friction,
+        name="friction_violation", question=Question.FORCES, unit=_unit("N"), measure=measures.friction_violation, applies=_has_friction,
+        needs=("friction", "q"), default=(1e-4, "1e-4 of the largest mu N: more is force that friction does not have"),
         meaning="by how much a planned friction force exceeds mu N, with N what the plan itself presses with",
     ),
     Entry(
-        name="friction_dissipation_error", unit=_unit("W"), measure=_friction_dissipation_error, applies=_has_friction,
+        name="friction_dissipation_error", question=Question.FORCES, unit=_unit("W"), measure=measures.friction_dissipation_error, applies=_has_friction,
+        needs=("friction", "v"), default=(1e-4, "1e-4 of the largest mu N times the nominal slip: more is creep"),
         meaning="largest mu N |s| + f s in the plan: slip that is not held back by all of mu N, as in creep",
     ),
     Entry(
-        name="friction_impulse_error", unit=_unit("N s"), measure=_friction_impulse_error, applies=_has_friction,
-        meaning="impulse of the difference between planned and replayed friction forces; the time step's share is in it",
+        name="replay_error", question=Question.MOTION, unit=_position_unit, measure=measures.replay_error, needs=("q",), of_replay=True,
+        default=(1e-2, "1e-2 of the nominal"), meaning="largest position difference between plan and replay at the plan's nodes",
     ),
-    Entry(name="max_penetration", unit=_unit("m"), measure=_max_penetration, applies=_has_contacts, meaning="deepest penetration in the replay"),
     Entry(
-        name="answer_error", unit=_unit("1"), measure=answer_error, applies=lambda scene: any(answer.measure for answer in scene.answers),
+        name="replay_terminal_position_error", question=Question.MOTION, unit=_position_unit, measure=measures.replay_terminal_position_error,
+        applies=_has_goal_position, of_replay=True, meaning="norm of q_T - q_f in the replay",
+    ),
+    Entry(
+        name="replay_terminal_velocity_error", question=Question.MOTION, unit=_velocity_unit, measure=measures.replay_terminal_velocity_error,
+        applies=_has_goal_velocity, of_replay=True, meaning="norm of v_T - v_f in the replay",
+    ),
+    Entry(
+        name="replay_cost", question=Question.MOTION, unit=_unit("1"), measure=measures.replay_cost, applies=_is_scene, of_replay=True,
+        meaning="the task's cost of the replay, at the plan's nodes",
+    ),
+    Entry(
+        name="unexplained_force", question=Question.MOTION, unit=_unit("1"), measure=unexplained_force, applies=_is_scene, needs=("q", "no defect"),
+        default=(0.1, "10 % of the peak contact force: as much as a step of a good grid leaves open"),
+        meaning="largest mean force over a step that inputs and true contact do not explain, from the plan's own states, as a share of the peak contact force",
+    ),
+    Entry(
+        name="max_penetration", question=Question.POSSIBLE, unit=_unit("m"), measure=measures.max_penetration,
+        applies=lambda scene: _has_contacts(scene) and _has_depths(scene), of_replay=True,
+        default=(1.0, "the depth at which the model of the contact ends"), meaning="deepest penetration in the replay, of the contact that is nearest to the depth at which its model ends",
+    ),
+    Entry(
+        name="ghost_impulse", question=Question.POSSIBLE, unit=_unit("N s"), measure=measures.ghost_impulse, applies=_has_contacts, needs=("lam",),
+        of_replay=True, default=(0.01, "1 % of the planned contact impulse"),
+        meaning="impulse of planned contact force that the replay has at no time within a step of it: force at a distance",
+    ),
+    Entry(
+        name="missed_impulse", question=Question.POSSIBLE, unit=_unit("N s"), measure=measures.missed_impulse, applies=_has_contacts, needs=("lam",),
+        of_replay=True, default=(0.01, "1 % of the contact impulse"),
+        meaning="impulse of the replay's contact force beyond what is planned at any time within a step of it",
+    ),
+    Entry(
+        name="replay_velocity_bound_violation", question=Question.POSSIBLE, unit=_velocity_unit, measure=measures.replay_velocity_bound_violation,
+        applies=_has_velocity_bounds, of_replay=True, default=(1e-2, "1e-2 of the nominal, as the replay may differ from the plan"),
+        meaning="by how much the replay's velocities leave their bounds",
+    ),
+    Entry(
+        name="defect", question=Question.SCHEME, unit=_state_unit, measure=measures.defect, applies=_is_scene, needs=("q", "v", "lam", "friction", "scheme"),
+        default=(DEFECT, "1e-6 of the nominal: a plan that misses its own time step by more was not solved to the end"),
+        meaning="largest residual of the plan in its declared scheme, with its own contact forces (a collocation: with those of the true law at its stages)",
+    ),
+    Entry(
+        name="law_error", question=Question.SCHEME, unit=_position_unit, measure=measures.law_error, applies=_is_scene, needs=("q", "v", "scheme"),
+        default=(10.0, "ten times what a defect of 1e-6 in every step explains"),
+        meaning="largest position difference between the plan and its inputs under the true law on the same grid: the contact law's share of replay_error",
+    ),
+    Entry(
+        name="discrete_terminal_position_error", question=Question.SCHEME, unit=_position_unit,
+        measure=measures.discrete_terminal("position", measures.discrete_position), applies=lambda scene: _is_scene(scene) and _has_goal_position(scene),
+        needs=("q", "v", "scheme"), default=(10.0, "what the plan may miss the goal by, and ten times what a defect of 1e-6 in every step explains"),
+        meaning="norm of q_T - q_f in the plan's own time step with the true contact law (the paper's stability of gradient descent)",
+    ),
+    Entry(
+        name="discrete_terminal_velocity_error", question=Question.SCHEME, unit=_velocity_unit,
+        measure=measures.discrete_terminal("velocity", measures.discrete_velocity), applies=lambda scene: _is_scene(scene) and _has_goal_velocity(scene),
+        needs=("q", "v", "scheme"), default=(10.0, "what the plan may miss the goal by, and ten times what a defect of 1e-6 in every step explains"),
+        meaning="norm of v_T - v_f in the plan's own time step with the true contact law",
+    ),
+    Entry(
+        name="answer_error", question=Question.JUDGE, unit=_unit("1"), measure=answer_error, of_replay=False,
+        applies=lambda scene: any(answer.measure for answer in scene.answers), default=(1.0, "the tolerance of the closed form"),
         meaning="largest distance of the replay from a closed form of the scene, in units of that answer's tolerance",
     ),
     Entry(
-        name="energy_residual", unit=_unit("J"), measure=_energy_residual,
-        meaning="self-check of the replay: work in - dissipated - change of energy, largest over time",
+        name="energy_residual_relative", question=Question.JUDGE, unit=_unit("1"), measure=measures.energy_residual_relative, applies=_is_scene, of_replay=True,
+        default=(1e-6, "a replay whose energy does not balance to a millionth is wrong"),
+        meaning="energy_residual over the largest energy that is there to be turned over",
     ),
     Entry(
-        name="energy_residual_relative", unit=_unit("1"), measure=_energy_residual_relative,
-        meaning="energy_residual over the largest of work in, dissipated work and change of energy",
+        name="physics", question=Question.SHOWN, unit=_unit("N^2"), measure=measures.physics, applies=lambda scene: _is_scene(scene) and _has_contacts(scene),
+        needs=("lam", "q"), meaning="sum over steps and contacts of |lam (lam - k phi)|, k phi with its damping: the paper's physics",
+    ),
+    Entry(
+        name="terminal_error", question=Question.SHOWN, unit=_state_unit, measure=measures.terminal_error, applies=_has_goal, needs=("q",),
+        meaning="norm of x_T - x_f in the plan, positions and velocities: the paper's stability",
+    ),
+    Entry(
+        name="discrete_terminal_error", question=Question.SHOWN, unit=_state_unit, measure=measures.discrete_terminal_error,
+        applies=lambda scene: _is_scene(scene) and _has_goal(scene), needs=("q", "v"),
+        meaning="norm of x_T - x_f when the plan's inputs run through its own time step with the true contact law",
+    ),
+    Entry(
+        name="replay_terminal_error", question=Question.SHOWN, unit=_state_unit, measure=measures.replay_terminal_error, applies=_has_goal, of_replay=True,
+        meaning="norm of x_T - x_f when the plan's inputs drive the true continuous dynamics",
+    ),
+    Entry(
+        name="replay_error_time", question=Question.SHOWN, unit=_unit("s"), measure=measures.replay_error_time, needs=("q",),
+        meaning="when plan and replay differ most",
+    ),
+    Entry(
+        name="grid_error", question=Question.SHOWN, unit=_position_unit, measure=measures.grid_error, applies=_is_scene, needs=("q", "v", "scheme"), of_replay=False,
+        meaning="largest position difference between the true law on the plan's grid and in continuous time: the discretisation error",
+    ),
+    Entry(
+        name="grid_order", question=Question.SHOWN, unit=_unit("1"), measure=measures.grid_order, applies=_is_scene, needs=("q", "v", "scheme"),
+        meaning="order with which the discretisation error shrinks as the plan's own grid is refined under its inputs",
+    ),
+    Entry(
+        name="friction_impulse_error", question=Question.SHOWN, unit=_unit("N s"), measure=measures.friction_impulse_error, applies=_has_friction,
+        needs=("friction",), of_replay=True,
+        meaning="impulse of the difference between planned and replayed friction forces (sticking forces are not unique)",
+    ),
+    Entry(
+        name="energy_residual", question=Question.JUDGE, unit=_unit("J"), measure=measures.energy_residual, applies=_is_scene, of_replay=True,
+        meaning="self-check of the replay: work in - dissipated - change of energy, largest over time",
     ),
 )  # fmt: skip

@@ -72,7 +72,8 @@ def force_unit(coordinate: Coordinate) -> str:
 
 
 def split(scene: Scene) -> Parts:
-    """The parts of a scene. Raises SceneError for a scene with friction, with damped contacts or without contacts."""
+    """The parts of a scene, in continuous time. Raises SceneError for a scene with friction, with damped contacts or without contacts."""
+    scene = scene.continuous()
     if scene.frictions:
         raise SceneError(
             f"scene {scene.name}: it has friction, whose sticking ties bodies together within a step; only scenes without it can be split into parts."

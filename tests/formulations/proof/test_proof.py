@@ -25,12 +25,15 @@ from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.errors import MachineError, SceneError
 from models.scene import Scene
+from models.scene_annotations import goal_limits
 from models.trajectory import Trajectory, uniform_grid
 
 PENDULUM = load_scene("wall_pendulum")
 CARTS = load_scene("three_cart")
 LITTLE = CARTS.with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=6, step=0.15)
 SHORT = PENDULUM.with_task(start=(0.07, 0.8), steps=9)
+# Of a goal is asked how near is near enough.
+ASKED = replace(SHORT, limits=(*SHORT.limits, *goal_limits(position=0.01, reason="this test")))
 
 
 def cheapest_of_all_modes(scene: Scene) -> float:
@@ -119,13 +122,13 @@ def test_a_plan_that_cheats_does_not_count():
         array = np.array(getattr(honest, name))
         array[5, 0] += change
         assert not is_exact(SHORT, replace(honest, **{name: array})), name
-    assert not is_exact(SHORT.with_task(goal=(0.0, None)), honest)
+    assert not is_exact(ASKED.with_task(goal=(0.0, None)), honest)
     lie = replace(honest, q=np.zeros_like(honest.q), lam=np.zeros_like(honest.lam))
     assert prove(SHORT, incumbent=lie, time_limit=300.0).cost == pytest.approx(cheapest_of_all_modes(SHORT), rel=1e-9)
 
 
 def test_no_plan_at_all_is_proved_too():
-    proof = prove(SHORT.with_task(goal=(-0.5, None)), time_limit=60.0)
+    proof = prove(ASKED.with_task(goal=(-0.5, None)), time_limit=60.0)
     assert proof.status is ProofStatus.INFEASIBLE
     assert (proof.plan, proof.bound, proof.gap) == (None, np.inf, None)
 

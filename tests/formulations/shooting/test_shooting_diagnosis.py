@@ -15,6 +15,7 @@ from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw
 from models.scene import Contact, Coordinate, Input, Scene, Task
+from models.scene_annotations import goal_limits
 
 SCENES = Path(__file__).parents[2] / "scenes"
 SCENE = load_scene("three_cart")
@@ -63,10 +64,25 @@ def _row_of_three() -> Scene:
         potential_energy=sp.Integer(0),
         forces=(u - va, -vb, -vc),
         contacts=(
-            Contact(name="ab", penetration=1 - (b - a), stiffness=sp.Integer(30)),
-            Contact(name="bc", penetration=1 - (c - b), stiffness=sp.Integer(30)),
+            Contact(
+                name="ab",
+                bodies=("a", "b"),
+                depth=1.0,
+                depth_reason="nothing here goes as deep",
+                penetration=1 - (b - a),
+                stiffness=sp.Integer(30),
+            ),
+            Contact(
+                name="bc",
+                bodies=("b", "c"),
+                depth=1.0,
+                depth_reason="nothing here goes as deep",
+                penetration=1 - (c - b),
+                stiffness=sp.Integer(30),
+            ),
         ),
         task=Task(start=(0.0, 5.0, 5.9, 0.0, 0.0, 0.0), goal=(0.5, 5.5, 6.5, 0.0, 0.0, 0.0), running_cost=u**2, step=0.01, steps=200),
+        limits=goal_limits(position=0.01, velocity=0.01, reason="this test"),
     )
 
 

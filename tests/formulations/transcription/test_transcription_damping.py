@@ -20,6 +20,7 @@ from models.contacts import Contact, DampingLaw
 from models.errors import SceneError
 from models.fmu.coupled.parts import split
 from models.scene import Coordinate, Input, Parameter, Scene, Task
+from models.scene_annotations import goal_limits
 from models.trajectory import Trajectory, uniform_grid
 
 x, y, vx, vy, push = sp.symbols("x y vx vy push", real=True)
@@ -43,8 +44,21 @@ def pushed(law: DampingLaw, steps: int = 60) -> Scene:
         kinetic_energy=(vx**2 + 2 * vy**2) / 2,
         potential_energy=sp.S.Zero,
         forces=(push - vx, sp.S.Zero),
-        contacts=(Contact(name="pad", penetration=x - y, stiffness=k, damping=c, damping_law=law, nominal=0.05),),
+        contacts=(
+            Contact(
+                name="pad",
+                bodies=("pusher", "cart"),
+                depth=1.0,
+                depth_reason="nothing here goes as deep",
+                penetration=x - y,
+                stiffness=k,
+                damping=c,
+                damping_law=law,
+                nominal=0.05,
+            ),
+        ),
         task=Task(start=(-0.2, 0.0, 0.0, 0.0), goal=(None, 0.6, None, None), running_cost=push**2, step=0.03, steps=steps),
+        limits=goal_limits(position=0.01, reason="this test"),
     )
 
 

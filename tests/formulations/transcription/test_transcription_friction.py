@@ -14,6 +14,7 @@ from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw as ForceLaw
 from models.contacts import Contact, Friction
 from models.scene import Coordinate, Input, Parameter, Scene, Task
+from models.scene_annotations import goal_limits
 from models.trajectory import Trajectory, uniform_grid
 
 cargo, cart, height, vx, wx, vz, push, press = sp.symbols("cargo cart height vx wx vz push press", real=True)
@@ -41,6 +42,7 @@ def conveyor(goal: tuple[float, float] = (0.3, 0.45), *, steps: int = STEPS) -> 
         contacts=(),
         frictions=(Friction(name="belt", slip=vx - wx, coefficient=mu, normal_force=m * g),),
         task=Task(start=(0.0,) * 4, goal=(*goal, 0.0, 0.0), running_cost=push**2, step=STEP, steps=steps),
+        limits=goal_limits(position=0.01, velocity=0.01, reason="this test"),
     )
 
 
@@ -61,9 +63,19 @@ def dragged_block() -> Scene:
         kinetic_energy=m * (vx**2 + vz**2) / 2,
         potential_energy=m * g * height,
         forces=(push, -press),
-        contacts=(Contact(name="floor", penetration=-height, stiffness=k),),
+        contacts=(
+            Contact(
+                name="floor",
+                bodies=("block", "ground"),
+                depth=1.0,
+                depth_reason="nothing here goes as deep",
+                penetration=-height,
+                stiffness=k,
+            ),
+        ),
         frictions=(Friction(name="floor", slip=vx, coefficient=mu, contact="floor"),),
         task=Task(start=(0.0, -0.02, 0.0, 0.0), goal=(0.2, -0.02, 0.0, 0.0), running_cost=push**2 + press**2, step=STEP, steps=40),
+        limits=goal_limits(position=0.01, velocity=0.01, reason="this test"),
     )
 
 

@@ -13,6 +13,7 @@ from models.contacts import Contact, Friction
 from models.fmu import build_fmu
 from models.fmu.reference import Equations, Piece, true_motion
 from models.scene import Coordinate, Input, Parameter, Scene, Task
+from models.scene_annotations import goal_limits
 
 x1, x2, z, w1, w2, wz, push = sp.symbols("x1 x2 z w1 w2 wz push", real=True)
 m, mu, g, k = sp.symbols("m mu g k", positive=True)
@@ -39,6 +40,7 @@ def block(**changes: object) -> Scene:
         "contacts": (),
         "frictions": (Friction(name="table", slip=w1, coefficient=mu, normal_force=m * g),),
         "task": Task(start=(0.0, 0.9), goal=(0.0, 0.0), running_cost=push**2, step=0.01, steps=100),
+        "limits": goal_limits(position=0.01, velocity=0.01, reason="this test"),
     }
     return Scene(**(fields | changes))
 
@@ -67,7 +69,11 @@ def two_coupled_frictions() -> Scene:
         kinetic_energy=m * (w1**2 + w2**2 + wz**2 * (1 + sp.sin(x1) ** 2 / 4)) / 2,
         potential_energy=m * g * z,
         forces=(push, sp.Integer(0), sp.Integer(0)),
-        contacts=(Contact(name="floor", penetration=-z, stiffness=k),),
+        contacts=(
+            Contact(
+                name="floor", bodies=("block", "ground"), depth=1.0, depth_reason="nothing here goes as deep", penetration=-z, stiffness=k
+            ),
+        ),
         frictions=(
             Friction(name="cart", slip=w2 - w1, coefficient=mu, normal_force=m * g * (1 + x1**2 / 10)),
             Friction(name="foot", slip=w1 * sp.cos(x2) + w2 + wz / 5, coefficient=mu / 2, contact="floor"),
@@ -194,7 +200,11 @@ def flying_block(speed: float) -> Scene:
         kinetic_energy=m * (w1**2 + wz**2) / 2,
         potential_energy=m * g * z,
         forces=(push, sp.Integer(0)),
-        contacts=(Contact(name="floor", penetration=-z, stiffness=k),),
+        contacts=(
+            Contact(
+                name="floor", bodies=("block", "ground"), depth=1.0, depth_reason="nothing here goes as deep", penetration=-z, stiffness=k
+            ),
+        ),
         frictions=(Friction(name="floor", slip=w1, coefficient=mu, contact="floor"),),
         task=Task(start=(0.0, 0.5, speed, 0.0), goal=(0.0,) * 4, running_cost=push**2, step=0.01, steps=30),
     )

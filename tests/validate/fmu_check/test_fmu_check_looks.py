@@ -31,7 +31,18 @@ def thrown(steps_to_wall: float) -> Scene:
         kinetic_energy=m * v**2 / 2,
         potential_energy=sp.Integer(0),
         forces=(sp.Integer(0),),
-        contacts=(Contact(name="wall", penetration=q, stiffness=k, damping=c, damping_law=DampingLaw.KELVIN_VOIGT),),
+        contacts=(
+            Contact(
+                name="wall",
+                bodies=("mass", "wall"),
+                depth=1.0,
+                depth_reason="nothing here goes as deep",
+                penetration=q,
+                stiffness=k,
+                damping=c,
+                damping_law=DampingLaw.KELVIN_VOIGT,
+            ),
+        ),
         task=Task(start=(-steps_to_wall * STEP, 1.0), goal=(None, None), running_cost=sp.Integer(0), step=STEP, steps=40),
     )
 

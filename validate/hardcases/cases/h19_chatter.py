@@ -32,14 +32,14 @@ def measure() -> Finding:
     ratio = math.nan if error.step_ratio is None else error.step_ratio
     converges = result.ok and ratio >= 1.5
     estimate = math.nan if result.error.estimate is None else result.error.estimate.position
-    silent = [] if converges or verdict is Verdict.NOT_RESOLVED else [f"ratio {ratio:.2f} and yet {verdict.value}"]
+    silent = [] if converges or verdict is Verdict.UNDECIDED else [f"ratio {ratio:.2f} and yet {verdict.value}"]
     resolved = result.ok and error.everyday is not None and error.step is not None
     far = error.everyday.position / max(error.step.position, 1e-12) if resolved and error.everyday and error.step else math.nan
     return Finding(
         happened=f"{len(result.events)} contact events in {NODES} steps; the everyday replay's differences shrink by {ratio:.2f} as its step is halved, and the "
         f"reference knows itself to {estimate:.0e} m.",
         figures=(
-            none_of("neither converging nor marked `not resolved`", silent, reason="one of the two"),
+            none_of("neither converging nor marked `undecided`", silent, reason="one of the two"),
             at_least(
                 "ratio of the differences when the step is halved",
                 ratio,
@@ -60,7 +60,7 @@ def measure() -> Finding:
 CASE = HardCase(
     name="h19_chatter",
     title="Chattering plan (bang-bang inputs)",
-    expected="The replay converges as the step shrinks, or is marked `not resolved`.",
+    expected="The replay converges as the step shrinks, or is marked `undecided`.",
     scenes=("three_cart",),
     measure=measure,
 )

@@ -1,0 +1,112 @@
+"""Throws: where the end is free and has a cost, a plan that touches nothing may be a local optimum from which no slope leads to a contact.
+
+A disc at rest, and another whose place at the end is paid for: nothing done costs 0.61, a throw off the wall 0.39, and all that lies between is dearer.
+
+    constant inputs on a lattice -> those that press something and end at less final cost -> the cheapest, solved with their contact modes
+
+Windows are then searched around the best of these plans as around any other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+
+from formulations.transcription.workbench import Account
+from formulations.windows.finder import STRIDES, Answer, Finder, Search
+from formulations.windows.homotopy import PATIENCE
+from formulations.windows.nonlinear import NonlinearModes
+from formulations.windows.starts import input_range
+from formulations.windows.structures import Structures
+from models.codegen.kernel import Kernel, Rollout
+from models.scene import Scene
+from models.schemes import Scheme
+from models.trajectory import Trajectory, uniform_grid
+
+_SAMPLES = 2048  # constant inputs tried: of two discs and a wall about 35 of them bring the disc nearer to its goal, in 0.1 CPU s
+_SIZES = 4  # powers of two by which they are made smaller, in turn: what is cheap is rarely near its bounds
+_SOLVED = 6  # of the cheapest throws are solved with their contact modes, in 0.3 CPU s each
+_PRESSED = 1e-6  # [N] a contact that is pressed with less is left open: Ipopt keeps forces to 1e-8
+
+
+class Throws:
+    """The throws of one scene. options: those of method mpcc; finder: searches windows around the best of them."""
+
+    def __init__(self, scene: Scene, kernel: Kernel, finder: Finder, options: Mapping[str, object], structures: Structures) -> None:
+        self._scene, self._kernel, self._finder, self._options, self._structures = scene, kernel, finder, options, structures
+
+    def instead_of(self, before: Search, account: Account, seed: tuple[int, ...]) -> Search:
+        """A cheaper plan that throws, or the one before: it stays where there is a goal, where the end costs nothing, and where its inputs press
+        a contact that is not pressed without them."""
+        task = self._scene.task
+        if task.has_goal or task.final_cost == 0 or not self._scene.nc or account.is_late:
+            return before
+        work = 1e6 * float(str(self._options["throw_work"]))
+        bounds = (np.array([item.lower for item in self._scene.inputs]), np.array([item.upper for item in self._scene.inputs]))
+        none = np.clip(np.zeros((task.steps, self._scene.nu)), *bounds)
+        idle = self._pressed(none)
+        planned = none if before.answer is None else before.answer.u
+        if work == 0.0 or (self._pressed(planned) & ~idle).any():
+            return before
+        account.most_work = account.work + work  # on top of what the starts were given: they may have spent it
+        problem, best = self._best(account, planned, idle, seed)
+        if best is None or (before.answer is not None and best.cost >= before.answer.cost):
+            return before
+        found = self._finder.searched(account, problem, best, max(1, task.steps // STRIDES), far=True)
+        first = "no plan was found" if before.answer is None else f"the best plan brought no contact about (cost {before.answer.cost:.6g})"
+        return replace(found, message=f"At first {first}; this one was found from throws by constant inputs. {found.message}")
+
+    def _best(self, account: Account, planned: np.ndarray, idle: np.ndarray, seed: tuple[int, ...]) -> tuple[object, Answer | None]:
+        """The problem with modes fixed, and the cheapest of its answers to the modes of throws."""
+        begin = perf_counter()
+        below = final_cost(self._kernel, self._kernel.rollout(np.array(self._scene.task.start), planned, self._scene.task.step))
+        plans = thrown_plans(self._scene, self._kernel, seed, idle, below)[:_SOLVED]
+        most = min(int(str(self._options["max_iterations"])), PATIENCE)
+        problem = self._structures.modes(0.0, account, {"tol": float(str(self._options["tolerance"])), "max_iter": most})
+        account.build += perf_counter() - begin
+        answers: list[Answer] = []
+        for plan in plans:
+            if isinstance(problem, NonlinearModes):
+                problem.guess = plan
+            answer = None if account.is_over else problem.solve(plan.lam > 0.0)
+            if answer is not None:
+                answers.append(answer)
+        return problem, min(answers, key=lambda answer: answer.cost, default=None)
+
+    def _pressed(self, u: np.ndarray) -> np.ndarray:
+        """(nc,) whether these inputs press a contact at any time."""
+        rollout = self._kernel.rollout(np.array(self._scene.task.start), u, self._scene.task.step)
+        return np.any(rollout.lam[:, : self._scene.nc] > _PRESSED, axis=0, keepdims=False)
+
+
+def thrown_plans(scene: Scene, kernel: Kernel, seed: tuple[int, ...], idle: np.ndarray, below: float) -> list[Trajectory]:
+    """Motions under constant inputs that press a contact other than those of `idle` (nc,) and end at a final cost below `below`, the cheapest first.
+
+    The inputs are a seeded lattice (Kronecker's: steps of 1/g, 1/g^2, .. with g^(nu+1) = g + 1) over their bounds, a half, a quarter and an eighth
+    of them.
+    """
+    task, (lower, upper) = scene.task, input_range(scene)
+    roots = np.roots([1.0, *[0.0] * (scene.nu - 1), -1.0, -1.0])
+    ratio = float(roots[np.isreal(roots)].real.max())
+    count = np.arange(_SAMPLES)[:, None]
+    places = (np.random.default_rng(seed).uniform(size=scene.nu) + count * ratio ** -np.arange(1.0, scene.nu + 1)) % 1.0
+    found: list[tuple[float, Trajectory]] = []
+    for force in np.clip(0.5 ** (count % _SIZES) * (lower + places * (upper - lower)), lower, upper):
+        u = np.tile(force, (task.steps, 1))
+        rollout = kernel.rollout(np.array(task.start), u, task.step)
+        pressed = (rollout.lam[:, : scene.nc] > 0.0).any(axis=0)
+        if rollout.diverged or not (pressed & ~idle).any() or not final_cost(kernel, rollout) < below:
+            continue
+        plan = Trajectory(
+            t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
+        )
+        found.append((kernel.cost(rollout.q, rollout.v, u), plan))
+    return [plan for _, plan in sorted(found, key=lambda pair: pair[0])]
+
+
+def final_cost(kernel: Kernel, rollout: Rollout) -> float:
+    """The cost of the last state alone."""
+    return kernel.cost(rollout.q[-1:], rollout.v[-1:], np.zeros((0, kernel.scene.nu)))

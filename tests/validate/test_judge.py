@@ -1,0 +1,246 @@
+"""`judge(scene, plan)`: every form of a plan gives the same verdict; what it declares counts; mistakes are one sentence."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from formulations.solution import Outcome, Solution
+from models.catalog import load_scene
+from models.codegen.kernel import load_kernel
+from models.errors import TrajectoryError
+from models.scene import Scene
+from models.scene_annotations import goal_limits
+from models.schemes import Scheme
+from models.trajectory import Hold, Trajectory, column_names, uniform_grid, write_csv
+from models.trajectory_netcdf import write_netcdf
+from validate.cli.replay import exit_code
+from validate.judge import judge
+from validate.replay.inputs import HeldInputs
+from validate.score import Question, Verdict
+
+STEPS, H = 50, 0.02
+START = (2.0, 2.55, 3.1, 0.3, 0.0, -0.3)
+
+
+def swings(t: np.ndarray) -> np.ndarray:
+    return np.column_stack([9.0 * np.sin(9.0 * t), -8.0 * np.cos(8.0 * t)])
+
+
+def made(hold: Hold) -> tuple[Scene, Trajectory]:
+    """Three carts in contact, exact to a hundred small steps in each of the plan's, and the scene whose goal is where that ends."""
+    bank = load_scene("three_cart")
+    t = uniform_grid(H, STEPS)
+    u = swings(t)
+    plan = Trajectory(
+        t=t, q=np.zeros((STEPS + 1, 3)), v=np.zeros((STEPS + 1, 3)), u=u[:-1], lam=np.zeros((STEPS, 2)), hold=hold,
+        u_end=u[-1], missing=frozenset({"lam"}),
+    )  # fmt: skip
+    held, parts = HeldInputs(plan), 100
+    within = np.tile((np.arange(parts) + 0.5) * H / parts, STEPS)[:, None]
+    fine = np.repeat(held.values, parts, axis=0) + np.repeat(held.slopes, parts, axis=0) * within
+    run = load_kernel(bank).rollout(np.array(START), fine, H / parts)
+    q, v = run.q[::parts], run.v[::parts]
+    scene = replace(bank, limits=goal_limits(position=1e-2, velocity=1e-2, reason="this test"))
+    goal = tuple(float(value) for value in (*q[-1], *v[-1]))
+    return scene.with_task(step=H, steps=STEPS, start=START, goal=goal), replace(plan, q=q, v=v)
+
+
+@pytest.fixture(scope="module")
+def held() -> tuple[Scene, Trajectory]:
+    return made(Hold.ZERO_ORDER)
+
+
+@pytest.fixture(scope="module")
+def lines() -> tuple[Scene, Trajectory]:
+    return made(Hold.LINEAR)
+
+
+def columns(scene: Scene, plan: Trajectory) -> dict[str, np.ndarray]:
+    names = column_names(scene)
+    u = plan.u if plan.u_end is None else np.vstack([plan.u, plan.u_end])
+    arrays = {"t": plan.t} | dict(zip(names["u"], u.T, strict=True))
+    for group, values in (("q", plan.q), ("v", plan.v)):
+        arrays |= dict(zip(names[group], values.T, strict=True))
+    return arrays
+
+
+def solution(plan: Trajectory | None) -> Solution:
+    return Solution(method="mine", outcome=Outcome.SOLVED, trajectory=plan, cost=None)
+
+
+@pytest.mark.parametrize("form", ["csv", "csv as text", "netcdf", "trajectory", "solution", "mapping", "dataframe"])
+def test_every_form_of_a_plan_gives_the_same_verdict(held, tmp_path: Path, form: str):
+    scene, plan = held
+    if form.startswith("csv"):
+        given = tmp_path / "plan.csv"
+        write_csv(given, plan, scene)
+        given = str(given) if form == "csv as text" else given
+    elif form == "netcdf":
+        given = tmp_path / "plan.nc"
+        write_netcdf(given, plan, scene)
+    elif form == "dataframe":
+        table = pytest.importorskip("pandas")
+        padded = {
+            name: np.pad(values, (0, STEPS + 1 - len(values)), constant_values=np.nan) for name, values in columns(scene, plan).items()
+        }
+        given = table.DataFrame(padded)
+    else:
+        given = {"trajectory": plan, "solution": solution(plan), "mapping": columns(scene, plan)}[form]
+    told = judge(scene, given)
+    assert told.verdict is Verdict.HOLDS, told
+    assert told.holds
+    assert repr(told).startswith("holds: every question asked is answered yes; closest to its limit:")
+    assert told.plan is not None
+    assert (told.plan.scheme, told.plan.missing) == (None, {"lam"})
+    assert told.score.value("replay_error") == pytest.approx(judge(scene, plan).score.value("replay_error"), rel=1e-9)
+    assert told.replay is not None
+    assert told.replay.tracked is None, "feedback is not tried where the inputs alone do"
+
+
+def test_a_solution_without_a_plan_is_a_verdict():
+    told = judge("three_cart", solution(None))
+    assert (told.verdict, told.plan, told.replay, told.holds) == (Verdict.NO_PLAN, None, None, False)
+
+
+def test_a_scene_is_given_by_name_too():
+    """At rest, with no input: consistent in itself, but it says itself that it does not arrive, and no time step is blamed."""
+    scene = load_scene("three_cart")
+    t = uniform_grid(scene.task.step, scene.task.steps)
+    rest = {"t": t, "u1": 0.0 * t, "u3": 0.0 * t} | {f"q{i + 1}": np.full_like(t, scene.task.start[i]) for i in range(3)}
+    for scheme in (None, "semi_implicit_euler"):
+        told = judge("three_cart", rest, scheme=scheme)
+        assert told.verdict is Verdict.VIOLATES
+        assert told.score.why.startswith("the plan itself ends 0.866 m from the goal, limit 0.05")  # sqrt(3) times half a metre
+        assert "step" not in told.score.why
+        assert "driven" not in told.score.why
+        assert told.score.metric("replay_error").ok is True
+
+
+def test_lines_are_judged_as_lines_and_steps_as_steps(held, lines):
+    for scene, plan in (held, lines):
+        assert judge(scene, plan).verdict is Verdict.HOLDS
+    scene, plan = lines
+    assert judge(scene, columns(scene, plan), hold="linear").verdict is Verdict.HOLDS
+
+
+@pytest.mark.parametrize("hold", [Hold.ZERO_ORDER, Hold.LINEAR])
+def test_where_the_other_hold_passes_the_sentence_names_it(held, lines, hold: Hold):
+    """Inputs of a coarse plan, stated as steps where they were lines, and the other way round."""
+    scene, plan = held if hold is Hold.LINEAR else lines
+    told = judge(scene, replace(plan, hold=hold))
+    assert told.verdict is Verdict.VIOLATES
+    other = "linear" if hold is Hold.ZERO_ORDER else "zero"
+    assert f"with its inputs held the other way it does not: declare `# hold: {other}`" in told.score.why
+
+
+def test_a_last_input_beyond_the_bounds_counts_only_where_it_is_applied(held, lines):
+    for (scene, plan), ok in ((held, True), (lines, False)):
+        metric = judge(scene, replace(plan, u_end=np.array([10.5, 0.0]))).score.metric("bound_violation")
+        assert metric is not None
+        assert metric.ok is ok
+
+
+def test_a_motion_that_neither_hold_gives_is_not_said_to_be_held_otherwise(held):
+    scene, plan = held
+    told = judge(scene, replace(plan, u=-plan.u))
+    assert told.verdict is Verdict.VIOLATES
+    assert "held the other way" not in told.score.why
+
+
+def test_printed_with_four_decimals_it_holds(held, lines):
+    for scene, plan in (held, lines):
+        printed = {name: np.array([float(f"{value:.4f}") for value in values]) for name, values in columns(scene, plan).items()}
+        hold = "linear" if plan.hold is Hold.LINEAR else None
+        assert judge(scene, printed, hold=hold).verdict is Verdict.HOLDS
+        bare = {name: values for name, values in printed.items() if not name.startswith("v")}
+        assert judge(scene, bare, hold=hold).verdict is Verdict.HOLDS
+        alone = {name: values for name, values in printed.items() if name[0] in "tu"}
+        told = judge(scene, alone, hold=hold)
+        assert told.verdict is Verdict.HOLDS
+        assert dict(told.score.questions)[Question.GOAL] == "not asked"
+
+
+def test_an_exact_plan_that_claims_another_programs_step_is_refused_its_claim(held):
+    """Declared: its own equations are asked, and they are not these. Undeclared: the same plan holds."""
+    scene, plan = held
+    told = judge(scene, columns(scene, plan), scheme="semi_implicit_euler")
+    assert told.verdict is Verdict.VIOLATES
+    assert told.score.metric("defect").ok is None, "it does not say its forces"
+    assert told.score.metric("law_error").ok is False
+    assert "relaxed" not in told.score.why
+    assert (
+        "its inputs give its motion all the same: if another integrator made it, leave the declaration of the scheme out" in told.score.why
+    )
+
+
+def test_grids_may_be_finer_and_coarser_than_the_tasks(held):
+    scene, plan = held
+    for step, steps in ((H / 4, 4 * STEPS), (5 * H, STEPS // 5)):
+        assert judge(scene.with_task(step=step, steps=steps), plan).verdict is Verdict.HOLDS
+
+
+def test_feedback_where_it_is_asked_for_changes_no_verdict(held):
+    scene, plan = held
+    told = judge(scene, plan, feedback=True)
+    assert told.replay is not None
+    assert told.replay.tracked is not None
+    assert (told.verdict, told.score.judged) == (Verdict.HOLDS, "open")
+
+
+@pytest.mark.parametrize(
+    ("change", "arguments", "words"),
+    [
+        ({"u1": None}, {}, "the column 'u1' is missing"),
+        ({"q3": None}, {}, "the column 'q3' is missing beside 'q1'"),
+        ({"w": np.zeros(STEPS + 1)}, {}, "the column 'w' is unknown"),
+        ({}, {"hold": "cubic"}, "the hold 'cubic' is unknown; it is zero or linear."),
+        ({}, {"scheme": "rk4"}, "the scheme 'rk4' is unknown"),
+    ],
+)
+def test_a_mistake_is_one_sentence(held, change: dict, arguments: dict, words: str):
+    scene, plan = held
+    given = {name: values for name, values in (columns(scene, plan) | change).items() if values is not None}
+    with pytest.raises(TrajectoryError) as caught:
+        judge(scene, given, **arguments)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_is_no_plan_is_told_so(held):
+    scene, plan = held
+    with pytest.raises(TrajectoryError, match=r"an? int is no plan; give the path"):
+        judge(scene, 7)
+    with pytest.raises(TrajectoryError, match="a Trajectory says its own hold and scheme"):
+        judge(scene, plan, scheme="semi_implicit_euler")
+    with pytest.raises(TrajectoryError, match="scene three_cart has 2 inputs"):
+        judge(scene, replace(plan, u=np.zeros((STEPS, 3)), u_end=None))
+
+
+def test_our_methods_declare_their_scheme():
+    from formulations.catalog import load_method
+
+    scene = load_scene("three_cart")
+    with load_method("strict_lcp").open(scene, {}) as session:
+        plan = session.solve(eps=None, warm_start=None, time_limit=60.0).trajectory
+    assert plan is not None
+    assert plan.scheme is Scheme.SEMI_IMPLICIT_EULER
+    told = judge(scene, plan)
+    assert told.verdict is Verdict.HOLDS, told
+    assert dict(told.score.questions)[Question.SCHEME] == "yes"
+
+
+@pytest.mark.parametrize(
+    ("verdict", "lenient", "strict"),
+    [
+        (Verdict.HOLDS, 0, 0),
+        (Verdict.HOLDS_WITH_FEEDBACK, 0, 1),
+        (Verdict.VIOLATES, 1, 1),
+        (Verdict.UNDECIDED, 1, 1),
+    ],
+)
+def test_exit_codes(verdict: Verdict, lenient: int, strict: int):
+    assert (exit_code(verdict, "feedback"), exit_code(verdict, "holds")) == (lenient, strict)

@@ -1,0 +1,365 @@
+"""What a map says of somebody's FMU: duration, bounds, depths, accuracy, hold; and names that nobody expects. One sentence, or it works."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import time
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from foreign_fmu import COSIMULATION, DESCRIPTION, EXCHANGE, FULL_MAP, MASS, build_foreign, compile_cart, write_plan
+
+from models.errors import TouchstoneError
+from models.netcdf import read_columns
+from models.plan_table import PlanTable
+from models.trajectory import Hold, Trajectory
+from validate.isolation import Limits
+from validate.replay import Replay
+from validate.replay.equal_names import hint
+from validate.replay.map_schema import read_map
+from validate.replay.mapping import wire
+from validate.replay.netcdf import write_replay
+from validate.replay.package import read_package
+from validate.replay.run import Foreign, replay_foreign
+
+Wire = Callable[..., tuple[Foreign, Trajectory]]
+# Free flight: no contact, and nothing of the goal or the limits of FULL_MAP.
+BARE = """
+[inputs]
+F = { variable = "drive.force", scale = 0.001, unit = "N" }
+[positions]
+x = { variable = "body.pos", scale = 0.001, unit = "m" }
+[velocities]
+x = { variable = "body.vel", scale = 0.001, unit = "m/s" }
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("map")
+    build_foreign(folder / "cart.fmu")
+    build_foreign(folder / "only_cs.fmu", kinds=COSIMULATION)
+    build_foreign(folder / "whole_steps.fmu", kinds=COSIMULATION, defines=("WHOLE_STEPS",))
+    write_plan(folder / "plan.csv")
+    return folder
+
+
+@pytest.fixture
+def wired(folder: Path) -> Wire:
+    def call(given: str | None, plan: str | None = None, fmu: str = "cart.fmu", hold: str | None = None) -> tuple[Foreign, Trajectory]:
+        if given is not None:
+            (folder / "map.toml").write_text(given, encoding="utf-8")
+        if plan is not None:
+            (folder / "told.csv").write_text(plan, encoding="utf-8")
+        path = folder / ("plan.csv" if plan is None else "told.csv")
+        return wire(read_package(folder / fmu), PlanTable(path), None if given is None else read_map(folder / "map.toml"), hold, "map")
+
+    return call
+
+
+def replayed(folder: Path, wired: tuple[Foreign, Trajectory], fmu: str = "cart.fmu") -> Replay:
+    foreign, plan = wired
+    result = replay_foreign(foreign, read_package(folder / fmu), plan, limits=Limits(seconds=100.0))
+    assert result.ok, result.message
+    return result
+
+
+def refusal(call: Callable[[], object]) -> str:
+    with pytest.raises(TouchstoneError) as caught:
+        call()
+    assert caught.value.exit_code == 2
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+# What the verdict reads
+
+
+def test_map_gives_duration_bounds_depth_and_accuracy(wired: Wire):
+    text = FULL_MAP.replace('unit = "N" }', 'unit = "N", lower = -5.0, upper = 10 }')
+    text = text.replace('force = "stop.push"', 'force = "stop.push"\ndepth = 0.05\ndepth_reason = "the length of the spring"')
+    text += "\n[task]\nduration = 0.4\n[accuracy]\nposition = 1e-4\nvelocity = 1e-3\ngap = 2e-4\n[start]\n'body.pos' = 300\n"
+    model = wired(text)[0].model
+    assert (model.task.duration, model.task.horizon) == (0.4, 0.4)
+    assert model.task.step == pytest.approx(8e-4), "half of which a plan's duration may be off"
+    assert (model.inputs[0].lower, model.inputs[0].upper) == (-5.0, 10.0)
+    assert (model.depths, model.contacts[0].depth_reason) == ((0.05,), "the length of the spring")
+    assert model.accuracy is not None
+    assert (model.accuracy.position, model.accuracy.gap) == (1e-4, 2e-4)
+    assert model.accuracy.state == pytest.approx(math.hypot(1e-4, 1e-3))
+    assert model.task.start == (pytest.approx(0.3), None)
+    assert [sentence.split(":")[0] for sentence in model.not_asked] == ["contact_law_error, unexplained_force, defect"]
+    limit = model.limit("terminal_position_error")
+    assert limit is not None
+    assert limit.value == 1.0, "as near as the replay must come"
+
+
+def test_bounds_are_those_of_the_fmu_where_the_map_has_none(wired: Wire):
+    bound = wired(FULL_MAP)[0].model.inputs[0]
+    assert (bound.lower, bound.upper) == (-1000.0, 1000.0)
+    turned = wired(FULL_MAP.replace('scale = 0.001, unit = "N"', 'scale = -0.001, unit = "N", upper = 3'))[0].model.inputs[0]
+    assert (turned.lower, turned.upper) == (-1000.0, 3.0)
+
+
+def test_what_cannot_be_asked_says_how_to_make_it_askable(wired: Wire):
+    told = "\n".join(wired(BARE, "t,F\n0,1\n1,\n")[0].model.not_asked)
+    for words in (
+        "duration_error: the map gives no [task] duration",
+        "start_error: the map's [start] gives no number",
+        "the map gives no [goal]",
+        "max_penetration, ghost_impulse, missed_impulse: the map names no [contacts]",
+    ):
+        assert words in told
+    assert "max_penetration: contact stop has no depth in the map" in "\n".join(wired(FULL_MAP)[0].model.not_asked)
+
+
+def test_limit_is_waived_with_a_reason_alone(wired: Wire):
+    given = FULL_MAP + 'max_penetration = { waived = true, reason = "a spring without an end" }\n'
+    limit = wired(given)[0].model.limit("max_penetration")
+    assert limit is not None
+    assert (limit.value, limit.reason) == (None, "a spring without an end")
+    for wrong, words in (
+        ("{ waived = true }", "limits.max_penetration: a limit is waived for a reason; add reason = '..'"),
+        ("{ waived = true, value = 1.0, reason = 'x' }", "limits.max_penetration: it needs one of the two"),
+        ("{ reason = 'x' }", "limits.max_penetration: it needs one of the two"),
+    ):
+        assert words in refusal(lambda wrong=wrong: wired(f"{FULL_MAP}max_penetration = {wrong}\n"))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (FULL_MAP + "\n[task]\nduration = 0\n", "task.duration: it is 0, but must be above 0"),
+        (FULL_MAP + "\n[task]\nduration = 'long'\n", "task.duration: input should be a valid number"),
+        (FULL_MAP + "\n[task]\nstep = 0.1\n", "task.step: there is no such key; the steps are the plan's own"),
+        (FULL_MAP + "\n[accuracy]\nposition = -1e-3\n", "accuracy.position: it is -0.001, but must be above 0"),
+        (FULL_MAP + "\n[accuracy]\ngap = 0.0\n", "accuracy.gap: it is 0, but must be above 0"),
+        (FULL_MAP + "\n[accuracy]\nposition = true\n", "accuracy.position: input should be a valid number"),
+        (FULL_MAP + "\n[plan]\nscheme = 'rk4'\n", "plan.scheme: a scheme is of a scene's equations, and an FMU keeps its own; take the line out"),
+        (FULL_MAP.replace("force =", "depth = -1\nforce ="), "contacts.stop.depth: it is -1, but must be above 0"),
+        (FULL_MAP.replace("force =", "depth_reason = 'x'\nforce ="), "contacts.stop: it gives a depth_reason, but no depth"),
+        (FULL_MAP.replace('"N" }', '"N", lower = 2, upper = 1 }'), "inputs.F: lower is 2, but must be below upper, 1"),
+        (FULL_MAP.replace('"N" }', '"N", upper = 5000 }'), "inputs.F.upper: 5000 lies beyond the FMU's own bound, which is 1000"),
+        (FULL_MAP.replace('"N" }', '"N", upper = -2000 }'), "inputs.F: its lower bound is -1000, its upper bound -2000"),
+        (FULL_MAP.replace("replay_terminal_position_error", "max_penetration"), "goal.x: no limit says how near is near enough; add replay_terminal_position_error = {"),
+        (FULL_MAP.replace("[goal]", "[goal]\nv_x = 0.0"), "goal.v_x: no limit says how near is near enough; add replay_terminal_velocity_error = {"),
+        (FULL_MAP.replace('unit = "m/s"', 'unit = "m"'), "velocities.x: it is in 'm', but positions.x in 'm'; it must be in 'm/s'"),
+        (FULL_MAP.replace('"stop.gap", scale = 0.001, unit = "m"', '"stop.gap"'), "contacts.stop.gap: 'stop.gap' is in 'mm', but a gap must be in 'm'; give a scale"),
+        (FULL_MAP.replace('"stop.gap", scale = 0.001, unit = "m"', '"stop.gap", scale = 0.001, unit = "kg"'), "contacts.stop.gap: it is in 'kg', but a gap must be in 'm'"),
+        (FULL_MAP.replace('"stop.gap", scale = 0.001, unit = "m"', '"stop.gap", scale = 0.0'), "contacts.stop.gap: scale is 0"),
+    ],
+)  # fmt: skip
+def test_mistake_in_the_map_is_one_sentence(wired: Wire, text: str, words: str):
+    assert words in refusal(lambda: wired(text))
+
+
+# Hold and declarations
+
+
+@pytest.mark.parametrize("fmu", ["cart.fmu", "only_cs.fmu"])
+def test_ramp_that_ends_at_the_last_row_is_integrated_to_its_end(folder: Path, wired: Wire, fmu: str):
+    """m x'' = 10 - 40 t in free flight, from five rows: without the last one the end would be 0.002 m off."""
+    rows = "".join(f"{t!r},{10 - 40 * t!r}\n" for t in (0.0, 0.05, 0.1, 0.15, 0.2))
+    given = BARE + "[start]\n'body.pos' = 100\n"
+    foreign, plan = wired(given, "# hold: linear\nt,F\n" + rows, fmu)
+    assert (plan.hold, plan.steps, plan.missing) == (Hold.LINEAR, 4, {"q", "v"})
+    assert plan.u_end == pytest.approx([2.0])
+    result = replayed(folder, (foreign, plan), fmu)
+    t = result.t[result.knots]
+    assert result.q[result.knots, 0] == pytest.approx(0.1 + (5 * t**2 - 40 * t**3 / 6) / MASS, abs=1e-8 if fmu == "cart.fmu" else 1e-6)
+    held = replayed(folder, wired(given, "# hold: linear\nt,F\n" + rows.rsplit(",", 1)[0] + ",\n", fmu), fmu)
+    assert abs(held.q[-1, 0] - result.q[-1, 0]) > 1e-4, "an empty last cell holds the last step constant"
+
+
+def test_hold_of_the_plan_must_not_be_contradicted(wired: Wire):
+    plan = "# hold: linear\nt,F\n0,1\n1,2\n"
+    asks = BARE + "[plan]\nhold = 'linear'\n"
+    assert wired(asks, plan)[1].hold is wired(BARE, plan)[1].hold is wired(BARE, plan, hold="linear")[1].hold is Hold.LINEAR
+    assert "it declares the hold 'linear', but map (plan.hold) asks for another" in refusal(
+        lambda: wired(asks.replace("linear", "zero"), plan)
+    )
+    assert "it declares the hold 'linear', but --hold asks for another" in refusal(lambda: wired(asks, plan, hold="zero"))
+    assert wired(asks, plan.split("\n", 1)[1], hold="zero")[1].hold is Hold.ZERO_ORDER, "--hold counts before the map"
+
+
+def test_scheme_of_a_plan_is_noted_and_not_asked_of_an_fmu(folder: Path, wired: Wire):
+    foreign, plan = wired(BARE, "# scheme: semi_implicit_euler\n# hold: zero\nt,F\n0,1\n0.1,\n")
+    assert plan.scheme is None
+    assert "The plan declares the scheme semi_implicit_euler" in replayed(folder, (foreign, plan)).message
+    assert "did you mean semi_implicit_euler?" in refusal(lambda: wired(BARE, "# scheme: semi_implicit_euller\nt,F\n0,1\n0.1,\n"))
+
+
+def test_inputs_alone_hold_their_last_row_for_a_step_where_the_task_lasts_as_long(wired: Wire):
+    plan = "t,F\n0,1\n0.1,2\n0.2,3\n"
+    longer = wired(BARE + "[task]\nduration = 0.3\n", plan)[1]
+    assert (longer.t[-1], longer.u[:, 0].tolist()) == (pytest.approx(0.3), [1.0, 2.0, 3.0])
+    assert wired(BARE + "[task]\nduration = 0.2\n", plan)[1].steps == 2
+    assert wired(BARE, plan)[1].steps == 2
+    assert wired(BARE + "[task]\nduration = 5.0\n", plan)[1].steps == 2, "a step more does not make it as long"
+
+
+def test_group_of_columns_that_is_there_in_part_is_refused(wired: Wire):
+    two = '\n[contacts.stop]\nforce = "stop.push"\n[contacts.other]\ngap = { variable = "stop.gap", scale = 0.001 }\n'
+    assert "the column 'lam_other' is missing beside 'lam_stop'" in refusal(lambda: wired(BARE + two, "t,F,lam_stop\n0,1,0\n1,1,0\n"))
+    assert "it has velocities, but no positions" in refusal(lambda: wired(BARE, "t,F,v_x\n0,1,0\n1,1,0\n"))
+
+
+# Without Model Exchange
+
+
+def test_stated_accuracy_is_the_error_where_no_run_tells_one(folder: Path, wired: Wire):
+    blind = replayed(folder, wired(FULL_MAP, fmu="only_cs.fmu"), "only_cs.fmu")
+    assert (blind.error.estimate, blind.error.stated) == (None, None)
+    assert blind.would_decide.startswith("state how good its results are in the map ([accuracy] position = ..)")
+    given = FULL_MAP + "[accuracy]\nposition = 1e-4\nvelocity = 2e-3\ngap = 1e-4\n"
+    stated = replayed(folder, wired(given, fmu="only_cs.fmu"), "only_cs.fmu")
+    assert stated.error.step_source == "stated"
+    assert stated.error.estimate == stated.error.stated
+    assert "its author states" in stated.message
+    part = replayed(folder, wired(FULL_MAP + "[accuracy]\nposition = 1e-4\n", fmu="only_cs.fmu"), "only_cs.fmu")
+    assert part.error.estimate is not None
+    assert (part.error.estimate.position, part.error.estimate.gap) == (1e-4, math.inf)
+    assert part.would_decide.startswith("state [accuracy] velocity and gap in the map too")
+    told = json.dumps(part.error.as_json(), allow_nan=False)
+    assert json.loads(told)["estimate"]["gap"] is None
+
+
+def test_larger_of_stated_and_measured_error_counts(folder: Path, wired: Wire):
+    fmu = "whole_steps.fmu"
+    measured = replayed(folder, wired(FULL_MAP, fmu=fmu), fmu).error
+    assert measured.estimate is not None
+    small = replayed(folder, wired(FULL_MAP + "[accuracy]\nposition = 1e-12\n", fmu=fmu), fmu).error
+    assert (small.estimate, small.step_source) == (measured.estimate, "second run, stated")
+    large = replayed(folder, wired(FULL_MAP + "[accuracy]\nposition = 0.5\n", fmu=fmu), fmu).error
+    assert large.estimate is not None
+    assert (large.estimate.position, large.estimate.gap) == (0.5, measured.estimate.gap)
+
+
+def test_stated_accuracy_counts_for_nothing_beside_a_reference(folder: Path, wired: Wire):
+    result = replayed(folder, wired(FULL_MAP + "[accuracy]\nposition = 0.5\n"))
+    assert result.error.estimate is not None
+    assert result.error.estimate.position < 1e-6
+    assert "The stated accuracy counts for nothing" in result.message
+    assert result.would_decide == result.error.would_decide == ""
+
+
+# Names
+
+
+def renamed(path: Path, names: dict[str, str], more: str = "") -> Path:
+    """The cart with other names of its variables, and with more variables."""
+    text = DESCRIPTION.format(kinds=EXCHANGE + COSIMULATION).replace("  </ModelVariables>", more + "  </ModelVariables>")
+    for old, new in names.items():
+        written = new.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")
+        assert f'name="{old}"' in text
+        text = text.replace(f'name="{old}"', f'name="{written}"')
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("modelDescription.xml", text)
+        archive.writestr("binaries/linux64/cart.so", compile_cart(path.parent))
+    return path
+
+
+STRANGE = ["kraft_längs", "θ1", "a b  c", 'it\'s "so"', "körper.x[1].ẋ", "🚗", "a/b", "-1", "x,y;z", "<&>", "t", "gap_x"]
+
+
+@pytest.mark.parametrize("name", STRANGE)
+def test_any_name_of_variables_columns_and_contacts_works(folder: Path, wired: Wire, name: str):
+    renamed(folder / "named.fmu", {"body.pos": name, "drive.force": f"{name} in", "stop.gap": f"{name} gap"})
+    key = json.dumps(name, ensure_ascii=False)
+    given = f"""
+plan = {{ time = "the time" }}
+[inputs]
+{json.dumps(f"u {name}", ensure_ascii=False)} = {{ variable = {json.dumps(f"{name} in", ensure_ascii=False)}, scale = 0.001 }}
+[positions]
+{key} = {{ variable = {key}, scale = 0.001, unit = "m" }}
+[contacts.{key}]
+gap = {{ variable = {json.dumps(f"{name} gap", ensure_ascii=False)}, scale = 0.001 }}
+"""
+    header = ",".join('"' + part.replace('"', '""') + '"' for part in ("the time", name, f"u {name}"))
+    foreign, plan = wired(given, f"{header}\n0,0.1,1\n0.1,0.1,\n", "named.fmu")
+    result = replayed(folder, (foreign, plan), "named.fmu")
+    assert foreign.model.coordinates[0].name == name
+    write_replay(folder / "named.nc", result, foreign.model)
+    columns, _ = read_columns(folder / "named.nc")
+    assert name in columns or any(item.description.startswith(name) for item in columns.values())
+    assert f"gap_{name}" in columns or any(f"gap_{name}" in item.description for item in columns.values())
+
+
+@pytest.mark.parametrize("name", ["kraft_längs", "θ1", "a b", "🚗", "q[1]", "q[1,2]", "t2"])
+def test_any_name_works_without_a_map(folder: Path, wired: Wire, name: str):
+    renamed(folder / "equal.fmu", {"body.pos": name})
+    quoted = f'"{name}"'
+    foreign, plan = wired(None, f"t,{quoted},drive.force\n0,100,0\n0.1,100,\n", "equal.fmu")
+    assert [item.name for item in foreign.model.coordinates] == [name]
+    assert replayed(folder, (foreign, plan), "equal.fmu").q[0, 0] == 100.0
+
+
+def test_umlaut_may_be_written_as_one_sign_or_two(wired: Wire, folder: Path):
+    composed, apart = "längs", "la\u0308ngs"
+    renamed(folder / "apart.fmu", {"body.pos": apart})
+    given = BARE.replace('"body.pos"', f'"{composed}"').replace("\nx =", f'\n"{apart}" =')
+    assert wired(given, f"t,F,{composed}\n0,1,0\n1,1,0\n", "apart.fmu")[1].missing == {"v"}
+    assert "two keys 'längs' look the same" in refusal(lambda: wired(f'[start]\n"{composed}" = 1\n"{apart}" = 2\n'))
+
+
+def test_names_that_differ_in_case_alone_are_two(folder: Path, wired: Wire):
+    more = '<ScalarVariable name="Body.Pos" valueReference="11"><Real/></ScalarVariable>\n'
+    renamed(folder / "case.fmu", {}, more)
+    given = BARE.replace('"body.vel", scale = 0.001, unit = "m/s"', '"Body.Pos", scale = 0.001, unit = "m/s"')
+    assert wired(given, fmu="case.fmu", plan="t,F\n0,1\n1,\n")[0].variables.v == (11,)
+    twice = '<ScalarVariable name="body.vel" valueReference="40"><Real/></ScalarVariable>\n'
+    renamed(folder / "twice.fmu", {}, twice)
+    assert "velocities.x: the FMU has two variables 'body.vel'" in refusal(lambda: wired(BARE, fmu="twice.fmu"))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (BARE.replace('"body.vel"', '"body.pos"'), "velocities.x: 'body.pos' is positions.x already"),
+        (BARE.replace("[velocities]", 'y = "body.pos"\n[velocities]'), "positions.y: 'body.pos' is positions.x already"),
+        (BARE.replace("\nx =", "\nF ="), "positions.F: its column 'F' is that of inputs.F already; call one of the two otherwise"),
+        (BARE.replace("\nF =", "\nt ="), "inputs.t: its column 't' is that of the time (plan.time) already"),
+        (BARE.replace('unit = "m/s"', 'unit = "m/s", column = "x"'), "velocities.x: its column 'x' is that of positions.x already; give it another"),
+        (FULL_MAP + '[start]\n"drive.force" = 1\n', "start.drive.force: 'drive.force' is inputs.F already"),
+        (FULL_MAP + '[parameters]\n"body.mass" = 1\n[start]\n"body.mass" = 1\n', "start.body.mass: 'body.mass' is parameters.body.mass already"),
+        (BARE + '[contacts.stop]\nforce = "stop.push"\ncolumn = "F"\n', "contacts.stop: its column 'F' is that of inputs.F already"),
+        (BARE.replace("\nF =", "\nlam_stop =") + '[contacts.stop]\nforce = "stop.push"\n', "contacts.stop: its column 'lam_stop' is that of inputs.lam_stop already"),
+        (BARE + '[contacts.a]\nforce = "stop.push"\n[contacts.b]\nforce = "stop.push"\n', "contacts.b.force: 'stop.push' is contacts.a.force already"),
+    ],
+)  # fmt: skip
+def test_names_that_collide_are_one_sentence(wired: Wire, text: str, words: str):
+    assert words in refusal(lambda: wired(text))
+
+
+def test_goal_of_a_position_is_not_that_of_a_velocity_that_nobody_named(folder: Path, wired: Wire):
+    """The position v_x is not the velocity of x, which the map does not name."""
+    given = '[inputs]\nF = "drive.force"\n[positions]\nx = "body.pos"\nv_x = "body.vel"\n[goal]\nv_x = 1\n[limits]\nreplay_terminal_position_error = 1\n'
+    assert wired(given, "t,F,x,v_x\n0,0,0,0\n1,0,0,0\n")[0].model.task.goal == (None, 1.0, None, None)
+
+
+def test_column_called_t_may_be_an_input_where_the_time_is_called_otherwise(wired: Wire):
+    given = BARE.replace("\nF =", "\nt =") + "[plan]\ntime = 'time'\n"
+    assert wired(given, "time,t\n0,4\n1,\n")[1].u.tolist() == [[4.0]]
+
+
+def test_velocities_of_equal_names_belong_to_the_positions_they_are_derivatives_of(folder: Path, wired: Wire):
+    text = '<ScalarVariable name="{0}" valueReference="{1}"><Real unit="{2}"{3}/></ScalarVariable>\n'
+    more = text.format("a", 31, "m", "") + text.format("b", 30, "rad", "")
+    # The 11th and 10th variable of the cart: velocities in the other order than their positions.
+    more += text.format("of_b", 12, "rad/s", ' derivative="11"') + text.format("of_a", 13, "m/s", ' derivative="10"')
+    renamed(folder / "rates.fmu", {}, more)
+    foreign, _ = wired(None, "t,a,b,of_b,of_a,drive.force\n0,0,0,0,0,0\n1,0,0,0,0,\n", "rates.fmu")
+    assert [item.velocity_name for item in foreign.model.coordinates] == ["of_a", "of_b"]
+
+
+def test_hint_among_very_many_names_is_quick_and_right():
+    """difflib alone takes 40 us a name of this length, 18 s of all. The bound is about five times what it takes."""
+    known = [f"model.part[{index}].länge_{index % 7}" for index in range(400_000)] + ["body.pos", "body.vel"]
+    began = time.process_time()
+    assert hint("body.poss", known) == " (near it: body.pos, body.vel)"
+    assert re.fullmatch(r" \(near it: model\.part\[\d+\]\.länge_3, .*\)", hint("model.part[12345].lange_3", known))
+    assert time.process_time() - began < 12.0
