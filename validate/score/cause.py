@@ -243,17 +243,19 @@ def _of_motion(first: Metric, told: Told) -> str:
     text = f": discretisation error {number(grid.value, grid.unit)}; the contact forces are correct{unstable}"
     if any(told.fails(name) for name in ("physics_scaled", "contact_law_error", "friction_violation", "friction_dissipation_error")):
         return f": discretisation error {number(grid.value, grid.unit)}{unstable}"
-    return text + _finer(first, grid.value, plan)
+    return text + _finer(first, grid.value, told)
 
 
-def _finer(first: Metric, grid: float, plan: Trajectory) -> str:
+def _finer(first: Metric, grid: float, told: Told) -> str:
     """The step that the order of the scheme predicts to be enough: a prediction until a plan on that grid is made."""
+    plan = told.trajectory
     if first.limit is None or first.limit <= 0.0 or plan.scheme is None or grid <= 0.0:
         return ""
     # A kink of the contact force leaves an error of order two, whatever the scheme.
     order = 1 if plan.scheme is Scheme.SEMI_IMPLICIT_EULER else min(2, tableau(plan.scheme).order)
     step = plan.duration / plan.steps * min(1.0, _SAFETY * first.limit / max(grid, first.value or 0.0)) ** (1.0 / order)
-    other = "" if order > 1 else ", or `collocation`"
+    smooth = isinstance(told.scene, Scene) and not told.scene.nf and not told.scene.damped and told.scene.relaxation_index is None
+    other = ", or `collocation`" if order == 1 and smooth else ""  # which takes neither friction nor damped contacts
     return f". Try h = {step:.2g} s (predicted from the order of the scheme){other}"
 
 
