@@ -54,7 +54,7 @@ def _replayed() -> Any:
         fmu="0" * 64,
         growth=Growth(amplification=2.0, begin=0.0, end=0.05, duration=0.06),
         applied=np.zeros((6, 2)),
-        effort=Effort(rms=(0.1, 0.2), peak=(0.1, 0.2), rms_share=0.1, peak_share=0.1, saturated=0.0),
+        effort=Effort(rms=(0.1, 0.2), peak=(0.1, 0.2), rms_share=0.1, peak_share=0.1, plan_share=0.3, saturated=0.0),
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from models.catalog import load_scene
+from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid, write_csv
 from validate import time_steps as room
 from validate.time_steps import time_steps
@@ -68,7 +69,8 @@ def test_a_plan_on_a_step_too_long_is_told_before_its_score(cli, tmp_path):
     for step in (scene.task.step, 0.2):
         coarse = scene.with_task(step=step, steps=5)
         q = np.tile(np.array(scene.task.start[:3]), (6, 1))
-        plan = Trajectory(t=uniform_grid(step, 5), q=q, v=0.0 * q, u=np.zeros((5, 2)), lam=np.zeros((5, 2)))
+        none = np.zeros((5, 2))
+        plan = Trajectory(t=uniform_grid(step, 5), q=q, v=0.0 * q, u=none, lam=none, scheme=Scheme.SEMI_IMPLICIT_EULER)
         write_csv(tmp_path / "plan.csv", plan, coarse)
         said[step] = cli("replay", str(tmp_path / "plan.csv"), "--scene", "three_cart").stderr
     assert "past the stability limit" not in said[scene.task.step]

@@ -98,11 +98,11 @@ def command(
     told = _told(judgement, warnings)
     if out is not None:
         _write(out, told, judgement)
-    for text in told["warnings"]:
-        click.echo(one_line(f"warning: {text}"), err=True)
     if as_json:
         click.echo(json.dumps(told, indent=1))
     else:
+        for text in told["warnings"]:
+            click.echo(one_line(f"warning: {text}"), err=True)
         _print(judgement)
     return exit_code(judgement.verdict, require)
 
