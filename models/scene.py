@@ -193,7 +193,7 @@ class Scene:
 
     kinetic_energy T(q, v) [J], potential_energy V(q) [J] (without contacts), forces Q(q, v, u): (nq,) non-conservative
     generalised forces (inputs, damping) [N, N m]; the equations of motion follow by Lagrange (models.dynamics). quick: whether a quick campaign
-    runs it; False where its first plan that holds takes about a minute. length [m]: what counts as far here, which relaxed contact is measured in
+    runs it; False where its first plan that holds takes about a minute, or another pipeline. length [m]: what counts as far here, which relaxed contact is measured in
     (models.contact_law); the paper's metre unless a scene is much smaller. unstable: why a robot needs feedback here whatever its plan, as a sentence;
     empty: a plan is expected to hold by its inputs alone. relaxation_time: of a scene without inertia, the symbol by which its drag
     becomes mass; lag [s]: its value where the scene is judged, None on a grid, whose step it is then (models.quasi_static).

@@ -33,6 +33,7 @@ SCENE = Scene(
     name="cart_pole_walls",
     title="A cart-pole balances between soft walls",
     source="Lagrange's equations of a cart and a point mass on a rod, derived by computer algebra from the energies in this file",
+    quick=False,  # its two pipelines find no plan that holds on this grid
     unstable="a pole falls over: an error of its angle grows as exp(3.67 t), a thousand and a half times over the 2 s, whatever the plan",
     coordinates=(
         Coordinate(symbol=x, velocity=vx, unit="m", description="place of the cart"),

@@ -103,6 +103,7 @@ def two_discs(wall: bool = False, name: str = "two_discs") -> Scene:
         name=name,
         title="A disc is thrown at another, towards a goal" + (", off a wall" if wall else ""),
         source="Newton's second law; task after the two-ball examples of optimal control through contact (480 steps of 1/480 s, radius 0.2 m)",
+        quick=False,  # its two pipelines find no throw
         coordinates=tuple(
             Coordinate(symbol=place, velocity=speed, unit="m", description=f"{axis} of the centre of disc {index}")
             for place, speed, axis, index in zip(q, v, "xyxy", (1, 1, 2, 2), strict=True)
