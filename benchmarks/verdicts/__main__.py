@@ -9,6 +9,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from benchmarks.verdicts import exact, search, wrong
 from benchmarks.verdicts.plans import SKIPPED, Case, NoPlanError, Plan, Said, judged_in_time, scene_of
@@ -84,7 +85,7 @@ def main() -> int:
     if not set(groups) <= set(GROUPS):
         parser.error(f"there are the groups {', '.join(GROUPS)}, not {', '.join(set(groups) - set(GROUPS))}")
     scenes = tuple(asked.scene or SCENES)
-    table: dict[str, object] = {}
+    table: dict[str, Any] = {}
     faults = 0
     with tempfile.TemporaryDirectory() as folder:
         if "exact" in groups:
@@ -96,9 +97,9 @@ def main() -> int:
             faults += _told(wrong.cases(scenes, Path(folder)), asked.only, rows)
             table["wrong"] = rows
     for name, rows in table.items():
-        skipped = sum(row["said"] == SKIPPED for row in rows)  # type: ignore[attr-defined, index]
-        odd = sum(bool(row["differs"]) for row in rows)  # type: ignore[attr-defined, index]
-        print(f"{name}: {len(rows)} plans, {skipped} skipped, {odd} not as expected")  # type: ignore[arg-type]
+        skipped = sum(row["said"] == SKIPPED for row in rows)
+        odd = sum(bool(row["differs"]) for row in rows)
+        print(f"{name}: {len(rows)} plans, {skipped} skipped, {odd} not as expected")
     if "search" in groups:
         result = search.run([name for name in scenes if name != "slider"], asked.tries, asked.seed, asked.finds)
         faults += result["said_to_hold"] + result["not_answered"]

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -209,5 +209,10 @@ def cases(scenes: tuple[str, ...], foreign: dict[str, str]) -> Iterator[Case]:
             made |= _by_others(foreign)
         for words, plan in made.items():
             yield Case(name=f"{name}: {words}", scene=name, plan=plan, expected=("holds",))
-        own = lambda name=name: as_plan(found(name, BASES[name])[-1], scene_of(name))  # noqa: E731 - a plan is made when it is its turn
+        own = partial(_own, name)  # a plan is made when it is its turn
         yield Case(name=f"{name}: the method's own plan, its scheme declared", scene=name, plan=own, expected=("holds",))
+
+
+def _own(name: str) -> Plan:
+    """The plan of the scene's base pipeline, as its method declares it."""
+    return as_plan(found(name, BASES[name])[-1], scene_of(name))

@@ -187,8 +187,11 @@ def append(plan: Plan, scene: Scene, random: np.random.Generator) -> Plan:
     """It rests for a while at its end, or before its start."""
     more = int(random.choice([2, 20, 500]))
     step = float(random.choice([scene.task.step, 1e-6]))
-    last = lambda rows: None if rows is None else np.vstack([rows, np.repeat(rows[-1:], more, axis=0)])  # noqa: E731
-    changes = {key: last(getattr(plan, key)) for key in ("q", "v", *_ROWS)}
+
+    def lasting(rows: np.ndarray | None) -> np.ndarray | None:
+        return None if rows is None else np.vstack([rows, np.repeat(rows[-1:], more, axis=0)])
+
+    changes = {key: lasting(getattr(plan, key)) for key in ("q", "v", *_ROWS)}
     return plan.but(t=np.append(plan.t, plan.t[-1] + step * np.arange(1, more + 1)), scheme="", **changes)
 
 

@@ -125,8 +125,8 @@ class Oracle:
         spans, force = np.diff(t)[:, None], np.vstack([path.lam_start, path.lam_end[-1:]])
         here = np.stack([path.lam_start, path.lam_end, path.lam_mean])
         low, high = here.min(axis=0), here.max(axis=0)
-        wide = lambda rows, most: most(np.stack([rows, np.roll(rows, 1, axis=0), np.roll(rows, -1, axis=0)]), axis=0)  # noqa: E731
-        outside = np.maximum(said["lam"] - wide(high, np.max), 0.0) + np.maximum(wide(low, np.min) - said["lam"], 0.0)
+        highest, lowest = _with_neighbours(high).max(axis=0), _with_neighbours(low).min(axis=0)
+        outside = np.maximum(said["lam"] - highest, 0.0) + np.maximum(lowest - said["lam"], 0.0)
         claimed, true = float((np.abs(said["lam"]) * spans).sum()), float((path.lam_mean * spans).sum())
         slack = OFF * (said["quantum"] * float(spans.sum()) + 0.01 * max(claimed, true))
         whole = np.abs(((said["lam"] - path.lam_mean) * spans).sum(axis=0))
@@ -145,7 +145,10 @@ def _columns(text: str, scene: Scene) -> dict[str, Any]:
     rows = list(csv.reader(line for line in lines if not line.startswith("#")))
     header, body = rows[0], rows[1:]
     places = {name: place for place, name in enumerate(header)}
-    numbers = lambda name, last: [float(row[places[name]]) for row in (body if last else body[:-1])]  # noqa: E731
+
+    def numbers(name: str, last: bool) -> list[float]:
+        return [float(row[places[name]]) for row in (body if last else body[:-1])]
+
     t = np.array(numbers("t", True))
     steps = len(t) - 1
     whole = all(row for row in body[-1]) and scene.coordinates[0].name not in places
@@ -263,3 +266,8 @@ def _tried(reference: str, plan: Plan, made: tuple[str, ...], oracle: Oracle, fo
     if said.verdict == WITH_FEEDBACK:
         wrong = oracle.wrong(plan.text(scene), judged_with_feedback=True)
     return Try(plan=plan, made=made, wrong=wrong, said=said, fails=said.fails)
+
+
+def _with_neighbours(rows: np.ndarray) -> np.ndarray:
+    """(3, steps, nc) each step, the one before and the one after; round the ends."""
+    return np.stack([rows, np.roll(rows, 1, axis=0), np.roll(rows, -1, axis=0)])

@@ -64,7 +64,10 @@ def _goes(reference: str, u: np.ndarray, start: np.ndarray | None = None) -> Pla
 
 def _cut(plan: Plan, low: int, high: int) -> Plan:
     """Its steps from low to high, from time 0 on."""
-    part = lambda rows, more=0: None if rows is None else rows[low : high + more]  # noqa: E731
+
+    def part(rows: np.ndarray | None, more: int = 0) -> np.ndarray | None:
+        return None if rows is None else rows[low : high + more]
+
     return plan.but(
         t=plan.t[low : high + 1] - plan.t[low], q=part(plan.q, 1), v=part(plan.v, 1), u=part(plan.u), lam=part(plan.lam), friction=part(plan.friction)
     )  # fmt: skip

@@ -162,7 +162,7 @@ def _told(judgement: Judgement, warnings: list[str]) -> dict[str, Any]:
         ],
         "waived": list(result.waived),
         "not_asked": list(result.not_asked),
-        "warnings": [*warnings, *result.warnings],
+        "warnings": warnings,
         "growth": None if replay is None or replay.growth is None else {**asdict(replay.growth), "rate": replay.growth.rate},
         "replay": None if replay is None else _facts(replay),
         "tracked": None if replay is None or replay.tracked is None else _facts(replay.tracked),

@@ -214,6 +214,8 @@ def _metric(entry: Entry, case: Evidence) -> Metric:
         return replace(empty, reason=absent)
     limited = entry.question is not Question.SHOWN and (own is not None or entry.default is not None)
     waived = own is not None and own.value is None
+    # What is told as the limit where nothing could be measured: of a default, how much of what counts as large.
+    stated = own.value if own is not None and own.value is not None else entry.default[0] if entry.default else 0.0
     try:
         # The plan's own time step may lead out of every bound, past its stability limit: what comes of it is not finite, and is refused below.
         with np.errstate(over="ignore", invalid="ignore"):
@@ -223,13 +225,11 @@ def _metric(entry: Entry, case: Evidence) -> Metric:
     except LeavesBounds as beyond:
         if not limited or waived:
             return replace(empty, reason=str(beyond))
-        bound = own.value if own is not None and own.value is not None else entry.default[0] if entry.default else 0.0
-        return replace(empty, reason=str(beyond), limit=bound, ok=False, default=own is None)
+        return replace(empty, reason=str(beyond), limit=stated, ok=False, default=own is None)
     except Unmeasured as missing:
         if not limited or waived or not _can_be_asked(entry, case):
             return replace(empty, reason=str(missing))
-        bound = own.value if own is not None and own.value is not None else entry.default[0] if entry.default else 0.0
-        return replace(empty, reason=str(missing), limit=bound, default=own is None)
+        return replace(empty, reason=str(missing), limit=stated, default=own is None)
     found = replace(empty, value=worst.value, error=worst.error, unit=worst.unit or unit)
     if waived or not limited:
         return replace(found, reason=own.reason if own is not None and waived else "")

@@ -79,8 +79,7 @@ class Score:
 
     why: the sentence that decided it, with the cause and what to do; metrics: of the plan and of the replay of its inputs alone; those of the replay
     with feedback, where there was one, are called tracked_<name>, and feedback_<..> what it took. judged: "open" or "feedback", of which replay the
-    verdict speaks. waived: limits that the scene waives, with its reasons; not_asked: what was not asked, and why; warnings: what a user should know
-    beside. questions: "yes", "no", "undecided" or "not asked" for each.
+    verdict speaks. waived: limits that the scene waives, with its reasons; not_asked: what was not asked, and why. questions: "yes", "no", "undecided" or "not asked" for each.
     """
 
     metrics: tuple[Metric, ...]
@@ -90,7 +89,6 @@ class Score:
     questions: tuple[tuple[Question, str], ...] = ()
     waived: tuple[str, ...] = ()
     not_asked: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
 
     def metric(self, name: str) -> Metric | None:
         """The metric of that name; None if it does not apply."""

@@ -51,7 +51,7 @@ def answer(metrics: Iterable[Metric]) -> str:
 def answers(metrics: Sequence[Metric]) -> dict[Question, str]:
     """Of every question, by metrics of the plan and of the replay of its inputs alone; what feedback did is left out."""
     own = [metric for metric in metrics if not is_of_feedback(metric.name)]
-    return _by_question(own, own)
+    return _by_question(own)
 
 
 def answers_with_feedback(metrics: Sequence[Metric]) -> dict[Question, str]:
@@ -59,12 +59,12 @@ def answers_with_feedback(metrics: Sequence[Metric]) -> dict[Question, str]:
     own = [metric for metric in metrics if not is_of_feedback(metric.name)]
     replaced = {metric.name.removeprefix(TRACKED) for metric in metrics if metric.name.startswith(TRACKED)}
     followed = [metric for metric in own if metric.name not in replaced] + [metric for metric in metrics if is_of_feedback(metric.name)]
-    return _by_question(followed, followed)
+    return _by_question(followed)
 
 
-def _by_question(metrics: Sequence[Metric], judge: Sequence[Metric]) -> dict[Question, str]:
+def _by_question(metrics: Sequence[Metric]) -> dict[Question, str]:
     found = {question: answer(metric for metric in metrics if metric.question is question) for question in Question if question.value}
-    if answer(metric for metric in judge if metric.question is Question.JUDGE) in (NO, UNDECIDED):
+    if found[Question.JUDGE] in (NO, UNDECIDED):
         for question in _OF_REPLAY:
             if found[question] != NOT_ASKED:
                 found[question] = UNDECIDED
