@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 
 from models.errors import TrajectoryError
+from models.schemes import Scheme
 
-# What a comment may declare.
-_DECLARED = ("scheme", "hold")
+# What a comment may declare, and the values that it may have.
+_DECLARED = {"scheme": tuple(scheme.value for scheme in Scheme), "hold": ("zero", "linear")}
 
 
 class PlanTable:
@@ -33,6 +34,10 @@ class PlanTable:
         if len(rows) < 3:
             below = max(len(rows) - 1, 0)
             raise TrajectoryError(f"plan {path}: it has {below} row{'' if below == 1 else 's'}; a header and at least two rows are needed.")
+        number, below = rows[1]
+        apart = [cell for cell in re.split(r"[\s|]+", below[0]) if cell]
+        if len(rows[0][1]) == len(below) == 1 and len(apart) > 1 and all(map(_is_number, apart)):
+            raise TrajectoryError(f"plan {path}: line {number} has its {len(apart)} cells apart by spaces or bars; separate cells by comma, semicolon or tab.")
         if all(map(_is_number, rows[0][1])):
             raise TrajectoryError(f"plan {path}: its first line holds numbers; a header with the columns' names is needed above them.")
         self._rows = rows[1:]
@@ -118,7 +123,7 @@ def _rows(path: Path) -> tuple[list[tuple[int, list[str]]], dict[str, str]]:
 
 
 def _declarations(path: Path, comments: list[tuple[int, str]]) -> dict[str, str]:
-    """`# key: value` of the keys that are known; one that is nearly one of them is a mistake, any other comment is a comment."""
+    """`# key: value` of the keys that are known; what declares a known value under nearly such a key is a mistake, any other comment is a comment."""
     declared: dict[str, str] = {}
     for number, line in comments:
         match = re.fullmatch(r"#+\s*([A-Za-z_]+)\s*[:=]\s*(.*?)\s*", line)
@@ -127,7 +132,7 @@ def _declarations(path: Path, comments: list[tuple[int, str]]) -> dict[str, str]
         key, value = match.group(1).lower(), match.group(2)
         if key not in _DECLARED:
             close = difflib.get_close_matches(key, _DECLARED, n=1, cutoff=0.7)
-            if close:
+            if close and value.lower() in _DECLARED[close[0]]:
                 raise TrajectoryError(f"plan {path}: line {number}: there is no {match.group(1)!r} to declare; did you mean {close[0]!r}?")
             continue
         if declared.get(key, value) != value:

@@ -95,9 +95,11 @@ def judge(
 
 
 def judge_trajectory(scene: Scene, fmu: Path, plan: Trajectory, *, feedback: bool = False, limits: Limits | None = None) -> Judgement:
-    """The same of a Trajectory and the scene's FMU. feedback: replay with feedback even where the verdict does not need it."""
+    """The same of a Trajectory and the scene's FMU, its times counted from its start. feedback: replay with feedback even where the verdict does not
+    need it."""
     from validate.replay import replay
 
+    plan = plan.from_zero()
     plan.check_fits(scene)
 
     def follow(opened: Replay) -> bool:

@@ -22,12 +22,14 @@ from validate.replay.result import Replay
 from validate.replay.subject import Subject
 from validate.score.cause import Told, explain
 from validate.score.closed_forms import MEASURES
-from validate.score.evidence import Evidence, LeavesBounds, Unmeasured
+from validate.score.evidence import Evidence
+from validate.score.result import LeavesBounds, Unmeasured
 from validate.score.feedback import GROWTH, feedback_entries, limit_name
 from validate.score.result import Metric, Question, Score, Verdict
 from validate.score.table import TABLE, Entry, Measured
 from validate.score.verdict import (
     EFFORT,
+    MARGIN,
     SHARE,
     answers,
     answers_with_feedback,
@@ -45,6 +47,7 @@ _NEEDS = {
     "v": "the plan does not say its velocities",
     "lam": "the plan does not say its contact forces",
     "friction": "the plan does not say its friction forces",
+    "pressing": "the plan does not say the contact forces that press on its frictions",
     "scheme": "the plan declares no scheme",
     "no scheme": "the plan declares a scheme, whose own equations are asked instead",
     "no defect": "the plan declares a scheme, whose own equations are asked instead",
@@ -159,8 +162,10 @@ def _why_not_asked(entry: Entry, case: Evidence) -> str:
     plan, scene = case.trajectory, case.scene
     for need in entry.needs:
         # A scheme can be asked about only with forces; without them the motion is judged as that of a plan that declares none.
-        no_scheme = {"no scheme": plan.scheme is not None, "no defect": plan.scheme is not None and not plan.missing}
-        absent = {"scheme": plan.scheme is None, **no_scheme}.get(need, need in plan.missing)
+        absent = {
+            "scheme": plan.scheme is None, "no scheme": plan.scheme is not None, "no defect": plan.scheme is not None and not plan.missing,
+            "pressing": "lam" in plan.missing and isinstance(scene, Scene) and any(item.contact is not None for item in scene.frictions),
+        }.get(need, need in plan.missing)  # fmt: skip
         if (need == "friction" and not scene.nf) or (need == "lam" and not scene.nc):
             absent = False
         if absent:
@@ -240,7 +245,8 @@ def _metric(entry: Entry, case: Evidence) -> Metric:
         bound = factor * worst.scale + worst.allowed + worst.base
     if not math.isfinite(bound):
         return found
-    return replace(found, limit=bound, reason=reason, ok=compare(worst.value, worst.error, bound), default=own is None)
+    margin = 1.0 if entry.question is Question.JUDGE else MARGIN
+    return replace(found, limit=bound, reason=reason, ok=compare(worst.value, worst.error, bound, margin), default=own is None)
 
 
 def _can_be_asked(entry: Entry, case: Evidence) -> bool:

@@ -133,7 +133,8 @@ def _undecided(told: Told) -> str:
         metric for metric in told.metrics.values() if metric.question is Question.JUDGE and metric.is_judged and metric.ok is not True
     ]
     if unwell:
-        return f"the judge is not well, so nothing is said of the plan: {_quote(unwell[0], told)}."
+        known = f", known to {number(unwell[0].error, unwell[0].unit)}" if unwell[0].ok is None and unwell[0].value is not None else ""
+        return f"the judge is not well, so nothing is said of the plan: {_quote(unwell[0], told)}{known}."
     unsure = _judged(told, None)
     if not unsure:
         alone = _judged(told, False)

@@ -12,7 +12,8 @@ import numpy as np
 
 from models.dynamics import derive
 from validate.replay.result import Event
-from validate.score.evidence import Evidence, Unmeasured
+from validate.score.evidence import Evidence
+from validate.score.result import Unmeasured
 
 
 def _first_contact(case: Evidence) -> tuple[Event, Event]:

@@ -26,15 +26,12 @@ def defect(q: np.ndarray, v: np.ndarray, acceleration: np.ndarray, h: np.ndarray
     return np.concatenate([np.abs(positions).max(axis=0), np.abs(velocities).max(axis=0)])
 
 
-def contact_law_error(lam: np.ndarray, law: np.ndarray, h: np.ndarray) -> float:
-    """Sum over steps and contacts of h times the distance of lam (steps, nc) from the range of the true law (nodes, nc) over the step's two ends [N s].
+def contact_law_error(lam: np.ndarray, law: np.ndarray, least: np.ndarray, most: np.ndarray, h: np.ndarray) -> float:
+    """Sum over steps and contacts of h times the distance of lam (steps, nc) from what the true law gives over the step [N s].
 
-    The range is wider by what the law bends within a step, a sixteenth of its second difference: a mean force lies above both ends where the contact
-    is deepest.
+    law (nodes, nc): at the step's two ends; least, most (steps, nc): within it, on the true motion from its start.
     """
-    ends = np.vstack([law[:1], law, law[-1:]])
-    bend = np.abs(ends[3:] - ends[2:-1] - ends[1:-2] + ends[:-3]) / 16.0
-    low, high = np.minimum(law[:-1], law[1:]) - bend, np.maximum(law[:-1], law[1:]) + bend
+    low, high = np.minimum(np.minimum(law[:-1], law[1:]), least), np.maximum(np.maximum(law[:-1], law[1:]), most)
     return float((h[:, None] * np.maximum(np.maximum(lam - high, low - lam), 0.0)).sum())
 
 
@@ -84,9 +81,12 @@ def friction_violation(friction: np.ndarray, limit: np.ndarray) -> float:
     return float(np.maximum(np.abs(friction) - limit, 0.0).max(initial=0.0))
 
 
-def friction_dissipation_error(friction: np.ndarray, limit: np.ndarray, slip: np.ndarray) -> np.ndarray:
-    """(nf,) largest abs of mu N abs(s) + f s [W]: 0 where it sticks or slips against all of mu N; slip (steps, nf) that of each step's friction."""
-    return np.abs(limit * np.abs(slip) + friction * slip).max(axis=0, initial=0.0)
+def friction_dissipation_error(friction: np.ndarray, least: np.ndarray, most: np.ndarray, slip: np.ndarray) -> np.ndarray:
+    """(nf,) largest abs of mu N abs(s) + f s [W] with the mu N between least and most (steps, nf) that makes it smallest: 0 where it sticks or slips
+    against all of mu N; slip (steps, nf) that of each step's friction."""
+    against = -friction * np.sign(slip)
+    off = np.maximum(np.maximum(least - against, against - most), 0.0)
+    return (off * np.abs(slip)).max(axis=0, initial=0.0)
 
 
 def least_slip(slip: np.ndarray) -> np.ndarray:

@@ -18,15 +18,9 @@ from validate.replay.inputs import HeldInputs
 from validate.replay.result import Difference, Replay, ReplayOutcome
 from validate.replay.subject import Subject
 from validate.score import equations
+from validate.score.own_steps import OwnSteps, Stepper
 from validate.score.printing import half_unit
-
-
-class Unmeasured(Exception):  # noqa: N818 - a metric that cannot be measured is a value with a reason
-    """Raised within the measurement of a metric; the text is the reason."""
-
-
-class LeavesBounds(Unmeasured):
-    """The motion leaves every bound: there is no number, but the question is answered."""
+from validate.score.result import LeavesBounds, Unmeasured
 
 
 class Evidence:
@@ -34,6 +28,7 @@ class Evidence:
 
     def __init__(self, scene: Subject, trajectory: Trajectory, replay: Replay | None) -> None:
         self.scene, self.trajectory, self._replay = scene, trajectory, replay
+        self._own_steps: dict[bytes, OwnSteps] = {}  # by velocities: three metrics ask for the same ones
 
     @property
     def equations(self) -> Scene:
@@ -140,7 +135,46 @@ class Evidence:
     @cached_property
     def law(self) -> np.ndarray:
         """(nodes, nc) contact forces of the true law at the plan's nodes [N]."""
-        return self.kernel.contact_force(self.q, v=self.v if self.equations.damped else None)
+        return self.kernel.contact_force(self.q, v=self.own_velocities if self.equations.damped else None)
+
+    @cached_property
+    def stepper(self) -> Stepper:
+        return Stepper(self.kernel, self.held_inputs, self.trajectory.t, np.diff(self.trajectory.t))
+
+    @cached_property
+    def departures(self) -> tuple[np.ndarray, np.ndarray]:
+        """(steps, nq) the velocities that lead from each of the plan's positions to the next, and (steps,) their gains (`Stepper.departures`)."""
+        return self.stepper.departures(self.q, self.start_velocity, np.array([item.nominal for item in self.scene.coordinates]))
+
+    @cached_property
+    def own_velocities(self) -> np.ndarray:
+        """(nodes, nq) velocities of the plan; where it says none, those that its positions take."""
+        if "v" not in self.trajectory.missing:
+            return self.trajectory.v
+        v = self.departures[0]
+        return np.vstack([v, self.own_steps(v).ends[-1, self.scene.nq :]])
+
+    def own_steps(self, v: np.ndarray) -> OwnSteps:
+        """The true motion over each step from the plan's positions and velocities v (steps, nq)."""
+        own = self._own_steps.get(v.tobytes())
+        if own is None:
+            mass, start, end = self.masses[1:], self.q[:-1], self.q[1:]
+            typical = np.concatenate([sizes(mass, np.diff(v, axis=0, append=v[-1:])), sizes(mass, (end - start) / self.h[:, None] - v)])
+            nominal = float(sizes(mass, np.array([item.nominal for item in self.scene.coordinates])).max())
+            scale = max(float(typical.max()), 1e-6 * nominal)
+            own = self._own_steps[v.tobytes()] = self.stepper.run(np.hstack([start, v]), lambda dv: sizes(mass, dv), scale)
+        return own
+
+    @cached_property
+    def masses(self) -> np.ndarray:
+        """(nodes, nq, nq) along the plan."""
+        return self.masses_at(self.q)
+
+    def masses_at(self, q: np.ndarray) -> np.ndarray:
+        """(n, nq, nq) at positions q (n, nq)."""
+        d = derive(self.equations)
+        mass = d.function(d.mass_matrix, d.q)
+        return np.array([np.array(mass(row), dtype=float).reshape(len(row), len(row)) for row in q])
 
     def printing(self, group: str) -> float:
         """Half a unit of the last printed digit of the plan's t, q, v, u or lam; in the unit of the group."""
@@ -202,12 +236,15 @@ class Evidence:
         return self.trajectory.lam[:, self.scene.nc :]
 
     @cached_property
-    def friction_limit(self) -> np.ndarray:
-        """(steps, nf) mu N [N], with the plan's own contact forces where they press; what pulls does not press."""
-        forces = self.trajectory.lam
-        if any(friction.contact is not None for friction in self.equations.frictions):
-            self.lam  # noqa: B018 - what presses must be said
-        return np.maximum(self.kernel.friction_limit(self.trajectory.q[:-1], forces), 0.0)
+    def friction_limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """Least and largest mu N (steps, nf) [N], with the plan's own contact forces where they press; what pulls does not press. At the start of the
+        step; of a plan that declares no scheme at both its ends."""
+        forces, kernel = self.trajectory.lam, self.kernel
+        first = np.maximum(kernel.friction_limit(self.q[:-1], forces), 0.0)
+        if self.trajectory.scheme is not None:
+            return first, first
+        last = np.maximum(kernel.friction_limit(self.q[1:], forces), 0.0)
+        return np.minimum(first, last), np.maximum(first, last)
 
     @cached_property
     def slip(self) -> np.ndarray:
@@ -391,3 +428,9 @@ class Evidence:
     def duration(self) -> np.ndarray:
         """(n-1,) of each piece of the replay's grid [s]."""
         return np.diff(self.replay.t)
+
+
+def sizes(mass: np.ndarray, dv: np.ndarray) -> np.ndarray:
+    """(n,) sqrt(dv' M dv) of changes dv (n, nq) or (nq,), mass (n, nq, nq)."""
+    dv = np.broadcast_to(dv, mass.shape[:2])
+    return np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", dv, mass, dv), 0.0))

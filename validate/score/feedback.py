@@ -10,7 +10,8 @@ import numpy as np
 
 from validate.replay.feedback import Effort
 from validate.replay.growth import Growth
-from validate.score.evidence import Evidence, LeavesBounds, Unmeasured
+from validate.score.evidence import Evidence
+from validate.score.result import LeavesBounds, Unmeasured
 from validate.score.result import Question
 from validate.score.table import TABLE, Entry
 from validate.score.verdict import EFFORT, SHARE, TRACKED

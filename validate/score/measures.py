@@ -12,7 +12,8 @@ from models.schemes import Scheme
 from models.trajectory import Hold
 from validate.replay.subject import Subject
 from validate.score import equations as eq
-from validate.score.evidence import Evidence, LeavesBounds, Unmeasured
+from validate.score.evidence import Evidence
+from validate.score.result import LeavesBounds, Unmeasured
 
 DEFECT = 1e-6
 _HALVINGS = 7
@@ -51,7 +52,8 @@ def _velocity_units(scene: Subject) -> tuple[str, ...]:
 def start_error(case: Evidence) -> Measured:
     nominals = _nominals(case.scene)
     off = np.abs(case.trajectory.start - np.array(case.scene.task.start))
-    said = "v" not in case.trajectory.missing
+    # Without inertia the velocity at the start is what the inputs make it: the task's says nothing.
+    said = "v" not in case.trajectory.missing and case.equations.relaxation_index is None
     return Measured(
         values=off if said else off[: case.scene.nq],
         scales=np.concatenate([nominals, nominals]) if said else nominals,
@@ -136,12 +138,17 @@ def physics_scaled(case: Evidence) -> Measured:
 
 
 def contact_law_error(case: Evidence) -> Measured:
-    value = eq.contact_law_error(lam=case.lam, law=case.law, h=case.h)
-    touching = (case.lam != 0.0) | (np.maximum(case.law[:-1], case.law[1:]) > 0.0)
+    within, nc = case.own_steps(case.own_velocities[:-1]), case.scene.nc
+    value = eq.contact_law_error(lam=case.lam, law=case.law, least=within.least[:, :nc], most=within.most[:, :nc], h=case.h)
+    touching = (case.lam != 0.0) | (np.maximum(case.law[:-1], case.law[1:]) > 0.0) | (within.most[:, :nc] > 0.0)
     off = case.printing("lam") + case.k * case.printing("q")
-    # Rounding of a plan that is only just in touch is no force.
-    tiny = 1e-9 * float((case.k * case.length).max()) * case.trajectory.duration
-    return Measured(values=np.array([value]), scales=case.planned_impulse, allowed=float((case.h[:, None] * touching * off).sum()) + tiny)
+    allowed = float((case.h[:, None] * touching * off).sum()) + _grazing(case)
+    return Measured(values=np.array([value]), scales=case.planned_impulse, allowed=allowed)
+
+
+def _grazing(case: Evidence) -> float:
+    """Impulse of what is only just in touch [N s]: rounding, and no force."""
+    return 1e-9 * float((case.k * case.length).max()) * case.trajectory.duration if isinstance(case.scene, Scene) else 0.0
 
 
 def force_sign_violation(case: Evidence) -> Measured:
@@ -152,9 +159,9 @@ def force_sign_violation(case: Evidence) -> Measured:
 
 
 def friction_violation(case: Evidence) -> Measured:
-    limit = case.friction_limit
-    mu = np.divide(limit, np.abs(case.trajectory.lam[:, : case.scene.nc]).max(axis=1, initial=0.0)[:, None], out=np.zeros_like(limit),
-                   where=np.abs(case.trajectory.lam[:, : case.scene.nc]).max(axis=1, initial=0.0)[:, None] > 0.0)  # fmt: skip
+    limit = case.friction_limits[1]
+    pressing = np.abs(case.trajectory.lam[:, : case.scene.nc]).max(axis=1, initial=0.0)[:, None]
+    mu = np.divide(limit, pressing, out=np.zeros_like(limit), where=pressing > 0.0)
     return Measured(
         values=np.array([eq.friction_violation(case.friction, limit)]), scales=float(limit.max(initial=0.0)),
         allowed=case.printing("lam") * (1.0 + float(mu.max(initial=0.0))),
@@ -162,10 +169,10 @@ def friction_violation(case: Evidence) -> Measured:
 
 
 def friction_dissipation_error(case: Evidence) -> Measured:
-    limit, slip = case.friction_limit, case.slip
-    values = eq.friction_dissipation_error(case.friction, limit, slip)
+    (least, most), slip = case.friction_limits, case.slip
+    values = eq.friction_dissipation_error(case.friction, least, most, slip)
     nominal = np.array([item.nominal for item in case.scene.frictions])
-    largest = limit.max(axis=0, initial=0.0)
+    largest = most.max(axis=0, initial=0.0)
     p_slip = 2.0 * (case.printing("v") + float(np.abs(case.v).max(initial=0.0)) * case.printing("q"))
     allowed = 2.0 * largest * p_slip + 2.0 * case.printing("lam") * np.abs(slip).max(axis=0, initial=0.0)
     return Measured(values=values, scales=largest * nominal, allowed=allowed)
@@ -246,19 +253,22 @@ def max_penetration(case: Evidence) -> Measured:
 
 def ghost_impulse(case: Evidence) -> Measured:
     value = eq.ghost_impulse(plan_lam=case.lam, largest=case.force_window[1], h=case.h)
-    return Measured(values=np.array([value]), error=_impulse_error(case), scales=case.planned_impulse, allowed=_printed_impulse(case))
+    return _of_impulses(case, value)
 
 
 def missed_impulse(case: Evidence) -> Measured:
     value = eq.missed_impulse(plan_lam=case.lam, least=case.force_window[0], h=case.h)
-    replayed = float((np.maximum(case.force_window[0], 0.0) * case.h[:, None]).sum())
+    return _of_impulses(case, value)
+
+
+def _of_impulses(case: Evidence, value: float) -> Measured:
+    """Measured by the larger of the planned and the replayed contact impulse: a contact between two nodes may be planned with no force at all."""
+    lam = np.maximum(case.replay.lam[:, : case.scene.nc], 0.0)
+    replayed = float(((lam[:-1] + lam[1:]) / 2.0 * case.duration[:, None]).sum())
+    printed = float(case.h.sum()) * case.scene.nc * case.printing("lam")
     return Measured(
-        values=np.array([value]), error=_impulse_error(case), scales=max(case.planned_impulse, replayed), allowed=_printed_impulse(case)
+        values=np.array([value]), error=_impulse_error(case), scales=max(case.planned_impulse, replayed), allowed=printed + _grazing(case)
     )
-
-
-def _printed_impulse(case: Evidence) -> float:
-    return float(case.h.sum()) * case.scene.nc * case.printing("lam")
 
 
 def _impulse_error(case: Evidence) -> float:

@@ -6,6 +6,14 @@ from dataclasses import dataclass
 from enum import Enum
 
 
+class Unmeasured(Exception):  # noqa: N818 - a metric that cannot be measured is a value with a reason
+    """Raised within the measurement of a metric; the text is the reason."""
+
+
+class LeavesBounds(Unmeasured):
+    """The motion leaves every bound: there is no number, but the question is answered."""
+
+
 class Verdict(Enum):
     """What is said of a plan; the value is the word that every table, file and sentence uses.
 

@@ -18,7 +18,7 @@ from validate.score.closed_forms import answer_error
 from validate.score.evidence import Evidence
 from validate.score.measures import DEFECT, Measured
 from validate.score.result import Question
-from validate.score.unexplained import unexplained_force
+from validate.score.unexplained import LIMIT, unexplained_force
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,8 +26,8 @@ class Entry:
     """One row. measure raises Unmeasured with a reason.
 
     default: the limit where the scene sets none, as a factor of the component's scale, with its reason; None: only a scene's limit judges it.
-    needs: what the plan must say for the metric to be asked, of "q", "v", "lam", "friction", "scheme", "no scheme", "no defect"; of_replay: whether it is of the
-    replay, and so has a twin where there is a replay with feedback.
+    needs: what the plan must say for the metric to be asked, of "q", "v", "lam", "friction", "pressing" (what presses on a friction), "scheme", "no scheme", "no defect"; of_replay:
+    whether it is of the replay, and so has a twin where there is a replay with feedback.
     """
 
     name: str
@@ -142,7 +142,7 @@ TABLE = (
         name="contact_law_error", question=Question.FORCES, unit=_unit("N s"), measure=measures.contact_law_error,
         applies=lambda scene: _is_scene(scene) and _has_contacts(scene), needs=("lam", "q", "no scheme"),
         default=(0.01, "1 % of the planned contact impulse: forces of the start of a step, of its end and means over it all lie in the range"),
-        meaning="impulse by which the planned contact forces lie outside the range of the true law over the two ends of their step",
+        meaning="impulse by which the planned contact forces lie outside the range of the true law over their step",
     ),
     Entry(
         name="physics_scaled", question=Question.FORCES, unit=_unit("s"), measure=measures.physics_scaled,
@@ -156,12 +156,12 @@ TABLE = (
     ),
     Entry(
         name="friction_violation", question=Question.FORCES, unit=_unit("N"), measure=measures.friction_violation, applies=_has_friction,
-        needs=("friction", "q"), default=(1e-4, "1e-4 of the largest mu N: more is force that friction does not have"),
+        needs=("friction", "q", "pressing"), default=(1e-4, "1e-4 of the largest mu N: more is force that friction does not have"),
         meaning="by how much a planned friction force exceeds mu N, with N what the plan itself presses with",
     ),
     Entry(
         name="friction_dissipation_error", question=Question.FORCES, unit=_unit("W"), measure=measures.friction_dissipation_error, applies=_has_friction,
-        needs=("friction", "v"), default=(1e-4, "1e-4 of the largest mu N times the nominal slip: more is creep"),
+        needs=("friction", "v", "pressing"), default=(1e-4, "1e-4 of the largest mu N times the nominal slip: more is creep"),
         meaning="largest mu N |s| + f s in the plan: slip that is not held back by all of mu N, as in creep",
     ),
     Entry(
@@ -182,7 +182,7 @@ TABLE = (
     ),
     Entry(
         name="unexplained_force", question=Question.MOTION, unit=_unit("1"), measure=unexplained_force, applies=_is_scene, needs=("q", "no defect"),
-        default=(0.1, "10 % of the peak contact force: as much as a step of a good grid leaves open"),
+        default=(LIMIT, "10 % of the peak contact force: as much as a step of a good grid leaves open"),
         meaning="largest mean force over a step that inputs and true contact do not explain, from the plan's own states, as a share of the peak contact force",
     ),
     Entry(
@@ -192,7 +192,7 @@ TABLE = (
     ),
     Entry(
         name="ghost_impulse", question=Question.POSSIBLE, unit=_unit("N s"), measure=measures.ghost_impulse, applies=_has_contacts, needs=("lam",),
-        of_replay=True, default=(0.01, "1 % of the planned contact impulse"),
+        of_replay=True, default=(0.01, "1 % of the contact impulse"),
         meaning="impulse of planned contact force that the replay has at no time within a step of it: force at a distance",
     ),
     Entry(

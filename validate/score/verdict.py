@@ -5,7 +5,8 @@ A metric is below its limit, or above it, only where ten times its error does no
     value + 10 error <= limit   -> yes          value - 10 error > limit   -> no          otherwise undecided
 
 so that a metric of 1e-9 with an error of 1e-4 is rightly below a limit of 1e-2, and one of 0.0599 with the same error is not judged against 0.06.
-The error is that of the replay; metrics of the plan alone have none. A question is answered no where one of its metrics surely is, else undecided
+The error is that of the replay; metrics of the plan alone have none, and what is asked of the judge itself is measured with its error once, since that
+is what is asked about. A question is answered no where one of its metrics surely is, else undecided
 where one is, else yes. Where the judge is not well nothing that the replay says is sure: questions 4 and 5 are undecided.
 
 The verdict of all: no plan | violates, if an asked question surely fails, even behind an undecided one | undecided | holds. Where question 4 fails or is
@@ -31,11 +32,11 @@ _OF_REPLAY = (Question.MOTION, Question.POSSIBLE)
 _CONSISTENCY = ("unexplained_force", "defect")
 
 
-def compare(value: float, error: float, limit: float) -> bool | None:
+def compare(value: float, error: float, limit: float, margin: float = MARGIN) -> bool | None:
     """Whether a value is below its limit; None where its error leaves that open. See the module docstring."""
-    if value + MARGIN * error <= limit:
+    if value + margin * error <= limit:
         return True
-    if value - MARGIN * error > limit:
+    if value - margin * error > limit:
         return False
     return None
 

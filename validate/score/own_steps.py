@@ -1,0 +1,115 @@
+"""The true motion over each step of a plan, from the plan's own states and under its inputs: small steps of the compiled kernel, as many as it takes.
+
+A step is cut into 50 parts, and into twice as many until twice as many change its end by less than a thousandth of what the plan's steps turn over: a
+light body in a strong damper, or a hard bounce within one step, needs thousands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.codegen.batch import rollouts
+from models.codegen.kernel import Kernel
+from validate.replay.inputs import HeldInputs
+from validate.score.result import Unmeasured
+
+_FIRST, _DOUBLINGS = 50, 8
+# Of the largest change of momentum in a step: a hundredth of what unexplained_force allows.
+_SETTLED = 1e-3
+# Newton steps towards a velocity, and what is then missed at most, in nominals.
+_SHOTS, _MISSED = 8, 1e-10
+
+Size = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OwnSteps:
+    """ends (steps, 2 nq): true states at the ends of the steps; least, most (steps, nl): forces of the true law within them [N]."""
+
+    ends: np.ndarray
+    least: np.ndarray
+    most: np.ndarray
+
+
+class Stepper:
+    """Of one plan's inputs and grid. h (steps,) [s]; t (nodes,) [s], for sentences."""
+
+    def __init__(self, kernel: Kernel, held: HeldInputs, t: np.ndarray, h: np.ndarray) -> None:
+        self._kernel, self._held, self._t, self._h = kernel, held, t, h
+
+    def run(self, x: np.ndarray, size: Size, scale: float) -> OwnSteps:
+        """From states x (steps, 2 nq) at the starts. size: (n,) of velocities (n, nq), with their step's mass; scale: what it is measured by.
+
+        Raises Unmeasured where no number of parts settles.
+        """
+        nq, steps = x.shape[1] // 2, np.arange(len(x))
+        found = self.parts(steps, x, _FIRST)
+        ends, least, most = found.ends.copy(), found.least.copy(), found.most.copy()
+        for doubling in range(1, _DOUBLINGS + 1):
+            finer = self.parts(steps, x[steps], _FIRST * 2**doubling)
+            with np.errstate(invalid="ignore", over="ignore"):
+                change = np.zeros((2, len(x), nq))
+                change[0, steps] = finer.ends[:, nq:] - ends[steps, nq:]
+                change[1, steps] = (finer.ends[:, :nq] - ends[steps, :nq]) / self._h[steps, None]
+                off = np.maximum(size(change[0]), size(change[1]))[steps]
+            ends[steps], least[steps], most[steps] = finer.ends, finer.least, finer.most
+            steps = steps[~(off <= _SETTLED * scale)]  # not a number is not settled either
+            if not len(steps):
+                return OwnSteps(ends=ends, least=least, most=most)
+        raise Unmeasured(
+            f"the true motion from the plan's own state at t = {self._t[steps[0]]:g} s, over one step, is not to be had: {_FIRST * 2**_DOUBLINGS} "
+            "parts of the step do not tell it."
+        )
+
+    def parts(self, steps: np.ndarray, x: np.ndarray, parts: int) -> OwnSteps:
+        """Of some of the steps, (n,) their places, from states x (n, 2 nq); each in so many parts. Not a number where it leaves every bound."""
+        nq, nl, held = x.shape[1] // 2, self._kernel.scene.nl, self._held
+        ends, least, most = np.empty_like(x), np.empty((len(x), nl)), np.empty((len(x), nl))
+        lengths = self._h[steps]
+        for h in np.unique(lengths):
+            rows = np.flatnonzero(lengths == h)
+            within = (np.arange(parts) + 0.5)[None, :, None] * (h / parts)
+            u = held.values[steps[rows], None] + held.slopes[steps[rows], None] * within
+            run = rollouts(self._kernel, x[rows], u, float(h) / parts)
+            ends[rows] = np.hstack([run.q[:, -1], run.v[:, -1]])
+            least[rows], most[rows] = run.lam.min(axis=1), run.lam.max(axis=1)
+            ends[rows[run.finite_steps < parts]] = np.nan
+        return OwnSteps(ends=ends, least=least, most=most)
+
+    def departures(self, q: np.ndarray, v0: np.ndarray, nominal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(steps, nq) velocities at the starts with which the true motion arrives at the next of positions q (nodes, nq), and (steps,) by how much a
+        position that is off by 1 changes them. v0 (nq,): of the task's start; nominal (nq,) of the positions.
+
+        The first guess is the velocity with which the step before arrived. Raises Unmeasured where there is none.
+        """
+        found, gains, before = np.empty((len(q) - 1, q.shape[1])), np.empty(len(q) - 1), v0
+        for step in range(len(found)):
+            guesses = before, (q[step + 1] - q[step]) / self._h[step]
+            tried = (self._departure(step, q, guess, nominal, parts) for parts in (_FIRST, 16 * _FIRST) for guess in guesses)
+            solved = next((one for one in tried if one is not None), None)
+            if solved is None:
+                raise Unmeasured(f"no velocity leads from the plan's position at t = {self._t[step]:g} s to the next one.")
+            found[step], before, gains[step] = solved
+        return found, gains
+
+    def _departure(
+        self, step: int, q: np.ndarray, v: np.ndarray, nominal: np.ndarray, parts: int
+    ) -> tuple[np.ndarray, np.ndarray, float] | None:
+        """The velocity, that of arrival, and the gain; None where Newton's method does not find it."""
+        nq, h = q.shape[1], self._h[step]
+        places, nudge = np.full(nq + 1, step), 1e-6 * nominal / h
+        for _ in range(_SHOTS):
+            x = np.tile(np.concatenate([q[step], v]), (nq + 1, 1))
+            x[1:, nq:] += np.diag(nudge)
+            ends = self.parts(places, x, parts).ends
+            slope = (ends[1:, :nq] - ends[0, :nq]).T / nudge
+            if not np.isfinite(ends).all() or np.linalg.cond(slope) > 1e12:
+                return None
+            miss = q[step + 1] - ends[0, :nq]
+            if (np.abs(miss) <= _MISSED * nominal).all():
+                return v, ends[0, nq:], float(np.abs(np.linalg.inv(slope)).sum(axis=1).max())
+            v = v + np.linalg.solve(slope, miss)
+        return None
