@@ -10,7 +10,7 @@ import pytest
 
 from models.trajectory import Hold, Trajectory, uniform_grid
 from validate.replay.inputs import HeldInputs
-from validate.replay.reference import INNER_POINTS, integrate
+from validate.replay.reference import PARTS, integrate
 from validate.replay.result import ReplayOutcome
 
 RTOL = 1e-12
@@ -95,7 +95,7 @@ def test_ramped_inputs_are_applied_within_the_step():
     """u = t on [0, 1]: q = t^3/6 at every recorded point. The last step of the plan is held."""
     steps = 6
     run = integrate(Point(free), np.zeros(2), plan(uniform_grid(0.2, steps - 1), 0.2, Hold.LINEAR), RTOL, 10)
-    assert len(run.t) == steps * (INNER_POINTS + 1) + 1
+    assert len(run.t) == steps * PARTS + 1
     for t, (q, v) in zip(run.t, run.outputs, strict=True):
         if t <= 1.0:
             assert q == pytest.approx(t**3 / 6, abs=1e-12)

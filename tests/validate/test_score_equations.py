@@ -42,22 +42,26 @@ LAW = np.array([[0.0], [0.0], [6.0], [10.0]])
 H = np.full(3, 0.1)
 
 
-@pytest.mark.parametrize("forces", [LAW[:-1], LAW[1:], (LAW[:-1] + LAW[1:]) / 2.0], ids=["start", "end", "mean"])
+# What it is within each step: nothing but a bounce between the first two nodes, which they do not see.
+LEAST, MOST = np.minimum(LAW[:-1], LAW[1:]), np.array([[3.0], [6.0], [11.0]])
+
+
+@pytest.mark.parametrize("forces", [LAW[:-1], LAW[1:], (LAW[:-1] + LAW[1:]) / 2.0, MOST], ids=["start", "end", "mean", "between"])
 def test_forces_of_the_start_the_end_or_a_mean_of_a_step_are_those_of_contact(forces: np.ndarray):
-    assert eq.contact_law_error(forces, LAW, H) == 0.0
+    assert eq.contact_law_error(forces, LAW, LEAST, MOST, H) == 0.0
 
 
 def test_forces_of_another_motion_are_counted_to_the_newton_second():
-    bend = np.array([6.0, 10.0 - 6.0, 6.0]) / 16.0  # second differences of the law over each step and its neighbours
     invented = LAW[:-1] + np.array([[5.0], [0.0], [0.0]])
-    assert eq.contact_law_error(invented, LAW, H) == pytest.approx(0.1 * (5.0 - bend[0]))
+    assert eq.contact_law_error(invented, LAW, LEAST, MOST, H) == pytest.approx(0.1 * (5.0 - 3.0))
     far = np.vstack([np.zeros((5, 1)), LAW])  # five steps before anything touches
+    least, most = np.minimum(far[:-1], far[1:]), np.maximum(far[:-1], far[1:])
     planned = np.zeros((8, 1))
     planned[1:3] = 4.0
     planned[6:] = far[6:-1]
-    assert eq.contact_law_error(planned, far, np.full(8, 0.1)) == pytest.approx(0.1 * 2 * 4.0)
+    assert eq.contact_law_error(planned, far, least, most, np.full(8, 0.1)) == pytest.approx(0.1 * 2 * 4.0)
     mirrored = -LAW[1:]
-    assert eq.contact_law_error(mirrored, LAW, H) == pytest.approx(0.1 * (0.0 + 6.0 - bend[1] + 6.0 + 10.0 - bend[2]))
+    assert eq.contact_law_error(mirrored, LAW, LEAST, MOST, H) == pytest.approx(0.1 * (0.0 + 6.0 + (10.0 + 6.0)))
 
 
 def window(lam: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:

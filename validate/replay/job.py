@@ -6,6 +6,7 @@ run_isolated("validate.replay.job:simulate", request, arrays)
 
 from __future__ import annotations
 
+import math
 import time as clock
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -23,7 +24,7 @@ from validate.replay.exchange import ExchangeModel
 from validate.replay.feedback import Feedback
 from validate.replay.inputs import HeldInputs
 from validate.replay.package import FmuError, Package, read_package, unpacked
-from validate.replay.reference import Run, integrate
+from validate.replay.reference import PARTS, Run, integrate
 from validate.replay.result import ReplayOutcome
 from validate.replay.rollback import RollbackError, offers_rollback
 from validate.replay.wiring import Variables
@@ -45,11 +46,14 @@ _ENDED = {
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """tolerances: relative, of the reference, the looser first; fineness: internal steps a plan step of the everyday replay, the coarser first."""
+    """tolerances: relative, of the reference, the looser first; fineness: internal steps a plan step of the everyday replay, the coarser first.
+    parts, max_step: of the reference (validate.replay.reference.integrate)."""
 
     tolerances: tuple[float, ...]
     fineness: tuple[int, ...]
     event_budget: int
+    parts: int = PARTS
+    max_step: float = math.inf
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +72,7 @@ class Simulated:
 def simulate(
     request: Mapping[str, Any], arrays: Mapping[str, np.ndarray], package: Package | None = None
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """request: path, variables, hold, tolerances, fineness, event_budget, rolls_back, loops (the compiled ones, or None);
+    """request: path, variables, hold, tolerances, fineness, event_budget, parts, max_step, rolls_back, loops (the compiled ones, or None);
     arrays: t (nodes,), u (steps, nu), start (n,), u_end (nu,) where the plan has one, and with feedback its fields. Raises FmuError."""
     variables = Variables.from_json(request["variables"])
     empty = np.zeros((len(arrays["t"]), 0))
@@ -91,7 +95,7 @@ def simulate(
         require_some_method(package, refusal)
         began = clock.process_time()
         for rtol in request["tolerances"] if package.exchange is not None else ():
-            keep("reference", _reference(package, variables, start, inputs, rtol, request["event_budget"]))
+            keep("reference", _reference(package, variables, start, inputs, rtol, request))
         middle = clock.process_time()
         rolls_back = request["rolls_back"] and offers_rollback(package, variables)
         for fineness in request["fineness"] if refusal is None else ():
@@ -117,10 +121,14 @@ def _rolled_back(package: Package, variables: Variables, start: np.ndarray, inpu
     return run, f"No step was rolled back: {why}." if run.outcome is ReplayOutcome.OK else ""
 
 
-def _reference(package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, rtol: float, event_budget: int) -> Run:
-    model = ExchangeModel(package, variables)
+def _reference(
+    package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, rtol: float, request: Mapping[str, Any]
+) -> Run:
+    model, longest = ExchangeModel(package, variables), request["max_step"]
     try:
-        return integrate(model, start, inputs, rtol, event_budget)
+        return integrate(
+            model, start, inputs, rtol, request["event_budget"], parts=request["parts"], max_step=math.inf if longest is None else longest
+        )
     finally:
         model.close()
 
@@ -147,6 +155,8 @@ def run_job(
         "tolerances": list(settings.tolerances),
         "fineness": list(settings.fineness),
         "event_budget": settings.event_budget,
+        "parts": settings.parts,
+        "max_step": settings.max_step if math.isfinite(settings.max_step) else None,
         "rolls_back": True,
     }
     given = {"t": plan.t, "u": plan.u, "start": start, **({} if plan.u_end is None else {"u_end": plan.u_end})}

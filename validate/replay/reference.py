@@ -17,8 +17,8 @@ from validate.replay.exchange import ContinuousModel
 from validate.replay.inputs import HeldInputs
 from validate.replay.result import ReplayOutcome
 
-# Points recorded within each step of the plan, beside its nodes: enough to see what happens between nodes.
-INNER_POINTS = 2
+# Parts of each step of the plan at whose ends the motion is recorded: enough to see what happens between nodes.
+PARTS = 3
 # A state this many times its nominal (and its start) has left every bound.
 DIVERGENCE = 1e9
 # Internal steps to the next point before the integrator is given up (a step of three_cart takes about 20).
@@ -60,18 +60,26 @@ class Stop(Exception):  # noqa: N818 - it ends a run, and is no error of the pro
 
 
 def integrate(
-    model: ContinuousModel, start: np.ndarray, inputs: HeldInputs, rtol: float, event_budget: int, *, compiled: bool = True
+    model: ContinuousModel,
+    start: np.ndarray,
+    inputs: HeldInputs,
+    rtol: float,
+    event_budget: int,
+    *,
+    parts: int = PARTS,
+    max_step: float = math.inf,
+    compiled: bool = True,
 ) -> Run:
     """Integrate over the plan's grid from start (2*nq,). Numerical failure is the run's outcome, never an exception.
 
-    compiled: by the loop in C where it can be had (validate.replay.compiled), which gives the same numbers.
+    parts: of each step of the plan, at whose ends the motion is recorded; max_step: the integrator's own steps are no longer [s]. compiled: by the loop in C where it can be had (validate.replay.compiled), which gives the same numbers.
     """
     from validate.replay.compiled.integration import compiled_integration
     from validate.replay.fmi import CallError
 
     run = Run()
-    in_c = compiled_integration(model, inputs, rtol, event_budget, run) if compiled else None
-    integration = in_c or Integration(model, inputs, rtol, event_budget, run)
+    in_c = compiled_integration(model, inputs, rtol, event_budget, run, parts, max_step) if compiled else None
+    integration = in_c or Integration(model, inputs, rtol, event_budget, run, parts, max_step)
     try:
         integration.over_all_steps(start)
     except Stop as stop:
@@ -86,20 +94,22 @@ def integrate(
 
 
 class Integration:
-    """One run in progress. targets (steps, INNER_POINTS + 1): the points recorded within each step of the plan, the last its end [s]; y: the states and
+    """One run in progress. targets (steps, parts): the points recorded within each step of the plan, the last its end [s]; y: the states and
     what is accumulated at the last of them."""
 
-    def __init__(self, model: ContinuousModel, inputs: HeldInputs, rtol: float, event_budget: int, run: Run) -> None:
+    def __init__(
+        self, model: ContinuousModel, inputs: HeldInputs, rtol: float, event_budget: int, run: Run, parts: int, max_step: float
+    ) -> None:
         self.model, self.inputs, self.rtol, self.event_budget, self.run = model, inputs, rtol, event_budget, run
         self.step = 0
         self.bound, self.y = np.empty(0), np.empty(0)
         self.solver: Any = None
         begin, end = inputs.times[:-1], inputs.times[1:]
-        inner = [begin + (end - begin) * point / (INNER_POINTS + 1) for point in range(1, INNER_POINTS + 1)]
+        inner = [begin + (end - begin) * point / parts for point in range(1, parts)]
         self.targets = np.column_stack([*inner, end])
         # Smaller steps than this do not change the time any more.
         self.min_step = 4e-16 * float(np.abs(inputs.times).max())
-        self.max_step = float(np.ptp(inputs.times))
+        self.max_step = min(float(np.ptp(inputs.times)), max_step)
 
     def over_all_steps(self, start: np.ndarray) -> None:
         times, values = self.inputs.times, self.inputs.values

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from models.codegen.kernel import load_kernel
+from models.codegen.kernel import Kernel, load_kernel
 from models.scene import Scene
 from models.trajectory import Trajectory
 from validate.isolation import Limits
@@ -20,6 +20,7 @@ from validate.replay.job import Settings, Simulated, run_job
 from validate.replay.lag import fine_enough, twice_the_lag, with_lag_error
 from validate.replay.linearise import design_foreign
 from validate.replay.outputs import Outputs
+from validate.replay.overlooked import overlooked, with_max_step, with_steps_of
 from validate.replay.package import Package, find_variables, read_package, unpacked
 from validate.replay.reference import Run
 from validate.replay.result import Difference, Event, Replay, ReplayError, ReplayOutcome
@@ -31,6 +32,8 @@ from validate.replay.wiring import Variables
 LOOSE, TIGHT = 1e-11, 1e-13
 # Internal steps a plan step of the everyday replay: the ratio of the differences tells whether it converges, the last two how far it is.
 FINENESS = (50, 100, 200)
+# How often a replay that steps over a contact is made again, each time with steps that would have seen it.
+_CLOSER_LOOKS = 6
 # Contact events before a replay is stopped as chattering; the plans of the scenes have 2 to 40.
 EVENT_BUDGET = 10_000
 
@@ -73,7 +76,8 @@ def replay(
     """
     trajectory.check_fits(scene)
     scene = scene.continuous()
-    settings = fine_enough(scene, trajectory, Settings(tolerances=tolerances, fineness=fineness, event_budget=event_budget))
+    settings = with_steps_of(scene, trajectory.t, Settings(tolerances=tolerances, fineness=fineness, event_budget=event_budget))
+    settings = fine_enough(scene, trajectory, settings)
     with nullcontext(read_package(fmu)) if limits is not None else unpacked(read_package(fmu)) as package:
         variables = find_variables(package, scene, names)
         twice = twice_the_lag(package, scene, names)
@@ -91,12 +95,13 @@ def _replay_twice(
     track: bool | Callable[[Replay], bool],
 ) -> Replay:
     """In the open loop, and with feedback where that is asked for."""
-    event_budget = settings.event_budget
     kernel = load_kernel(scene)
     growth = measure_growth(kernel, scene, trajectory) if trajectory.has_states else None
-    simulated = run_job(package, variables, trajectory, trajectory.start, settings, limits)
-    opened = replace(_assemble(scene, package, variables, simulated, event_budget), growth=growth)
-    opened = with_lag_error(scene, package, twice, trajectory, settings, limits, None, opened)
+
+    def run(feedback: Feedback | None) -> tuple[Replay, Simulated]:
+        return _seeing_all(scene, kernel, package, variables, trajectory, settings, limits, feedback)
+
+    opened = with_lag_error(scene, package, twice, trajectory, settings, limits, None, replace(run(None)[0], growth=growth))
     if not (track(opened) if callable(track) else track):
         return opened
     try:
@@ -105,10 +110,34 @@ def _replay_twice(
         if track is True:
             raise
         return replace(opened, message=f"{opened.message} No tracked replay: {error}".lstrip())
-    simulated = run_job(package, variables, trajectory, trajectory.start, settings, limits, feedback)
-    tracked = _assemble(scene, package, variables, simulated, event_budget)
+    tracked, simulated = run(feedback)
     tracked = with_lag_error(scene, package, twice, trajectory, settings, limits, feedback, tracked)
     return replace(opened, tracked=_with_feedback(tracked, feedback, trajectory, _applied(simulated, trajectory)))
+
+
+def _seeing_all(
+    scene: Scene,
+    kernel: Kernel,
+    package: Package,
+    variables: Variables,
+    plan: Trajectory,
+    settings: Settings,
+    limits: Limits | None,
+    feedback: Feedback | None,
+) -> tuple[Replay, Simulated]:
+    """The replay, made again with smaller steps while it steps over contacts; without an error estimate where that does not end."""
+    for _ in range(_CLOSER_LOOKS):
+        simulated = run_job(package, variables, plan, plan.start, settings, limits, feedback)
+        found = _assemble(scene, package, variables, simulated, settings.event_budget)
+        longest = overlooked(kernel, found)
+        if longest is None:
+            return found, simulated
+        finer = with_max_step(scene, plan.t, settings, min(longest, settings.max_step / 2.0))
+        if finer is None:
+            break
+        settings = finer
+    note = "The replay steps over a contact that is shorter than any of its steps."
+    return replace(found, error=replace(found.error, estimate=None), message=f"{found.message} {note}".lstrip()), simulated
 
 
 def _applied(simulated: Simulated, plan: Trajectory) -> np.ndarray:
@@ -136,7 +165,7 @@ def replay_foreign(
     Raises TrackingError if track is True and cannot be.
     """
     trajectory.check_fits(foreign.model)  # type: ignore[arg-type] - it answers what a scene answers
-    settings = Settings(tolerances=tolerances, fineness=fineness, event_budget=event_budget)
+    settings = with_steps_of(foreign.model, trajectory.t, Settings(tolerances=tolerances, fineness=fineness, event_budget=event_budget))
     driven = trajectory.with_inputs_in(foreign.input_scale, foreign.input_offset)
     simulated = run_job(package, foreign.variables, driven, foreign.start, settings, limits)
     opened = _assemble(foreign.model, package, foreign.variables, _in_plan_units(foreign, simulated), event_budget)

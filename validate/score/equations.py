@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from validate.replay.overlooked import lowest_between
+
 
 def physics(lam: np.ndarray, push: np.ndarray) -> float:
     """Sum over steps and contacts of abs(lam*(lam - push)) [N^2], push (steps, nc) = k*phi without damping: the paper's (10)."""
@@ -89,10 +91,10 @@ def friction_dissipation_error(friction: np.ndarray, least: np.ndarray, most: np
     return (off * np.abs(slip)).max(axis=0, initial=0.0)
 
 
-def least_slip(slip: np.ndarray) -> np.ndarray:
-    """(steps, nf) the slip of least magnitude between the two ends of each step, slip (nodes, nf); 0 where it turns round."""
-    first, last = slip[:-1], slip[1:]
-    return np.where(first * last <= 0.0, 0.0, np.where(np.abs(first) < np.abs(last), first, last))
+def least_slip(slips: np.ndarray) -> np.ndarray:
+    """(steps, nf) the slip of least magnitude among slips (n, steps, nf) of each step; 0 where it turns round."""
+    low, high = slips.min(axis=0), slips.max(axis=0)
+    return np.where(low * high <= 0.0, 0.0, np.where(np.abs(low) < np.abs(high), low, high))
 
 
 def friction_impulse_error(plan: np.ndarray, step_of: np.ndarray, friction: np.ndarray, duration: np.ndarray) -> float:
@@ -104,17 +106,11 @@ def friction_impulse_error(plan: np.ndarray, step_of: np.ndarray, friction: np.n
 def deepest(t: np.ndarray, gap: np.ndarray, rate: np.ndarray | None) -> np.ndarray:
     """(nc,) max(-gap, 0) over time [m], gap (n, nc); between the rows too, where the gap is the cubic with the gaps and their rates (n, nc) at both ends.
 
-    The cubic's values at 1/4, 1/2 and 3/4 of each piece are looked at; a piece does not cross an event. rate None: the rows alone.
+    A piece does not cross an event. rate None: the rows alone.
     """
     lowest = gap.min(axis=0, initial=0.0)
     if rate is not None and len(t) > 1:
-        h = np.diff(t)[:, None]
-        for s in (0.25, 0.5, 0.75):
-            cubic = (
-                (1 + 2 * s) * (1 - s) ** 2 * gap[:-1] + s * (1 - s) ** 2 * h * rate[:-1]
-                + s**2 * (3 - 2 * s) * gap[1:] - s**2 * (1 - s) * h * rate[1:]
-            )  # fmt: skip
-            lowest = np.minimum(lowest, cubic.min(axis=0, initial=0.0))
+        lowest = np.minimum(lowest, lowest_between(t, gap, rate)[0].min(axis=0, initial=0.0))
     return np.maximum(-lowest, 0.0)
 
 

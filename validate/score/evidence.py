@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 from models import collocation
 from models.codegen.kernel import Kernel, KernelError, load_kernel
@@ -69,16 +70,20 @@ class Evidence:
         step = self.scene.task.step
         return np.full_like(h, step) if np.allclose(h, step, rtol=1e-9, atol=0.0) else h
 
-    def cost_of(self, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> float:
-        """The task's cost of a motion at the plan's nodes: its sum over the task's own steps, whatever the plan's grid is, and the final cost."""
-        final = self.kernel.cost(q[-1:], v[-1:], u[:0])
-        if (self.h == self.h[0]).all():
-            return (self.kernel.cost(q, v, u) - final) * float(self.h[0]) / self.scene.task.step + final
-        running = [
-            self.kernel.cost(q[i : i + 2], v[i : i + 2], u[i : i + 1]) - self.kernel.cost(q[i + 1 : i + 2], v[i + 1 : i + 2], u[:0])
-            for i in range(len(u))
-        ]
-        return float(np.dot(running, self.h)) / self.scene.task.step + final
+    def cost_of(self, t: np.ndarray, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> float:
+        """The task's cost of a motion t (n,), q, v (n, nq) under the plan's inputs u (steps, nu): its running cost at the starts of the task's own steps,
+        whatever grid the plan has, and the final cost. Between the rows positions are cubics."""
+        step = self.scene.task.step
+        if len(t) == len(u) + 1 and (self.h == step).all():
+            return self.kernel.cost(q, v, u)
+        count = max(1, round(self.trajectory.duration / step))
+        times = t[0] + step * np.arange(count)
+        motion = CubicHermiteSpline(*_without_repeats(t, q, v))
+        held, nodes = self.held_inputs, self.trajectory.t
+        steps = np.clip(np.searchsorted(nodes, times + 1e-9 * step, side="right") - 1, 0, len(u) - 1)
+        inputs = u[steps] + held.slopes[steps] * np.maximum(times - nodes[steps], 0.0)[:, None]
+        q, v = np.vstack([motion(times), q[-1:]]), np.vstack([motion(times, 1), v[-1:]])
+        return self.kernel.cost(q, v, inputs)
 
     @cached_property
     def phi(self) -> np.ndarray:
@@ -248,10 +253,13 @@ class Evidence:
 
     @cached_property
     def slip(self) -> np.ndarray:
-        """(steps, nf) slip speeds [m/s] to which a step's friction force belongs: at its end, or of a plan that declares no scheme the least at both."""
+        """(steps, nf) slip speeds [m/s] to which a step's friction force belongs: at its end, with the geometry of its start; of a plan that declares no
+        scheme the least of that and those at both ends."""
+        stepped = self.kernel.slip(self.trajectory.q[:-1], self.v[1:])
         if self.trajectory.scheme is not None:
-            return self.kernel.slip(self.trajectory.q[:-1], self.v[1:])
-        return equations.least_slip(self.kernel.slip(self.q, self.v))
+            return stepped
+        at_nodes = self.kernel.slip(self.q, self.v)
+        return equations.least_slip(np.stack([at_nodes[:-1], at_nodes[1:], stepped]))
 
     @property
     def v(self) -> np.ndarray:
@@ -428,6 +436,12 @@ class Evidence:
     def duration(self) -> np.ndarray:
         """(n-1,) of each piece of the replay's grid [s]."""
         return np.diff(self.replay.t)
+
+
+def _without_repeats(t: np.ndarray, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows whose times increase."""
+    rows = np.flatnonzero(np.diff(t, prepend=-np.inf) > 0.0)
+    return t[rows], q[rows], v[rows]
 
 
 def sizes(mass: np.ndarray, dv: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from models.goal import goal_state
 from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Hold
@@ -50,13 +51,16 @@ def _velocity_units(scene: Subject) -> tuple[str, ...]:
 
 
 def start_error(case: Evidence) -> Measured:
-    nominals = _nominals(case.scene)
+    nominals, task = _nominals(case.scene), case.equations.task
+    asked = np.abs(goal_state(task) - np.array(task.start))
+    # A task of a micrometre is not started a millionth of a metre away.
+    scales = np.fmin(np.concatenate([nominals, nominals]), np.where(asked > 0.0, asked, np.nan))
     off = np.abs(case.trajectory.start - np.array(case.scene.task.start))
     # Without inertia the velocity at the start is what the inputs make it: the task's says nothing.
     said = "v" not in case.trajectory.missing and case.equations.relaxation_index is None
     return Measured(
         values=off if said else off[: case.scene.nq],
-        scales=np.concatenate([nominals, nominals]) if said else nominals,
+        scales=scales if said else scales[: case.scene.nq],
         allowed=np.repeat([case.printing("q"), case.printing("v")], case.scene.nq) if said else case.printing("q"),
         units=(*_position_units(case.scene), *_velocity_units(case.scene)),
     )
@@ -119,7 +123,7 @@ def terminal_velocity_error(case: Evidence) -> Measured:
 
 
 def cost(case: Evidence) -> float:
-    return case.cost_of(case.q, case.v, case.trajectory.u)
+    return case.cost_of(case.trajectory.t, case.q, case.v, case.trajectory.u)
 
 
 # Question 3
@@ -209,9 +213,12 @@ def replay_terminal_velocity_error(case: Evidence) -> tuple[float, float]:
 def replay_cost(case: Evidence) -> tuple[float, float]:
     replay = case.replay
     u = case.trajectory.u if replay.applied is None else replay.applied
-    q, v, error = case.replay_q, case.replay_v, case.error.state
-    value = case.cost_of(q, v, u)
-    around = [case.cost_of(q + sign * error, v + sign * error, u) for sign in (1.0, -1.0)] if np.isfinite(error) else [np.inf]
+    case.need("q", "v")
+    own = bool((case.h == case.scene.task.step).all())  # else all rows tell more than those at the plan's nodes
+    rows, error = replay.knots if own else np.arange(len(replay.t)), case.error.state
+    t, q, v = replay.t[rows], replay.q[rows], replay.v[rows]
+    value = case.cost_of(t, q, v, u)
+    around = [case.cost_of(t, q + sign * error, v + sign * error, u) for sign in (1.0, -1.0)] if np.isfinite(error) else [np.inf]
     return value, max(abs(one - value) for one in around)
 
 

@@ -108,7 +108,7 @@ def _has_depths(scene: Subject) -> bool:
 TABLE = (
     Entry(
         name="start_error", question=Question.TASK, unit=_state_unit, measure=measures.start_error, applies=_is_scene, needs=("q",),
-        default=(1e-6, "1e-6 of the nominal: a plan from another start solves another task"),
+        default=(1e-6, "1e-6 of the nominal, or of the way to the goal where that is shorter: a plan from another start solves another task"),
         meaning="largest distance of the plan's first state from the task's start",
     ),
     Entry(
@@ -136,7 +136,7 @@ TABLE = (
     ),
     Entry(
         name="cost", question=Question.GOAL, unit=_unit("1"), measure=measures.cost, applies=_is_scene, needs=("q", "v"),
-        meaning="the task's cost of the plan: sum of the running cost over its steps, and the final cost",
+        meaning="the task's cost of the plan: sum of the running cost over the task's steps, and the final cost",
     ),
     Entry(
         name="contact_law_error", question=Question.FORCES, unit=_unit("N s"), measure=measures.contact_law_error,
@@ -178,7 +178,7 @@ TABLE = (
     ),
     Entry(
         name="replay_cost", question=Question.MOTION, unit=_unit("1"), measure=measures.replay_cost, applies=_is_scene, of_replay=True,
-        meaning="the task's cost of the replay, at the plan's nodes",
+        meaning="the task's cost of the replay, at the starts of the task's steps",
     ),
     Entry(
         name="unexplained_force", question=Question.MOTION, unit=_unit("1"), measure=unexplained_force, applies=_is_scene, needs=("q", "no defect"),

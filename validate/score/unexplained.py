@@ -6,7 +6,8 @@ contact force lam has the size lam sqrt(J M^-1 J'): so a force that is not there
 
 Of a scene without inertia (models.quasi_static) forces are velocities: what its position differs by after the step, dq, takes the mean force D dq/h.
 
-A plan that says both must not move by more or less than its velocities at both ends of the step, or the true motion, allow. Velocities that it does
+A plan that says both must not move by more or less than its velocities at both ends of the step, or the true motion, allow. Friction forces
+that it claims must move it as the true ones do: within mu N a sticking one is not free, it is what holds. Velocities that it does
 not say follow from its positions, in whichever of two ways explains it better: those with which the true motion arrives at the next position - what
 then jumps at a node is unexplained -, or backward differences, which are the velocities of whoever steps as semi-implicit Euler does. Where the first
 are not to be had and the second do not explain it, the metric has no number: that is no fault of the plan.
@@ -34,6 +35,39 @@ def unexplained_force(case: Evidence) -> float:
 
 def _forces(case: Evidence, enough: float) -> np.ndarray:
     """(steps,) sqrt(dv' M dv)/h of each step, less what printing may be the cause of; `enough` explains it."""
+    found = _of_motion(case, enough)
+    if not case.scene.nf or case.trajectory.missing & {"friction", "lam"} or case.trajectory.scheme is not None:
+        return found
+    return np.maximum(found, _of_friction(case))
+
+
+def _of_friction(case: Evidence) -> np.ndarray:
+    """(steps,) the force by which the friction that a plan claims moves it otherwise than the true one: sticking friction is whatever holds, no more.
+
+    Several frictions may share that as they like: what counts is the sum of what they do. The true one of a step is any between its least and most in
+    this step and the next, whose input may set in at the node.
+    """
+    kernel, plan, nc = case.kernel, case.trajectory, case.scene.nc
+    own = case.own_steps(case.own_velocities[:-1])
+    least, most = (array[:, nc:] for array in (own.least, own.most))
+    least, most = np.minimum(least, np.vstack([least[1:], least[-1:]])), np.maximum(most, np.vstack([most[1:], most[-1:]]))
+    p_lam = case.printing("lam")
+
+    def differs(true: np.ndarray) -> np.ndarray:
+        claimed, real = plan.lam.copy(), plan.lam.copy()
+        claimed[:, nc:], real[:, nc:] = case.friction, true
+        v = case.own_velocities[:-1]
+        change = kernel.acceleration(case.q[:-1], v, plan.u, claimed) - kernel.acceleration(case.q[:-1], v, plan.u, real)
+        return sizes(case.masses[:-1], change)
+
+    try:
+        return np.minimum(differs(np.clip(case.friction, least - p_lam, most + p_lam)), differs((least + most) / 2.0))
+    except KernelError as error:
+        raise Unmeasured(str(error)) from error
+
+
+def _of_motion(case: Evidence, enough: float) -> np.ndarray:
+    """(steps,) the same of the motion alone."""
     plan, h = case.trajectory, np.diff(case.trajectory.t)
     if "v" not in plan.missing:
         return _by_velocities(case, h, plan.v, case.printing("v"))

@@ -88,7 +88,9 @@ def _addresses(path: Path) -> tuple[int, ...] | None:
     return None if version[0].value != _VERSION or None in addresses else tuple(address or 0 for address in addresses)
 
 
-def compiled_integration(model: ContinuousModel, inputs: HeldInputs, rtol: float, event_budget: int, run: Run) -> Integration | None:
+def compiled_integration(
+    model: ContinuousModel, inputs: HeldInputs, rtol: float, event_budget: int, run: Run, parts: int, max_step: float
+) -> Integration | None:
     """The integration in C; None where it cannot be: no FMU, no compiler, no addresses of CVODE, or the FMU lacks a function."""
     loops = library.load()
     if loops is None or not isinstance(model, ExchangeModel):
@@ -100,14 +102,22 @@ def compiled_integration(model: ContinuousModel, inputs: HeldInputs, rtol: float
     )
     if addresses is None or fmu is None:
         return None
-    return _CompiledIntegration(model, inputs, rtol, event_budget, run, (loops, addresses, fmu))
+    return _CompiledIntegration(model, inputs, rtol, event_budget, run, parts, max_step, (loops, addresses, fmu))
 
 
 class _CompiledIntegration(Integration):
     def __init__(
-        self, model: ExchangeModel, inputs: HeldInputs, rtol: float, event_budget: int, run: Run, made: tuple[Any, tuple[int, ...], Fmu]
+        self,
+        model: ExchangeModel,
+        inputs: HeldInputs,
+        rtol: float,
+        event_budget: int,
+        run: Run,
+        parts: int,
+        max_step: float,
+        made: tuple[Any, tuple[int, ...], Fmu],
     ) -> None:
-        super().__init__(model, inputs, rtol, event_budget, run)
+        super().__init__(model, inputs, rtol, event_budget, run, parts, max_step)
         self._exchange = model
         self._loops, addresses, fmu = made
         size, (_, points) = model.states + model.accumulated, self.targets.shape
