@@ -37,7 +37,9 @@ class PlanTable:
         number, below = rows[1]
         apart = [cell for cell in re.split(r"[\s|]+", below[0]) if cell]
         if len(rows[0][1]) == len(below) == 1 and len(apart) > 1 and all(map(_is_number, apart)):
-            raise TrajectoryError(f"plan {path}: line {number} has its {len(apart)} cells apart by spaces or bars; separate cells by comma, semicolon or tab.")
+            raise TrajectoryError(
+                f"plan {path}: line {number} has its {len(apart)} cells apart by spaces or bars; separate cells by comma, semicolon or tab."
+            )
         if all(map(_is_number, rows[0][1])):
             raise TrajectoryError(f"plan {path}: its first line holds numbers; a header with the columns' names is needed above them.")
         self._rows = rows[1:]

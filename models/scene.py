@@ -31,6 +31,7 @@ import sympy as sp
 from models.contacts import Contact, Friction
 from models.errors import SceneError
 from models.scene_annotations import Answer, Limit, Shape
+from models.scene_annotations import goal_limits as goal_limits
 from models.scene_values import as_expression, as_number, check_moving, check_name, check_symbol, check_unit, settle, settle_bounds
 
 

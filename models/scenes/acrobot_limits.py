@@ -95,21 +95,15 @@ SCENE = Scene(
         steps=1000,
     ),
     limits=(
-        *(
-            Limit(
-                metric=metric,
-                value=0.01,
-                reason="left alone for 0.1 s, 0.01 rad with 0.09 rad/s become 0.025 rad (9.01/s), an eighth of the way to the stops",
-            )
-            for metric in ("terminal_position_error", "discrete_terminal_position_error")
+        Limit(
+            metric="terminal_position_error",
+            value=0.01,
+            reason="left alone for 0.1 s, 0.01 rad with 0.09 rad/s become 0.025 rad (9.01/s), an eighth of the way to the stops",
         ),
-        *(
-            Limit(
-                metric=metric,
-                value=0.09,
-                reason="grows to the same: the faster rate of 9.01/s times the 0.01 rad of the angles",
-            )
-            for metric in ("terminal_velocity_error", "discrete_terminal_velocity_error")
+        Limit(
+            metric="terminal_velocity_error",
+            value=0.09,
+            reason="grows to the same: the faster rate of 9.01/s times the 0.01 rad of the angles",
         ),
         Limit(
             metric="replay_terminal_position_error",

@@ -120,13 +120,10 @@ SCENE = Scene(
         steps=STEPS,
     ),
     limits=(
-        *(
-            Limit(
-                metric=metric,
-                value=0.01,
-                reason="a fortieth of the 0.39 m that the box has to go; as a turn 0.6 degrees",
-            )
-            for metric in ("terminal_position_error", "discrete_terminal_position_error")
+        Limit(
+            metric="terminal_position_error",
+            value=0.01,
+            reason="a fortieth of the 0.39 m that the box has to go; as a turn 0.6 degrees",
         ),
         Limit(
             metric="replay_terminal_position_error",

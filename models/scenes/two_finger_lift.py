@@ -68,21 +68,15 @@ SCENE = Scene(
             )
             for metric in ("ghost_impulse", "missed_impulse")
         ),
-        *(
-            Limit(
-                metric=metric,
-                value=0.005,
-                reason="a tenth of the way that the disc is to be lifted",
-            )
-            for metric in ("terminal_position_error", "discrete_terminal_position_error")
+        Limit(
+            metric="terminal_position_error",
+            value=0.005,
+            reason="a tenth of the way that the disc is to be lifted",
         ),
-        *(
-            Limit(
-                metric=metric,
-                value=0.01,
-                reason="the speed that falling freely gives in 1 ms, half a step",
-            )
-            for metric in ("terminal_velocity_error", "discrete_terminal_velocity_error")
+        Limit(
+            metric="terminal_velocity_error",
+            value=0.01,
+            reason="the speed that falling freely gives in 1 ms, half a step",
         ),
         Limit(
             metric="replay_terminal_position_error",

@@ -10,10 +10,9 @@ from test_replay_foreign import edited, without
 
 from models.catalog import load_scene
 from models.fmu import build_fmu
+from models.scene import Scene
 from models.trajectory import Hold, Trajectory
 from validate.replay import Replay, ReplayOutcome, replay
-from validate.score import Question, score
-from validate.score.table import TABLE
 
 # Carts 1 and 3 run into the middle one; apart they never meet.
 COLLIDING = (2.0, 2.52, 3.05, 0.5, 0.0, -0.5)
@@ -63,20 +62,22 @@ def test_bang_bang_through_contacts_has_the_richardson_ratio_of_its_order(fmu: P
     assert result.error.everyday.position < 10 * result.error.step.position
 
 
-def test_bang_bang_that_the_steps_cannot_resolve_is_undecided(fmu: Path, tmp_path: Path):
-    """Without Model Exchange, and with steps longer than a contact lasts, the replay has only its own distrust to go by."""
-    only = edited(fmu, tmp_path / "cs.fmu", without("ModelExchange"))
-    scene = load_scene("three_cart").with_parameters(k=1e6).with_task(steps=100, start=COLLIDING)
+def short_contacts(k: float) -> tuple[Scene, Trajectory]:
+    """Carts that stand still in the plan, and collide for shorter than its steps last."""
+    scene = load_scene("three_cart").with_parameters(k=k).with_task(steps=100, start=COLLIDING)
     t, u = bang_bang(100)
     q, v = np.tile(COLLIDING[:3], (101, 1)), np.tile(COLLIDING[3:], (101, 1))
-    plan = Trajectory(t=t, q=q, v=v, u=u, lam=np.zeros((100, 2)))
-    result = replay(scene, only, plan, fineness=(1, 2, 4))
-    assert result.error.step_ratio is None or result.error.step_ratio < 2**ORDER / 4
-    of_replay = {entry.name for entry in TABLE if entry.of_replay and entry.question in (Question.MOTION, Question.POSSIBLE)}
-    of_replay -= {"ghost_impulse", "missed_impulse"}  # neither plan nor replay has a force
-    judged = [metric for metric in score(scene, plan, result).metrics if metric.name in of_replay and metric.is_judged]
-    assert {"replay_error", "max_penetration"} <= {metric.name for metric in judged}
-    assert all(metric.ok is None for metric in judged), judged
+    return scene, Trajectory(t=t, q=q, v=v, u=u, lam=np.zeros((100, 2)))
+
+
+def test_contacts_shorter_than_the_steps_are_looked_at_more_closely(fmu: Path, tmp_path: Path):
+    """Without Model Exchange nothing but the gaps and their rates tells that there was contact between two nodes."""
+    only = edited(fmu, tmp_path / "cs.fmu", without("ModelExchange"))
+    scene, plan = short_contacts(1e6)
+    result, reference = replay(scene, only, plan, fineness=(1, 2, 4)), replay(scene, fmu, plan)
+    assert result.error.estimate is not None
+    assert len(reference.events) > 0
+    assert np.abs(result.q[result.knots] - reference.q[reference.knots]).max() < 3.0 * result.error.estimate.position < 1e-2
 
 
 def smooth(t: np.ndarray) -> np.ndarray:

@@ -105,17 +105,6 @@ def test_what_lies_outside_of_bounds():
     assert eq.outside(np.zeros((0, 2)), np.zeros(2), np.ones(2)).tolist() == [0.0, 0.0]
 
 
-def test_the_deepest_point_lies_between_the_rows():
-    """A gap of (t - 0.3)^2 - 0.04, seen at 0 and 1 alone: open at both, 0.04 deep in between, and a cubic follows a parabola exactly."""
-    t = np.array([0.0, 1.0])
-    for low in (0.25, 0.5, 0.75):
-        gap, rate = (t - low)[:, None] ** 2 - 0.04, 2.0 * (t - low)[:, None]
-        assert eq.deepest(t, gap, rate) == pytest.approx(0.04)
-        assert eq.deepest(t, gap, None) == 0.0  # the rows alone
-    assert eq.deepest(t, np.array([[0.1, -0.02], [-0.01, 0.3]]), None) == pytest.approx([0.01, 0.02])
-    assert eq.deepest(t[:1], np.array([[-0.3]]), np.zeros((1, 1))) == pytest.approx(0.3)
-
-
 MOTION = np.random.default_rng(4).normal(size=(50, 3)) * np.array([1.0, 3.0, 20.0])
 
 

@@ -38,7 +38,9 @@ def lowest_between(t: np.ndarray, gap: np.ndarray, rate: np.ndarray) -> tuple[np
     with np.errstate(divide="ignore", invalid="ignore"):
         root = np.sqrt(c * c - 3.0 * d * b)
         inner = np.stack([b / -(c + root), b / -(c - root)])  # of g'(s) = b + 2 c s + 3 d s^2, in the form that d = 0 does not harm
-    places = np.clip(np.nan_to_num(np.concatenate([inner, [np.zeros_like(first), np.ones_like(first)]]), nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
+    places = np.clip(
+        np.nan_to_num(np.concatenate([inner, [np.zeros_like(first), np.ones_like(first)]]), nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0
+    )
     values = first + places * (b + places * (c + places * d))
     best = values.argmin(axis=0)[None]
     return np.take_along_axis(values, best, 0)[0], np.take_along_axis(places, best, 0)[0]

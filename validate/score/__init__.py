@@ -23,9 +23,8 @@ from validate.replay.subject import Subject
 from validate.score.cause import Told, explain
 from validate.score.closed_forms import MEASURES
 from validate.score.evidence import Evidence
-from validate.score.result import LeavesBounds, Unmeasured
 from validate.score.feedback import GROWTH, feedback_entries, limit_name
-from validate.score.result import Metric, Question, Score, Verdict
+from validate.score.result import LeavesBounds, Metric, Question, Score, Unmeasured, Verdict
 from validate.score.table import TABLE, Entry, Measured
 from validate.score.verdict import (
     EFFORT,

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from validate.replay.overlooked import lowest_between
-
 
 def physics(lam: np.ndarray, push: np.ndarray) -> float:
     """Sum over steps and contacts of abs(lam*(lam - push)) [N^2], push (steps, nc) = k*phi without damping: the paper's (10)."""
@@ -101,17 +99,6 @@ def friction_impulse_error(plan: np.ndarray, step_of: np.ndarray, friction: np.n
     """Integral over time of abs(f - f_plan) [N s], friction (n, nf) of the replay, by the trapezoid rule on its pieces."""
     planned = plan[step_of]
     return float(((np.abs(friction[:-1] - planned) + np.abs(friction[1:] - planned)) / 2 * duration[:, None]).sum())
-
-
-def deepest(t: np.ndarray, gap: np.ndarray, rate: np.ndarray | None) -> np.ndarray:
-    """(nc,) max(-gap, 0) over time [m], gap (n, nc); between the rows too, where the gap is the cubic with the gaps and their rates (n, nc) at both ends.
-
-    A piece does not cross an event. rate None: the rows alone.
-    """
-    lowest = gap.min(axis=0, initial=0.0)
-    if rate is not None and len(t) > 1:
-        lowest = np.minimum(lowest, lowest_between(t, gap, rate)[0].min(axis=0, initial=0.0))
-    return np.maximum(-lowest, 0.0)
 
 
 def energy_residual(energy: np.ndarray, input_work: np.ndarray, dissipated_work: np.ndarray) -> float:

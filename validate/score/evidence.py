@@ -16,6 +16,7 @@ from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory
 from validate.replay.inputs import HeldInputs
+from validate.replay.overlooked import lowest_between
 from validate.replay.result import Difference, Replay, ReplayOutcome
 from validate.replay.subject import Subject
 from validate.score import equations
@@ -405,6 +406,31 @@ class Evidence:
         if not isinstance(self.scene, Scene):
             return None
         return -self.kernel_rates(self.replay.q, self.replay.v)
+
+    @property
+    def deepest(self) -> np.ndarray:
+        """(nc,) largest penetration of the replay [m]; of a scene between its rows too."""
+        gap, rate = self.replay_gap, self.gap_rate
+        lowest = gap.min(axis=0, initial=0.0)
+        if rate is None or len(gap) < 2:
+            return np.maximum(-lowest, 0.0)
+        between, _ = lowest_between(self.replay.t, gap, rate)
+        for contact in range(self.scene.nc):
+            looked_at: set[int] = set()  # a cubic is a guess: where it goes deepest the motion is run once more
+            while between[:, contact].min() < lowest[contact] and (piece := int(between[:, contact].argmin())) not in looked_at:
+                looked_at.add(piece)
+                between[piece, contact] = -self._penetrations_within(piece)[:, contact].max()
+            lowest[contact] = min(lowest[contact], between[:, contact].min())
+        return np.maximum(-lowest, 0.0)
+
+    def _penetrations_within(self, piece: int, parts: int = 1000) -> np.ndarray:
+        """(parts + 1, nc) along a piece of the replay's grid, in small steps from its first row [m]."""
+        replay, held, step = self.replay, self.held_inputs, self.step_of[piece]
+        h = float(self.duration[piece]) / parts
+        u = (held.values if replay.applied is None else replay.applied)[step]
+        late = replay.t[piece] - self.trajectory.t[step] + h * (np.arange(parts) + 0.5)
+        run = self.kernel.rollout(np.concatenate([replay.q[piece], replay.v[piece]]), u + held.slopes[step] * late[:, None], h)
+        return self.kernel.penetration(run.q)
 
     def kernel_rates(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """(n, nc) phi' = d phi/dq v [m/s] at states (n, nq)."""

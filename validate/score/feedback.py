@@ -11,8 +11,7 @@ import numpy as np
 from validate.replay.feedback import Effort
 from validate.replay.growth import Growth
 from validate.score.evidence import Evidence
-from validate.score.result import LeavesBounds, Unmeasured
-from validate.score.result import Question
+from validate.score.result import LeavesBounds, Question, Unmeasured
 from validate.score.table import TABLE, Entry
 from validate.score.verdict import EFFORT, SHARE, TRACKED
 

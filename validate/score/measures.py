@@ -255,7 +255,7 @@ def _replay_limit(case: Evidence) -> float:
 
 def max_penetration(case: Evidence) -> Measured:
     depths = np.array([np.inf if depth is None else depth for depth in case.scene.depths])
-    return Measured(values=eq.deepest(case.replay.t, case.replay_gap, case.gap_rate), error=case.error.gap, scales=depths)
+    return Measured(values=case.deepest, error=case.error.gap, scales=depths)
 
 
 def ghost_impulse(case: Evidence) -> Measured:

@@ -66,7 +66,7 @@ class Stepper:
 
     def parts(self, steps: np.ndarray, x: np.ndarray, parts: int) -> OwnSteps:
         """Of some of the steps, (n,) their places, from states x (n, 2 nq); each in so many parts. Not a number where it leaves every bound."""
-        nq, nl, held = x.shape[1] // 2, self._kernel.scene.nl, self._held
+        nl, held = self._kernel.scene.nl, self._held
         ends, least, most = np.empty_like(x), np.empty((len(x), nl)), np.empty((len(x), nl))
         lengths = self._h[steps]
         for h in np.unique(lengths):

@@ -118,7 +118,9 @@ def _by_departures(case: Evidence, h: np.ndarray) -> np.ndarray:
     arriving = case.own_steps(departing).ends[:, case.scene.nq :]
     jump = np.vstack([departing[:1] - case.start_velocity, departing[1:] - arriving[:-1]])
     spans = np.concatenate([h[:1], (h[1:] + h[:-1]) / 2.0])
-    allowed = (2.0 * p_q + late * np.abs(departing).max(axis=1)) * (gains + np.concatenate([gains[:1], gains[:-1]])) + h * case.printing_acceleration
+    allowed = (2.0 * p_q + late * np.abs(departing).max(axis=1)) * (
+        gains + np.concatenate([gains[:1], gains[:-1]])
+    ) + h * case.printing_acceleration
     return (sizes(mass[:-1], jump) - allowed * sizes(mass[:-1], np.ones(case.scene.nq))).clip(0.0) / spans
 
 

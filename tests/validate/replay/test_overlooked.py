@@ -1,0 +1,94 @@
+"""Contact between two steps of an integrator: found where there is one, and never passed over in silence."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models.catalog import load_scene
+from models.fmu import build_fmu
+from models.scene import Scene
+from models.trajectory import Trajectory
+from validate.judge import judge
+from validate.replay import replay
+from validate.replay.overlooked import lowest_between
+
+SCENES = Path(__file__).parents[2] / "scenes"
+SPEED, PLACE = 10.0, 1.091
+
+
+def scene_with(**parameters: float) -> Scene:
+    return load_scene(str(SCENES / "thin_pane.py")).with_parameters(**parameters)
+
+
+def through(scene: Scene, **declared: object) -> Trajectory:
+    """The ball flies on as if there were no pane."""
+    t = scene.task.step * np.arange(scene.task.steps + 1)
+    arrays = {"q": SPEED * t[:, None], "v": np.full((len(t), 1), SPEED), "u": np.zeros((len(t) - 1, 1)), "lam": np.zeros((len(t) - 1, 1))}
+    return Trajectory(t=t, **arrays, **declared)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("missing", [frozenset(), frozenset({"q", "v", "lam"})])
+def test_a_pane_thinner_than_a_step_sends_the_ball_back(missing: frozenset[str]):
+    scene = scene_with()
+    found = judge(scene, through(scene, missing=missing))
+    assert found.verdict.value == "violates"
+    assert [event.closes for event in found.replay.events] == [True, False]
+    # Elastic: the same speed back, from where the pane begins; within it, it is for microseconds.
+    assert found.replay.end == pytest.approx([2.0 * (PLACE - 2e-4) - SPEED * scene.task.horizon, -SPEED], abs=2e-4)
+    assert found.replay.error.estimate.state < 1e-4
+
+
+def test_a_pane_that_breaks_lets_it_through():
+    """k/2 (w/4)^2 = 50 J is what the ball has: 40 J let it pass, and slow it down inside alone."""
+    scene = scene_with(k=0.8e10)
+    found = judge(scene, through(scene))
+    assert found.replay.end == pytest.approx([2.0, SPEED], abs=1e-3)
+    assert [event.closes for event in found.replay.events] == [True, False]
+    assert found.score.value("max_penetration") == pytest.approx(1e-4, rel=1e-5)
+
+
+def test_a_pane_that_no_step_can_see_leaves_the_plan_undecided():
+    scene = scene_with(w=1e-6, k=1e14)
+    found = replay(scene, build_fmu(scene), through(scene))
+    assert "steps over a contact" in found.message
+    assert found.error.estimate is None
+    assert judge(scene, through(scene)).verdict.value == "undecided"
+
+
+def test_the_least_value_of_a_cubic_between_two_rows():
+    """Of cubics and parabolas drawn at random, against ten thousand points of each."""
+    random = np.random.default_rng(4)
+    s = np.linspace(0.0, 1.0, 10_001)
+    for degree in (3, 2, 1, 0):
+        b = np.zeros(4)
+        b[: degree + 1] = random.normal(size=degree + 1)
+        h = 0.25
+        polynomial = np.polynomial.Polynomial(b)
+        gap = polynomial(np.array([0.0, 1.0]))[:, None]
+        rate = polynomial.deriv()(np.array([0.0, 1.0]))[:, None] / h
+        lowest, place = lowest_between(np.array([1.0, 1.0 + h]), gap, rate)
+        assert lowest[0, 0] == pytest.approx(polynomial(s).min(), abs=1e-7)
+        assert polynomial(place[0, 0]) == pytest.approx(lowest[0, 0], abs=1e-12)
+
+
+@pytest.mark.parametrize("rows", [1, 3, 7, 20, 400])
+def test_what_a_plan_costs_and_how_deep_it_goes_does_not_depend_on_its_rows(rows: int):
+    """Constant pushes in so many rows: one motion, and one set of figures."""
+    scene = load_scene("three_cart")
+    t = np.linspace(0.0, scene.task.horizon, rows + 1)
+    u = np.tile([10.0, -10.0], (rows, 1))
+    found = judge(scene, {"t": t, "u1": u[:, 0], "u3": u[:, 1]})
+    assert found.score.value("max_penetration") == pytest.approx(0.68624476, abs=1e-7)
+    assert found.score.value("replay_cost") == pytest.approx(500 * 200.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 5, 20, 60])
+def test_a_cost_of_states_is_that_of_the_tasks_own_steps(rows: int):
+    scene = load_scene("wall_pendulum")
+    t = np.linspace(0.0, scene.task.horizon, rows + 1)
+    found = [
+        judge(scene, {"t": grid, "u": np.full(len(grid) - 1, 0.1)}).score.value("replay_cost")
+        for grid in (t, scene.task.step * np.arange(scene.task.steps + 1))
+    ]
+    assert found[0] == pytest.approx(found[1], rel=1e-6)
