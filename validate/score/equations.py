@@ -35,9 +35,9 @@ def contact_law_error(lam: np.ndarray, law: np.ndarray, least: np.ndarray, most:
     return float((h[:, None] * np.maximum(np.maximum(lam - high, low - lam), 0.0)).sum())
 
 
-def force_window(lam: np.ndarray, step_of: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
+def force_window(lam: np.ndarray, step_of: np.ndarray, steps: int, mean: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Least and largest (steps, nc) of a replay's forces lam (n, nc) from the step before each of the plan's to the one after; step_of (n-1,) the
-    plan's step of each piece.
+    plan's step of each piece; mean (steps, nc) over each step, where it is known.
 
     A planned force may be one of the start of its step, of its end, or a mean, and a contact may open or close a step sooner or later than on the
     plan's grid.
@@ -45,6 +45,8 @@ def force_window(lam: np.ndarray, step_of: np.ndarray, steps: int) -> tuple[np.n
     first, last = np.searchsorted(step_of, np.arange(steps)), np.searchsorted(step_of, np.arange(steps), side="right")
     least = np.array([lam[i : j + 1].min(axis=0) for i, j in zip(first, last, strict=True)]).reshape(steps, lam.shape[1])
     largest = np.array([lam[i : j + 1].max(axis=0) for i, j in zip(first, last, strict=True)]).reshape(steps, lam.shape[1])
+    if mean is not None:
+        least, largest = np.minimum(least, mean), np.maximum(largest, mean)
     before, after = [0, *range(steps - 1)], [*range(1, steps), steps - 1]
     return np.minimum(np.minimum(least[before], least), least[after]), np.maximum(np.maximum(largest[before], largest), largest[after])
 

@@ -20,7 +20,7 @@ from validate.replay.overlooked import lowest_between
 from validate.replay.result import Difference, Replay, ReplayOutcome
 from validate.replay.subject import Subject
 from validate.score import equations
-from validate.score.own_steps import OwnSteps, Stepper
+from validate.score.own_steps import Departures, OwnSteps, Stepper
 from validate.score.printing import half_unit
 from validate.score.result import LeavesBounds, Unmeasured
 
@@ -148,8 +148,8 @@ class Evidence:
         return Stepper(self.kernel, self.held_inputs, self.trajectory.t, np.diff(self.trajectory.t))
 
     @cached_property
-    def departures(self) -> tuple[np.ndarray, np.ndarray]:
-        """(steps, nq) the velocities that lead from each of the plan's positions to the next, and (steps,) their gains (`Stepper.departures`)."""
+    def departures(self) -> Departures:
+        """The velocities that lead from each of the plan's positions to the next."""
         return self.stepper.departures(self.q, self.start_velocity, np.array([item.nominal for item in self.scene.coordinates]))
 
     @cached_property
@@ -157,7 +157,7 @@ class Evidence:
         """(nodes, nq) velocities of the plan; where it says none, those that its positions take."""
         if "v" not in self.trajectory.missing:
             return self.trajectory.v
-        v = self.departures[0]
+        v = self.departures.v
         return np.vstack([v, self.own_steps(v).ends[-1, self.scene.nq :]])
 
     def own_steps(self, v: np.ndarray) -> OwnSteps:
@@ -448,9 +448,12 @@ class Evidence:
 
     @cached_property
     def force_window(self) -> tuple[np.ndarray, np.ndarray]:
-        """Least and largest (steps, nc) of the replay's contact forces within a step of each of the plan's [N]."""
+        """Least and largest (steps, nc) of the replay's contact forces within a step of each of the plan's [N], their means over steps among them: of a
+        bounce between two rows no row tells."""
         self.need("lam")
-        return equations.force_window(self.replay.lam, self.step_of, self.trajectory.steps)
+        replay, steps = self.replay, self.trajectory.steps
+        mean = None if replay.contact_impulse is None else np.diff(replay.contact_impulse[replay.knots], axis=0) / np.diff(self.trajectory.t)[:, None]
+        return equations.force_window(replay.lam, self.step_of, steps, mean)
 
     @cached_property
     def step_of(self) -> np.ndarray:

@@ -9,8 +9,8 @@ Of a scene without inertia (models.quasi_static) forces are velocities: what its
 A plan that says both must not move by more or less than its velocities at both ends of the step, or the true motion, allow. Friction forces
 that it claims must move it as the true ones do: within mu N a sticking one is not free, it is what holds. Velocities that it does
 not say follow from its positions, in whichever of two ways explains it better: those with which the true motion arrives at the next position - what
-then jumps at a node is unexplained -, or backward differences, which are the velocities of whoever steps as semi-implicit Euler does. Where the first
-are not to be had and the second do not explain it, the metric has no number: that is no fault of the plan.
+then jumps at a node is unexplained, and by how much the next position is missed -, or backward differences, which are the velocities of whoever steps
+as semi-implicit Euler does.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def _of_motion(case: Evidence, enough: float) -> np.ndarray:
     if "v" not in plan.missing:
         return _by_velocities(case, h, plan.v, case.printing("v"))
     if case.equations.relaxation_index is not None:
-        return _without_inertia(case, h, case.departures[0])
+        return _without_inertia(case, h, case.departures.v)
     backward = np.vstack([case.start_velocity, np.diff(case.q, axis=0) / h[:, None]])
     found = _by_velocities(case, h, backward, 2.0 * case.printing("q") / float(h.min()))
     if found.max() <= enough:
@@ -113,7 +113,7 @@ def _relaxation_time(case: Evidence) -> float:
 
 def _by_departures(case: Evidence, h: np.ndarray) -> np.ndarray:
     """(steps,) with the velocities that lead from each position to the next; the first must be the task's."""
-    p_q, mass, (departing, gains) = case.printing("q"), case.masses, case.departures
+    p_q, mass, departing, gains = case.printing("q"), case.masses, case.departures.v, case.departures.gains
     late = 2.0 * case.printing("t")
     arriving = case.own_steps(departing).ends[:, case.scene.nq :]
     jump = np.vstack([departing[:1] - case.start_velocity, departing[1:] - arriving[:-1]])
@@ -121,7 +121,9 @@ def _by_departures(case: Evidence, h: np.ndarray) -> np.ndarray:
     allowed = (2.0 * p_q + late * np.abs(departing).max(axis=1)) * (
         gains + np.concatenate([gains[:1], gains[:-1]])
     ) + h * case.printing_acceleration
-    return (sizes(mass[:-1], jump) - allowed * sizes(mass[:-1], np.ones(case.scene.nq))).clip(0.0) / spans
+    unit = sizes(mass[:-1], np.ones(case.scene.nq))
+    missed = (sizes(mass[:-1], case.departures.missed) - 2.0 * p_q * unit) / h**2
+    return np.maximum((sizes(mass[:-1], jump) - allowed * unit) / spans, missed).clip(0.0)
 
 
 def _reference(case: Evidence) -> float:
