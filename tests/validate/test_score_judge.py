@@ -94,6 +94,17 @@ def test_other_start_and_broken_bounds_are_seen(scene: Scene, plan: Trajectory):
     assert score(scene, strong, None).value("bound_violation") == pytest.approx(0.5)
 
 
+def test_a_task_of_a_micrometre_is_not_started_at_its_goal(scene: Scene, plan: Trajectory):
+    """The nominal of a position says what is large; a start is near only against the way that is asked for."""
+    start = np.array(scene.task.start)
+    small = scene.with_task(goal=(*(start[:3] + 1e-6), *start[3:]))
+    metric = score(small, replace(plan, q=plan.q + 1e-6), None).metric("start_error")
+    assert metric.value == pytest.approx(1e-6, rel=1e-3)
+    assert metric.limit == pytest.approx(1e-12, rel=1e-3)
+    assert metric.ok is False
+    assert score(small, plan, None).metric("start_error").ok is True
+
+
 def test_without_a_replay_only_a_violation_can_be_found(scene: Scene, plan: Trajectory):
     held = score(scene, plan, None)
     assert held.verdict is Verdict.UNDECIDED
