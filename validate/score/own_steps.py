@@ -6,7 +6,7 @@ light body in a strong damper, or a hard bounce within one step, needs thousands
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +21,9 @@ _FIRST, _DOUBLINGS = 50, 8
 _SETTLED = 1e-3
 # Newton steps towards a velocity, and what is then missed at most, in nominals.
 _SHOTS, _MISSED = 20, 1e-10
+
+# Parts of steps in one call of the kernel: 200 MB for three carts.
+_AT_ONCE = 2_000_000
 
 Size = Callable[[np.ndarray], np.ndarray]
 
@@ -78,9 +81,8 @@ class Stepper:
         """Of some of the steps, (n,) their places, from states x (n, 2 nq); each in so many parts. Not a number where it leaves every bound."""
         nl, held = self._kernel.scene.nl, self._held
         ends, least, most = np.empty_like(x), np.empty((len(x), nl)), np.empty((len(x), nl))
-        lengths = self._h[steps]
-        for h in np.unique(lengths):
-            rows = np.flatnonzero(lengths == h)
+        for rows in self._alike(steps, parts):
+            h = self._h[steps[rows[0]]]
             within = (np.arange(parts) + 0.5)[None, :, None] * (h / parts)
             u = held.values[steps[rows], None] + held.slopes[steps[rows], None] * within
             run = rollouts(self._kernel, x[rows], u, float(h) / parts)
@@ -88,6 +90,13 @@ class Stepper:
             least[rows], most[rows] = run.lam.min(axis=1), run.lam.max(axis=1)
             ends[rows[run.finite_steps < parts]] = np.nan
         return OwnSteps(ends=ends, least=least, most=most)
+
+    def _alike(self, steps: np.ndarray, parts: int) -> Iterator[np.ndarray]:
+        """Places among the steps of those that are equally long, so many at a time that they fit in memory."""
+        lengths = np.round(self._h[steps] / self._h.max(), 9)
+        for length in np.unique(lengths):
+            rows = np.flatnonzero(lengths == length)
+            yield from np.array_split(rows, -(-len(rows) * parts // _AT_ONCE))
 
     def departures(self, q: np.ndarray, v0: np.ndarray, nominal: np.ndarray) -> Departures:
         """From positions q (nodes, nq) alone. v0 (nq,): velocities of the task's start; nominal (nq,) of the positions.
