@@ -91,7 +91,7 @@ def judge(
     trajectory = as_trajectory(plan, subject, hold=hold, scheme=scheme)
     if trajectory is None:
         return Judgement(scene=subject, plan=None, replay=None, score=score(subject, None, None))
-    return judge_trajectory(subject, build_fmu(subject), trajectory, feedback=feedback, limits=limits)
+    return judge_trajectory(subject, build_fmu(subject, results=False), trajectory, feedback=feedback, limits=limits)
 
 
 def judge_trajectory(scene: Scene, fmu: Path, plan: Trajectory, *, feedback: bool = False, limits: Limits | None = None) -> Judgement:

@@ -101,6 +101,15 @@ def test_every_form_of_a_plan_gives_the_same_verdict(held, tmp_path: Path, form:
     assert told.replay.tracked is None, "feedback is not tried where the inputs alone do"
 
 
+def test_the_judge_integrates_no_reference_results(held, monkeypatch):
+    """They take seconds, of a stiff scene minutes, outside of every limit; a replay has no use for them."""
+    from models.fmu import experiment
+
+    monkeypatch.setattr(experiment, "true_motion_and_method", lambda *arguments: pytest.fail("integrated"))
+    scene, plan = held
+    assert judge(scene.with_parameters(m=1.0 + 1e-9), plan).holds
+
+
 def test_a_solution_without_a_plan_is_a_verdict():
     told = judge("three_cart", solution(None))
     assert (told.verdict, told.plan, told.replay, told.holds) == (Verdict.NO_PLAN, None, None, False)

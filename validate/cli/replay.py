@@ -125,7 +125,7 @@ def _of_scene(scene: str, plan: Path, hold: str | None, limits: Any, track: bool
     longest = float(max(after - before for before, after in pairwise(trajectory.t)))
     same = math.isclose(longest, loaded.task.step, rel_tol=1e-9)
     warnings = doubts_of([loaded if same else loaded.with_task(step=longest)], steps=trajectory.scheme is not None)
-    return judge_trajectory(loaded, build_fmu(loaded), trajectory, feedback=track, limits=limits), warnings
+    return judge_trajectory(loaded, build_fmu(loaded, results=False), trajectory, feedback=track, limits=limits), warnings
 
 
 def _of_fmu(fmu: Path, plan: Path, map_path: Path | None, hold: str | None, limits: Any, track: bool) -> tuple[Judgement, list[str]]:
