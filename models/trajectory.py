@@ -103,7 +103,7 @@ class Trajectory:
         return np.concatenate([self.q[-1], self.v[-1]])
 
     def check_fits(self, scene: Scene) -> None:
-        """Raise TrajectoryError if the numbers of positions, inputs or contacts are not those of the scene."""
+        """Raise TrajectoryError if the numbers of positions, inputs or contacts are not those of the scene, or the scene does not have the scheme."""
         for field, found, expected, what in (
             ("q", self.q.shape[1], scene.nq, "positions"),
             ("u", self.u.shape[1], scene.nu, "inputs"),
@@ -111,6 +111,11 @@ class Trajectory:
         ):
             if found != expected:
                 raise TrajectoryError(f"plan: {field} has {found} columns, but scene {scene.name} has {expected} {what}.")
+        if scene.nf and self.scheme not in (None, Scheme.SEMI_IMPLICIT_EULER):
+            raise TrajectoryError(
+                f"plan: it declares the scheme {self.scheme.value}, but the friction of scene {scene.name} is known to "
+                f"{Scheme.SEMI_IMPLICIT_EULER.value} alone; leave the declaration out if another program's time step made it."
+            )
 
     @property
     def duration(self) -> float:
@@ -234,7 +239,9 @@ def trajectory_from(table: PlanTable | ArrayTable, scene: Scene, hold: Hold | No
     forces = [table.column(name, last_is_open=steps < table.rows) if name in header else np.zeros(steps) for name in names["lam"]]
     lam = np.column_stack(forces) if forces else np.zeros((steps, 0))
     try:
-        return Trajectory(t=t, q=q, v=v, u=u, lam=lam, hold=hold, scheme=scheme, missing=missing, u_end=u_end)
+        plan = Trajectory(t=t, q=q, v=v, u=u, lam=lam, hold=hold, scheme=scheme, missing=missing, u_end=u_end)
+        plan.check_fits(scene)
+        return plan
     except TrajectoryError as error:
         raise TrajectoryError(f"{error} ({table.source})") from error
 

@@ -315,6 +315,28 @@ def test_a_plan_of_another_scene_is_refused(scene, plan: Trajectory):
         other.check_fits(scene)
 
 
+@pytest.mark.parametrize("scheme", Scheme)
+def test_a_scheme_that_the_scene_does_not_have_is_refused_where_the_two_meet(tmp_path: Path, scheme: Scheme):
+    """Friction has no collocation step, whoever reads the plan."""
+    rubbing, path = load_scene("hopper_planar"), tmp_path / "plan.csv"
+    t = uniform_grid(rubbing.task.step, rubbing.task.steps)
+    columns = {"t": t} | {item.name: np.zeros(len(t) - 1) for item in rubbing.inputs}
+    rows = ["t," + ",".join(item.name for item in rubbing.inputs), "0" + ",0" * rubbing.nu, "1" + "," * rubbing.nu]
+    path.write_text(f"# scheme: {scheme.value}\n" + "\n".join(rows) + "\n")
+    bare = replace(trajectory_from(ArrayTable(columns), rubbing), scheme=scheme)
+    readers = (
+        lambda: bare.check_fits(rubbing),
+        lambda: trajectory_from(ArrayTable(columns, scheme=scheme.value), rubbing),
+        lambda: read_csv(path, rubbing),
+    )
+    for read in readers:
+        if scheme is Scheme.SEMI_IMPLICIT_EULER:
+            read()
+        else:
+            with pytest.raises(TrajectoryError, match=f"the scheme {scheme.value}, but the friction of scene hopper_planar is known to semi_implicit"):
+                read()
+
+
 def test_arrays_cannot_be_changed_afterwards(plan: Trajectory):
     with pytest.raises(ValueError, match="read-only"):
         plan.q[0, 0] = 1.0
