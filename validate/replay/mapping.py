@@ -15,7 +15,7 @@ import numpy as np
 from models.errors import TrajectoryError
 from models.plan_table import PlanTable
 from models.scene_annotations import Limit
-from models.trajectory import HOLDS, Trajectory, declared_hold, declared_scheme, missing_groups, times_and_inputs
+from models.trajectory import Trajectory, declared_hold, declared_scheme, missing_groups, times_and_inputs
 from models.units import base_exponents
 from validate.replay.equal_names import Named, by_equal_names, hint
 from validate.replay.map_schema import InputSignal, MapError, MapFile, Signal
@@ -470,8 +470,7 @@ class _Wiring:
         """The plan; what it does not say is in `missing`, with zeros in its place."""
         given, table, groups, missing = self.map, self._table, self._groups(), self._missing()
         who = "--hold" if hold else f"{self._where} (plan.hold)"
-        asked = hold or given.plan.hold
-        held = declared_hold(table, None if asked is None else HOLDS[asked], who)
+        held = declared_hold(table, hold or given.plan.hold, who)
         t, u, u_end = times_and_inputs(table, given.plan.time, list(given.inputs), held, self._duration(missing))
         nodes, steps = len(t), len(t) - 1
 
