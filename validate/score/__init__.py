@@ -23,7 +23,7 @@ from validate.replay.subject import Subject
 from validate.score.cause import Told, explain
 from validate.score.closed_forms import MEASURES
 from validate.score.evidence import Evidence
-from validate.score.result import LeavesBounds, Unmeasured
+from validate.score.result import Contradicted, LeavesBounds, Unmeasured
 from validate.score.feedback import GROWTH, feedback_entries, limit_name
 from validate.score.result import Metric, Question, Score, Verdict
 from validate.score.table import TABLE, Entry, Measured
@@ -228,7 +228,7 @@ def _metric(entry: Entry, case: Evidence) -> Metric:
             return replace(empty, reason=str(beyond))
         return replace(empty, reason=str(beyond), limit=stated, ok=False, default=own is None)
     except Unmeasured as missing:
-        if not limited or waived or not _can_be_asked(entry, case):
+        if not limited or waived or not (isinstance(missing, Contradicted) or _can_be_asked(entry, case)):
             return replace(empty, reason=str(missing))
         return replace(empty, reason=str(missing), limit=stated, default=own is None)
     found = replace(empty, value=worst.value, error=worst.error, unit=worst.unit or unit)
