@@ -9,8 +9,10 @@ from __future__ import annotations
 import csv
 import difflib
 import math
+import numbers
 import re
 import unicodedata
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,12 @@ import numpy as np
 from models.errors import TrajectoryError
 from models.schemes import Scheme
 
+# What may stand around a comment, beside blanks: quotes and the marks that cells are apart by.
+_AROUND = "\"',; \t"
+# A number as programs write it; float() reads 1_0 and other alphabets' digits too, which nobody means.
+_NUMBER = re.compile(r"\s*[+-]?(([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|nan|inf|infinity)\s*", re.IGNORECASE | re.ASCII)
+# Kinds of numpy's types whose numbers are real, and those whose values must be looked at one by one.
+_REAL, _MIXED = "biuf", "OUS"
 # What a comment may declare, and the values that it may have.
 _DECLARED = {"scheme": tuple(scheme.value for scheme in Scheme), "hold": ("zero", "linear")}
 
@@ -85,10 +93,9 @@ class PlanTable:
             cell = row[index] if index < len(row) else ""
             if last_is_open and place == self.rows:
                 break
-            try:
-                values.append(float(cell))
-            except ValueError:
-                raise TrajectoryError(f"{self.where}: line {number}, column {name!r}: {cell!r} is not a number.") from None
+            if not _is_number(cell):
+                raise TrajectoryError(f"{self.where}: line {number}, column {name!r}: {cell!r} is not a number.")
+            values.append(float(cell))
             if not math.isfinite(values[-1]):
                 raise TrajectoryError(f"{self.where}: line {number}, column {name!r}: {cell!r} is not a finite number.")
         return np.array(values)
@@ -114,8 +121,10 @@ def _rows(path: Path) -> tuple[list[tuple[int, list[str]]], dict[str, str]]:
             f"plan {path}: it is not text in UTF-8 (byte {error.start} is none of it); save it as CSV in UTF-8."
         ) from error
     numbered = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
-    declared = _declarations(path, [(number, line) for number, line in numbered if line.startswith("#")])
-    lines = [(number, line) for number, line in numbered if not line.startswith("#")]
+    # Spreadsheets save a comment as a cell: in quotes, with empty cells behind it.
+    bare = [(number, line.strip(_AROUND)) for number, line in numbered]
+    declared = _declarations(path, [(number, line) for number, line in bare if line.startswith("#")])
+    lines = [numbered[place] for place, (_, line) in enumerate(bare) if not line.startswith("#")]
     header = re.sub(r'"[^"]*"', "", lines[0][1]) if lines else ""
     mark = next((mark for mark in ";\t" if mark in header), ",")
     rows = [(number, _cells(path, number, line, mark)) for number, line in lines]
@@ -125,13 +134,18 @@ def _rows(path: Path) -> tuple[list[tuple[int, list[str]]], dict[str, str]]:
 
 
 def _declarations(path: Path, comments: list[tuple[int, str]]) -> dict[str, str]:
-    """`# key: value` of the keys that are known; what declares a known value under nearly such a key is a mistake, any other comment is a comment."""
+    """`# key: value` of the keys that are known; what declares a known value under nearly such a key, or without a mark, is a mistake, and any other
+    comment is a comment."""
     declared: dict[str, str] = {}
     for number, line in comments:
-        match = re.fullmatch(r"#+\s*([A-Za-z_]+)\s*[:=]\s*(.*?)\s*", line)
+        match = re.fullmatch(r"#+\s*([A-Za-z_]+)(\s*[:=]\s*|\s+)(.*?)", line)
         if match is None:
             continue
-        key, value = match.group(1).lower(), match.group(2)
+        key, mark, value = match.group(1).lower(), match.group(2).strip(), match.group(3)
+        if not mark:
+            if value.lower() in _DECLARED.get(key, ()):
+                raise TrajectoryError(f"plan {path}: line {number}: {line!r} declares nothing; write '# {key}: {value}'.")
+            continue
         if key not in _DECLARED:
             close = difflib.get_close_matches(key, _DECLARED, n=1, cutoff=0.7)
             if close and value.lower() in _DECLARED[close[0]]:
@@ -144,11 +158,7 @@ def _declarations(path: Path, comments: list[tuple[int, str]]) -> dict[str, str]
 
 
 def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
+    return _NUMBER.fullmatch(cell) is not None
 
 
 def _cells(path: Path, number: int, line: str, mark: str) -> list[str]:
@@ -158,21 +168,52 @@ def _cells(path: Path, number: int, line: str, mark: str) -> list[str]:
         raise TrajectoryError(f"plan {path}: line {number} cannot be read ({error}); separate its cells by {mark!r}.") from error
 
 
+def real_numbers(what: str, values: Any) -> np.ndarray:
+    """A copy as floats that changes no number: of booleans, integers and reals, or of objects and text that are such, where None and pandas' NA are NaN.
+
+    Raises TrajectoryError for anything that only looks like numbers: complex ones, masked ones, dates and durations.
+    """
+    try:
+        given = np.asanyarray(values)
+    except (TypeError, ValueError) as error:
+        raise TrajectoryError(f"plan: {what} must be numbers, in rows of equal length ({error}).") from error
+    if np.ma.is_masked(given):
+        raise TrajectoryError(f"plan: {what} has masked values, which are no numbers; fill them, or leave the column out.")
+    if given.dtype.kind in _MIXED:
+        return np.array([_real(what, cell) for cell in given.flat], dtype=float).reshape(given.shape)
+    if given.dtype.kind not in _REAL:
+        raise TrajectoryError(f"plan: {what} is of type {given.dtype}, but must be real numbers; convert it.")
+    return np.array(given, dtype=float)
+
+
+def _real(what: str, cell: Any) -> float:
+    """A cell of an array of objects or text."""
+    text = cell.decode("ascii", "replace") if isinstance(cell, bytes) else str(cell) if isinstance(cell, str) else cell
+    if text is None or type(text).__name__ == "NAType":  # pandas' NA, which need not be installed
+        return math.nan
+    if isinstance(text, (numbers.Real, np.bool_, Decimal)) or (isinstance(text, str) and _is_number(text)):
+        return float(text)
+    raise TrajectoryError(f"plan: {what} must be real numbers, but holds {text!r}.")
+
+
 class ArrayTable:
     """The same of arrays by column names (a mapping, or a pandas DataFrame): inputs and forces may be one shorter than `t`, or end in NaN.
 
     declared: scheme and hold, as a CSV would.
     """
 
-    def __init__(self, columns: Any, **declared: str | None) -> None:
+    def __init__(self, columns: Any, **declared: Any) -> None:
         """Raises TrajectoryError naming the column."""
         self.where, self.source = "plan", "arrays"
         self.declared = {key: value for key, value in declared.items() if value is not None}
         self.units: dict[str, str] = {}
-        try:
-            self._columns = {str(name): np.asarray(columns[name], dtype=float) for name in columns}
-        except (TypeError, ValueError) as error:
-            raise TrajectoryError(f"plan: its columns must be arrays of numbers by name ({error}).") from error
+        names = list(columns.columns if hasattr(columns, "columns") else columns)
+        for name in names:
+            if not isinstance(name, str):
+                raise TrajectoryError(f"plan: a column is called {name!r}, but its name must be text.")
+            if names.count(name) > 1:
+                raise TrajectoryError(f"plan: the column {name!r} stands there twice.")
+        self._columns = {name: real_numbers(f"the column {name!r}", columns[name]) for name in names}
         self.names = tuple(self._columns)
         for name, values in self._columns.items():
             if values.ndim != 1:

@@ -51,7 +51,7 @@ def check_scene(scene: Scene) -> None:
     _check_steps(scene)
     _check_symbols(scene)
     _check_bodies(scene)
-    _check_goal_limits(scene)
+    _check_limits(scene)
     checked_once(scene, check_expressions)
 
 
@@ -201,8 +201,11 @@ def _check_bodies(scene: Scene) -> None:
             raise _fail(scene, f"contact {contact.name}: depth is {depth:g} m, but must be positive.")
 
 
-def _check_goal_limits(scene: Scene) -> None:
-    """A goal says how near is near enough, of the plan and of its replay, positions and velocities apart."""
+def _check_limits(scene: Scene) -> None:
+    """A metric has one limit. A goal says how near is near enough, of the plan and of its replay, positions and velocities apart."""
+    for metric, count in Counter(limit.metric for limit in scene.limits).items():
+        if count > 1:
+            raise _fail(scene, f"there are {count} limits on {metric}; leave one of them.")
     goal = scene.task.goal
     for part, values in (("position", goal[: scene.nq]), ("velocity", goal[scene.nq :])):
         if all(value is None for value in values):

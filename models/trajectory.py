@@ -17,15 +17,16 @@ CSV: one row a node, columns `t`, then the scene's names (`q1 ... v1 ... u1 ... 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from models.errors import TrajectoryError
-from models.plan_table import ArrayTable, PlanTable
+from models.plan_table import ArrayTable, PlanTable, real_numbers
 from models.scene import Scene
 from models.schemes import Scheme
 
@@ -39,11 +40,43 @@ class Hold(Enum):
 
 # What a hold is called in a CSV, on the command line and in maps.
 HOLDS = {"zero": Hold.ZERO_ORDER, "linear": Hold.LINEAR}
+# What a plan's author may leave out.
+GROUPS = ("q", "v", "lam", "friction")
+
+
+def as_scheme(value: Any, where: str = "plan") -> Scheme | None:
+    """A scheme, given as such or by its text; None is none. Raises TrajectoryError for what is neither."""
+    if value is None or isinstance(value, Scheme):
+        return value
+    known = [item.value for item in Scheme]
+    if value in known:
+        return Scheme(value)
+    close = difflib.get_close_matches(value, known, n=1) if isinstance(value, str) else []
+    hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(known)}; without this line it declares none."
+    raise TrajectoryError(f"{where}: the scheme {value!r} is unknown; {hint}")
+
+
+def as_hold(value: Any, where: str = "plan") -> Hold:
+    """A hold, given as such or by its text in `HOLDS`. Raises TrajectoryError for what is neither."""
+    if isinstance(value, Hold):
+        return value
+    if isinstance(value, str) and value in HOLDS:
+        return HOLDS[value]
+    raise TrajectoryError(f"{where}: the hold {value!r} is unknown; it is {' or '.join(HOLDS)}.")
+
+
+def _as_groups(value: Any) -> frozenset[str]:
+    """What a plan does not say. Raises TrajectoryError for anything but names of groups."""
+    names = list(value) if isinstance(value, Iterable) and not isinstance(value, str) else [value]
+    unknown = [name for name in names if not (isinstance(name, str) and name in GROUPS)]
+    if unknown or isinstance(value, str):
+        raise TrajectoryError(f"plan: missing is {value!r}, but must be a set of {', '.join(map(repr, GROUPS))}, or empty.")
+    return frozenset(names)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trajectory:
-    """See the module docstring. Raises TrajectoryError for wrong shapes, NaN, or times that do not increase."""
+    """See the module docstring. Raises TrajectoryError for wrong shapes, NaN, or times that do not increase. hold and scheme may be given by their text."""
 
     t: np.ndarray
     q: np.ndarray
@@ -59,12 +92,15 @@ class Trajectory:
         for field in ("t", "q", "v", "u", "lam", "u_end"):
             if getattr(self, field) is None and field == "u_end":
                 continue
-            array = np.array(getattr(self, field), dtype=float)
+            array = real_numbers(field, getattr(self, field))
             if not np.isfinite(array).all():
                 where = tuple(int(index) for index in np.argwhere(~np.isfinite(array))[0])
                 raise TrajectoryError(f"plan: {field}{list(where)} is {array[where]}; every value must be a finite number.")
             array.setflags(write=False)
             object.__setattr__(self, field, array)
+        object.__setattr__(self, "hold", as_hold(self.hold))
+        object.__setattr__(self, "scheme", as_scheme(self.scheme))
+        object.__setattr__(self, "missing", _as_groups(self.missing))
         nodes = self.t.size
         if self.t.ndim != 1 or nodes < 2:
             raise TrajectoryError(f"plan: t has shape {self.t.shape}; at least two times in one column are needed.")
@@ -103,7 +139,7 @@ class Trajectory:
         return np.concatenate([self.q[-1], self.v[-1]])
 
     def check_fits(self, scene: Scene) -> None:
-        """Raise TrajectoryError if the numbers of positions, inputs or contacts are not those of the scene."""
+        """Raise TrajectoryError if the numbers of positions, inputs or contacts are not those of the scene, or the scene does not have the scheme."""
         for field, found, expected, what in (
             ("q", self.q.shape[1], scene.nq, "positions"),
             ("u", self.u.shape[1], scene.nu, "inputs"),
@@ -111,6 +147,11 @@ class Trajectory:
         ):
             if found != expected:
                 raise TrajectoryError(f"plan: {field} has {found} columns, but scene {scene.name} has {expected} {what}.")
+        if scene.nf and self.scheme not in (None, Scheme.SEMI_IMPLICIT_EULER):
+            raise TrajectoryError(
+                f"plan: it declares the scheme {self.scheme.value}, but the friction of scene {scene.name} is known to "
+                f"{Scheme.SEMI_IMPLICIT_EULER.value} alone; leave the declaration out if another program's time step made it."
+            )
 
     @property
     def duration(self) -> float:
@@ -182,7 +223,7 @@ def write_csv(path: Path, trajectory: Trajectory, scene: Scene) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def read_csv(path: Path, scene: Scene, hold: Hold | None = None, scheme: str | None = None) -> Trajectory:
+def read_csv(path: Path, scene: Scene, hold: Hold | str | None = None, scheme: Scheme | str | None = None) -> Trajectory:
     """Read a plan written by anybody: cells apart by comma, semicolon (then 0,5 is a number too) or tab; lines with # are comments, of which
     `# scheme: ..` and `# hold: ..` declare. hold, scheme: the same as arguments; None: as declared, else zero and none.
 
@@ -194,14 +235,15 @@ def read_csv(path: Path, scene: Scene, hold: Hold | None = None, scheme: str | N
     """
     table = PlanTable(path)
     table.check_form()
-    if scheme is not None and table.declared.setdefault("scheme", scheme) != scheme:
+    asked = as_scheme(scheme)
+    if asked is not None and table.declared.setdefault("scheme", asked.value) != asked.value:
         raise TrajectoryError(
-            f"{table.where}: it declares the scheme {table.declared['scheme']!r}, but {scheme!r} is asked for; leave one of the two out."
+            f"{table.where}: it declares the scheme {table.declared['scheme']!r}, but {asked.value!r} is asked for; leave one of the two out."
         )
     return trajectory_from(table, scene, hold)
 
 
-def trajectory_from(table: PlanTable | ArrayTable, scene: Scene, hold: Hold | None = None) -> Trajectory:
+def trajectory_from(table: PlanTable | ArrayTable, scene: Scene, hold: Hold | str | None = None) -> Trajectory:
     """A plan of a scene from a table of columns; as `read_csv`, which says what may be absent. Raises TrajectoryError."""
     where, header, names = table.where, table.names, column_names(scene)
     groups = {**names, "lam": names["lam"][: scene.nc], "friction": names["lam"][scene.nc :]}
@@ -234,7 +276,9 @@ def trajectory_from(table: PlanTable | ArrayTable, scene: Scene, hold: Hold | No
     forces = [table.column(name, last_is_open=steps < table.rows) if name in header else np.zeros(steps) for name in names["lam"]]
     lam = np.column_stack(forces) if forces else np.zeros((steps, 0))
     try:
-        return Trajectory(t=t, q=q, v=v, u=u, lam=lam, hold=hold, scheme=scheme, missing=missing, u_end=u_end)
+        plan = Trajectory(t=t, q=q, v=v, u=u, lam=lam, hold=hold, scheme=scheme, missing=missing, u_end=u_end)
+        plan.check_fits(scene)
+        return plan
     except TrajectoryError as error:
         raise TrajectoryError(f"{error} ({table.source})") from error
 
@@ -285,30 +329,17 @@ def times_and_inputs(
 
 def declared_scheme(table: PlanTable | ArrayTable) -> Scheme | None:
     """The scheme that the lines above a table declare. Raises TrajectoryError for one that is unknown."""
-    if "scheme" not in table.declared:
-        return None
-    value = table.declared["scheme"]
-    if value not in [item.value for item in Scheme]:
-        close = difflib.get_close_matches(value, [item.value for item in Scheme], n=1)
-        hint = (
-            f"did you mean {close[0]}?"
-            if close
-            else f"there are {', '.join(item.value for item in Scheme)}; without this line it declares none."
-        )
-        raise TrajectoryError(f"{table.where}: the scheme {value!r} is unknown; {hint}")
-    return Scheme(value)
+    return as_scheme(table.declared.get("scheme"), table.where)
 
 
-def declared_hold(table: PlanTable | ArrayTable, hold: Hold | None, who: str = "--hold") -> Hold:
+def declared_hold(table: PlanTable | ArrayTable, hold: Hold | str | None, who: str = "--hold") -> Hold:
     """The hold that the lines above a table declare, else zero; hold: what `who` asks for beside, which must not be another. Raises TrajectoryError."""
-    if "hold" not in table.declared:
-        return hold or Hold.ZERO_ORDER
-    value = table.declared["hold"]
-    if value not in HOLDS:
-        raise TrajectoryError(f"{table.where}: the hold {value!r} is unknown; it is {' or '.join(HOLDS)}.")
-    if hold is not None and hold is not HOLDS[value]:
-        raise TrajectoryError(f"{table.where}: it declares the hold {value!r}, but {who} asks for another; leave one of the two out.")
-    return HOLDS[value]
+    asked, declared = (None if value is None else as_hold(value, table.where) for value in (hold, table.declared.get("hold")))
+    if asked is not None and declared not in (None, asked):
+        raise TrajectoryError(
+            f"{table.where}: it declares the hold {table.declared['hold']!r}, but {who} asks for another; leave one of the two out."
+        )
+    return declared or asked or Hold.ZERO_ORDER
 
 
 def _with_a_last_step(t: np.ndarray, asked: float, near: float) -> np.ndarray:

@@ -111,6 +111,8 @@ def read_netcdf(path: Path, scene: Scene) -> Trajectory:
     try:
         missing = frozenset(str(attributes.get("missing", "")).split())
         u_end = np.array([float(word) for word in str(attributes["u_end"]).split()]) if "u_end" in attributes else None
-        return Trajectory(t=t, hold=hold, scheme=scheme, missing=missing, u_end=u_end, **arrays)
+        plan = Trajectory(t=t, hold=hold, scheme=scheme, missing=missing, u_end=u_end, **arrays)
+        plan.check_fits(scene)
+        return plan
     except TrajectoryError as error:
         raise TrajectoryError(f"{error} (file {path})") from error

@@ -17,8 +17,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from models.errors import TrajectoryError
-from models.trajectory import HOLDS, Hold, Trajectory
+from models.errors import SceneError, TrajectoryError
+from models.schemes import Scheme
+from models.trajectory import Hold, Trajectory
 from validate.isolation import Limits
 from validate.replay import Replay
 from validate.replay.subject import Subject
@@ -64,8 +65,8 @@ def judge(
     scene: Scene | str | Path,
     plan: Trajectory | HasTrajectory | Mapping[str, Any] | str | Path | Any,
     *,
-    hold: str | None = None,
-    scheme: str | None = None,
+    hold: Hold | str | None = None,
+    scheme: Scheme | str | None = None,
     feedback: bool = False,
     limits: Limits | None = None,
 ) -> Judgement:
@@ -76,7 +77,7 @@ def judge(
     scene : Scene, or its name, or the path of its file
     plan : Trajectory | Solution | mapping or DataFrame of columns | path of a CSV or NetCDF file
         Columns are `t` (nodes,), then the scene's names; what is absent is not claimed (docs/replay.md).
-    hold : "zero" or "linear", the inputs within a step; scheme : the time step it is made of. Of columns and CSV only, where they do not say so.
+    hold : "zero" or "linear" (or a Hold), the inputs within a step; scheme : the time step it is made of, by name (or a Scheme). Of columns and CSV only, where they do not say so.
     feedback : replay with feedback too, whether or not the verdict needs it.
     limits : run the FMU in a child with these limits; None runs it here.
 
@@ -86,12 +87,15 @@ def judge(
     """
     from models.catalog import load_scene
     from models.fmu import build_fmu
+    from models.scene import Scene
 
     subject = load_scene(str(scene)) if isinstance(scene, (str, Path)) else scene
+    if not isinstance(subject, Scene):
+        raise SceneError(f"scene: a {type(subject).__name__} is no scene; give the name of one, the path of its file or a Scene.")
     trajectory = as_trajectory(plan, subject, hold=hold, scheme=scheme)
     if trajectory is None:
         return Judgement(scene=subject, plan=None, replay=None, score=score(subject, None, None))
-    return judge_trajectory(subject, build_fmu(subject), trajectory, feedback=feedback, limits=limits)
+    return judge_trajectory(subject, build_fmu(subject, results=False), trajectory, feedback=feedback, limits=limits)
 
 
 def judge_trajectory(scene: Scene, fmu: Path, plan: Trajectory, *, feedback: bool = False, limits: Limits | None = None) -> Judgement:
@@ -135,28 +139,25 @@ def _held_otherwise(plan: Trajectory) -> Trajectory:
     return replace(plan, hold=Hold.LINEAR if plan.hold is Hold.ZERO_ORDER else Hold.ZERO_ORDER)
 
 
-def as_trajectory(plan: Any, scene: Scene, *, hold: str | None = None, scheme: str | None = None) -> Trajectory | None:
+def as_trajectory(plan: Any, scene: Scene, *, hold: Hold | str | None = None, scheme: Scheme | str | None = None) -> Trajectory | None:
     """A plan in any of the forms that `judge` takes; None of a Solution without one. Raises TrajectoryError."""
     from models.plan_table import ArrayTable
     from models.trajectory import read_csv, trajectory_from
     from models.trajectory_netcdf import read_netcdf
 
-    if hold is not None and hold not in HOLDS:
-        raise TrajectoryError(f"plan: the hold {hold!r} is unknown; it is {' or '.join(HOLDS)}.")
-    held = None if hold is None else HOLDS[hold]
     if hasattr(plan, "trajectory"):
         plan = plan.trajectory
         if plan is None:
             return None
-    if isinstance(plan, Trajectory):
+        if not isinstance(plan, Trajectory):
+            raise TrajectoryError(f"plan: its trajectory is a {type(plan).__name__}, but must be a Trajectory, or None.")
+    path = Path(plan) if isinstance(plan, (str, Path)) else None
+    if isinstance(plan, Trajectory) or (path is not None and path.suffix == ".nc"):
         if hold is not None or scheme is not None:
-            raise TrajectoryError("plan: a Trajectory says its own hold and scheme; change them in it.")
-        return plan
-    if isinstance(plan, (str, Path)):
-        path = Path(plan)
-        if path.suffix == ".nc":
-            return read_netcdf(path, scene)
-        return read_csv(path, scene, held, scheme)
+            raise TrajectoryError(f"plan: a {'NetCDF file' if path else 'Trajectory'} says its own hold and scheme; change them in it.")
+        return plan if path is None else read_netcdf(path, scene)
+    if path is not None:
+        return read_csv(path, scene, hold, scheme)
     if isinstance(plan, Mapping) or hasattr(plan, "columns"):
         return trajectory_from(ArrayTable(plan, hold=hold, scheme=scheme), scene)
     raise TrajectoryError(

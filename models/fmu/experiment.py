@@ -2,7 +2,7 @@
 
 The inputs push and pull so that contacts close and open; they are constant between knots, at which the CSV has the time
 twice. The results are those of `reference.py`, not of the FMU. They are kept: to integrate two fingers takes several CPU s, and FMUs of every
-version and platform have the same.
+version and platform have the same. Where the motion cannot be followed within the budget there are none, and the description says why.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from models.codegen.kept import kept_text
-from models.fmu.reference import Equations, Piece, true_motion
+from models.fmu.reference import Equations, MotionError, Piece, true_motion_and_method
 from models.fmu.rendering import render
 from models.fmu.variables import variable_table
 from models.scene import Input, Scene
@@ -24,24 +24,30 @@ _ROWS = 200
 _SHARES = (1.0, -0.5, 0.0, 0.75)
 # Largest difference that a right simulation should have from the results, relative to the nominal of a state.
 ACCURACY = 1e-6
+_UNWANTED = "this FMU was made to replay a plan, which needs none."
 
 
-def experiment_texts(scene: Scene) -> dict[str, str]:
-    """Path inside the FMU -> text of each file of the layered standard."""
+def experiment_texts(scene: Scene, results: bool = True) -> dict[str, str]:
+    """Path inside the FMU -> text of each file of the layered standard. results: whether to integrate for them."""
     stride = -(-scene.task.steps // _ROWS)
     step, count = scene.task.step * stride, scene.task.steps // stride
     pieces = _pieces(scene, step, count)
+    kept = _UNWANTED
+    if results:
+        kept = kept_text(scene, "reference.csv", lambda: _results(scene, pieces, np.arange(count + 1) * step), whole=True)
+    # The first line says how the results came about, or why there are none.
+    told, _, csv = kept.partition("\n")
     texts = {
-        "fmi-ls-manifest.xml": render("fmi-ls-manifest.xml.j2", scene=scene),
-        "validation.exp": render("experiment.xml.j2", scene=scene, stop=step * count, step=step, accuracy=ACCURACY),
-        "validation_results.csv": kept_text(
-            scene, "reference.csv", lambda: _results(scene, pieces, np.arange(count + 1) * step), whole=True
-        ),
+        "fmi-ls-manifest.xml": render("fmi-ls-manifest.xml.j2", scene=scene, results=csv),
+        "validation.exp": render("experiment.xml.j2", scene=scene, stop=step * count, step=step, accuracy=ACCURACY, results=csv),
     }
+    if csv:
+        texts["validation_results.csv"] = csv
     if scene.inputs:
         texts["validation_inputs.csv"] = _inputs(scene, pieces)
     files = {f"{FOLDER}/{name}": text for name, text in texts.items()}
-    return files | {"documentation/fmi-ls-ref.html": render("fmi-ls-ref.html.j2", scene=scene, accuracy=ACCURACY, folder=FOLDER)}
+    page = render("fmi-ls-ref.html.j2", scene=scene, accuracy=ACCURACY, folder=FOLDER, results=csv, told=told)
+    return files | {"documentation/fmi-ls-ref.html": page}
 
 
 def _strength(item: Input) -> float:
@@ -67,8 +73,12 @@ def _inputs(scene: Scene, pieces: Sequence[Piece]) -> str:
 
 
 def _results(scene: Scene, pieces: Sequence[Piece], times: np.ndarray) -> str:
+    """How they came about, and from the second line on the CSV; without it why there is none."""
     equations = Equations(scene)
-    states = true_motion(equations, pieces, times)
+    try:
+        states, method = true_motion_and_method(equations, pieces, times)
+    except MotionError as error:
+        return f"{error}\n"
     outputs = [variable.name for variable in variable_table(scene) if variable.causality == "output"]
     names = [coordinate.name for coordinate in scene.coordinates] + [coordinate.velocity_name for coordinate in scene.coordinates]
     # At a knot the inputs are those that end there, as in a simulation that has just reached it.
@@ -77,7 +87,8 @@ def _results(scene: Scene, pieces: Sequence[Piece], times: np.ndarray) -> str:
     for t, x, u in zip(times, states, held, strict=True):
         values = equations.outputs(x, u) | dict(zip(names, x, strict=True))
         rows.append((t, *(values[name] for name in outputs)))
-    return _csv(["time", *outputs], rows)
+    told = f"{method.words} integrated the equations with a relative tolerance of {method.tolerance:.0e}"
+    return f"{told}\n{_csv(['time', *outputs], rows)}"
 
 
 def _csv(header: Sequence[str], rows: Iterable[Sequence[float]]) -> str:

@@ -33,12 +33,12 @@ _ICON = _HERE / "icon"
 _EXPERIMENT = ("experiment.py", "reference.py")
 
 
-def build_fmu(scene: Scene, version: str = "2.0", platforms: Sequence[str] = ()) -> Path:
+def build_fmu(scene: Scene, version: str = "2.0", platforms: Sequence[str] = (), results: bool = True) -> Path:
     """The FMU of a scene, in continuous time: Co-Simulation and Model Exchange in one file; found in the cache or built there.
 
-    platforms: names of FMI 2.0 or 3.0 (`linux64` or `x86_64-linux`); without any, this machine's. Raises UnknownNameError for an
-    FMI version or platform that is not offered, SceneError for a scene whose names an FMU cannot carry, MachineError without a
-    compiler or a cache folder that can be written.
+    platforms: names of FMI 2.0 or 3.0 (`linux64` or `x86_64-linux`); without any, this machine's. results: whether it carries reference
+    results, which take seconds to integrate and which no replay needs. Raises UnknownNameError for an FMI version or platform that is not
+    offered, SceneError for a scene whose names an FMU cannot carry, MachineError without a compiler or a cache folder that can be written.
     """
     standard = find_standard(version)
     scene = scene.continuous()
@@ -47,10 +47,11 @@ def build_fmu(scene: Scene, version: str = "2.0", platforms: Sequence[str] = ())
     files = fmu_texts(scene, standard)
     made_by = [f"{platform.name} {' '.join(platform.flags)} {compiler.describe()}" for platform, compiler in compilers.items()]
     made_by += [(_HERE / name).read_text(encoding="utf-8") for name in _EXPERIMENT]
+    made_by += [] if results else ["without reference results"]
     key = "\n".join([*made_by, *(f"{name}\0{text}" for name, text in sorted(files.items()))])
 
     def build(path: Path) -> None:
-        content = {name: text.encode() for name, text in (files | experiment_texts(scene)).items()}
+        content = {name: text.encode() for name, text in (files | experiment_texts(scene, results)).items()}
         pack(
             path, content | _icons(standard) | _binaries(files, standard, identifier, compilers, path.parent), first="modelDescription.xml"
         )

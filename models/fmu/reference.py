@@ -1,12 +1,14 @@
 """The true continuous motion of a scene under inputs that are constant piece by piece, without any C.
 
-It is integrated by scipy's DOP853 (Radau without inertia) on the scene's equations as numpy functions, restarted at every change of an input, a
-contact, its damping or a friction: what the FMU's own numbers are compared with, by users and by our tests. What sticks and what slips is
-found by trying every combination for one that contradicts nothing - another road than the one the FMU takes.
+It is integrated by scipy's DOP853 on the scene's equations as numpy functions, restarted at every change of an input, a contact, its damping or a
+friction: what the FMU's own numbers are compared with, by users and by our tests. What is stiff for an explicit method - without inertia, or
+because it does not come to the end within a budget of evaluations - is integrated by the implicit Radau IIA, within the same budget. What sticks
+and what slips is found by trying every combination for one that contradicts nothing - another road than the one the FMU takes.
 """
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -21,12 +23,30 @@ from models.errors import SceneError
 from models.fmu.variables import friction_nominals
 from models.scene import Scene
 
-# Relative tolerance; the absolute one is this times the nominal of each state. That of an implicit method of order 5 is looser.
-_TOLERANCE, _STIFF_TOLERANCE = 1e-12, 1e-9
+# Evaluations of the equations before a method is given up, about ten seconds of them; the scenes of the bank take 300 to 44,000.
+BUDGET = 200_000
 # A penetration below this share of the contact's nominal is on the boundary: there the direction of motion decides the mode.
 _BOUNDARY = 1e-10
 # Contact changes within one piece before the motion is given up.
 _MOST_SWITCHES = 10_000
+
+
+class MotionError(SceneError):
+    """The motion cannot be followed, or not within the budget."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """name: scipy's; tolerance: relative, the absolute one is this times the nominal of each state; words: what the user is told of it."""
+
+    name: str
+    tolerance: float
+    words: str
+
+
+EXPLICIT = Method("DOP853", 1e-12, "a Runge-Kutta method of order 8")
+# An implicit method of order 5 gets no further with less.
+IMPLICIT = Method("Radau", 1e-9, "Radau IIA, an implicit method of order 5,")
 
 
 @dataclass(frozen=True)
@@ -194,32 +214,53 @@ def pressing_shares(d: Dynamics) -> sp.Matrix:
 
 
 def true_motion(equations: Equations, pieces: Sequence[Piece], times: np.ndarray) -> np.ndarray:
-    """(len(times), 2*nq) states at `times`, from the task's start. Raises SceneError if the motion cannot be followed."""
-    scene = equations.scene
+    """(len(times), 2*nq) states at `times`, from the task's start. Raises MotionError if it cannot be followed."""
+    return true_motion_and_method(equations, pieces, times)[0]
+
+
+def true_motion_and_method(equations: Equations, pieces: Sequence[Piece], times: np.ndarray) -> tuple[np.ndarray, Method]:
+    """The same, and the method that came to the end."""
+    # Without inertia velocities settle within the lag, which explicit steps would have to follow all the way.
+    if equations.scene.lag is None:
+        with contextlib.suppress(MotionError):
+            return _motion_by(EXPLICIT, equations, pieces, times), EXPLICIT
+    return _motion_by(IMPLICIT, equations, pieces, times), IMPLICIT
+
+
+def _motion_by(method: Method, equations: Equations, pieces: Sequence[Piece], times: np.ndarray) -> np.ndarray:
+    scene, left = equations.scene, BUDGET
     x, t = np.array(scene.task.start, dtype=float), 0.0
     nominal = np.tile([coordinate.nominal for coordinate in scene.coordinates], 2)
     result = np.full((len(times), x.size), np.nan)
     result[times <= t] = x
-    # Without inertia velocities settle within the lag, which explicit steps would have to follow all the way.
-    method, tolerance = ("DOP853", _TOLERANCE) if scene.lag is None else ("Radau", _STIFF_TOLERANCE)
+
+    def rate(at: float, y: np.ndarray, u: np.ndarray, modes: Modes) -> np.ndarray:
+        nonlocal left
+        left -= 1
+        if left < 0:
+            raise MotionError(
+                f"scene {scene.name}: its motion takes more than {BUDGET} evaluations of its equations, of which {method.name} came to t = {at:.6g} s."
+            )
+        return equations.rate(y, u, modes)
+
     for piece in pieces:
         for _ in range(_MOST_SWITCHES):
             if t >= piece.end:
                 break
             modes = equations.modes(x, piece.u)
             found = solve_ivp(
-                lambda _, y, u=piece.u, modes=modes: equations.rate(y, u, modes),
+                lambda at, y, u=piece.u, modes=modes: rate(at, y, u, modes),
                 (t, piece.end),
                 x,
-                method=method,
-                rtol=tolerance,
-                atol=tolerance * nominal,
+                method=method.name,
+                rtol=method.tolerance,
+                atol=method.tolerance * nominal,
                 max_step=scene.task.step,
                 dense_output=True,
                 events=_leaving(equations, modes, piece.u),
             )
             if not found.success or not np.isfinite(found.y[:, -1]).all():
-                raise SceneError(f"scene {scene.name}: its motion cannot be followed beyond t = {found.t[-1]:.6g} s ({found.message}).")
+                raise MotionError(f"scene {scene.name}: its motion cannot be followed beyond t = {found.t[-1]:.6g} s ({found.message}).")
             inside = (times > t) & (times <= found.t[-1])
             if inside.any():
                 result[inside] = found.sol(times[inside]).T

@@ -150,6 +150,14 @@ def test_limits_of_a_goal_are_of_the_plan_and_its_replay():
     assert goal_limits(reason="nothing is asked") == ()
 
 
+def test_a_metric_has_one_limit():
+    """Two that agree are one too many as well: nobody can tell which is meant."""
+    one = Limit(metric="replay_error", value=1e-3, reason="a test")
+    for other in (Limit(metric="replay_error", value=1.0, reason="a test"), Limit(metric="replay_error", value=None, reason="a test"), one):
+        with pytest.raises(SceneError, match="there are 2 limits on replay_error; leave one of them"):
+            small_scene(limits=(*small_scene().limits, one, other))
+
+
 def test_a_limit_is_waived_with_a_reason():
     waived = Limit(metric="defect", value=None, reason="its step is not ours")
     assert small_scene(limits=(*small_scene().limits, waived)).limit("defect") is waived

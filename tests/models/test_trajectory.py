@@ -1,6 +1,8 @@
 """Plans: shapes are checked, CSV reads back bit for bit, and a bad file is told line and column."""
 
 from dataclasses import replace
+from datetime import timedelta
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -118,6 +120,9 @@ def test_what_other_programs_write_is_read(tmp_path: Path, scene, text: str):
         ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1\n", ["line 3"]),
         ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0,7\n1,1,2,3,1,0\n", ["line 2", "7 cells", "6 columns"]),
         ("# mine\n\nt,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,x,2,3,1,0\n", ["line 5", "'x'"]),
+        ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1_0,2,3,1,0\n", ["line 3, column 'q1': '1_0' is not a number"]),
+        ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,٣,2,3,1,0\n", ["line 3, column 'q1': '٣' is not a number"]),
+        ("t,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1e999,2,3,1,0\n", ["line 3, column 'q1': '1e999' is not a finite number"]),
         ("0,0,1,2,1,0\n1,1,2,3,1,0\n2,1,2,3,1,0\n", ["first line holds numbers", "header"]),
         (",t,q1,q2,q3,u1,u3\n0,0,0,1,2,1,0\n1,1,1,2,3,1,0\n", ["column 1 has no name", "index=False"]),
         ("time,q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n", ["'time'", "did you mean 't'?"]),
@@ -126,7 +131,7 @@ def test_what_other_programs_write_is_read(tmp_path: Path, scene, text: str):
 )
 def test_a_bad_file_is_told_where(tmp_path: Path, scene, text: str, words: list[str]):
     path = tmp_path / "plan.csv"
-    path.write_text(text)
+    path.write_text(text, encoding="utf-8")
     with pytest.raises(TrajectoryError) as caught:
         read_csv(path, scene)
     assert str(path) in str(caught.value)
@@ -144,6 +149,11 @@ BODY = "t,q1,q2,q3,u1,u3\n0,0,1,2,1,0.5\n1,1,2,3,1,0\n2,2,3,4,,\n"
         ("#scheme = semi_implicit_euler \n# hold: zero\n", Scheme.SEMI_IMPLICIT_EULER, Hold.ZERO_ORDER),
         ("# hold: linear\n", None, Hold.LINEAR),
         ("# Hold: linear\n", None, Hold.LINEAR),
+        ("  # scheme: semi_implicit_euler\n", Scheme.SEMI_IMPLICIT_EULER, Hold.ZERO_ORDER),
+        ('"# scheme: semi_implicit_euler"\n', Scheme.SEMI_IMPLICIT_EULER, Hold.ZERO_ORDER),
+        ('"# scheme: semi_implicit_euler",,,\n"# mine",,\n', Scheme.SEMI_IMPLICIT_EULER, Hold.ZERO_ORDER),
+        ("\t# hold: linear;;;\n", None, Hold.LINEAR),
+        ("# hold the line\n# scheme of mine\n# hold\n# scheme\n# hold zero or linear\n", None, Hold.ZERO_ORDER),
         ("# made by: me\n# on: Monday\n# a plan; hold your breath\n", None, Hold.ZERO_ORDER),  # any other comment is a comment
     ],
 )
@@ -159,6 +169,11 @@ def test_comments_declare_scheme_and_hold(tmp_path: Path, scene, above: str, sch
     [
         ("# sheme: semi_implicit_euler\n", "line 1: there is no 'sheme' to declare; did you mean 'scheme'?"),
         ("# mine\n# holds: zero\n", "line 2: there is no 'holds' to declare; did you mean 'hold'?"),
+        (
+            "# scheme semi_implicit_euler\n",
+            "line 1: '# scheme semi_implicit_euler' declares nothing; write '# scheme: semi_implicit_euler'.",
+        ),
+        ("# mine\n# Hold  linear\n", "line 2: '# Hold  linear' declares nothing; write '# hold: linear'."),
         ("# scheme: semi_implicit_eular\n", "the scheme 'semi_implicit_eular' is unknown; did you mean semi_implicit_euler?"),
         ("# scheme: my own\n", "the scheme 'my own' is unknown; there are semi_implicit_euler,"),
         ("# scheme: my own\n", "without this line it declares none"),
@@ -251,8 +266,17 @@ ARRAYS = {"t": np.arange(4.0), "q1": np.arange(4.0), "q2": np.arange(4.0), "q3":
 
 @pytest.mark.parametrize(
     "changes",
-    [{}, {"u1": np.array([1.0, 1.0, 1.0, np.nan])}, {"u1": [1, 1, 1]}, {"q1": (0, 1, 2, 3)}],
-    ids=["as long as t", "ends in NaN", "one shorter", "no array"],
+    [
+        {},
+        {"u1": np.array([1.0, 1.0, 1.0, np.nan])},
+        {"u1": [1, 1, 1]},
+        {"q1": (0, 1, 2, 3)},
+        {"u1": [True, True, True]},
+        {"u1": np.array([1, Decimal(1), "1.0", None], dtype=object)},
+        {"q1": ["0", " 1 ", "2.", "+3e0"]},
+        {"q1": np.ma.masked_array(np.arange(4.0))},
+    ],
+    ids=["as long as t", "ends in NaN", "one shorter", "no array", "truth", "objects", "text", "a mask that masks nothing"],
 )
 def test_arrays_by_name_are_a_plan(scene, changes: dict):
     plan = trajectory_from(ArrayTable(ARRAYS | changes, scheme="semi_implicit_euler"), scene)
@@ -268,7 +292,16 @@ def test_arrays_by_name_are_a_plan(scene, changes: dict):
         ({"u1": np.ones(2)}, "the column 'u1' has 2 numbers, but t has 4"),
         ({"q2": np.array([0.0, np.nan, 2.0, 3.0])}, "column 'q2', row 1: nan is not a finite number"),
         ({"q2": np.zeros((4, 2))}, "the column 'q2' has shape (4, 2)"),
-        ({"q2": ["a", "b", "c", "d"]}, "its columns must be arrays of numbers by name"),
+        ({"q2": ["a", "b", "c", "d"]}, "the column 'q2' must be real numbers, but holds 'a'"),
+        ({"q2": ["0", "1_0", "2", "3"]}, "the column 'q2' must be real numbers, but holds '1_0'"),
+        ({"q2": np.arange(4) + 5j}, "the column 'q2' is of type complex128, but must be real numbers"),
+        ({"q2": np.array([1j, 1, 2, 3], dtype=object)}, "the column 'q2' must be real numbers, but holds 1j"),
+        ({"t": np.arange(4).astype("timedelta64[ms]")}, "the column 't' is of type timedelta64[ms]"),
+        ({"t": np.arange(4).astype("datetime64[ms]")}, "the column 't' is of type datetime64[ms]"),
+        ({"t": np.array([timedelta(seconds=n) for n in range(4)])}, "the column 't' must be real numbers, but holds datetime.timedelta(0)"),
+        ({"q2": np.ma.masked_equal(np.arange(4.0), 2.0)}, "the column 'q2' has masked values"),
+        ({"q2": [[1.0], 2.0, 3.0, 4.0]}, "the column 'q2' must be numbers, in rows of equal length"),
+        ({0: np.zeros(4)}, "a column is called 0, but its name must be text"),
         ({"q4": np.zeros(4)}, "the column 'q4' is unknown"),
         ({"t": np.zeros(1)}, "it has 1 row; at least two are needed"),
     ],
@@ -302,6 +335,16 @@ def test_a_file_that_is_no_text(tmp_path: Path, scene):
         ({"u": np.full((7, 2), np.nan)}, r"u\[0, 0\]"),
         ({"u_end": np.zeros(3)}, "u_end has shape"),
         ({"scheme": Scheme.SEMI_IMPLICIT_EULER, "hold": Hold.LINEAR}, "holds its inputs over each step"),
+        ({"scheme": "rk4"}, "the scheme 'rk4' is unknown; there are semi_implicit_euler"),
+        ({"scheme": ["radau_iia_2"]}, "the scheme .* is unknown"),
+        ({"hold": "cubic"}, "the hold 'cubic' is unknown; it is zero or linear"),
+        ({"hold": None}, "the hold None is unknown; it is zero or linear"),
+        ({"missing": None}, "missing is None, but must be a set of 'q', 'v', 'lam', 'friction', or empty"),
+        ({"missing": "lam"}, "missing is 'lam', but must be a set"),
+        ({"missing": {"foo"}}, "missing is {'foo'}, but must be a set"),
+        ({"missing": [["q"]]}, "missing is .*, but must be a set"),
+        ({"q": np.full((8, 3), 1j)}, "q is of type complex128, but must be real numbers"),
+        ({"u": "fast"}, "u must be real numbers, but holds 'fast'"),
     ],
 )
 def test_shapes_are_checked(plan: Trajectory, changes: dict, word: str):
@@ -309,10 +352,40 @@ def test_shapes_are_checked(plan: Trajectory, changes: dict, word: str):
         replace(plan, **changes)
 
 
+def test_hold_and_scheme_may_be_text(plan: Trajectory):
+    assert replace(plan, scheme="radau_iia_2").scheme is Scheme.RADAU_IIA_2
+    assert replace(plan, hold="linear").hold is Hold.LINEAR
+    assert replace(plan, hold="zero", missing=["lam", "v"]).missing == {"lam", "v"}
+
+
 def test_a_plan_of_another_scene_is_refused(scene, plan: Trajectory):
     other = replace(plan, u=np.zeros((7, 3)))
     with pytest.raises(TrajectoryError, match="u has 3 columns, but scene three_cart has 2 inputs"):
         other.check_fits(scene)
+
+
+@pytest.mark.parametrize("scheme", Scheme)
+def test_a_scheme_that_the_scene_does_not_have_is_refused_where_the_two_meet(tmp_path: Path, scheme: Scheme):
+    """Friction has no collocation step, whoever reads the plan."""
+    rubbing, path = load_scene("hopper_planar"), tmp_path / "plan.csv"
+    t = uniform_grid(rubbing.task.step, rubbing.task.steps)
+    columns = {"t": t} | {item.name: np.zeros(len(t) - 1) for item in rubbing.inputs}
+    rows = ["t," + ",".join(item.name for item in rubbing.inputs), "0" + ",0" * rubbing.nu, "1" + "," * rubbing.nu]
+    path.write_text(f"# scheme: {scheme.value}\n" + "\n".join(rows) + "\n")
+    bare = replace(trajectory_from(ArrayTable(columns), rubbing), scheme=scheme)
+    readers = (
+        lambda: bare.check_fits(rubbing),
+        lambda: trajectory_from(ArrayTable(columns, scheme=scheme.value), rubbing),
+        lambda: read_csv(path, rubbing),
+    )
+    for read in readers:
+        if scheme is Scheme.SEMI_IMPLICIT_EULER:
+            read()
+        else:
+            with pytest.raises(
+                TrajectoryError, match=f"the scheme {scheme.value}, but the friction of scene hopper_planar is known to semi_implicit"
+            ):
+                read()
 
 
 def test_arrays_cannot_be_changed_afterwards(plan: Trajectory):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,14 +12,14 @@ import pytest
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
-from models.errors import TrajectoryError
+from models.errors import SceneError, TrajectoryError
 from models.scene import Scene
 from models.scene_annotations import goal_limits
 from models.schemes import Scheme
 from models.trajectory import Hold, Trajectory, column_names, uniform_grid, write_csv
 from models.trajectory_netcdf import write_netcdf
 from validate.cli.replay import exit_code
-from validate.judge import judge
+from validate.judge import as_trajectory, judge
 from validate.replay.inputs import HeldInputs
 from validate.score import Question, Verdict
 
@@ -99,6 +100,15 @@ def test_every_form_of_a_plan_gives_the_same_verdict(held, tmp_path: Path, form:
     assert told.score.value("replay_error") == pytest.approx(judge(scene, plan).score.value("replay_error"), rel=1e-9)
     assert told.replay is not None
     assert told.replay.tracked is None, "feedback is not tried where the inputs alone do"
+
+
+def test_the_judge_integrates_no_reference_results(held, monkeypatch):
+    """They take seconds, of a stiff scene minutes, outside of every limit; a replay has no use for them."""
+    from models.fmu import experiment
+
+    monkeypatch.setattr(experiment, "true_motion_and_method", lambda *arguments: pytest.fail("integrated"))
+    scene, plan = held
+    assert judge(scene.with_parameters(m=1.0 + 1e-9), plan).holds
 
 
 def test_a_solution_without_a_plan_is_a_verdict():
@@ -199,6 +209,8 @@ def test_feedback_where_it_is_asked_for_changes_no_verdict(held):
         ({"w": np.zeros(STEPS + 1)}, {}, "the column 'w' is unknown"),
         ({}, {"hold": "cubic"}, "the hold 'cubic' is unknown; it is zero or linear."),
         ({}, {"scheme": "rk4"}, "the scheme 'rk4' is unknown"),
+        ({}, {"hold": ["zero"]}, "the hold ['zero'] is unknown; it is zero or linear."),
+        ({}, {"scheme": 3}, "the scheme 3 is unknown"),
     ],
 )
 def test_a_mistake_is_one_sentence(held, change: dict, arguments: dict, words: str):
@@ -218,6 +230,71 @@ def test_what_is_no_plan_is_told_so(held):
         judge(scene, plan, scheme="semi_implicit_euler")
     with pytest.raises(TrajectoryError, match="scene three_cart has 2 inputs"):
         judge(scene, replace(plan, u=np.zeros((STEPS, 3)), u_end=None))
+
+
+@pytest.mark.parametrize("scene", [None, 3, load_scene])
+def test_what_is_no_scene_is_told_so(held, scene):
+    with pytest.raises(
+        SceneError, match=r"scene: an? (NoneType|int|function) is no scene; give the name of one, the path of its file or a Scene"
+    ):
+        judge(scene, held[1])
+
+
+def test_a_file_that_says_its_own_scheme_is_not_asked_for_another(held, tmp_path: Path):
+    scene, plan = held
+    write_netcdf(tmp_path / "plan.nc", plan, scene)
+    with pytest.raises(TrajectoryError, match="a NetCDF file says its own hold and scheme"):
+        judge(scene, tmp_path / "plan.nc", scheme="semi_implicit_euler")
+    with pytest.raises(TrajectoryError, match="its trajectory is a str, but must be a Trajectory, or None"):
+        judge(scene, SimpleNamespace(trajectory="plan.csv"))
+
+
+@pytest.mark.parametrize(("scheme", "hold"), [("semi_implicit_euler", "zero"), (Scheme.SEMI_IMPLICIT_EULER, Hold.ZERO_ORDER)])
+def test_hold_and_scheme_are_given_as_such_or_by_their_text(held, tmp_path: Path, scheme, hold):
+    scene, plan = held
+    path = tmp_path / "plan.csv"
+    write_csv(path, plan, scene)
+    for given in (columns(scene, plan), path):
+        read = as_trajectory(given, scene, hold=hold, scheme=scheme)
+        assert (read.scheme, read.hold) == (Scheme.SEMI_IMPLICIT_EULER, Hold.ZERO_ORDER)
+
+
+def test_a_dataframe_says_no_more_and_no_less_than_its_numbers(held):
+    pandas = pytest.importorskip("pandas")
+    scene, plan = held
+    arrays = columns(scene, plan)
+    frame = pandas.DataFrame(
+        {name: np.pad(values, (0, STEPS + 1 - len(values)), constant_values=np.nan) for name, values in arrays.items()}
+    )
+    integers = frame.assign(u1=pandas.array([2] * STEPS + [None], dtype="Int64"))
+    for same in (
+        frame.astype(object),
+        frame.set_index(frame["t"] + 7.0),
+        frame[::-1][::-1],
+        frame.astype("float64").convert_dtypes(),
+        frame.astype(str),
+    ):
+        read = as_trajectory(same, scene)
+        assert np.array_equal(read.u, plan.u)
+        assert np.array_equal(read.q, plan.q)
+    assert as_trajectory(integers, scene).u[:, 0].tolist() == [2.0] * STEPS
+    for wrong, words in (
+        (frame.drop(columns="u3"), "the column 'u3' is missing"),
+        (frame.set_index("t"), "the column 't' is missing"),
+        (pandas.concat([frame, frame[["u1"]]], axis=1), "the column 'u1' stands there twice"),
+        (
+            frame.set_axis(pandas.MultiIndex.from_product([["a"], frame.columns]), axis=1),
+            "a column is called ('a', 't'), but its name must be text",
+        ),
+        (frame.set_axis(range(len(frame.columns)), axis=1), "a column is called 0, but its name must be text"),
+        (frame.assign(t=pandas.to_timedelta(frame["t"], unit="s")), "the column 't' is of type timedelta64"),
+        (frame.assign(u1=pandas.array([None] * (STEPS + 1), dtype="Int64")), "column 'u1', row 0: nan is not a finite number"),
+        (frame.assign(q1=frame["q1"] + 1j), "the column 'q1' is of type complex128"),
+        (frame["t"], "a Series is no plan"),
+    ):
+        with pytest.raises(TrajectoryError) as caught:
+            as_trajectory(wrong, scene)
+        assert words in str(caught.value)
 
 
 def test_our_methods_declare_their_scheme():

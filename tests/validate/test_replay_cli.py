@@ -67,6 +67,26 @@ def test_a_foreign_fmu_is_judged_by_its_map(command: Command, folder: Path):
     assert json.loads((folder / "told/score.json").read_text()) == told
 
 
+def test_a_gap_whose_sign_contradicts_the_force_decides_nothing(command: Command, folder: Path):
+    """Told the right way round a contact of this depth holds; the other way round nobody knows how deep it is."""
+    given = FULL_MAP.replace("[goal]", "depth = 0.2\n[goal]")
+    for scale, code, word in (("0.001", 0, "holds"), ("-0.001", 1, "undecided")):
+        turned = given.replace('"stop.gap", scale = 0.001', f'"stop.gap", scale = {scale}')
+        found, out, _ = command("plan.csv", "--fmu", "cart.fmu", "--map", write(folder / "turned.toml", turned), "--json")
+        told = json.loads(out)
+        assert (found, told["verdict"]) == (code, word), told["why"]
+    assert told["why"].startswith("max_penetration could not be measured: contact stop pushes, but its gap is open in ")
+    assert "is its sign the other way (scale in the map)" in told["why"]
+
+
+def test_a_goal_whose_limits_the_map_waives_is_no_goal(command: Command, folder: Path):
+    waived = FULL_MAP.replace("value = 1.0, reason", "waived = true, reason")
+    assert waived != FULL_MAP
+    code, out, _ = command("plan.csv", "--fmu", "cart.fmu", "--map", write(folder / "waived.toml", waived))
+    assert code == 0
+    assert "consistent for what this FMU shows" in out
+
+
 def test_what_is_not_named_is_said_and_not_shown(command: Command, folder: Path):
     bare = '[inputs]\nF = { variable = "drive.force", scale = 0.001 }\n[positions]\nx = { variable = "body.pos", scale = 0.001 }\n'
     bare += '[contacts.stop]\nforce = "stop.push"\n[start]\n"body.vel" = 2000\n[limits]\nghost_impulse = 1.0\nreplay_error = 1e-3\n'
@@ -74,8 +94,10 @@ def test_what_is_not_named_is_said_and_not_shown(command: Command, folder: Path)
     code, out, _ = command("short.csv", "--fmu", "cart.fmu", "--map", write(folder / "bare.toml", bare), "--json")
     told = json.loads(out)
     metrics = {metric["name"]: metric for metric in told["metrics"]}
-    assert (code, told["verdict"]) == (0, "holds"), told["why"]
-    assert told["why"].startswith("holds for what this FMU shows (questions 1, 3, 4)")
+    assert (code, told["verdict"]) == (0, "consistent"), told["why"]
+    assert (
+        told["why"] == "consistent for what this FMU shows (questions 1, 3, 4); the map asks for nothing: give it a [goal] with its limits."
+    )
     assert metrics["ghost_impulse"]["reason"] == metrics["missed_impulse"]["reason"] == "not every contact has a gap named."
     for words in (
         "max_penetration: contact stop has no gap",
@@ -104,7 +126,7 @@ def test_equal_names_need_no_map(command: Command, folder: Path):
     code, out, _ = command(write(folder / "own.csv", text), "--fmu", "own.fmu")
     assert code == 0
     assert "the map names no [contacts]" in out
-    assert "holds for what this FMU shows (questions 1, 4)" in out
+    assert "consistent for what this FMU shows (questions 1, 4); the map asks for nothing" in out
     code, out, _ = command(write(folder / "own.csv", text.replace("1.0,-1.0", "9.0,-9.0")), "--fmu", "own.fmu")
     assert code == 1
     assert "violates: driven by its inputs the motion departs from the plan by 0.0109 m" in out

@@ -147,6 +147,11 @@ def test_limit_is_waived_with_a_reason_alone(wired: Wire):
         (FULL_MAP.replace('"N" }', '"N", upper = -2000 }'), "inputs.F: its lower bound is -1000, its upper bound -2000"),
         (FULL_MAP.replace("replay_terminal_position_error", "max_penetration"), "goal.x: no limit says how near is near enough; add replay_terminal_position_error = {"),
         (FULL_MAP.replace("[goal]", "[goal]\nv_x = 0.0"), "goal.v_x: no limit says how near is near enough; add replay_terminal_velocity_error = {"),
+        (FULL_MAP.replace('"body.pos"', '"body.mass"'), "positions.x: 'body.mass' is in 'kg', which no scale makes a position, in m"),
+        (FULL_MAP.replace('0.001, unit = "m" }\n[vel', '0.001, unit = "kg" }\n[vel'), "positions.x: it is in 'kg', which no scale makes a position, in m"),
+        (FULL_MAP.replace('0.001, unit = "m" }\n[vel', '0.001, unit = "m/s" }\n[vel'), "positions.x: it is in 'm/s', which no scale makes a position, in m"),
+        (FULL_MAP.replace('"body.vel", scale = 0.001, unit = "m/s"', '"body.mass", scale = 2.0'), "velocities.x: 'body.mass' is in 'kg', which no scale makes a velocity, in m/s or 1/s"),
+        (FULL_MAP.replace('"stop.push"', '{ variable = "body.mass", scale = 9.81 }'), "contacts.stop.force: 'body.mass' is in 'kg', which no scale makes a force, in N or N m"),
         (FULL_MAP.replace('unit = "m/s"', 'unit = "m"'), "velocities.x: it is in 'm', but positions.x in 'm'; it must be in 'm/s'"),
         (FULL_MAP.replace('"stop.gap", scale = 0.001, unit = "m"', '"stop.gap"'), "contacts.stop.gap: 'stop.gap' is in 'mm', but a gap must be in 'm'; give a scale"),
         (FULL_MAP.replace('"stop.gap", scale = 0.001, unit = "m"', '"stop.gap", scale = 0.001, unit = "kg"'), "contacts.stop.gap: it is in 'kg', but a gap must be in 'm'"),
@@ -155,6 +160,25 @@ def test_limit_is_waived_with_a_reason_alone(wired: Wire):
 )  # fmt: skip
 def test_mistake_in_the_map_is_one_sentence(wired: Wire, text: str, words: str):
     assert words in refusal(lambda: wired(text))
+
+
+@pytest.mark.parametrize(
+    ("defined", "words"),
+    [
+        ('m="1" factor="0.001"', ""),
+        ('rad="1" factor="0.0175"', ""),  # an angle, with an arm for its scale
+        ('kg="1" m="2" s="-3" A="-1"', ""),  # volts of a sensor: only its maker knows
+        ('kg="1"', "positions.x: 'body.pos' is in 'mm', which no scale makes a position, in m."),
+    ],
+)
+def test_a_unit_is_what_the_fmu_defines_it_to_be(folder: Path, wired: Wire, defined: str, words: str):
+    units = f'<UnitDefinitions><Unit name="mm"><BaseUnit {defined}/></Unit></UnitDefinitions>\n  <ModelVariables>'
+    renamed(folder / "unit.fmu", {}, units=units)
+    given = BARE.replace(', unit = "m" }', " }")
+    if words:
+        assert words in refusal(lambda: wired(given, fmu="unit.fmu"))
+    else:
+        assert wired(given, "t,F\n0,1\n1,\n", "unit.fmu")[0].model.nq == 1
 
 
 # Hold and declarations
@@ -250,9 +274,10 @@ def test_stated_accuracy_counts_for_nothing_beside_a_reference(folder: Path, wir
 # Names
 
 
-def renamed(path: Path, names: dict[str, str], more: str = "") -> Path:
-    """The cart with other names of its variables, and with more variables."""
+def renamed(path: Path, names: dict[str, str], more: str = "", units: str = "<ModelVariables>") -> Path:
+    """The cart with other names of its variables, and with more variables and units."""
     text = DESCRIPTION.format(kinds=EXCHANGE + COSIMULATION).replace("  </ModelVariables>", more + "  </ModelVariables>")
+    text = text.replace("<ModelVariables>", units)
     for old, new in names.items():
         written = new.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")
         assert f'name="{old}"' in text

@@ -295,6 +295,22 @@ def test_the_words_holds_and_reasons_of_what_is_asked_nothing(scene: Scene, plan
     assert score(priced, plan, replayed).verdict is Verdict.HOLDS
 
 
+def test_a_goal_whose_limits_are_waived_asks_for_nothing(scene: Scene, plan: Trajectory, replayed: Replay):
+    """One limit that counts is enough, of the plan or of its replay, of positions or of velocities."""
+    of_goal = [limit for limit in scene.limits if "terminal" in limit.metric]
+    others = tuple(limit for limit in scene.limits if "terminal" not in limit.metric)
+    none = [Limit(metric=limit.metric, value=None, reason="a test") for limit in of_goal]
+    waived = replace(scene, limits=(*others, *none))
+    found = score(waived, plan, replayed)
+    assert found.verdict is Verdict.CONSISTENT
+    assert found.why.startswith("consistent; the scene asks for nothing: no limit on its goal counts for this plan; set one, with a reason.")
+    assert score(waived, replace(plan, missing=frozenset({"q", "v", "lam"}), scheme=None), replayed).verdict is Verdict.NOT_APPLICABLE
+    for index, limit in enumerate(of_goal):
+        asked = replace(scene, limits=(*others, *none[:index], limit, *none[index + 1 :]))
+        counts = not limit.metric.startswith("discrete_")  # which is of the plan's own time step
+        assert score(asked, plan, replayed).verdict is (Verdict.HOLDS if counts else Verdict.CONSISTENT), limit.metric
+
+
 def test_carts_that_pass_through_each_other_do_not_hold():
     """Pushed so that they end on the other side: exact contact all along, but the model of a contact ends at the length of a cart."""
     scene = load_scene("three_cart")

@@ -116,16 +116,16 @@ def exit_code(verdict: Verdict, require: str) -> int:
 def _of_scene(scene: str, plan: Path, hold: str | None, limits: Any, track: bool) -> tuple[Judgement, list[str]]:
     from models.catalog import load_scene
     from models.fmu import build_fmu
-    from models.trajectory import HOLDS, read_csv
+    from models.trajectory import read_csv
     from validate.cli.doubts import doubts_of
     from validate.judge import judge_trajectory
 
     loaded = load_scene(scene)
-    trajectory = read_csv(plan, loaded, None if hold is None else HOLDS[hold])
+    trajectory = read_csv(plan, loaded, hold)
     longest = float(max(after - before for before, after in pairwise(trajectory.t)))
     same = math.isclose(longest, loaded.task.step, rel_tol=1e-9)
     warnings = doubts_of([loaded if same else loaded.with_task(step=longest)], steps=trajectory.scheme is not None)
-    return judge_trajectory(loaded, build_fmu(loaded), trajectory, feedback=track, limits=limits), warnings
+    return judge_trajectory(loaded, build_fmu(loaded, results=False), trajectory, feedback=track, limits=limits), warnings
 
 
 def _of_fmu(fmu: Path, plan: Path, map_path: Path | None, hold: str | None, limits: Any, track: bool) -> tuple[Judgement, list[str]]:

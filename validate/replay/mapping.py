@@ -15,7 +15,7 @@ import numpy as np
 from models.errors import TrajectoryError
 from models.plan_table import PlanTable
 from models.scene_annotations import Limit
-from models.trajectory import HOLDS, Trajectory, declared_hold, declared_scheme, missing_groups, times_and_inputs
+from models.trajectory import Trajectory, declared_hold, declared_scheme, missing_groups, times_and_inputs
 from models.units import base_exponents
 from validate.replay.equal_names import Named, by_equal_names, hint
 from validate.replay.map_schema import InputSignal, MapError, MapFile, Signal
@@ -27,6 +27,8 @@ from validate.replay.wiring import INTERNAL_STEP, Variables
 
 # What forces and gaps of a contact are in, by what they are called where they belong to an angle too.
 _CONTACT_UNITS = {"force": ("N", "N m", "N.m", "Nm"), "gap": ("m", "rad")}
+# What each quantity may be in, but for a factor; pure numbers and radians pass for any of them, since an arm of 1 m is often left out.
+_QUANTITIES = {"position": ("m",), "velocity": ("m/s", "1/s"), "force": ("N", "N m"), "gap": ("m",)}
 # Steps that the task of an FMU counts as.
 _STEPS = 500
 # How far a bound in the map may lie beyond the FMU's own, as a share of it: rounding of a change of units.
@@ -45,6 +47,7 @@ class _Wiring:
     def __init__(self, package: Package, named: Named, table: PlanTable, given: MapFile, where: str) -> None:
         self.map, self._table, self._package, self._named, self._where = given, table, package, named, where
         self._by_name = named.by_name
+        self._units_of_fmu = {unit.name: unit.baseUnit for unit in package.description.unitDefinitions if unit.baseUnit is not None}
         self._check_names()
         self._check_limits()
         self._velocities = [given.velocities[name] for name in given.positions if name in given.velocities]
@@ -108,8 +111,11 @@ class _Wiring:
                 path = f"{section}.{name}"
                 self._check_once(read, path, signal.variable)
                 self._check_unit(path, name if section == "positions" else self._velocity_column(name), signal)
-        for name in given.velocities:
+        for name, signal in given.positions.items():
+            self._check_quantity(f"positions.{name}", "position", name, signal)
+        for name, signal in given.velocities.items():
             self._check_rate(name)
+            self._check_quantity(f"velocities.{name}", "velocity", self._velocity_column(name), signal)
         forces: dict[int, str] = {}
         gaps: dict[int, str] = {}
         for name, entry in given.contacts.items():
@@ -119,6 +125,7 @@ class _Wiring:
                 if signal is not None:
                     self._check_once(others, f"contacts.{name}.{what}", signal.variable)
                     self._check_contact_unit(f"contacts.{name}.{what}", what, signal)
+                    self._check_quantity(f"contacts.{name}.{what}", what, "", signal)
         known = [*given.positions, *(self._velocity_column(name) for name in given.velocities)]
         for name in given.goal:
             if name not in known:
@@ -136,6 +143,32 @@ class _Wiring:
             raise self._fail(path, f"the plan is in {unit!r}, but {signal.variable!r} is in {variable.unit!r}; give a scale.")
         if signal.scale == 0.0:
             raise self._fail(path, "scale is 0; it must not be.")
+
+    def _check_quantity(self, path: str, what: str, column: str, signal: Signal) -> None:
+        """A scale turns one unit of a quantity into another, but no mass into a length."""
+        own = self._variable(path, signal.variable).unit
+        possible = [self._dimension(unit) for unit in _QUANTITIES[what]]
+        for whose, unit in (
+            (f"{signal.variable!r}", own),
+            ("it", signal.unit),
+            (f"the plan's column {column!r}", self._table.units.get(column)),
+        ):
+            if unit and self._dimension(unit, of_fmu=unit == own) not in (None, {}, *possible):
+                raise self._fail(path, f"{whose} is in {unit!r}, which no scale makes a {what}, in {' or '.join(_QUANTITIES[what])}.")
+
+    def _dimension(self, unit: str, of_fmu: bool = False) -> dict[str, int] | None:
+        """Exponents of kg, m and s, by the FMU's own definition or by ours; None of a unit that is not known, or not of mechanics: a sensor's."""
+        defined = self._units_of_fmu.get(unit) if of_fmu else None
+        if defined is not None:
+            if any(getattr(defined, base) for base in ("A", "K", "mol", "cd")):
+                return None
+            exponents = {base: int(getattr(defined, base)) for base in ("kg", "m", "s")}
+        else:
+            try:
+                exponents = dict(base_exponents(unit))
+            except ValueError:  # a unit that we do not know
+                return None
+        return {base: power for base, power in exponents.items() if power and base != "rad"}
 
     def _check_once(self, read: dict[int, str], path: str, variable: str) -> None:
         """A variable is one thing: by its reference, as an FMU may call it by two names."""
@@ -470,8 +503,7 @@ class _Wiring:
         """The plan; what it does not say is in `missing`, with zeros in its place."""
         given, table, groups, missing = self.map, self._table, self._groups(), self._missing()
         who = "--hold" if hold else f"{self._where} (plan.hold)"
-        asked = hold or given.plan.hold
-        held = declared_hold(table, None if asked is None else HOLDS[asked], who)
+        held = declared_hold(table, hold or given.plan.hold, who)
         t, u, u_end = times_and_inputs(table, given.plan.time, list(given.inputs), held, self._duration(missing))
         nodes, steps = len(t), len(t) - 1
 

@@ -24,7 +24,7 @@ from validate.score.cause import Told, explain
 from validate.score.closed_forms import MEASURES
 from validate.score.evidence import Evidence
 from validate.score.feedback import GROWTH, feedback_entries, limit_name
-from validate.score.result import LeavesBounds, Metric, Question, Score, Unmeasured, Verdict
+from validate.score.result import Contradicted, LeavesBounds, Metric, Question, Score, Unmeasured, Verdict
 from validate.score.table import TABLE, Entry, Measured
 from validate.score.verdict import (
     EFFORT,
@@ -109,7 +109,7 @@ def score(scene: Subject, trajectory: Trajectory | None, replay: Replay | None, 
         verdict = verdict_with_feedback(verdict, followed)
         if verdict is Verdict.HOLDS_WITH_FEEDBACK:
             found, judged = followed, "feedback"
-    verdict = _of_what_is_asked(scene, trajectory, verdict)
+    verdict = _of_what_is_asked(scene, trajectory, verdict, metrics)
     waived = tuple(f"{limit.metric}: {limit.reason}" for limit in scene.limits if limit.value is None)
     told = Told(
         scene=scene, trajectory=trajectory, replay=replay, metrics={metric.name: metric for metric in metrics}, verdict=verdict,
@@ -121,20 +121,16 @@ def score(scene: Subject, trajectory: Trajectory | None, replay: Replay | None, 
     )  # fmt: skip
 
 
-def asks(scene: Subject) -> bool:
-    """Whether the scene asks for anything: a goal, or a limit on the cost."""
-    limited = {limit.metric for limit in scene.limits if limit.value is not None}
-    return scene.task.has_goal or bool(limited & {"cost", "replay_cost"})
+# What asks for anything to be reached: the goal by its limits, unless they are waived, and limits on the cost.
+_ASKING = frozenset(f"{of}{what}" for of in ("", "replay_") for what in ("terminal_position_error", "terminal_velocity_error", "cost"))
 
 
-def _of_what_is_asked(scene: Subject, plan: Trajectory, verdict: Verdict) -> Verdict:
-    """A scene that asks for nothing has nothing to be held; who claims nothing there is not judged at all."""
-    if asks(scene) or not verdict.is_good:
+def _of_what_is_asked(scene: Subject, plan: Trajectory, verdict: Verdict, metrics: tuple[Metric, ...]) -> Verdict:
+    """A plan of which nothing is asked has nothing to hold; who claims nothing there is not judged at all."""
+    if not verdict.is_good or any(metric.is_judged for metric in metrics if metric.name in _ASKING):
         return verdict
     claims = plan.has_states or (scene.nc > 0 and "lam" not in plan.missing) or (scene.nf > 0 and "friction" not in plan.missing)
-    if not claims:
-        return Verdict.NOT_APPLICABLE
-    return Verdict.CONSISTENT if isinstance(scene, Scene) else verdict
+    return Verdict.CONSISTENT if claims else Verdict.NOT_APPLICABLE
 
 
 def _passes_otherwise(scene: Subject, plan: Trajectory, other: Replay | None) -> bool:
@@ -231,7 +227,7 @@ def _metric(entry: Entry, case: Evidence) -> Metric:
             return replace(empty, reason=str(beyond))
         return replace(empty, reason=str(beyond), limit=stated, ok=False, default=own is None)
     except Unmeasured as missing:
-        if not limited or waived or not _can_be_asked(entry, case):
+        if not limited or waived or not (isinstance(missing, Contradicted) or _can_be_asked(entry, case)):
             return replace(empty, reason=str(missing))
         return replace(empty, reason=str(missing), limit=stated, default=own is None)
     found = replace(empty, value=worst.value, error=worst.error, unit=worst.unit or unit)

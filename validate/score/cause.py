@@ -91,8 +91,8 @@ def explain(told: Told) -> str:
         Verdict.UNDECIDED: _undecided,
         Verdict.HOLDS: _holds,
         Verdict.HOLDS_WITH_FEEDBACK: _holds_with_feedback,
-        Verdict.CONSISTENT: lambda told: "consistent; the scene asks for nothing: give it a goal, or a limit on its cost.",
-        Verdict.NOT_APPLICABLE: lambda told: "inputs alone claim nothing, and the scene asks for nothing.",
+        Verdict.CONSISTENT: _consistent,
+        Verdict.NOT_APPLICABLE: lambda told: f"inputs alone claim nothing, and {_who_asks(told)} asks for nothing.",
     }[told.verdict](told)
     return sentence + (f" Waived: {', '.join(text.partition(':')[0] for text in told.waived)}." if told.waived else "")
 
@@ -155,10 +155,7 @@ def _undecided(told: Told) -> str:
 def _holds(told: Told) -> str:
     judged = _judged(told, True)
     closest = max(judged, key=lambda metric: (metric.value or 0.0) / metric.limit if metric.limit else 0.0, default=None)
-    asked = [str(question.number) for question, word in told.questions.items() if question.number and word != NOT_ASKED]
-    text = "every question asked is answered yes"
-    if not isinstance(told.scene, Scene):
-        text = f"holds for what this FMU shows (question{'s' if len(asked) > 1 else ''} {', '.join(asked)})"
+    text = "every question asked is answered yes" if isinstance(told.scene, Scene) else f"holds {_of_what_is_shown(told)}"
     if closest is None or closest.value is None:
         return f"{text}."
     text += f"; closest to its limit: {_quote(closest, told)}"
@@ -166,6 +163,26 @@ def _holds(told: Told) -> str:
     if grid is not None and closest.name.startswith("replay_"):
         text += f", of which the grid's discretisation error is {number(grid, told.metrics['grid_error'].unit)}"
     return text + "."
+
+
+def _of_what_is_shown(told: Told) -> str:
+    asked = [str(question.number) for question, word in told.questions.items() if question.number and word != NOT_ASKED]
+    return f"for what this FMU shows (question{'s' if len(asked) > 1 else ''} {', '.join(asked)})"
+
+
+def _who_asks(told: Told) -> str:
+    return "the scene" if isinstance(told.scene, Scene) else "the map"
+
+
+def _consistent(told: Told) -> str:
+    if told.scene.task.has_goal:
+        mend = "no limit on its goal counts for this plan; set one, with a reason"
+    elif isinstance(told.scene, Scene):
+        mend = "give it a goal, or a limit on its cost"
+    else:
+        mend = "give it a [goal] with its limits"
+    shown = "" if isinstance(told.scene, Scene) else f" {_of_what_is_shown(told)}"
+    return f"consistent{shown}; {_who_asks(told)} asks for nothing: {mend}."
 
 
 def _holds_with_feedback(told: Told) -> str:

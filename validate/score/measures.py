@@ -14,10 +14,12 @@ from models.trajectory import Hold
 from validate.replay.subject import Subject
 from validate.score import equations as eq
 from validate.score.evidence import Evidence
-from validate.score.result import LeavesBounds, Unmeasured
+from validate.score.result import Contradicted, LeavesBounds, Unmeasured
 
 DEFECT = 1e-6
 _HALVINGS = 7
+# Below this share of the largest a force or a gap is nothing.
+_CLEARLY = 1e-2
 # Where next to nothing moves, energy is measured by this share of what moving at nominal speeds would take.
 _AT_REST = 1e-3
 
@@ -255,7 +257,25 @@ def _replay_limit(case: Evidence) -> float:
 
 def max_penetration(case: Evidence) -> Measured:
     depths = np.array([np.inf if depth is None else depth for depth in case.scene.depths])
+    if not isinstance(case.scene, Scene):
+        _check_gaps(case)
     return Measured(values=case.deepest, error=case.error.gap, scales=depths)
+
+
+def _check_gaps(case: Evidence) -> None:
+    """Raise Contradicted where a contact of somebody's FMU pushes, but its gap is open most of that time: gaps are negative in contact."""
+    if "lam" in case.scene.lacks or "gap" in case.scene.lacks:  # type: ignore[union-attr] - a foreign model has it
+        return
+    pieces = np.append(case.duration, 0.0) + np.append(0.0, case.duration)  # twice the time around each row
+    for contact, depth, force, gap in zip(case.scene.contacts, case.scene.depths, case.replay.lam.T, case.replay_gap.T, strict=True):
+        pushes = force > _CLEARLY * force.max(initial=0.0)
+        opens = pushes & (gap > _CLEARLY * np.abs(gap[pushes]).max(initial=0.0))
+        if depth is not None and 2.0 * pieces[opens].sum() > pieces[pushes].sum():
+            share = pieces[opens].sum() / pieces[pushes].sum()
+            raise Contradicted(
+                f"contact {contact.name} pushes, but its gap is open in {100.0 * share:.0f} % of that time, and a gap is negative in contact; "
+                "is its sign the other way (scale in the map), or its zero elsewhere (offset)?"
+            )
 
 
 def ghost_impulse(case: Evidence) -> Measured:

@@ -14,6 +14,10 @@ class LeavesBounds(Unmeasured):
     """The motion leaves every bound: there is no number, but the question is answered."""
 
 
+class Contradicted(Unmeasured):
+    """What somebody's FMU shows contradicts its map: the question stays open, for scenes and FMUs alike."""
+
+
 class Verdict(Enum):
     """What is said of a plan; the value is the word that every table, file and sentence uses.
 

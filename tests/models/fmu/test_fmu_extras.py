@@ -7,12 +7,14 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import fmpy
+import fmpy.validation
 import numpy as np
 import pytest
 from lxml import etree
 
 from models.fmu import build_fmu, variable_names
-from models.fmu.experiment import ACCURACY, FOLDER
+from models.fmu import reference
+from models.fmu.experiment import ACCURACY, FOLDER, experiment_texts
 from models.fmu.standards import STANDARDS
 
 both = pytest.mark.parametrize("version", STANDARDS)
@@ -100,6 +102,30 @@ def test_stock_importer_meets_the_reference_results(any_scene, version):
         np.testing.assert_allclose(got[name][last] / size, want[name] / size, rtol=0, atol=10 * ACCURACY, err_msg=name)
     if any_scene.name in ("three_cart", "bouncing_mass", "two_body_collision"):
         assert any(np.ptp(np.sign(want[name])) == 2 for name in names.gap), "no contact closes in the experiment"
+
+
+def test_a_stiff_motion_is_integrated_by_an_implicit_method(scene_of, monkeypatch):
+    """A thousand times the damping: explicit steps would be a hundred times shorter than the task's."""
+    monkeypatch.setattr(reference, "BUDGET", 3000)
+    stiff = scene_of("three_cart").with_parameters(c=1e6).with_task(steps=8)
+    texts = experiment_texts(stiff)
+    assert "Radau IIA" in texts["documentation/fmi-ls-ref.html"]
+    assert np.isfinite(table(texts[f"{FOLDER}/validation_results.csv"].encode())["q1"]).all()
+
+
+def test_a_motion_beyond_the_budget_leaves_an_fmu_without_results_that_says_so(scene_of, monkeypatch):
+    monkeypatch.setattr(reference, "BUDGET", 20)
+    scene = scene_of("three_cart").with_task(steps=9)
+    path = build_fmu(scene)
+    with zipfile.ZipFile(path) as archive:
+        names = archive.namelist()
+        page = archive.read("documentation/fmi-ls-ref.html").decode()
+        about = archive.read(f"{FOLDER}/fmi-ls-manifest.xml") + archive.read(f"{FOLDER}/validation.exp")
+    assert f"{FOLDER}/validation.exp" in names
+    assert f"{FOLDER}/validation_results.csv" not in names
+    assert b"result" not in about
+    assert "There are no results: scene three_cart: its motion takes more than 20 evaluations of its equations" in page
+    assert fmpy.validation.validate_fmu(str(path)) == []
 
 
 @both
