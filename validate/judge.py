@@ -151,13 +151,14 @@ def as_trajectory(plan: Any, scene: Scene, *, hold: Hold | str | None = None, sc
             return None
         if not isinstance(plan, Trajectory):
             raise TrajectoryError(f"plan: its trajectory is a {type(plan).__name__}, but must be a Trajectory, or None.")
-    path = Path(plan) if isinstance(plan, (str, Path)) else None
-    if isinstance(plan, Trajectory) or (path is not None and path.suffix == ".nc"):
-        if hold is not None or scheme is not None:
-            raise TrajectoryError(f"plan: a {'NetCDF file' if path else 'Trajectory'} says its own hold and scheme; change them in it.")
-        return plan if path is None else read_netcdf(path, scene)
-    if path is not None:
-        return read_csv(path, scene, hold, scheme)
+    is_file = isinstance(plan, (str, Path))
+    says_itself = "Trajectory" if isinstance(plan, Trajectory) else "NetCDF file" if is_file and Path(plan).suffix == ".nc" else ""
+    if says_itself and (hold is not None or scheme is not None):
+        raise TrajectoryError(f"plan: a {says_itself} says its own hold and scheme; change them in it.")
+    if isinstance(plan, Trajectory):
+        return plan
+    if is_file:
+        return read_netcdf(Path(plan), scene) if says_itself else read_csv(Path(plan), scene, hold, scheme)
     if isinstance(plan, Mapping) or hasattr(plan, "columns"):
         return trajectory_from(ArrayTable(plan, hold=hold, scheme=scheme), scene)
     raise TrajectoryError(

@@ -17,7 +17,9 @@ m, c, k, d = sp.symbols("m c k d", positive=True)
 WALL, START = 1.0, (0.0, 0.0)
 
 
-def scene_of(*, h: float, steps: int, end: np.ndarray, push: float, mass: float, drag: float, k_wall: float, damping: float, inputs: bool) -> Scene:
+def scene_of(
+    *, h: float, steps: int, end: np.ndarray, push: float, mass: float, drag: float, k_wall: float, damping: float, inputs: bool
+) -> Scene:
     parameters = [
         Parameter(symbol=m, value=mass, unit="kg", lower=1e-9, description="mass"),
         Parameter(symbol=c, value=drag, unit="N s/m", lower=0.0, description="drag"),
@@ -43,7 +45,9 @@ def scene_of(*, h: float, steps: int, end: np.ndarray, push: float, mass: float,
     )  # fmt: skip
 
 
-def truth(t: np.ndarray, pushes: np.ndarray, start: tuple[float, float], mass: float, drag: float, k_wall: float, damping: float) -> dict[str, np.ndarray]:
+def truth(
+    t: np.ndarray, pushes: np.ndarray, start: tuple[float, float], mass: float, drag: float, k_wall: float, damping: float
+) -> dict[str, np.ndarray]:
     """q, v at t, and the contact force at the start, at the end and in the mean of each step: linear equations, pressed or free, by matrix exponentials."""
 
     def force(x: np.ndarray) -> float:
@@ -56,7 +60,9 @@ def truth(t: np.ndarray, pushes: np.ndarray, start: tuple[float, float], mass: f
     def flow(push: float, closed: bool) -> np.ndarray:
         """Of (q, v, impulse, 1)."""
         k, d = (k_wall, damping) if closed else (0.0, 0.0)
-        return np.array([[0, 1, 0, 0], [-k / mass, -(drag + d) / mass, 0, (push + k * WALL) / mass], [k, d, 0, -k * WALL], [0, 0, 0, 0]], dtype=float)
+        return np.array(
+            [[0, 1, 0, 0], [-k / mass, -(drag + d) / mass, 0, (push + k * WALL) / mass], [k, d, 0, -k * WALL], [0, 0, 0, 0]], dtype=float
+        )
 
     x, closed = np.array([*start, 0.0, 1.0]), False
     states, impulses = [x[:2]], []
@@ -70,7 +76,11 @@ def truth(t: np.ndarray, pushes: np.ndarray, start: tuple[float, float], mass: f
                 x, left = expm(A * left) @ x, 0.0
                 continue
             low = looks[first - 1] if first else 1e-12
-            when = brentq(lambda time, A=A, x=x: pressed(expm(A * time) @ x), low, looks[first], xtol=1e-15) if pressed(expm(A * low) @ x) * (1 if closed else -1) > 0 else low
+            when = (
+                brentq(lambda time, A=A, x=x: pressed(expm(A * time) @ x), low, looks[first], xtol=1e-15)
+                if pressed(expm(A * low) @ x) * (1 if closed else -1) > 0
+                else low
+            )
             x, left, closed = expm(A * when) @ x, left - when, not closed
         states.append(x[:2])
         impulses.append(x[2])
@@ -100,7 +110,18 @@ PLANS: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("name", PLANS)
 def test_an_exact_plan_holds(name: str):
-    plan = {"mass": 1.0, "drag": 2.0, "damping": 0.0, "push": 4.0, "h": 0.02, "steps": 100, "says": "qv", "since": 0.0, "inputs": True, **PLANS[name]}
+    plan = {
+        "mass": 1.0,
+        "drag": 2.0,
+        "damping": 0.0,
+        "push": 4.0,
+        "h": 0.02,
+        "steps": 100,
+        "says": "qv",
+        "since": 0.0,
+        "inputs": True,
+        **PLANS[name],
+    }
     t = plan["h"] * np.arange(plan["steps"] + 1)
     body = {"mass": plan["mass"], "drag": plan["drag"], "k_wall": plan["k"], "damping": plan["damping"]}
     pushes = bang(t, plan["push"], 1.2) if plan["inputs"] else np.zeros(len(t) - 1)
@@ -135,7 +156,10 @@ def test_friction_whose_load_changes_on_the_way_is_that_of_any_part_of_a_step(fo
     t = h * np.arange(steps + 1)
     stop = np.arctan2(2.0 / w, rest) / w  # of (q + 5/3) = 5/3 cos wt + 2/w sin wt
     on = np.minimum(t, stop)
-    place, speed = rest * np.cos(w * on) + 2.0 / w * np.sin(w * on) - rest, np.where(t < stop, 2.0 * np.cos(w * on) - rest * w * np.sin(w * on), 0.0)
+    place, speed = (
+        rest * np.cos(w * on) + 2.0 / w * np.sin(w * on) - rest,
+        np.where(t < stop, 2.0 * np.cos(w * on) - rest * w * np.sin(w * on), 0.0),
+    )
     pull = np.where(t < stop, -mu * (5.0 + 3.0 * place), 0.0)
     said = {"start": pull[:-1], "end": pull[1:], "mean": mass * np.diff(speed) / h}[forces]
     found = judge(scene, {"t": t, "q": place, "v": speed, "friction_rail": said})

@@ -303,7 +303,9 @@ def test_a_goal_whose_limits_are_waived_asks_for_nothing(scene: Scene, plan: Tra
     waived = replace(scene, limits=(*others, *none))
     found = score(waived, plan, replayed)
     assert found.verdict is Verdict.CONSISTENT
-    assert found.why.startswith("consistent; the scene asks for nothing: no limit on its goal counts for this plan; set one, with a reason.")
+    assert found.why.startswith(
+        "consistent; the scene asks for nothing: no limit on its goal counts for this plan; set one, with a reason."
+    )
     assert score(waived, replace(plan, missing=frozenset({"q", "v", "lam"}), scheme=None), replayed).verdict is Verdict.NOT_APPLICABLE
     for index, limit in enumerate(of_goal):
         asked = replace(scene, limits=(*others, *none[:index], limit, *none[index + 1 :]))

@@ -16,19 +16,15 @@ from models.errors import TrajectoryError
 from models.plan_table import PlanTable
 from models.scene_annotations import Limit
 from models.trajectory import Trajectory, declared_hold, declared_scheme, missing_groups, times_and_inputs
-from models.units import base_exponents
 from validate.replay.equal_names import Named, by_equal_names, hint
 from validate.replay.map_schema import InputSignal, MapError, MapFile, Signal
 from validate.replay.package import REAL, Package
+from validate.replay.quantities import CONTACT_UNITS, QUANTITIES, Dimensions, may_be_rate
 from validate.replay.result import Difference
 from validate.replay.run import Foreign
 from validate.replay.subject import ForeignContact, ForeignCoordinate, ForeignInput, ForeignModel, ForeignTask
 from validate.replay.wiring import INTERNAL_STEP, Variables
 
-# What forces and gaps of a contact are in, by what they are called where they belong to an angle too.
-_CONTACT_UNITS = {"force": ("N", "N m", "N.m", "Nm"), "gap": ("m", "rad")}
-# What each quantity may be in, but for a factor; pure numbers and radians pass for any of them, since an arm of 1 m is often left out.
-_QUANTITIES = {"position": ("m",), "velocity": ("m/s", "1/s"), "force": ("N", "N m"), "gap": ("m",)}
 # Steps that the task of an FMU counts as.
 _STEPS = 500
 # How far a bound in the map may lie beyond the FMU's own, as a share of it: rounding of a change of units.
@@ -47,7 +43,7 @@ class _Wiring:
     def __init__(self, package: Package, named: Named, table: PlanTable, given: MapFile, where: str) -> None:
         self.map, self._table, self._package, self._named, self._where = given, table, package, named, where
         self._by_name = named.by_name
-        self._units_of_fmu = {unit.name: unit.baseUnit for unit in package.description.unitDefinitions if unit.baseUnit is not None}
+        self._dimensions = Dimensions(package.description)
         self._check_names()
         self._check_limits()
         self._velocities = [given.velocities[name] for name in given.positions if name in given.velocities]
@@ -145,30 +141,16 @@ class _Wiring:
             raise self._fail(path, "scale is 0; it must not be.")
 
     def _check_quantity(self, path: str, what: str, column: str, signal: Signal) -> None:
-        """A scale turns one unit of a quantity into another, but no mass into a length."""
+        """No scale makes a length of a mass."""
         own = self._variable(path, signal.variable).unit
-        possible = [self._dimension(unit) for unit in _QUANTITIES[what]]
-        for whose, unit in (
-            (f"{signal.variable!r}", own),
-            ("it", signal.unit),
-            (f"the plan's column {column!r}", self._table.units.get(column)),
-        ):
-            if unit and self._dimension(unit, of_fmu=unit == own) not in (None, {}, *possible):
-                raise self._fail(path, f"{whose} is in {unit!r}, which no scale makes a {what}, in {' or '.join(_QUANTITIES[what])}.")
-
-    def _dimension(self, unit: str, of_fmu: bool = False) -> dict[str, int] | None:
-        """Exponents of kg, m and s, by the FMU's own definition or by ours; None of a unit that is not known, or not of mechanics: a sensor's."""
-        defined = self._units_of_fmu.get(unit) if of_fmu else None
-        if defined is not None:
-            if any(getattr(defined, base) for base in ("A", "K", "mol", "cd")):
-                return None
-            exponents = {base: int(getattr(defined, base)) for base in ("kg", "m", "s")}
-        else:
-            try:
-                exponents = dict(base_exponents(unit))
-            except ValueError:  # a unit that we do not know
-                return None
-        return {base: power for base, power in exponents.items() if power and base != "rad"}
+        units = (
+            (f"{signal.variable!r}", own, True),
+            ("it", signal.unit, False),
+            (f"the plan's {column!r}", self._table.units.get(column), False),
+        )
+        for whose, unit, of_fmu in units:
+            if self._dimensions.contradicts(unit, what, of_fmu):
+                raise self._fail(path, f"{whose} is in {unit!r}, which no scale makes a {what}, in {' or '.join(QUANTITIES[what])}.")
 
     def _check_once(self, read: dict[int, str], path: str, variable: str) -> None:
         """A variable is one thing: by its reference, as an FMU may call it by two names."""
@@ -180,21 +162,14 @@ class _Wiring:
     def _check_rate(self, name: str) -> None:
         """A velocity is in its position's unit per second, where both units are known."""
         position, velocity = self._unit(name, self.map.positions[name]), self._unit(self._velocity_column(name), self.map.velocities[name])
-        try:
-            expected, found = dict(base_exponents(position)), base_exponents(velocity)
-        except ValueError:  # a unit that we do not know
-            return
-        if not expected:  # "1": a unit that nobody told
-            return
-        expected["s"] = expected.get("s", 0) - 1
-        if found and found != {base: power for base, power in expected.items() if power}:
+        if not may_be_rate(position, velocity):
             raise self._fail(
                 f"velocities.{name}", f"it is in {velocity!r}, but positions.{name} in {position!r}; it must be in '{position}/s'."
             )
 
     def _check_contact_unit(self, path: str, what: str, signal: Signal) -> None:
         """Forces are in N, gaps in m; where the FMU has another unit, a scale must say how - if only `scale = 1.0`."""
-        known, own = _CONTACT_UNITS[what], self._variable(path, signal.variable).unit
+        known, own = CONTACT_UNITS[what], self._variable(path, signal.variable).unit
         if signal.unit and signal.unit not in known:
             raise self._fail(path, f"it is in {signal.unit!r}, but a {what} must be in {known[0]!r}; give a scale.")
         if own and own not in known and not signal.model_fields_set & {"scale", "offset"}:

@@ -148,7 +148,7 @@ def _undecided(told: Told) -> str:
         text = f"{_quote(first, told)}, but the replay's own error of {number(first.error, first.unit)} is not {MARGIN:g} times below the distance between them"
     others = [metric.name for metric in unsure[1:]]
     text += f"; nor decided: {', '.join(others)}." if others else "."
-    needed = "" if told.replay is None else getattr(told.replay.error, "would_decide", "")
+    needed = "" if told.replay is None or first.value is None else getattr(told.replay.error, "would_decide", "")
     return f"{text} What would decide it: {needed}" if needed else text
 
 

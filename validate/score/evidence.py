@@ -452,7 +452,11 @@ class Evidence:
         bounce between two rows no row tells."""
         self.need("lam")
         replay, steps = self.replay, self.trajectory.steps
-        mean = None if replay.contact_impulse is None else np.diff(replay.contact_impulse[replay.knots], axis=0) / np.diff(self.trajectory.t)[:, None]
+        mean = (
+            None
+            if replay.contact_impulse is None
+            else np.diff(replay.contact_impulse[replay.knots], axis=0) / np.diff(self.trajectory.t)[:, None]
+        )
         return equations.force_window(replay.lam, self.step_of, steps, mean)
 
     @cached_property

@@ -274,7 +274,7 @@ def _check_gaps(case: Evidence) -> None:
             share = pieces[opens].sum() / pieces[pushes].sum()
             raise Contradicted(
                 f"contact {contact.name} pushes, but its gap is open in {100.0 * share:.0f} % of that time, and a gap is negative in contact; "
-                "is its sign the other way (scale in the map), or its zero elsewhere (offset)?"
+                "the map may have its sign (scale) or its zero (offset) wrong."
             )
 
 

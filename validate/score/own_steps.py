@@ -112,6 +112,7 @@ class Stepper:
                 best = one if best is None or np.abs(one[2]).max() < np.abs(best[2]).max() else best
                 if (np.abs(best[2]) <= _MISSED * nominal).all():
                     break
+            assert best is not None
             found[step], before, missed[step], gains[step] = best
         return Departures(v=found, missed=missed, gains=gains)
 
@@ -147,4 +148,5 @@ class Stepper:
                 move = move / 2.0
             if (np.abs(best[2]) <= _MISSED * nominal).all():
                 break
+        assert best is not None
         return best

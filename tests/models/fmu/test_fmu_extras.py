@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from lxml import etree
 
-from models.fmu import build_fmu, variable_names
-from models.fmu import reference
+from models.fmu import build_fmu, reference, variable_names
 from models.fmu.experiment import ACCURACY, FOLDER, experiment_texts
 from models.fmu.standards import STANDARDS
 
