@@ -137,18 +137,20 @@ class _Wiring:
         unit = signal.unit or written
         if unit and variable.unit and unit != variable.unit and signal.scale == 1.0 and signal.offset == 0.0:
             raise self._fail(path, f"the plan is in {unit!r}, but {signal.variable!r} is in {variable.unit!r}; give a scale.")
+        self._check_scale(path, signal)
+
+    def _check_scale(self, path: str, signal: Signal) -> None:
         if signal.scale == 0.0:
             raise self._fail(path, "scale is 0; it must not be.")
 
     def _check_quantity(self, path: str, what: str, column: str, signal: Signal) -> None:
         """No scale makes a length of a mass."""
-        own = self._variable(path, signal.variable).unit
-        units = (
-            (f"{signal.variable!r}", own, True),
+        own, said = self._variable(path, signal.variable).unit, self._table.units.get(column)
+        for whose, unit, of_fmu in (
+            (repr(signal.variable), own, True),
             ("it", signal.unit, False),
-            (f"the plan's {column!r}", self._table.units.get(column), False),
-        )
-        for whose, unit, of_fmu in units:
+            (f"the plan's {column!r}", said, False),
+        ):
             if self._dimensions.contradicts(unit, what, of_fmu):
                 raise self._fail(path, f"{whose} is in {unit!r}, which no scale makes a {what}, in {' or '.join(QUANTITIES[what])}.")
 
@@ -174,8 +176,7 @@ class _Wiring:
             raise self._fail(path, f"it is in {signal.unit!r}, but a {what} must be in {known[0]!r}; give a scale.")
         if own and own not in known and not signal.model_fields_set & {"scale", "offset"}:
             raise self._fail(path, f"{signal.variable!r} is in {own!r}, but a {what} must be in {known[0]!r}; give a scale.")
-        if signal.scale == 0.0:
-            raise self._fail(path, "scale is 0; it must not be.")
+        self._check_scale(path, signal)
 
     def _check_limits(self) -> None:
         """A goal needs a limit that says how near is near enough, of its positions and of its velocities."""

@@ -219,6 +219,6 @@ def test_who_converges_away_from_the_goal_has_not_solved_the_task():
     cheap = _solve(SCENE, input_weight=5e-5)  # ten times the paper's: staying where it is costs less than arriving
     assert cheap.outcome is Outcome.STALLED
     assert "converged away from the goal" in cheap.message
-    assert cheap.residuals["terminal_position_error"] > SCENE.limit("discrete_terminal_position_error").value
+    assert cheap.residuals["terminal_position_error"] > SCENE.limit("terminal_position_error").value
     free = _solve(SCENE.with_task(goal=(None,) * 6), input_weight=5e-5)
     assert free.outcome is Outcome.SOLVED

@@ -1,24 +1,57 @@
 """Contact between two steps of an integrator: found where there is one, and never passed over in silence."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+import sympy as sp
 
 from models.catalog import load_scene
 from models.fmu import build_fmu
-from models.scene import Scene
+from models.scene import Contact, Coordinate, Input, Parameter, Scene, Task, goal_limits
 from models.trajectory import Trajectory
 from validate.judge import judge
 from validate.replay import replay
 from validate.replay.overlooked import lowest_between
 
-SCENES = Path(__file__).parents[2] / "scenes"
 SPEED, PLACE = 10.0, 1.091
+
+# A ball flies through the place of a pane that is far thinner than its way in a time step. In the middle it takes k/2 (w/4)^2 to be there.
+q, v, u = sp.symbols("q v u", real=True)
+m, w, k, c = sp.symbols("m w k c", positive=True)
+
+PANE = Scene(
+    name="thin_pane",
+    title="A ball and a thin pane",
+    source="a parabola of penetration across the pane",
+    coordinates=(Coordinate(symbol=q, velocity=v, unit="m", description="place of the ball"),),
+    inputs=(Input(symbol=u, unit="N", lower=-5.0, upper=5.0, description="push"),),
+    parameters=(
+        Parameter(symbol=m, value=1.0, unit="kg", lower=1e-6, description="mass"),
+        Parameter(symbol=w, value=4e-4, unit="m", lower=1e-15, description="thickness of the pane"),
+        Parameter(symbol=k, value=1e11, unit="N/m", lower=1e-6, description="stiffness of the pane"),
+        Parameter(symbol=c, value=1.091, unit="m", lower=0.0, description="where the middle of the pane is"),
+    ),
+    kinetic_energy=m * v**2 / 2,
+    potential_energy=sp.Integer(0),
+    forces=(u,),
+    contacts=(
+        Contact(
+            name="pane",
+            bodies=("ball", "pane"),
+            penetration=(w**2 / 4 - (q - c) ** 2) / w,
+            stiffness=k,
+            depth=1e-4,
+            depth_reason="a quarter of the thickness, in the middle of the pane",
+            nominal=1e-3,
+            description="ball against the pane",
+        ),
+    ),
+    task=Task(start=(0.0, 10.0), goal=(2.0, 10.0), running_cost=u**2, step=0.02, steps=10),
+    limits=goal_limits(position=0.005, velocity=0.005, reason="a thousandth of the way"),
+)
 
 
 def scene_with(**parameters: float) -> Scene:
-    return load_scene(str(SCENES / "thin_pane.py")).with_parameters(**parameters)
+    return PANE.with_parameters(**parameters)
 
 
 def through(scene: Scene, **declared: object) -> Trajectory:
