@@ -146,11 +146,8 @@ class _Wiring:
     def _check_quantity(self, path: str, what: str, column: str, signal: Signal) -> None:
         """No scale makes a length of a mass."""
         own, said = self._variable(path, signal.variable).unit, self._table.units.get(column)
-        for whose, unit, of_fmu in (
-            (repr(signal.variable), own, True),
-            ("it", signal.unit, False),
-            (f"the plan's {column!r}", said, False),
-        ):
+        known = {repr(signal.variable): (own, True), "it": (signal.unit, False), f"the plan's {column!r}": (said, False)}
+        for whose, (unit, of_fmu) in known.items():
             if self._dimensions.contradicts(unit, what, of_fmu):
                 raise self._fail(path, f"{whose} is in {unit!r}, which no scale makes a {what}, in {' or '.join(QUANTITIES[what])}.")
 
@@ -306,7 +303,7 @@ class _Wiring:
             if isinstance(value, str):
                 if value not in self._table.names:
                     raise self._fail(path, f"the plan has no column {value!r}{hint(value, self._table.names)}.")
-                value = float(self._column(value, False)[0])
+                value = float(self._table.column(value, False)[0])
             found[self._startable(path, name)] = float(value)
         signals: list[tuple[str, Signal]] = [
             *given.positions.items(),
@@ -315,7 +312,7 @@ class _Wiring:
         for column, signal in signals:
             variable = self._by_name[signal.variable]
             if column in self._table.names and variable.initial in ("exact", "approx") and variable.start is not None:
-                first = float(self._column(column, False)[0])
+                first = float(self._table.column(column, False)[0])
                 found.setdefault(int(variable.valueReference), (first - signal.offset) / signal.scale)
         return list(found.items())
 
@@ -333,7 +330,7 @@ class _Wiring:
         )
         goal = [given.goal.get(item.name) for item in coordinates]
         goal += [given.goal.get(item.velocity_name) if item.name in given.velocities else None for item in coordinates]
-        times = self._column(given.plan.time, False)
+        times = self._table.column(given.plan.time, False)
         return ForeignModel(
             name=Path(self._package.path).stem,
             coordinates=coordinates,
@@ -461,9 +458,6 @@ class _Wiring:
             raise self._fail(f"inputs.{name}", f"its lower bound is {lower:g}, its upper bound {upper:g}, in the plan's unit.")
         return ForeignInput(name=name, unit=self._unit(name, signal), lower=lower, upper=upper)
 
-    def _column(self, name: str, last_is_open: bool) -> np.ndarray:
-        return self._table.column(name, last_is_open)
-
     def _groups(self) -> dict[str, list[str]]:
         """Columns of what a plan may leave out. Velocities count where every position has one."""
         given = self.map
@@ -487,7 +481,7 @@ class _Wiring:
             columns = groups[key]
             if key in missing or not columns:
                 return np.zeros((rows, len(given.contacts if key == "lam" else given.positions)))
-            return np.column_stack([self._column(column, rows < nodes) for column in columns])
+            return np.column_stack([self._table.column(column, rows < nodes) for column in columns])
 
         try:
             return Trajectory(
@@ -498,7 +492,7 @@ class _Wiring:
 
     def _duration(self, missing: frozenset[str]) -> tuple[float, float] | None:
         """How long a plan of inputs alone is meant to last, and how near to that is as long: half its own last step."""
-        duration, times = self.map.task.duration, self._column(self.map.plan.time, False)
+        duration, times = self.map.task.duration, self._table.column(self.map.plan.time, False)
         return (duration, float(times[-1] - times[-2]) / 2.0) if duration is not None and "q" in missing else None
 
 
