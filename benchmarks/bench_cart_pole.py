@@ -52,7 +52,7 @@ class Tried:
 
     @property
     def holds(self) -> bool:
-        return self.score is not None and self.score.verdict.value == "holds"
+        return self.score is not None and self.score.verdict.is_good
 
 
 def starts(number: int, seed: int) -> np.ndarray:
@@ -98,7 +98,7 @@ def _row(start: np.ndarray, tried: list[Tried]) -> dict[str, Any]:
     return {
         "x": float(start[0]), "theta": float(start[1]), "share": best.share, "outcome": best.outcome, "balanced": best.holds,
         "why": best.score.why if best.score is not None else "no plan", "wall_impulse": float(impulse),
-        "tracked_end": value("tracked_terminal_error"), "open_end": value("replay_terminal_error"), "plan_end": value("terminal_error"),
+        "tracked_end": value("tracked_replay_terminal_error"), "open_end": value("replay_terminal_error"), "plan_end": value("terminal_error"),
         "effort": value("feedback_effort"), "peak": value("feedback_peak"), "amplification": value("amplification"),
         "plan_cpu_s": sum(item.plan_s for item in tried), "judge_cpu_s": sum(item.judge_s for item in tried),
     }  # fmt: skip
