@@ -46,8 +46,8 @@ class RandomisedSmoothing(QuasiNewtonMethod):
         return filled
 
     def objective(self, kernel: Kernel, eps: float | None, options: Mapping[str, object]) -> Objective:
-        from formulations.shooting.objective import Weights
-        from formulations.shooting.smoothed import SmoothedObjective, noise
+        from formulations.shooting.objective import Objective, Weights
+        from formulations.shooting.smoothed import noise
 
         number = {name: cast(float, value) for name, value in options.items()}
         drawn = noise(
@@ -59,7 +59,7 @@ class RandomisedSmoothing(QuasiNewtonMethod):
             seed=int(number["seed"]),
         )
         weights = Weights(terminal=number["terminal_weight"], running=number["input_weight"])
-        return SmoothedObjective(kernel, weights=weights, noise=drawn)
+        return Objective(kernel, law=self.law, weights=weights, noise=drawn)
 
 
 METHOD = RandomisedSmoothing()

@@ -1,31 +1,30 @@
-"""Gradient descent on an Objective, projected on the bounds of the inputs.
+"""Gradient descent: `torch.optim.SGD` on a loss of the inputs, projected on their bounds.
 
-    result = descend(objective, u0, Settings(learning_rate=500.0, iterations=15), time_limit=60.0)
+    found = descend(Objective(load_kernel(scene), law=ContactLaw.RELU), u0, Settings(learning_rate=500.0, iterations=15), time_limit=60.0)
 
-The step is `u <- clip(u - learning_rate * gradient, lower, upper)`. The paper's descent ignores the bounds and its plans stay
-inside them: there the projection changes nothing, not even a bit. The step is that of `torch.optim.SGD` to rounding (tested).
+The step is `u <- clip(u - learning_rate * gradient, lower, upper)`. The paper's descent ignores the bounds and its plans stay inside them: there the
+projection changes nothing, not even a bit. `projected_descent` is the loop alone, for many plans at once, on any device:
 
-The loop is compiled (loss.c): so many iterations in one call as take a twentieth of a second, so that a time limit and an interrupt are obeyed in between.
+    u = torch.randn(64, 500, 2, device="cuda", requires_grad=True)
+    for _, loss in zip(range(100), projected_descent(lambda u: loss_of(rollout(kernel, u), u), u, 500.0, lower, upper)): ...
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
+import torch
+from torch import Tensor
 
-from formulations.shooting.compiled import CompiledLoss, DescentRun, Ending
 from formulations.shooting.diagnosis import dead_contact_message, divergence_message, sensitivity
 from formulations.shooting.ending import input_bounds
 from formulations.shooting.errors import ShootingError
 from formulations.shooting.objective import Objective
-from formulations.shooting.stopping import Losses
+from formulations.shooting.stopping import Losses, Progress
 from formulations.solution import Outcome
-
-# Wall seconds that the compiled loop runs without looking up.
-_SLICE = 0.05
-_COLUMNS = ("loss", "terminal_error", "cost", "gradient_norm")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,71 +53,77 @@ class Descent:
     history: dict[str, list[float]]
 
 
+def projected_descent(loss_of: Callable[[Tensor], Tensor], u: Tensor, rate: float, lower: Tensor, upper: Tensor) -> Iterator[Tensor]:
+    """The loss (..) at u (.., steps, nu), and again after each step, without end; u.grad is its gradient there.
+
+    u: requires a gradient, and moves in place when the next loss is asked for; each of its leading rows descends by itself. lower, upper (nu,).
+    """
+    optimiser = torch.optim.SGD([u], lr=rate)
+    while True:
+        optimiser.zero_grad()
+        loss = loss_of(u)
+        (loss if loss.dim() == 0 else loss.sum()).backward()
+        yield loss.detach()
+        optimiser.step()
+        u.data.clamp_(lower, upper)
+
+
 def descend(objective: Objective, u0: np.ndarray, settings: Settings, time_limit: float) -> Descent:
-    """Descend from u0 (steps, nu). time_limit: wall seconds."""
-    if objective.smoothed:
-        raise ShootingError("gradient descent takes a loss without noise; L-BFGS (randomised_smoothing) takes its mean over random inputs.")
-    lower, upper = input_bounds(objective.work.kernel.scene)
-    by_rule, rate = settings.iterations is None, settings.learning_rate
-    run = DescentRun(
-        CompiledLoss(objective),
-        np.clip(u0, lower, upper),
-        rate=rate,
-        limit=settings.max_iterations if settings.iterations is None else settings.iterations,
-        tolerance=settings.tolerance if by_rule else None,
-        lower=lower,
-        upper=upper,
-    )
-    ending = _run(run, objective, perf_counter() + time_limit)
-    iteration = run.evaluations if ending is Ending.NOT_FINITE else run.evaluations - 1
-    history = {name: column.tolist() for name, column in zip(_COLUMNS, run.columns, strict=True)}
-    losses = Losses(values=run.columns[0])
+    """Descend from u0 (steps, nu). time_limit: wall seconds. Raises ShootingError for a loss of one's own that has no gradient."""
+    began = perf_counter()
+    scene = objective.kernel.scene
+    lower, upper = input_bounds(scene)
+    rate, by_rule = settings.learning_rate, settings.iterations is None
+    limit = settings.max_iterations if settings.iterations is None else settings.iterations
+    u = torch.tensor(np.clip(u0, lower, upper), dtype=torch.float64, requires_grad=True)
+    losses, best = Losses(), u.detach().clone()
+    history: dict[str, list[float]] = {"loss": losses.values, "terminal_error": [], "cost": [], "gradient_norm": []}
 
     def ended(outcome: Outcome, message: str, plan: np.ndarray | None, norm: float) -> Descent:
         return Descent(outcome=outcome, message=message, u=plan, iterations=iteration, gradient_norm=norm, history=history)
 
-    if ending is Ending.NOT_FINITE:
-        objective.value(run.u)
-        message = divergence_message(objective, rate, iteration, run.best if iteration else None)
-        return ended(Outcome.DIVERGED if iteration else Outcome.EVALUATION_ERROR, message, None, 0.0)
-    if ending is Ending.RUNAWAY:
-        objective.value(run.u)
-        return ended(Outcome.DIVERGED, divergence_message(objective, rate, iteration, run.best), None, history["gradient_norm"][-1])
-    if ending is Ending.SETTLED:
+    progress, iteration = Progress.DESCENDING, 0
+    for iteration, loss in enumerate(projected_descent(objective, u, rate, *(torch.from_numpy(bound) for bound in (lower, upper)))):
+        value, gradient = loss.item(), u.grad
+        if gradient is None:
+            raise ShootingError(f"scene {scene.name}: the loss has no gradient with respect to the inputs.")
+        norm = _norm(gradient.numpy())
+        if not (np.isfinite(value) and np.isfinite(norm)):
+            message = divergence_message(objective, rate, iteration, best.numpy() if iteration else None)
+            return ended(Outcome.DIVERGED if iteration else Outcome.EVALUATION_ERROR, message, None, 0.0)
+        progress = losses.add(value, settings.tolerance)
+        history["terminal_error"].append(objective.terminal_error)
+        history["cost"].append(objective.cost)
+        history["gradient_norm"].append(norm)
+        if losses.best == value:
+            best.copy_(u.detach())
+        if (by_rule and progress is not Progress.DESCENDING) or iteration == limit or perf_counter() - began >= time_limit:
+            break
+    objective.seconds += perf_counter() - began
+
+    if by_rule and progress is Progress.RUNAWAY:
+        return ended(Outcome.DIVERGED, divergence_message(objective, rate, iteration, best.numpy()), None, history["gradient_norm"][-1])
+    if by_rule and progress is Progress.SETTLED:
         outcome, message = Outcome.SOLVED, ""
-    elif ending is Ending.AT_LIMIT:
+    elif iteration == limit:
         outcome, message = Outcome.ITERATION_LIMIT, _limit_message(settings, losses)
     else:
         outcome, message = Outcome.TIME_LIMIT, f"stopped after {iteration} iterations at the time limit of {time_limit:g} s"
 
-    plan = (run.best if by_rule else run.u).copy()
+    plan = (best if by_rule else u.detach()).numpy().copy()
     objective.value(plan)
-    gradient = objective.gradient().copy()
+    slope = objective.gradient()
     if outcome is Outcome.SOLVED:
-        step = np.clip(plan - rate * gradient, lower, upper) - plan
-        outcome, message = _settled(losses, settings.tolerance, -float((gradient * step).sum()))
-    dead = dead_contact_message(objective, sensitivity(objective), rate)
+        step = np.clip(plan - rate * slope, lower, upper) - plan
+        outcome, message = _settled(losses, settings.tolerance, -float((slope * step).sum()))
+    dead = dead_contact_message(objective, sensitivity(objective, plan), rate)
     if dead:
         outcome = Outcome.STALLED if outcome is Outcome.SOLVED else outcome
         message = f"{message}; {dead}"
     at_bound = int(((plan <= lower) | (plan >= upper)).sum())
     if at_bound:
         message = f"{message}; {at_bound} of {plan.size} inputs are held at their bound"
-    return ended(outcome, _sentence(message), plan, _norm(gradient))
-
-
-def _run(run: DescentRun, objective: Objective, deadline: float) -> Ending:
-    """Until it ends, or UNDER_WAY at the deadline."""
-    most = 1
-    while True:
-        before, started = run.evaluations, perf_counter()
-        ending = run.advance(most)
-        now = perf_counter()
-        objective.evaluate_seconds += now - started
-        if ending is not Ending.UNDER_WAY or now >= deadline:
-            return ending
-        share = min(_SLICE, deadline - now) / max(now - started, 1e-9)
-        most = max(1, min(int((run.evaluations - before) * share), 10 * most))
+    return ended(outcome, _sentence(message), plan, _norm(slope))
 
 
 def _norm(array: np.ndarray) -> float:

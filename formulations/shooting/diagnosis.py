@@ -27,7 +27,7 @@ _DIFFERENCE = 1e-5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sensitivity:
-    """Of the last state at the objective's last rollout: to_inputs (2*nq, steps*nu), to_start (2*nq, 2*nq)."""
+    """Of the last state: to_inputs (2*nq, steps*nu), to_start (2*nq, 2*nq)."""
 
     to_inputs: np.ndarray
     to_start: np.ndarray
@@ -38,30 +38,32 @@ class Sensitivity:
         return float(np.linalg.norm(self.to_start, 2))
 
 
-def sensitivity(objective: Objective) -> Sensitivity:
-    """Derivatives of the last state, by one adjoint sweep for each of its components."""
-    work = objective.work
+def sensitivity(objective: Objective, u: np.ndarray) -> Sensitivity:
+    """Derivatives of the last state at inputs u (steps, nu), by one adjoint sweep for each of its components."""
+    kernel, task = objective.kernel, objective.kernel.scene.task
+    plan = kernel.rollout(np.array(task.start), u, task.step, objective.law, objective.eps)
     rows_u, rows_x = [], []
-    for index in range(len(objective.error)):
-        work.end_bar[:] = 0.0
-        work.end_bar[index] = 1.0
-        rows_u.append(work.adjoint().ravel().copy())
-        rows_x.append(work.start_bar.copy())
+    for index in range(2 * kernel.scene.nq):
+        q_bar, v_bar = np.zeros_like(plan.q), np.zeros_like(plan.v)
+        (q_bar if index < kernel.scene.nq else v_bar)[-1, index % kernel.scene.nq] = 1.0
+        u_bar, start_bar = kernel.adjoint(plan, u, q_bar, v_bar)
+        rows_u.append(u_bar.ravel())
+        rows_x.append(start_bar)
     return Sensitivity(to_inputs=np.array(rows_u), to_start=np.array(rows_x))
 
 
 def out_of_reach(objective: Objective, rows: Sensitivity, learning_rate: float) -> list[str]:
     """Names of the coordinates that miss the goal and that no gradient moves, each with its error, for a sentence."""
-    scene = objective.work.kernel.scene
+    scene, missed = objective.kernel.scene, np.abs(objective.error)
     found = []
     for index, coordinate in enumerate(scene.coordinates):
         closes = (
-            learning_rate * objective.weights.terminal / len(objective.error) * 2.0 * float(rows.to_inputs[index] @ rows.to_inputs[index])
+            learning_rate * objective.weights.terminal / len(missed) * 2.0 * float(rows.to_inputs[index] @ rows.to_inputs[index])
         )
-        if abs(objective.error[index]) > _MISSED * coordinate.nominal and closes < _OUT_OF_REACH:
+        if missed[index] > _MISSED * coordinate.nominal and closes < _OUT_OF_REACH:
             slope = float(np.linalg.norm(rows.to_inputs[index]))
             found.append(
-                f"{coordinate.name} (it misses its goal by {abs(objective.error[index]):.3g} {coordinate.unit}; |d {coordinate.name}/d u| = {slope:.2g})"
+                f"{coordinate.name} (it misses its goal by {missed[index]:.3g} {coordinate.unit}; |d {coordinate.name}/d u| = {slope:.2g})"
             )
     return found
 
@@ -72,24 +74,24 @@ def dead_contact_message(objective: Objective, rows: Sensitivity, learning_rate:
     if not found:
         return ""
     names = " and ".join(found)
-    work = objective.work
-    scene, relu = work.kernel.scene, work.law is ContactLaw.RELU
+    assert objective.plan is not None
+    scene, relu, step = objective.kernel.scene, objective.law is ContactLaw.RELU, objective.kernel.scene.task.step
     consequence = f"so the loss has no gradient towards moving {names}"
     if not scene.nc:
         return f"no input reaches it, {consequence}."
-    phi = work.kernel.penetration(work.q[:-1])
+    phi = objective.kernel.penetration(objective.plan.q.detach().numpy()[:-1])
     if relu:
         never = [index for index in range(scene.nc) if phi[:, index].max() <= 0.0]
         if len(never) == scene.nc:
-            what = f"no contact is made anywhere on the trajectory ({_gaps(scene, phi, never, work.step)})"
+            what = f"no contact is made anywhere on the trajectory ({_gaps(scene, phi, never, step)})"
         elif never:
-            what = f"contact {' and '.join(scene.contacts[index].name for index in never)} is never made ({_gaps(scene, phi, never, work.step)})"
+            what = f"contact {' and '.join(scene.contacts[index].name for index in never)} is never made ({_gaps(scene, phi, never, step)})"
         else:
             what = "every contact is made, but none carries an input's effect to the end"
         return f"{what}, {consequence}; start from a softplus stage."
-    force = float(work.lam.max())
+    force = objective.plan.lam.max().item()
     everywhere = list(range(scene.nc))
-    return f"the relaxed contact is too faint (largest force {force:.2g} N; {_gaps(scene, phi, everywhere, work.step)}), {consequence}; start from a larger eps."
+    return f"the relaxed contact is too faint (largest force {force:.2g} N; {_gaps(scene, phi, everywhere, step)}), {consequence}; start from a larger eps."
 
 
 def _gaps(scene: Scene, phi: np.ndarray, contacts: list[int], step: float) -> str:
@@ -124,7 +126,6 @@ def stable_rate(objective: Objective, u: np.ndarray) -> float:
 
 def divergence_message(objective: Objective, learning_rate: float, iteration: int, best: np.ndarray | None) -> str:
     """What went wrong at this iteration, and the growth and the rate measured at the best inputs seen (None if there are none)."""
-    work = objective.work
     where = (
         f"after {iteration} {'iteration' if iteration == 1 else 'iterations'} at learning rate {learning_rate:g}"
         if iteration
@@ -133,12 +134,11 @@ def divergence_message(objective: Objective, learning_rate: float, iteration: in
     if objective.finite:
         what = f"{where} the loss climbs instead of descending"
     else:
-        what = f"{where} the rollout is no longer finite beyond step {work.finite_steps} (t = {work.finite_steps * work.step:.3g} s)"
+        steps = objective.finite_steps
+        what = f"{where} the rollout is no longer finite beyond step {steps} (t = {steps * objective.kernel.scene.task.step:.3g} s)"
     if best is None:
         return f"{what}; start, parameters and inputs must allow a simulation to the end of the horizon."
-    rate = stable_rate(objective, best)
-    objective.value(best)
-    growth = sensitivity(objective).growth
+    rate, growth = stable_rate(objective, best), sensitivity(objective, best).growth
     advice = f"; a learning rate below {_rounded_down(rate)} would not overshoot there" if np.isfinite(rate) else ""
     return f"{what}; at the best plan a disturbance of the start grows by a factor of {growth:.3g} over the horizon{advice}."
 

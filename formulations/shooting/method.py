@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from formulations.shooting.descent import Descent
-    from formulations.shooting.objective import Objective
+    from formulations.shooting.objective import Loss, Objective
     from models.codegen.kernel import Kernel
     from models.scene import Scene
 
@@ -93,7 +93,11 @@ class ShootingMethod(Method):
         from formulations.shooting.objective import Objective, Weights
 
         weights = Weights(terminal=_number(options["terminal_weight"]), running=_number(options["input_weight"]))
-        return Objective(kernel, law=self.law, eps=eps, weights=weights)
+        return Objective(kernel, law=self.law, eps=eps, weights=weights, loss=self.loss(kernel.scene))
+
+    def loss(self, scene: Scene) -> Loss | None:
+        """A loss of one's own, of a rollout and its inputs (formulations.shooting.objective); None: the paper's, by the weights among the options."""
+        return None
 
     @abstractmethod
     def minimise(self, objective: Objective, u0: np.ndarray, options: Mapping[str, object], time_limit: float) -> Descent:

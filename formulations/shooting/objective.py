@@ -1,26 +1,40 @@
-"""The loss that is descended: how far from the goal the plan ends, plus a little of what it costs.
+"""The loss that is descended, in PyTorch operations on `rollout`: how far from the goal the plan ends, plus a little of what it costs.
 
     loss = terminal_weight * mean((x_T - x_f)^2) + input_weight * sum of the running cost
 
-The paper prints no loss; terminal_weight = 1, input_weight = 5e-6 and the mean over all positions and velocities reproduce its
-rows. `Objective` evaluates it in buffers that are reused; compiled.py is the same within loops of compiled code. The formula on PyTorch
-tensors, for a loss of one's own, is `rollout.plan_loss`.
+The paper prints no loss; terminal_weight = 1, input_weight = 5e-6 and the mean over all positions and velocities reproduce its rows.
+
+    objective = Objective(load_kernel(scene), law=ContactLaw.SOFTPLUS, eps=1e-3)
+    objective(u).backward()                                      # u (steps, nu), a tensor that requires a gradient
+
+A loss of one's own is any function of a rollout (RolloutTensors) and its inputs that returns one number for each plan:
+
+    def calm(plan, u):
+        return (plan.end - goal).square().mean(-1) + 1e-5 * u.diff(dim=-2).square().sum((-2, -1))
+
+    objective = Objective(load_kernel(scene), law=ContactLaw.RELU, loss=calm)
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
+import torch
+from torch import Tensor
 
+from formulations.shooting.errors import ShootingError
+from formulations.shooting.rollout import RolloutTensors, rollout
 from models.codegen.kernel import Kernel
-from models.codegen.workspace import Workspace
 from models.contact_law import ContactLaw
+from models.goal import miss
 
 PAPER_INPUT_WEIGHT = 5e-6
+
+Loss = Callable[[RolloutTensors, Tensor], Tensor]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,13 +43,31 @@ class Weights:
     running: float = PAPER_INPUT_WEIGHT
 
 
+class GoalLoss:
+    """The loss of the module docstring: (..) of the rollouts of inputs u (.., steps, nu). goal (2*nq,): None or NaN where the end is free."""
+
+    def __init__(self, goal: Sequence[float | None] | np.ndarray, weights: Weights | None = None) -> None:
+        given = np.array(goal, dtype=float)
+        self.weights = Weights() if weights is None else weights
+        self._goal = torch.from_numpy(np.nan_to_num(given))
+        self._asked = torch.from_numpy(~np.isnan(given)) if np.isnan(given).any() else None
+
+    def __call__(self, plan: RolloutTensors, u: Tensor) -> Tensor:
+        if (self._goal.device, self._goal.dtype) != (plan.end.device, plan.end.dtype):
+            self._goal = self._goal.to(plan.end)
+            self._asked = None if self._asked is None else self._asked.to(plan.end.device)
+        error = plan.end - self._goal
+        if self._asked is not None:
+            error = torch.where(self._asked, error, 0.0)
+        return (error * error).sum(-1) * (self.weights.terminal / len(self._goal)) + plan.cost * self.weights.running
+
+
 class Objective:
-    """`loss = objective.value(u)`, then `objective.gradient()`, with u (steps, nu); facts of the last evaluation stand beside it.
+    """A loss as a function of inputs (steps, nu) alone; facts of the last evaluation stand beside it.
 
-    work: the last rollout; error (2*nq,): x_T - goal, 0 where the end is free; cost: its running cost; evaluate_seconds: wall seconds in compiled code.
+    goal (2*nq,): what terminal_error is measured from, and what the loss aims at unless `loss` is given; NaN where free. noise (samples, steps, nu): the
+    loss is its mean over inputs u + noise[i]; plan is still that of u. plan: the last rollout; seconds: wall seconds spent so far.
     """
-
-    smoothed = False  # whether the gradient is another than that of the last rollout
 
     def __init__(
         self,
@@ -45,53 +77,107 @@ class Objective:
         eps: float | None = None,
         weights: Weights | None = None,
         goal: Sequence[float | None] | None = None,
+        loss: Loss | None = None,
+        noise: np.ndarray | None = None,
     ):
         task = kernel.scene.task
-        self.work = Workspace(kernel, task.start, steps=task.steps, step=task.step, law=law, eps=eps)
-        self.weights = Weights() if weights is None else weights
-        self.goal = np.array(task.goal if goal is None else goal, dtype=float)
-        self._free = np.isnan(self.goal)
-        self.error = np.full_like(self.goal, np.nan)
-        self.cost = np.nan
-        self.evaluate_seconds = 0.0
+        self.kernel, self.law, self.eps = kernel, law, eps
+        self.start = torch.tensor(task.start, dtype=torch.float64)
+        self.noise = None if noise is None else torch.from_numpy(np.ascontiguousarray(noise, dtype=np.float64))
+        self.seconds = 0.0
+        self._own = loss
+        self._inputs = torch.zeros(task.steps, kernel.scene.nu, dtype=torch.float64)
+        self.plan: RolloutTensors | None = None
+        self.aim(np.array(task.goal if goal is None else goal, dtype=float), Weights() if weights is None else weights)
+
+    def aim(self, goal: np.ndarray, weights: Weights) -> None:
+        """Another goal and other weights from now on; nothing to a loss of one's own."""
+        self.goal, self.weights = goal, weights
+        self.loss = GoalLoss(goal, weights) if self._own is None else self._own
+
+    def __call__(self, u: Tensor) -> Tensor:
+        """The loss at inputs u (steps, nu), a scalar that can be differentiated; not finite if the rollout diverges.
+
+        Raises ShootingError for a loss of one's own that is not a number for each plan, or does not depend on it.
+        """
+        mean = None
+        if self.noise is not None:
+            mean = self._loss(u + self.noise).mean()
+            u = u.detach()
+        value = self._loss(u)
+        return value if mean is None else mean + 0.0 * value  # not finite where the plan without noise is not
+
+    def _loss(self, u: Tensor) -> Tensor:
+        plan = rollout(self.kernel, u, self.start, law=self.law, eps=self.eps)
+        if u.dim() == 2:
+            self.plan = plan
+        value = self.loss(plan, u)
+        if self._own is not None:
+            self._check(value, u)
+        return value
+
+    def _check(self, value: object, u: Tensor) -> None:
+        where = f"scene {self.kernel.scene.name}: the loss"
+        if not isinstance(value, Tensor):
+            raise ShootingError(f"{where} returned a {type(value).__name__}, but must return a PyTorch tensor, one number for each plan.")
+        if value.shape != u.shape[:-2]:
+            wanted = "a single number" if u.dim() == 2 else f"shape {tuple(u.shape[:-2])}, one number for each plan"
+            raise ShootingError(f"{where} returned a tensor of shape {tuple(value.shape)}, but {wanted} is needed; sum or average over the rest.")
+        if u.requires_grad and not value.requires_grad:
+            raise ShootingError(f"{where} has no gradient with respect to the inputs; compute it from the rollout by PyTorch operations, without detach or item.")
 
     @property
     def finite(self) -> bool:
         """Whether the last rollout stayed finite to its end."""
-        return self.work.finite_steps == self.work.steps
+        return self.finite_steps == len(self._inputs)
+
+    @property
+    def finite_steps(self) -> int:
+        """How many steps of the last rollout stayed finite."""
+        if self.plan is None or not math.isnan(self.plan.cost.item()):
+            return len(self._inputs)
+        rows = torch.isfinite(self.plan.q).all(-1) & torch.isfinite(self.plan.v).all(-1)
+        return max(0, int(rows.to(torch.int8).argmin()) - 1) if not bool(rows.all()) else len(self._inputs)
+
+    @property
+    def aims(self) -> bool:
+        """Whether the loss is that of the module docstring, which `aim` changes."""
+        return self._own is None
+
+    def missed(self, goal: np.ndarray) -> np.ndarray:
+        """(2*nq,) x_T - goal of the last rollout, 0 where the goal is free."""
+        assert self.plan is not None
+        return miss(self.plan.end.detach().numpy(), goal)
+
+    @property
+    def error(self) -> np.ndarray:
+        """(2*nq,) `missed` of the goal aimed at."""
+        return self.missed(self.goal)
 
     @property
     def terminal_error(self) -> float:
         """|x_T - goal| over positions and velocities."""
-        return math.sqrt(_squares(self.error))
+        error = self.error
+        return math.sqrt(float(error @ error))
+
+    @property
+    def cost(self) -> float:
+        """The scene's cost of the last rollout."""
+        assert self.plan is not None
+        return self.plan.cost.item()
 
     def value(self, u: np.ndarray) -> float:
         """The loss at inputs u (steps, nu); infinite if the rollout diverges."""
-        started = perf_counter()
-        finite = self.work.rollout(u)
-        self.cost = self.work.cost() if finite else np.nan
-        self.evaluate_seconds += perf_counter() - started
-        if not finite:
-            self.error[:] = np.nan
-            return np.inf
-        nq = len(self.goal) // 2
-        np.subtract(self.work.q[-1], self.goal[:nq], out=self.error[:nq])
-        np.subtract(self.work.v[-1], self.goal[nq:], out=self.error[nq:])
-        self.error[self._free] = 0.0
-        return self.weights.terminal * _squares(self.error) / len(self.error) + self.weights.running * self.cost
+        began = perf_counter()
+        self._inputs = torch.tensor(u, dtype=torch.float64, requires_grad=True)
+        self._value = self(self._inputs)
+        found = self._value.item()
+        self.seconds += perf_counter() - began
+        return found if math.isfinite(found) else math.inf
 
     def gradient(self) -> np.ndarray:
-        """Gradient (steps, nu) of the loss at the inputs evaluated last; the buffer is overwritten by the next call."""
-        np.multiply(self.error, 2.0 * self.weights.terminal / len(self.error), out=self.work.end_bar)
-        started = perf_counter()
-        gradient = self.work.adjoint(self.weights.running)
-        self.evaluate_seconds += perf_counter() - started
-        return gradient
-
-
-def _squares(error: np.ndarray) -> float:
-    """Sum of squares from the first to the last, as compiled code adds them up; an overflow is an answer here, not a warning."""
-    total = 0.0
-    for entry in error.tolist():
-        total += entry * entry
-    return total
+        """Gradient (steps, nu) of the loss at the inputs that `value` evaluated last."""
+        began = perf_counter()
+        (found,) = torch.autograd.grad(self._value, self._inputs, retain_graph=True)
+        self.seconds += perf_counter() - began
+        return found.numpy()

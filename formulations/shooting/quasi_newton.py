@@ -2,7 +2,7 @@
 
     found = minimise(objective, u0, Settings(), time_limit=60.0)
 
-The loss is that of gradient descent, which weighs the goal against the cost and so ends a little beside the goal. Each round after the
+SciPy's, because `torch.optim.LBFGS` knows no bounds. The loss is that of gradient descent, through the same `rollout`; it weighs the goal against the cost and so the plan ends a little beside the goal. Each round after the
 first displaces the goal that is aimed at by what was missed: goal - s with s <- s + (x_T - goal). That is the method of multipliers, since
 w |m + s|^2 = w |m|^2 + 2 w s'm + constant, with 2 w s as multipliers.
 """
@@ -20,7 +20,6 @@ from formulations.shooting.diagnosis import dead_contact_message, sensitivity, s
 from formulations.shooting.ending import input_bounds
 from formulations.shooting.objective import Objective
 from formulations.solution import Outcome
-from models.goal import miss
 from models.scene import Scene
 
 _PATIENCE = 20  # iterations over which the decrease is judged
@@ -48,7 +47,7 @@ class _Run:
         self, objective: Objective, goal: np.ndarray, settings: Settings, deadline: float, history: dict[str, list[float]]
     ) -> None:
         self._objective, self._goal, self._settings, self._deadline, self._history = objective, goal, settings, deadline, history
-        self._shape = objective.work.u.shape
+        self._shape = (objective.kernel.scene.task.steps, objective.kernel.scene.nu)
         self._last: tuple[np.ndarray, float, np.ndarray, float, float] | None = None  # point, loss, gradient, miss, cost
         self._scale = 1.0
         self.losses: list[float] = []
@@ -77,7 +76,7 @@ class _Run:
             point.copy(),
             value,
             gradient.copy(),
-            float(np.linalg.norm(miss_of(self._objective, self._goal))),
+            float(np.linalg.norm(self._objective.missed(self._goal))),
             self._objective.cost,
         )
         return value / self._scale, gradient / self._scale
@@ -106,14 +105,9 @@ class _Run:
             raise StopIteration
 
 
-def miss_of(objective: Objective, goal: np.ndarray) -> np.ndarray:
-    """x_T - goal (2*nq,) of the last rollout, 0 where the end is free."""
-    return miss(np.concatenate([objective.work.q[-1], objective.work.v[-1]]), goal)
-
-
 def projected(objective: Objective, u: np.ndarray, gradient: np.ndarray) -> np.ndarray:
     """The gradient (steps, nu) without entries whose descent would leave the bounds."""
-    lower, upper = input_bounds(objective.work.kernel.scene)
+    lower, upper = input_bounds(objective.kernel.scene)
     beyond = ((u <= lower) & (gradient > 0.0)) | ((u >= upper) & (gradient < 0.0))
     return np.where(beyond, 0.0, gradient)
 
@@ -123,16 +117,16 @@ def minimise(objective: Objective, u0: np.ndarray, settings: Settings, time_limi
 
     The objective's goal is left where it was."""
     deadline = perf_counter() + time_limit
-    goal, weights = objective.goal.copy(), objective.weights
+    goal, weights = objective.goal, objective.weights
     history: dict[str, list[float]] = {"loss": [], "terminal_error": [], "cost": [], "gradient_norm": []}
-    u = np.clip(u0, *input_bounds(objective.work.kernel.scene))
+    u = np.clip(u0, *input_bounds(objective.kernel.scene))
     try:
         run, u, missed, rounds = _rounds(objective, u, settings, deadline, history)
     finally:
-        objective.goal[:], objective.weights = goal, weights
+        objective.aim(goal, weights)
     if run is None:
-        work = objective.work
-        told = f"at the first guess the rollout is no longer finite beyond step {work.finite_steps} (t = {work.finite_steps * work.step:.3g} s)"
+        steps = objective.finite_steps
+        told = f"at the first guess the rollout is no longer finite beyond step {steps} (t = {steps * objective.kernel.scene.task.step:.3g} s)"
         return Descent(outcome=Outcome.EVALUATION_ERROR, message=f"{told}.", u=None, iterations=0, gradient_norm=0.0, history=history)
     iterations = len(history["loss"])
     objective.value(u)
@@ -147,12 +141,11 @@ def minimise(objective: Objective, u0: np.ndarray, settings: Settings, time_limi
     outcome, message = told[run.ending]
     if rounds:
         message += f"; the goal was displaced {rounds} times"
-    dead = (
-        dead_contact_message(objective, sensitivity(objective), min(stable_rate(objective, u), 1e12))
-        if missed > settings.goal_tolerance
-        else ""
-    )
-    objective.value(u)
+    dead = ""
+    if missed > settings.goal_tolerance:
+        rate = min(stable_rate(objective, u), 1e12)
+        objective.value(u)
+        dead = dead_contact_message(objective, sensitivity(objective, u), rate)
     if dead:
         outcome, message = (Outcome.STALLED if outcome is Outcome.SOLVED else outcome), f"{message}; {dead}"
     message = message if message.endswith(".") else f"{message}."
@@ -163,16 +156,16 @@ def _rounds(
     objective: Objective, u: np.ndarray, settings: Settings, deadline: float, history: dict[str, list[float]]
 ) -> tuple[_Run | None, np.ndarray, float, int]:
     """Minimise, displace the goal by what was missed, and again; the last run, the best inputs, what they miss, and how often displaced."""
-    goal, best, least, displaced, weight, slow = objective.goal.copy(), u, np.inf, 0, objective.weights.terminal, 0
-    shift = np.zeros(len(goal))
+    goal, best, least, displaced, weight, slow = objective.goal, u, np.inf, 0, objective.weights.terminal, 0
+    shift, most = np.zeros(len(goal)), settings.goal_rounds if objective.aims else 0
     while True:
-        objective.goal[:], objective.weights = goal - shift, replace(objective.weights, terminal=weight)
+        objective.aim(goal - shift, replace(objective.weights, terminal=weight))
         run = _Run(objective, goal, settings, deadline, history)
         if not np.isfinite(run.start(u)):
             return None, u, np.inf, 0
-        u = _one(run, objective.work.kernel.scene, u, settings)
+        u = _one(run, objective.kernel.scene, u, settings)
         objective.value(u)
-        error = miss_of(objective, goal)
+        error = objective.missed(goal)
         missed = float(np.linalg.norm(error))
         slow = slow + 1 if missed > _STALLS * least else 0
         shift += error
@@ -180,7 +173,7 @@ def _rounds(
             weight, shift = weight * _HEAVIER, shift / _HEAVIER
         if missed < least:
             best, least = u, missed
-        if run.ending in ("limit", "time") or missed <= settings.goal_tolerance or displaced >= settings.goal_rounds or slow > 2:
+        if run.ending in ("limit", "time") or missed <= settings.goal_tolerance or displaced >= most or slow > 2:
             return run, best, least, displaced
         displaced += 1
 

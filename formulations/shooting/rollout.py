@@ -1,7 +1,7 @@
 """The compiled time step of a scene as a PyTorch function that can be differentiated once.
 
-    q, v, lam, cost = rollout(scene, u)                                       # true (ReLU) contact
-    q, v, lam, cost = rollout(scene, u, start, law=ContactLaw.SOFTPLUS, eps=1e-3)
+    q, v, lam, cost, end = rollout(scene, u)                                  # true (ReLU) contact
+    plan = rollout(scene, u, start, law=ContactLaw.SOFTPLUS, eps=1e-3)
 
 Values come from the C kernel, gradients with respect to `u` and `start` from its adjoint. Any loss of the outputs may be built
 on top. Decisions:
@@ -21,26 +21,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from formulations.shooting.errors import ShootingError
-from formulations.shooting.objective import Weights
 from formulations.shooting.reference import reference_cost, reference_rollout
-from models.codegen.batch import adjoints, rollouts
-from models.codegen.kernel import Kernel, load_kernel
+from models.codegen.kernel import Kernel, KernelError, load_kernel
 from models.contact_law import ContactLaw
 from models.scene import Scene
 
 
 class RolloutTensors(NamedTuple):
-    """q, v: (.., steps+1, nq) [m, rad]; lam: (.., steps, nc+nf) [N]; cost: (..) sum of the scene's running cost over the steps, and the final one."""
+    """q, v: (.., steps+1, nq) [m, rad]; lam: (.., steps, nc+nf) [N]; cost: (..) sum of the scene's running cost over the steps, and the final one;
+    end: (.., 2*nq) the last positions and velocities, once more: a gradient of them alone is cheaper."""
 
     q: Tensor
     v: Tensor
     lam: Tensor
     cost: Tensor
+    end: Tensor
 
 
 def rollout(
@@ -66,19 +65,11 @@ def rollout(
     _check(kernel.scene, u, start)
     if u.device.type != "cpu":
         q, v, lam = reference_rollout(kernel.scene, u, start, step=step, law=law, eps=eps)
-        return RolloutTensors(q, v, lam, reference_cost(kernel.scene, q, v, u))
-    rows = torch.broadcast_shapes(u.shape[:-2], start.shape[:-1])
-    plans, starts = (tensor.expand(*rows, *tensor.shape[-own:]) for tensor, own in ((u, 2), (start, 1)))
-    if len(rows) != 1:
-        plans, starts = plans.reshape(rows.numel(), *u.shape[-2:]), starts.reshape(rows.numel(), -1)
-    found = _Rollout.apply(plans, starts, kernel, step, law, eps)
-    return RolloutTensors(*(found if len(rows) == 1 else (tensor.reshape((*rows, *tensor.shape[1:])) for tensor in found)))
-
-
-def plan_loss(plan: RolloutTensors, goal: Tensor, weights: Weights) -> Tensor:
-    """(..): terminal * mean((x_T - goal)^2) + running * cost, with x_T = (q_T, v_T) and goal (2*nq,), NaN where free (no error there)."""
-    error = torch.where(goal.isnan(), 0.0, torch.cat([plan.q[..., -1, :], plan.v[..., -1, :]], -1) - goal)
-    return weights.terminal * error.square().mean(-1) + weights.running * plan.cost
+        return RolloutTensors(q, v, lam, reference_cost(kernel.scene, q, v, u), torch.cat([q[..., -1, :], v[..., -1, :]], -1))
+    if u.shape[:-2] != start.shape[:-1]:
+        rows = torch.broadcast_shapes(u.shape[:-2], start.shape[:-1])
+        u, start = u.expand(*rows, *u.shape[-2:]), start.expand(*rows, start.shape[-1])
+    return RolloutTensors(*_Rollout.apply(u, start, kernel, step, law, eps))
 
 
 def _check(scene: Scene, u: object, start: object) -> None:
@@ -110,26 +101,33 @@ def _check(scene: Scene, u: object, start: object) -> None:
 
 
 class _Rollout(torch.autograd.Function):
-    """Of u (rows, steps, nu) and start (rows, 2*nq)."""
+    """Of u (.., steps, nu) and start (.., 2*nq), whose leading dimensions are equal."""
 
     @staticmethod
     def forward(ctx: Any, u: Tensor, start: Tensor, kernel: Kernel, step: float, law: ContactLaw, eps: float | None) -> tuple[Tensor, ...]:
-        found = rollouts(kernel, start.detach().numpy(), u.detach().numpy(), step, law, eps)
-        outputs = tuple(torch.from_numpy(array) for array in (found.q, found.v, found.lam, found.cost))
-        ctx.save_for_backward(u, *outputs)
+        scene, rows, steps = kernel.scene, u.shape[:-2], u.shape[-2]
+        u, start = u.contiguous(), start.contiguous()
+        shapes = ((steps + 1, scene.nq), (steps + 1, scene.nq), (steps, scene.nl), (), (2 * scene.nq,))
+        outputs = tuple(u.new_empty((*rows, *shape)) for shape in shapes)
+        functions = kernel.batch_functions(steps, step, law, eps)
+        functions.rollouts(rows.numel(), *functions.head, start.data_ptr(), u.data_ptr(), *(tensor.data_ptr() for tensor in outputs))
+        ctx.save_for_backward(u, *outputs[:3])
         ctx.set_materialize_grads(False)
-        ctx.kernel, ctx.found = kernel, found
+        ctx.functions, ctx.kernel = functions, kernel
         return outputs
 
     @staticmethod
     def backward(ctx: Any, *bars: Tensor | None) -> tuple[Tensor | None, ...]:
-        u, *outputs = ctx.saved_tensors
-        rows = [np.zeros(tensor.shape) if bar is None else _numpy(bar) for bar, tensor in zip(bars, outputs, strict=True)]
-        found = adjoints(ctx.kernel, ctx.found, _numpy(u), *rows)
-        gradients = [torch.from_numpy(array) if needed else None for array, needed in zip(found, ctx.needs_input_grad, strict=False)]
+        u, q, v, lam = ctx.saved_tensors
+        bars = tuple(None if bar is None else bar.contiguous() for bar in bars)
+        gradients = [torch.empty_like(u), u.new_empty((*u.shape[:-2], 2 * q.shape[-1]))]
+        rows, tensors = u.shape[:-2].numel(), (q, v, lam, u, *bars, *gradients)
+        done = ctx.functions.adjoints(rows, *ctx.functions.head, *(None if tensor is None else tensor.data_ptr() for tensor in tensors))
+        if done < rows:
+            raise KernelError(f"scene {ctx.kernel.scene.name}: the mass matrix is not positive definite along rollout {done}.")
         if torch.is_grad_enabled():  # create_graph=True: whoever differentiates these again shall be told
-            parents = [tensor for tensor in (u, outputs[0], *bars) if tensor is not None and tensor.requires_grad]
-            gradients = [None if gradient is None else FirstDerivativeOnly.apply(gradient, *parents) for gradient in gradients]
+            parents = [tensor for tensor in (u, q, *bars) if tensor is not None and tensor.requires_grad]
+            gradients = [FirstDerivativeOnly.apply(gradient, *parents) for gradient in gradients]
         return (*gradients, None, None, None, None)
 
 
@@ -147,6 +145,3 @@ class FirstDerivativeOnly(torch.autograd.Function):
             "use formulations.shooting.reference.reference_rollout, which is plain PyTorch."
         )
 
-
-def _numpy(tensor: Tensor) -> np.ndarray:
-    return tensor.detach().numpy()

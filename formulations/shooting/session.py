@@ -43,13 +43,13 @@ class ShootingSession(Session):
         u0 = given_inputs(self._scene, warm_start)
         descending = perf_counter()
         descent = self._method.minimise(objective, u0, self._options, time_limit)
-        rest = perf_counter() - descending - objective.evaluate_seconds
+        rest = perf_counter() - descending - objective.seconds
         solution = self._solution(descent, u0, eps if self._method.law is ContactLaw.SOFTPLUS else None)
         opening_wall, opening_cpu = self._opening
         self._opening = (0.0, 0.0)
         seconds = Seconds(
             build=opening_wall,
-            evaluate=objective.evaluate_seconds,
+            evaluate=objective.seconds,
             linear_algebra=max(0.0, rest),
             wall=opening_wall + perf_counter() - started,
             cpu=opening_cpu + process_time() - cpu,

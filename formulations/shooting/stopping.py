@@ -5,35 +5,51 @@ smaller needs ten times the iterations for the same way: a window of fixed lengt
 
     settled      the best loss fell by less than `tolerance` (relative) over the window, or is down to rounding
     runaway      the loss stayed above twice its best over half a window: it climbs instead of descending
-
-The rule itself runs within the compiled loop (`loss_progress` in loss.c); here is what it goes by, for the words at the end.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import numpy as np
+from enum import Enum
 
 _SHORTEST_WINDOW = 50
 _WINDOW_SHARE = 4
 # A loss this far below the first one has lost all digits that the goal was given in.
 _NOTHING_LEFT = 1e-20
+_RUNAWAY = 2.0
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+class Progress(Enum):
+    DESCENDING = "descending"
+    SETTLED = "settled"
+    RUNAWAY = "runaway"
+
+
 class Losses:
-    """values (n,): the loss before each iteration, and at the end."""
+    """values: the loss before each iteration, and at the end."""
 
-    values: np.ndarray
+    def __init__(self) -> None:
+        self.values: list[float] = []
+        self._best: list[float] = []  # the least of the first so many
+
+    def add(self, loss: float, tolerance: float) -> Progress:
+        """Take the next loss and say how the descent goes."""
+        self.values.append(loss)
+        self._best.append(min(loss, self._best[-1]) if self._best else loss)
+        if self.exhausted:
+            return Progress.SETTLED
+        if len(self.values) <= self.window:
+            return Progress.DESCENDING
+        if loss > _RUNAWAY * self.best and min(self.values[-(self.window // 2) :]) > _RUNAWAY * self.best:
+            return Progress.RUNAWAY
+        return Progress.SETTLED if self.decrease() <= tolerance else Progress.DESCENDING
 
     @property
     def first(self) -> float:
-        return float(self.values[0])
+        return self.values[0]
 
     @property
     def last(self) -> float:
-        return float(self.values[-1])
+        return self.values[-1]
 
     @property
     def window(self) -> int:
@@ -42,7 +58,7 @@ class Losses:
 
     @property
     def best(self) -> float:
-        return float(self.values.min())
+        return self._best[-1]
 
     @property
     def exhausted(self) -> bool:
@@ -51,5 +67,5 @@ class Losses:
 
     def decrease(self) -> float:
         """Relative decrease of the best loss over the window."""
-        earlier = float(self.values[: max(1, len(self.values) - self.window)].min())
+        earlier = self._best[max(0, len(self._best) - 1 - self.window)]
         return (earlier - self.best) / earlier if earlier > 0.0 else 0.0

@@ -39,9 +39,9 @@ _FRICTION_SIGNATURES = {"slip": (None, "npppp"), "friction_limit": (None, "npppp
 _DAMPING_SIGNATURES = {"damped_contact_force": (None, "npndppp"), "contact_push": (None, "npppp")}
 _SIGNATURES = {
     "rollout": (ctypes.c_int, "ndpndppppp"),
-    "adjoint": (ctypes.c_int, "ndpndpppppppdpp"),
+    "adjoint": (ctypes.c_int, "ndpndppppppppdpp"),
     "rollouts": (None, "nndpndppppppp"),
-    "adjoints": (ctypes.c_int, "nndpndppppppppppp"),
+    "adjoints": (ctypes.c_int, "nndpnd" + "p" * 11),
     "penetration": (None, "nppp"),
     "contact_force": (None, "npndpp"),
     "stiffness": (None, "pp"),
@@ -87,7 +87,7 @@ class BoundFunctions(NamedTuple):
 
 
 class BatchFunctions(NamedTuple):
-    """The same for several plans in one call. head: the arguments of both after the number of rows."""
+    """The same for several plans in one call. head: the arguments of both after the number of rows. Addresses of gradients may be None: zero."""
 
     rollouts: Callable[..., None]
     adjoints: Callable[..., int]
@@ -147,7 +147,7 @@ class Kernel:
         return BoundFunctions(self._library.kernel_rollout, self._library.kernel_adjoint, self._library.kernel_cost)
 
     def batch_functions(self, steps: int, step: float, law: ContactLaw, eps: float | None) -> BatchFunctions:
-        """The C functions for several plans in one call (`models.codegen.batch`)."""
+        """The C functions for several plans in one call (formulations.shooting.rollout)."""
         head = (steps, step, _at(self.parameters_of(step)), law.value, _b(law, eps, self.scene.length))
         return BatchFunctions(self._library.kernel_rollouts, self._library.kernel_adjoints, head)
 
@@ -248,7 +248,7 @@ class Kernel:
         u_bar, start_bar = np.empty_like(u), np.empty(2 * self.scene.nq)
         failed = self._library.kernel_adjoint(
             len(u), rollout.step, _at(self.parameters_of(rollout.step)), rollout.law.value, _b(rollout.law, rollout.eps, self.scene.length), _at(rollout.q), _at(rollout.v),
-            _at(rollout.lam), _at(u), _at(q_bar), _at(v_bar), None if lam_bar is None else _at(lam_bar), cost_bar, _at(u_bar), _at(start_bar),
+            _at(rollout.lam), _at(u), _at(q_bar), _at(v_bar), None if lam_bar is None else _at(lam_bar), None, cost_bar, _at(u_bar), _at(start_bar),
         )  # fmt: skip
         if failed:
             raise KernelError(f"scene {self.scene.name}: the mass matrix is not positive definite along the rollout.")

@@ -89,19 +89,19 @@ EXPORT int kernel_rollout(int steps, double h, const double *parameters, int law
     return steps;
 }
 
-/* Reverse sweep: given the derivatives of a loss with respect to every entry of q, v and lam (q_bar, v_bar; lam_bar or NULL) and to
- * the cost (cost_bar), writes those with respect to u (steps, NU) and start (2 NQ). Returns 0, or 1 if the mass
+/* Reverse sweep: given the derivatives of a loss with respect to every entry of q, v and lam (q_bar, v_bar, lam_bar), to the last state once more
+ * (end_bar, 2 NQ) - each may be NULL - and to the cost (cost_bar), writes those with respect to u (steps, NU) and start (2 NQ). Returns 0, or 1 if the mass
  * matrix is not positive definite. */
 EXPORT int kernel_adjoint(int steps, double h, const double *parameters, int law, double b, const double *q, const double *v,
-    const double *lam, const double *u, const double *q_bar, const double *v_bar, const double *lam_bar, double cost_bar, double *u_bar,
-    double *start_bar)
+    const double *lam, const double *u, const double *q_bar, const double *v_bar, const double *lam_bar, const double *end_bar, double cost_bar,
+    double *u_bar, double *start_bar)
 {
     double p[SIZE(NP)], k[SIZE(NC)], gq[NQ], gv[NQ];
     local_parameters(parameters, p);
     scene_stiffness(p, k);
     for (int i = 0; i < NQ; i++) {
-        gq[i] = q_bar[steps * NQ + i];
-        gv[i] = v_bar[steps * NQ + i];
+        gq[i] = (q_bar ? q_bar[steps * NQ + i] : 0.0) + (end_bar ? end_bar[i] : 0.0);
+        gv[i] = (v_bar ? v_bar[steps * NQ + i] : 0.0) + (end_bar ? end_bar[NQ + i] : 0.0);
     }
 #ifdef FINAL_COST
     if (cost_bar != 0.0) scene_final_cost_vjp(q + steps * NQ, v + steps * NQ, p, &cost_bar, gq, gv);
@@ -125,8 +125,8 @@ EXPORT int kernel_adjoint(int steps, double h, const double *parameters, int law
         scene_penetration_vjp(qt, p, gl, gq);
         if (cost_bar != 0.0) scene_running_cost_vjp(qt, vt, u + t * NU, p, &cost_bar, gq, gv, u_bar + t * NU);
         for (int i = 0; i < NQ; i++) {
-            gq[i] += q_bar[t * NQ + i];
-            gv[i] += v_bar[t * NQ + i];
+            if (q_bar) gq[i] += q_bar[t * NQ + i];
+            if (v_bar) gv[i] += v_bar[t * NQ + i];
         }
     }
     for (int i = 0; i < NQ; i++) {
@@ -138,31 +138,38 @@ EXPORT int kernel_adjoint(int steps, double h, const double *parameters, int law
 
 EXPORT double kernel_cost(int n, const double *p, const double *q, const double *v, const double *u);
 
-/* Several plans in one call: row r of start (rows, 2 NQ) and u (rows, steps, NU) gives row r of q, v, lam, of the costs, NAN where the rollout
- * diverged, and of the numbers of steps that stayed finite. */
+/* Rows of plans, each as kernel_rollout's: also their costs and last states (rows, 2 NQ). NAN after the last finite step, and in costs and ends, of a
+ * row that diverged. */
 EXPORT void kernel_rollouts(int rows, int steps, double h, const double *parameters, int law, double b, const double *start, const double *u,
-    double *q, double *v, double *lam, double *costs, int *finite)
+    double *q, double *v, double *lam, double *costs, double *ends)
 {
     for (int r = 0; r < rows; r++, start += 2 * NQ, u += steps * NU, q += (steps + 1) * NQ, v += (steps + 1) * NQ, lam += steps * NL) {
-        finite[r] = kernel_rollout(steps, h, parameters, law, b, start, u, q, v, lam);
-        costs[r] = finite[r] == steps ? kernel_cost(steps, parameters, q, v, u) : NAN;
+        const int done = kernel_rollout(steps, h, parameters, law, b, start, u, q, v, lam);
+        costs[r] = done == steps ? kernel_cost(steps, parameters, q, v, u) : NAN;
+        for (int i = (done + 1) * NQ; i < (steps + 1) * NQ; i++) q[i] = v[i] = NAN;
+        for (int i = (done + 1) * NL; i < steps * NL; i++) lam[i] = NAN;
+        for (int i = 0; i < NQ; i++) {
+            ends[r * 2 * NQ + i] = q[steps * NQ + i];
+            ends[r * 2 * NQ + NQ + i] = v[steps * NQ + i];
+        }
     }
 }
 
-/* Their adjoints, each as kernel_adjoint's; NAN in the rows that diverged. Returns the number of rows done, fewer than all if a mass matrix is
- * not positive definite. */
+/* Their adjoints, each as kernel_adjoint's; cost_bars may be NULL too. NAN in the rows that diverged. Returns the number of rows done, fewer than all if
+ * a mass matrix is not positive definite. */
 EXPORT int kernel_adjoints(int rows, int steps, double h, const double *parameters, int law, double b, const double *q, const double *v,
-    const double *lam, const double *u, const int *finite, const double *q_bar, const double *v_bar, const double *lam_bar,
-    const double *cost_bars, double *u_bar, double *start_bar)
+    const double *lam, const double *u, const double *q_bar, const double *v_bar, const double *lam_bar, const double *cost_bars,
+    const double *end_bars, double *u_bar, double *start_bar)
 {
     for (int r = 0; r < rows; r++) {
         const size_t at_nodes = (size_t)r * (steps + 1) * NQ, at_u = (size_t)r * steps * NU, at_lam = (size_t)r * steps * NL;
         double *inputs_bar = u_bar + at_u, *from_bar = start_bar + r * 2 * NQ;
-        if (finite[r] < steps) {
+        if (!finite_row(q + at_nodes + steps * NQ, NQ) || !finite_row(v + at_nodes + steps * NQ, NQ)) {
             for (int i = 0; i < steps * NU; i++) inputs_bar[i] = NAN;
             for (int i = 0; i < 2 * NQ; i++) from_bar[i] = NAN;
-        } else if (kernel_adjoint(steps, h, parameters, law, b, q + at_nodes, v + at_nodes, lam + at_lam, u + at_u, q_bar + at_nodes,
-                       v_bar + at_nodes, lam_bar + at_lam, cost_bars[r], inputs_bar, from_bar))
+        } else if (kernel_adjoint(steps, h, parameters, law, b, q + at_nodes, v + at_nodes, lam + at_lam, u + at_u, q_bar ? q_bar + at_nodes : NULL,
+                       v_bar ? v_bar + at_nodes : NULL, lam_bar ? lam_bar + at_lam : NULL, end_bars ? end_bars + r * 2 * NQ : NULL,
+                       cost_bars ? cost_bars[r] : 0.0, inputs_bar, from_bar))
             return r;
     }
     return rows;

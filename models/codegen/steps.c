@@ -30,7 +30,7 @@ EXPORT int kernel_linearise(int n, double h, const double *parameters, int law, 
         for (int row = 0; A && row < NX; row++) {
             double *bar = row < NQ ? q_bar + NQ + row : v_bar + row; /* v_bar + NQ + (row - NQ): of the end of the step */
             *bar = 1.0;
-            if (kernel_adjoint(1, h, parameters, law, b, q, v, lam + t * NL, inputs, q_bar, v_bar, NULL, 0.0, u_bar, A + (t * NX + row) * NX))
+            if (kernel_adjoint(1, h, parameters, law, b, q, v, lam + t * NL, inputs, q_bar, v_bar, NULL, NULL, 0.0, u_bar, A + (t * NX + row) * NX))
                 return t;
             *bar = 0.0;
             for (int j = 0; j < NU; j++) B[(t * NX + row) * NU + j] = u_bar[j];

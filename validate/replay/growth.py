@@ -128,12 +128,12 @@ class FlowDerivative:
         self._scene, self._steps, self._functions = scene, steps, kernel.bound_functions()
         nq, nodes = scene.nq, (steps + 1, scene.nq)
         self._start, self._u = np.empty(2 * nq), np.empty((steps, scene.nu))
-        self._u_bar, self._start_bar, self._bar = np.empty((steps, scene.nu)), np.empty(2 * nq), np.zeros((2, *nodes))
+        self._u_bar, self._start_bar, self._end_bar = np.empty((steps, scene.nu)), np.empty(2 * nq), np.zeros(2 * nq)
         self._run = np.empty(nodes), np.empty(nodes), np.empty((steps, scene.nl))
         self._kernel = kernel
         start, u, *made = (array.ctypes.data for array in (self._start, self._u, *self._run))
         self._rollout_of = start, u, *made
-        self._adjoint_of = *made, u, self._bar[0].ctypes.data, self._bar[1].ctypes.data, None, 0.0, self._u_bar.ctypes.data
+        self._adjoint_of = *made, u, None, None, None, self._end_bar.ctypes.data, 0.0, self._u_bar.ctypes.data
         self._rows = self._start_bar.ctypes.data
 
     def at(self, state: np.ndarray, u: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
@@ -145,9 +145,9 @@ class FlowDerivative:
             raise KernelError(f"scene {scene.name}: the true contact law leads out of every bound from {state.tolist()}.")
         by_state, by_input = np.empty((2 * nq, 2 * nq)), np.empty((2 * nq, u.shape[1]))
         for row in range(2 * nq):
-            self._bar[row // nq, -1, row % nq] = 1.0
+            self._end_bar[row] = 1.0
             failed = self._functions.adjoint(*head, *self._adjoint_of, self._rows)
-            self._bar[row // nq, -1, row % nq] = 0.0
+            self._end_bar[row] = 0.0
             if failed:
                 raise KernelError(f"scene {scene.name}: the mass matrix is not positive definite along the rollout.")
             by_state[row], by_input[row] = self._start_bar, self._u_bar.sum(axis=0)
