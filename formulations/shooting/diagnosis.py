@@ -42,14 +42,8 @@ def sensitivity(objective: Objective, u: np.ndarray) -> Sensitivity:
     """Derivatives of the last state at inputs u (steps, nu), by one adjoint sweep for each of its components."""
     kernel, task = objective.kernel, objective.kernel.scene.task
     plan = kernel.rollout(np.array(task.start), u, task.step, objective.law, objective.eps)
-    rows_u, rows_x = [], []
-    for index in range(2 * kernel.scene.nq):
-        q_bar, v_bar = np.zeros_like(plan.q), np.zeros_like(plan.v)
-        (q_bar if index < kernel.scene.nq else v_bar)[-1, index % kernel.scene.nq] = 1.0
-        u_bar, start_bar = kernel.adjoint(plan, u, q_bar, v_bar)
-        rows_u.append(u_bar.ravel())
-        rows_x.append(start_bar)
-    return Sensitivity(to_inputs=np.array(rows_u), to_start=np.array(rows_x))
+    rows = [kernel.adjoint(plan, u, end_bar=component) for component in np.eye(2 * kernel.scene.nq)]
+    return Sensitivity(to_inputs=np.array([u_bar.ravel() for u_bar, _ in rows]), to_start=np.array([start_bar for _, start_bar in rows]))
 
 
 def out_of_reach(objective: Objective, rows: Sensitivity, learning_rate: float) -> list[str]:
@@ -57,9 +51,7 @@ def out_of_reach(objective: Objective, rows: Sensitivity, learning_rate: float) 
     scene, missed = objective.kernel.scene, np.abs(objective.error)
     found = []
     for index, coordinate in enumerate(scene.coordinates):
-        closes = (
-            learning_rate * objective.weights.terminal / len(missed) * 2.0 * float(rows.to_inputs[index] @ rows.to_inputs[index])
-        )
+        closes = learning_rate * objective.weights.terminal / len(missed) * 2.0 * float(rows.to_inputs[index] @ rows.to_inputs[index])
         if missed[index] > _MISSED * coordinate.nominal and closes < _OUT_OF_REACH:
             slope = float(np.linalg.norm(rows.to_inputs[index]))
             found.append(

@@ -122,9 +122,13 @@ class Objective:
             raise ShootingError(f"{where} returned a {type(value).__name__}, but must return a PyTorch tensor, one number for each plan.")
         if value.shape != u.shape[:-2]:
             wanted = "a single number" if u.dim() == 2 else f"shape {tuple(u.shape[:-2])}, one number for each plan"
-            raise ShootingError(f"{where} returned a tensor of shape {tuple(value.shape)}, but {wanted} is needed; sum or average over the rest.")
+            raise ShootingError(
+                f"{where} returned a tensor of shape {tuple(value.shape)}, but {wanted} is needed; sum or average over the rest."
+            )
         if u.requires_grad and not value.requires_grad:
-            raise ShootingError(f"{where} has no gradient with respect to the inputs; compute it from the rollout by PyTorch operations, without detach or item.")
+            raise ShootingError(
+                f"{where} has no gradient with respect to the inputs; compute it from the rollout by PyTorch operations, without detach or item."
+            )
 
     @property
     def finite(self) -> bool:

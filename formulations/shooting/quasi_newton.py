@@ -126,7 +126,9 @@ def minimise(objective: Objective, u0: np.ndarray, settings: Settings, time_limi
         objective.aim(goal, weights)
     if run is None:
         steps = objective.finite_steps
-        told = f"at the first guess the rollout is no longer finite beyond step {steps} (t = {steps * objective.kernel.scene.task.step:.3g} s)"
+        told = (
+            f"at the first guess the rollout is no longer finite beyond step {steps} (t = {steps * objective.kernel.scene.task.step:.3g} s)"
+        )
         return Descent(outcome=Outcome.EVALUATION_ERROR, message=f"{told}.", u=None, iterations=0, gradient_norm=0.0, history=history)
     iterations = len(history["loss"])
     objective.value(u)

@@ -10,6 +10,7 @@ cost little more than one, and it runs where the tensors are: it is the rollout 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import Any
 
 import sympy as sp
@@ -147,13 +148,9 @@ def _torch_function(
     dtype: torch.dtype = torch.float64,
     device: torch.device | str = "cpu",
 ) -> Callable[..., Tensor]:
-    """Entries of a matrix, flattened row by row, as a function of vectors (.., n); parameters have the scene's values.
-
-    Parameters enter as tensors and constants as floats, because PyTorch's functions take tensors only (`torch.sqrt(2)` fails).
-    """
-    entries = [sp.sympify(entry).replace(lambda e: e.is_number and not e.is_Number, lambda e: sp.Float(e, 17)) for entry in expressions]
-    parameters = [parameter.symbol for parameter in scene.parameters]
-    compiled = sp.lambdify([parameters, *(list(group) for group in groups)], entries, modules="torch", cse=True)
+    """Entries of a matrix, flattened row by row, as a function of vectors (.., n); parameters have the scene's values."""
+    parameters = tuple(parameter.symbol for parameter in scene.parameters)
+    compiled = _compiled((parameters, *(tuple(group) for group in groups)), tuple(sp.sympify(entry) for entry in expressions))
     values = [torch.tensor(parameter.value, dtype=dtype, device=device) for parameter in scene.parameters]
 
     def function(*vectors: Tensor) -> Tensor:
@@ -164,3 +161,14 @@ def _torch_function(
         return torch.stack([torch.as_tensor(result, dtype=dtype, device=device).expand(rows) for result in results], -1)
 
     return function
+
+
+@lru_cache(maxsize=128)
+def _compiled(groups: tuple[tuple[sp.Symbol, ...], ...], entries: tuple[sp.Expr, ...]) -> Callable[..., list[Any]]:
+    """Values of the entries, of one sequence of tensors a group.
+
+    Kept, because a descent calls for the same ones in each iteration: they take 10 ms to make (three carts) or 50 (two fingers), the loop over 500 steps 100 or 650.
+    Parameters enter as tensors and constants as floats, because PyTorch's functions take tensors only (`torch.sqrt(2)` fails).
+    """
+    plain = [entry.replace(lambda e: e.is_number and not e.is_Number, lambda e: sp.Float(e, 17)) for entry in entries]
+    return sp.lambdify([list(group) for group in groups], plain, modules="torch", cse=True)

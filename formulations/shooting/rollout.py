@@ -144,4 +144,3 @@ class FirstDerivativeOnly(torch.autograd.Function):
             "the compiled rollout can be differentiated once, but a second derivative was asked for; "
             "use formulations.shooting.reference.reference_rollout, which is plain PyTorch."
         )
-

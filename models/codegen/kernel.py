@@ -83,7 +83,6 @@ class BoundFunctions(NamedTuple):
 
     rollout: Callable[..., int]
     adjoint: Callable[..., int]
-    cost: Callable[..., float]
 
 
 class BatchFunctions(NamedTuple):
@@ -143,8 +142,8 @@ class Kernel:
         return self._p
 
     def bound_functions(self) -> BoundFunctions:
-        """The C functions themselves, for callers that keep their own buffers and addresses (`models.codegen.workspace`)."""
-        return BoundFunctions(self._library.kernel_rollout, self._library.kernel_adjoint, self._library.kernel_cost)
+        """The C functions themselves, for callers that keep their own buffers and addresses (validate.replay.growth)."""
+        return BoundFunctions(self._library.kernel_rollout, self._library.kernel_adjoint)
 
     def batch_functions(self, steps: int, step: float, law: ContactLaw, eps: float | None) -> BatchFunctions:
         """The C functions for several plans in one call (formulations.shooting.rollout)."""
@@ -230,25 +229,42 @@ class Kernel:
             lam[done + 1 :] = np.nan
         return Rollout(q=q, v=v, lam=lam, finite_steps=done, step=step, law=law, eps=eps)
 
+    def rollouts(self, start: np.ndarray, u: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+        """Forces lam (rows, steps, nc+nf) and last states (rows, 2*nq) from each start (rows, 2*nq) with inputs u (rows, steps, nu), under the true law;
+        a row that diverges is NaN from there on."""
+        rows, steps, _ = u.shape
+        start, u = self._array("start", start, 2 * self.scene.nq, rows), np.ascontiguousarray(u, dtype=np.float64)
+        q, v = (np.empty((rows, steps + 1, self.scene.nq)) for _ in range(2))
+        lam, costs, ends = np.empty((rows, steps, self.scene.nl)), np.empty(rows), np.empty((rows, 2 * self.scene.nq))
+        functions = self.batch_functions(steps, step, ContactLaw.RELU, None)
+        functions.rollouts(rows, *functions.head, *(_at(array) for array in (start, u, q, v, lam, costs, ends)))
+        return lam, ends
+
     def adjoint(
         self,
         rollout: Rollout,
         u: np.ndarray,
-        q_bar: np.ndarray,
-        v_bar: np.ndarray,
+        q_bar: np.ndarray | None = None,
+        v_bar: np.ndarray | None = None,
         lam_bar: np.ndarray | None = None,
         cost_bar: float = 0.0,
+        end_bar: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Gradients (u_bar (steps, nu), start_bar (2*nq,)) of a loss whose derivatives are q_bar, v_bar (steps+1, nq), lam_bar
-        (steps, nc+nf; None if it does not depend on lam) and cost_bar (with respect to the cost)."""
+        (steps, nc+nf), cost_bar (with respect to the cost) and end_bar (2*nq,) (to the last positions and velocities, beside q_bar and v_bar);
+        None where it does not depend on them."""
         u = self._array("u", u, self.scene.nu, len(rollout.lam))
-        nodes = len(rollout.q)
-        q_bar, v_bar = self._array("q_bar", q_bar, self.scene.nq, nodes), self._array("v_bar", v_bar, self.scene.nq, nodes)
-        lam_bar = None if lam_bar is None else self._array("lam_bar", lam_bar, self.scene.nl, nodes - 1)
+        given = (
+            ("q_bar", q_bar, rollout.q.shape),
+            ("v_bar", v_bar, rollout.v.shape),
+            ("lam_bar", lam_bar, rollout.lam.shape),
+            ("end_bar", None if end_bar is None else np.atleast_2d(end_bar), (1, 2 * self.scene.nq)),
+        )
+        bars = [None if bar is None else self._array(name, bar, columns, rows) for name, bar, (rows, columns) in given]
         u_bar, start_bar = np.empty_like(u), np.empty(2 * self.scene.nq)
         failed = self._library.kernel_adjoint(
             len(u), rollout.step, _at(self.parameters_of(rollout.step)), rollout.law.value, _b(rollout.law, rollout.eps, self.scene.length), _at(rollout.q), _at(rollout.v),
-            _at(rollout.lam), _at(u), _at(q_bar), _at(v_bar), None if lam_bar is None else _at(lam_bar), None, cost_bar, _at(u_bar), _at(start_bar),
+            _at(rollout.lam), _at(u), *(None if bar is None else _at(bar) for bar in bars), cost_bar, _at(u_bar), _at(start_bar),
         )  # fmt: skip
         if failed:
             raise KernelError(f"scene {self.scene.name}: the mass matrix is not positive definite along the rollout.")

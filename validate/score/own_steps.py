@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.codegen.batch import rollouts
 from models.codegen.kernel import Kernel
 from validate.replay.inputs import HeldInputs
 from validate.score.result import Unmeasured
@@ -85,10 +84,8 @@ class Stepper:
             h = self._h[steps[rows[0]]]
             within = (np.arange(parts) + 0.5)[None, :, None] * (h / parts)
             u = held.values[steps[rows], None] + held.slopes[steps[rows], None] * within
-            run = rollouts(self._kernel, x[rows], u, float(h) / parts)
-            ends[rows] = np.hstack([run.q[:, -1], run.v[:, -1]])
-            least[rows], most[rows] = run.lam.min(axis=1), run.lam.max(axis=1)
-            ends[rows[run.finite_steps < parts]] = np.nan
+            lam, ends[rows] = self._kernel.rollouts(x[rows], u, float(h) / parts)
+            least[rows], most[rows] = lam.min(axis=1), lam.max(axis=1)
         return OwnSteps(ends=ends, least=least, most=most)
 
     def _alike(self, steps: np.ndarray, parts: int) -> Iterator[np.ndarray]:

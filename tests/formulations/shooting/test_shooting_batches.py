@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 import torch
 
+from formulations.shooting.descent import Settings, descend, projected_descent
+from formulations.shooting.ending import input_bounds
 from formulations.shooting.errors import ShootingError
-from formulations.shooting.objective import Objective, Weights
+from formulations.shooting.objective import GoalLoss, Objective
 from formulations.shooting.reference import reference_cost, reference_rollout
-from formulations.shooting.rollout import RolloutTensors, plan_loss, rollout
+from formulations.shooting.rollout import RolloutTensors, rollout
 from models.catalog import load_scene, scene_names
-from models.codegen.batch import adjoints, rollouts
-from models.codegen.kernel import KernelError, load_kernel
+from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw
 from models.scene import Scene
 
@@ -44,7 +45,7 @@ def _plans(scene: Scene, *rows: int) -> tuple[torch.Tensor, torch.Tensor]:
 def _weighed(plan: RolloutTensors) -> torch.Tensor:
     """A loss (..) of each plan that weighs all of its figures differently."""
     parts = [tensor.flatten(-2) for tensor in plan[:3]]
-    return sum(((part * torch.cos(torch.arange(part.shape[-1]))).sum(-1) for part in parts), 0.3 * plan.cost)
+    return sum(((part * torch.cos(torch.arange(part.shape[-1]))).sum(-1) for part in (*parts, plan.end)), 0.3 * plan.cost)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -99,24 +100,41 @@ def test_second_derivatives_of_several_plans_are_refused():
         gradient.sum().backward()
 
 
-def test_descent_from_several_starts_in_a_loop_of_ones_own():
-    """PyTorch's own optimizer on a sum over plans moves each of them as a descent of its own."""
+def test_several_plans_descend_each_by_itself():
+    """One tensor of four plans, each within the bounds and as if alone."""
     scene = scene_of("three_cart")
-    kernel, goal = load_kernel(scene), torch.tensor(scene.task.goal, dtype=torch.float64)
-    u = (0.5 * torch.randn(4, 500, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))).requires_grad_()
+    kernel, loss = load_kernel(scene), GoalLoss(scene.task.goal)
+    u = (6.0 * torch.randn(4, 500, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))).clamp(-10.0, 10.0).requires_grad_()
     first = u.detach().clone()
-    optimizer = torch.optim.SGD([u], lr=500.0)
-    for _ in range(10):
-        optimizer.zero_grad()
-        loss = plan_loss(rollout(kernel, u), goal, Weights())
-        loss.sum().backward()
-        optimizer.step()
-    objective, values = Objective(kernel, law=ContactLaw.RELU), first[2].numpy().copy()
-    for _ in range(10):
-        value = objective.value(values)
-        values -= 500.0 * objective.gradient()
-    assert loss[2].item() == pytest.approx(value, rel=1e-12)
-    assert np.abs(u[2].detach().numpy() - values).max() <= 1e-12 * np.abs(values).max()
+    lower, upper = (torch.from_numpy(bound) for bound in input_bounds(scene))
+    steps = projected_descent(lambda u: loss(rollout(kernel, u), u), u, 5e3, lower, upper)
+    losses = [next(steps) for _ in range(11)]
+    assert losses[-1].shape == (4,)
+    assert u.abs().max() == 10.0
+    for row in range(4):
+        alone = descend(Objective(kernel, law=ContactLaw.RELU), first[row].numpy(), Settings(learning_rate=5e3, iterations=10), 60.0)
+        assert alone.u is not None
+        assert losses[-1][row].item() == pytest.approx(alone.history["loss"][-1], rel=1e-10)
+        assert np.abs(u[row].detach().numpy() - alone.u).max() <= 1e-10
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA device")
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+def test_the_same_loop_runs_on_a_device(dtype: torch.dtype):
+    scene = scene_of("three_cart").with_task(steps=60)
+    kernel, loss = load_kernel(scene), GoalLoss(scene.task.goal)
+    first = torch.randn(16, 60, 2, dtype=dtype, generator=torch.Generator().manual_seed(0))
+    found = []
+    for device in ("cuda", "cpu"):
+        u = (first if device == "cuda" else first.double()).to(device).requires_grad_()
+        bounds = [torch.as_tensor(bound).to(u) for bound in input_bounds(scene)]
+        steps = projected_descent(lambda u: loss(rollout(kernel, u), u), u, 50.0, *bounds)
+        for _ in range(6):
+            value = next(steps)
+        assert value.device.type == device
+        found.append((value.double().cpu(), u.detach().double().cpu()))
+    for one, other in zip(*found, strict=True):
+        assert torch.allclose(one, other, rtol=1e-10 if dtype == torch.float64 else 1e-3, atol=1e-10 if dtype == torch.float64 else 1e-3)
 
 
 @pytest.mark.parametrize("name", PLAIN)
@@ -126,7 +144,10 @@ def test_the_rollout_of_other_devices_is_the_compiled_one(name: str, law: Contac
     scene = scene_of(name)
     u, start = _plans(scene, 4)
     q, v, lam = reference_rollout(scene, u, start, law=law, eps=eps)
-    plain, compiled = RolloutTensors(q, v, lam, reference_cost(scene, q, v, u)), rollout(scene, u, start, law=law, eps=eps)
+    plain, compiled = (
+        RolloutTensors(q, v, lam, reference_cost(scene, q, v, u), torch.cat([q[..., -1, :], v[..., -1, :]], -1)),
+        rollout(scene, u, start, law=law, eps=eps),
+    )
     gradients = [torch.autograd.grad(_weighed(plan).sum(), (u, start)) for plan in (plain, compiled)]
     for found, expected in zip((*plain, *gradients[0]), (*compiled, *gradients[1]), strict=True):
         assert found.shape == expected.shape
@@ -140,27 +161,7 @@ def test_tensors_of_another_device_stay_there(name: str, dtype: torch.dtype):
     u = torch.zeros(7, STEPS, scene.nu, dtype=dtype, device="meta", requires_grad=True)
     for law, eps in LAWS:
         plan = rollout(scene, u, law=law, eps=eps)
-        assert [tensor.shape for tensor in plan] == [(7, STEPS + 1, scene.nq)] * 2 + [(7, STEPS, scene.nc), (7,)]
+        assert [tensor.shape for tensor in plan] == [(7, STEPS + 1, scene.nq)] * 2 + [(7, STEPS, scene.nc), (7,), (7, 2 * scene.nq)]
         assert {(tensor.device.type, tensor.dtype) for tensor in plan} == {("meta", dtype)}
         (bar,) = torch.autograd.grad(plan.q[:, -1].square().sum() + plan.cost.sum(), u)
         assert (bar.shape, bar.device.type) == (u.shape, "meta")
-
-
-def test_rows_of_the_kernel_itself():
-    """The numpy functions behind it: values and gradients of `Kernel`, and shapes that do not fit."""
-    scene = scene_of("three_cart")
-    kernel = load_kernel(scene)
-    u, start = (tensor.detach().numpy() for tensor in _plans(scene, 3))
-    found = rollouts(kernel, start, u, 0.01)
-    bars = (np.cos(found.q), np.sin(found.v), np.cos(found.lam), np.array([1.0, 0.0, -2.0]))
-    u_bar, start_bar = adjoints(kernel, found, u, *bars)
-    for row in range(3):
-        alone = kernel.rollout(start[row], u[row], 0.01)
-        assert (found.q[row] == alone.q).all()
-        assert found.cost[row] == kernel.cost(alone.q, alone.v, u[row])
-        expected = kernel.adjoint(alone, u[row], *(bar[row] for bar in bars[:3]), cost_bar=float(bars[3][row]))
-        assert (u_bar[row] == expected[0]).all()
-        assert (start_bar[row] == expected[1]).all()
-    for arguments, words in (((start, u[:, :, :1]), "u has shape"), ((start[:2], u), "start has shape"), ((start, u[0]), "u has shape")):
-        with pytest.raises(KernelError, match=words):
-            rollouts(kernel, *arguments, 0.01)

@@ -1,18 +1,12 @@
 """softplus_gd and relu_gd through the method protocol: options, refusals, limits, bounds, other scenes, starts, steps and horizons."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from formulations.catalog import load_method
 from formulations.method import Kind, OptionError
-from formulations.shooting.descent import Settings, descend
-from formulations.shooting.objective import Objective, Weights
-from formulations.shooting.rollout import plan_loss, rollout
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
@@ -81,32 +75,6 @@ def test_repetition_gives_the_same_bits():
     assert second.trajectory is not None
     assert all((getattr(first.trajectory, name) == getattr(second.trajectory, name)).all() for name in ("u", "q", "v", "lam"))
     assert (first.history, first.residuals, first.message) == (second.history, second.residuals, second.message)
-
-
-def test_descending_imports_no_pytorch():
-    """It takes seconds to import, and nothing of it is needed."""
-    code = (
-        "import sys; from formulations.catalog import load_method; from models.catalog import load_scene\n"
-        "scene = load_scene('three_cart')\n"
-        "for name, eps in (('relu_gd', None), ('softplus_lbfgs', 1e-3), ('randomised_smoothing', 0.1)):\n"
-        "    load_method(name).open(scene, {'max_iterations': 1}).solve(eps=eps, warm_start=None, time_limit=60.0)\n"
-        "sys.exit('torch' in sys.modules)"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
-
-
-def test_the_step_is_that_of_pytorchs_sgd():
-    """To rounding: where the processor can, PyTorch rounds once where there are a product and a sum, and the next gradients carry that on."""
-    kernel, goal = load_kernel(SCENE), torch.tensor(SCENE.task.goal, dtype=torch.float64)
-    u = torch.zeros(500, 2, dtype=torch.float64, requires_grad=True)
-    optimizer = torch.optim.SGD([u], lr=500.0)
-    for _ in range(30):
-        optimizer.zero_grad()
-        plan_loss(rollout(kernel, u), goal, Weights()).backward()
-        optimizer.step()
-    found = descend(Objective(kernel, law=ContactLaw.RELU), np.zeros((500, 2)), Settings(learning_rate=500.0, iterations=30), 60.0)
-    assert found.u is not None
-    assert np.abs(found.u - u.detach().numpy()).max() <= 1e-13 * np.abs(found.u).max()
 
 
 def test_history_and_figures_belong_together():

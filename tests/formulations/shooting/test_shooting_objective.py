@@ -47,7 +47,11 @@ def test_loss_and_gradient_are_those_of_the_formula_in_plain_pytorch(law: Contac
 
 def test_free_components_of_the_goal_cost_nothing():
     free = (None, *SCENE.task.goal[1:])
-    objective, whole, u = Objective(KERNEL, law=ContactLaw.RELU, goal=free), Objective(KERNEL, law=ContactLaw.RELU), _inputs().detach().numpy()
+    objective, whole, u = (
+        Objective(KERNEL, law=ContactLaw.RELU, goal=free),
+        Objective(KERNEL, law=ContactLaw.RELU),
+        _inputs().detach().numpy(),
+    )
     whole.value(u)
     assert objective.value(u) == pytest.approx(whole.value(u) - whole.error[0] ** 2 / 6.0, rel=1e-12)
     assert objective.error[0] == 0.0

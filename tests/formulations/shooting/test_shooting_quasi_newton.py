@@ -10,7 +10,7 @@ from formulations.catalog import load_method
 from formulations.method import OptionError
 from formulations.shooting.objective import Objective, Weights
 from formulations.shooting.quasi_newton import Settings, minimise
-from formulations.shooting.smoothed import SmoothedObjective, noise
+from formulations.shooting.smoothed import noise
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
@@ -80,7 +80,7 @@ def test_noise_comes_in_pairs_of_the_size_asked_for():
 def test_the_averaged_gradient_is_the_finite_difference_of_the_averaged_loss():
     kernel = load_kernel(CARTS.with_task(steps=60, start=(2.0, 2.52, 3.04, 0.0, 0.0, 0.0)))
     drawn = noise(kernel.scene, deviation=0.2, unbounded=1.0, samples=8, pieces=3, seed=1)
-    objective = SmoothedObjective(kernel, weights=Weights(), noise=drawn)
+    objective = Objective(kernel, law=ContactLaw.RELU, noise=drawn)
     random = np.random.default_rng(3)
     u, direction = random.normal(size=(60, 2)), random.normal(size=(60, 2))
     objective.value(u)
@@ -104,3 +104,15 @@ def test_noise_makes_contact_that_the_plan_itself_does_not():
 def test_an_odd_number_of_samples_is_refused():
     with pytest.raises(OptionError, match="samples is 7, but must be an even number"):
         load_method("randomised_smoothing").open(CARTS, {"samples": 7})
+
+
+def test_a_loss_of_ones_own_is_made_small_without_displacing_its_goal():
+    """Least inputs that end at rest: nothing to do, whatever the goal."""
+    kernel = load_kernel(CARTS)
+    objective = Objective(
+        kernel, law=ContactLaw.RELU, loss=lambda plan, u: (u - 0.5).square().mean((-2, -1)) + plan.end[..., 3:].square().sum(-1)
+    )
+    found = minimise(objective, np.zeros((CARTS.task.steps, 2)), Settings(tolerance=1e-10), 60.0)
+    assert found.u is not None
+    assert found.history["loss"][-1] < found.history["loss"][0] / 2.0
+    assert "displaced" not in found.message

@@ -8,7 +8,6 @@ import pytest
 
 from models.catalog import load_scene, scene_names
 from models.codegen.kernel import Kernel, KernelError, load_kernel
-from models.codegen.workspace import Workspace
 from models.contact_law import ContactLaw, contact_force
 from models.dynamics import derive
 from models.scene import Scene
@@ -126,23 +125,32 @@ def test_rollout_that_stops_being_finite_says_where():
 
 @pytest.mark.parametrize(("law", "eps"), LAWS)
 @pytest.mark.parametrize("name", ["three_cart", "two_link_arm"])
-def test_workspace_gives_the_bits_of_the_kernel_call_after_call(name: str, law: ContactLaw, eps: float | None):
+def test_derivatives_of_the_last_state_may_be_given_alone(name: str, law: ContactLaw, eps: float | None):
     scene, kernel = scene_of(name), kernel_of(name)
-    work = Workspace(kernel, scene.task.start, steps=60, step=0.01, law=law, eps=eps)
-    for seed in range(3):
-        u = np.random.default_rng(seed).normal(size=(60, scene.nu))
-        work.end_bar[:] = np.arange(1.0, 2 * scene.nq + 1)
-        assert work.rollout(u)
-        gradient = work.adjoint(0.1)
-        plan = kernel.rollout(np.array(scene.task.start), u, 0.01, law, eps)
-        q_bar, v_bar = np.zeros_like(plan.q), np.zeros_like(plan.v)
-        q_bar[-1], v_bar[-1] = work.end_bar[: scene.nq], work.end_bar[scene.nq :]
-        u_bar, start_bar = kernel.adjoint(plan, u, q_bar, v_bar, cost_bar=0.1)
-        assert (work.q == plan.q).all()
-        assert (work.lam == plan.lam).all()
-        assert (gradient == u_bar).all()
-        assert (work.start_bar == start_bar).all()
-        assert work.cost() == kernel.cost(plan.q, plan.v, u)
+    u = np.random.default_rng(0).normal(size=(60, scene.nu))
+    plan = kernel.rollout(np.array(scene.task.start), u, 0.01, law, eps)
+    end_bar = np.arange(1.0, 2 * scene.nq + 1)
+    q_bar, v_bar = np.zeros_like(plan.q), np.zeros_like(plan.v)
+    q_bar[-1], v_bar[-1] = end_bar[: scene.nq], end_bar[scene.nq :]
+    whole, alone = kernel.adjoint(plan, u, q_bar, v_bar, cost_bar=0.1), kernel.adjoint(plan, u, cost_bar=0.1, end_bar=end_bar)
+    both = kernel.adjoint(plan, u, q_bar, v_bar, cost_bar=0.2, end_bar=end_bar)
+    for found, other, twice in zip(whole, alone, both, strict=True):
+        assert (found == other).all()
+        assert twice == pytest.approx(2.0 * found, rel=1e-12, abs=1e-300)
+
+
+@pytest.mark.parametrize("name", ["three_cart", "two_link_arm"])
+def test_rows_are_rollouts_alone(name: str):
+    scene, kernel = scene_of(name), kernel_of(name)
+    random = np.random.default_rng(1)
+    start, u = np.array(scene.task.start) + 0.05 * random.normal(size=(4, 2 * scene.nq)), random.normal(size=(4, 30, scene.nu))
+    u[2] = 1e200
+    lam, ends = kernel.rollouts(start, u, 0.01)
+    for row in range(4):
+        alone = kernel.rollout(start[row], u[row], 0.01)
+        np.testing.assert_array_equal(lam[row], alone.lam)
+        np.testing.assert_array_equal(ends[row], np.concatenate([alone.q[-1], alone.v[-1]]))
+    assert np.isnan(ends[2]).all() == (name == "two_link_arm")
 
 
 def test_arrays_that_do_not_fit_are_refused_in_words():
@@ -152,8 +160,10 @@ def test_arrays_that_do_not_fit_are_refused_in_words():
         kernel.rollout(start, np.zeros((5, 3)), 0.01)
     with pytest.raises(KernelError, match="start has shape"):
         kernel.rollout(start[:5], np.zeros((5, 2)), 0.01)
+    with pytest.raises(KernelError, match="end_bar has shape"):
+        kernel.adjoint(kernel.rollout(start, np.zeros((5, 2)), 0.01), np.zeros((5, 2)), end_bar=np.zeros(5))
     with pytest.raises(KernelError, match="start has shape"):
-        Workspace(kernel, start[:5], steps=5, step=0.01, law=ContactLaw.RELU)
+        kernel.rollouts(np.zeros((3, 6)), np.zeros((2, 5, 2)), 0.01)
     plan = kernel.rollout(start, np.zeros((5, 2)), 0.01)
     with pytest.raises(KernelError, match="q_bar has shape"):
         kernel.adjoint(plan, np.zeros((5, 2)), np.zeros((5, 3)), np.zeros((6, 3)))

@@ -34,17 +34,17 @@ def gd_iteration(size: Size, folder: Path) -> Work:
 
 
 def gd_kernel(size: Size, folder: Path) -> Work:
-    """The compiled part of an iteration, in reused buffers: rollout and adjoint."""
+    """The compiled part of an iteration: rollout and adjoint."""
+    import numpy as np
+
     from models.codegen.kernel import load_kernel
-    from models.codegen.workspace import Workspace
-    from models.contact_law import ContactLaw
 
     scene, u = scene_of(size), push(size.steps)
-    buffers = Workspace(load_kernel(scene), scene.task.start, steps=size.steps, step=scene.task.step, law=ContactLaw.RELU)
+    kernel, start = load_kernel(scene), np.array(scene.task.start)
 
     def work() -> Mapping[str, Any]:
-        buffers.rollout(u)
-        buffers.adjoint(INPUT_WEIGHT)
-        return {"value": float(buffers.q[-1, 0])}
+        plan = kernel.rollout(start, u, scene.task.step)
+        kernel.adjoint(plan, u, end_bar=start, cost_bar=INPUT_WEIGHT)
+        return {"value": float(plan.q[-1, 0])}
 
     return work

@@ -15,8 +15,6 @@ from formulations import build_model
 from formulations.ipopt import compile_model
 from models.catalog import load_scene
 from models.codegen.kernel import Kernel, load_kernel
-from models.codegen.workspace import Workspace
-from models.contact_law import ContactLaw
 from models.scene import Scene
 from validate.hardcases.case import Chart, Finding, HardCase, Series, at_most
 
@@ -33,14 +31,12 @@ def squeeze(steps: int) -> np.ndarray:
 
 
 def gradient_of(kernel: Kernel, steps: int) -> Callable[[], np.ndarray]:
-    """What an iteration of descent does: rollout, and the adjoint of a sum over the last positions, in buffers of its own."""
+    """What an iteration of descent does: rollout, and the adjoint of a sum over the last positions."""
     task, u = kernel.scene.task, squeeze(steps)
-    work = Workspace(kernel, task.start, steps=steps, step=task.step, law=ContactLaw.RELU)
 
     def iteration() -> np.ndarray:
-        work.rollout(u)
-        work.end_bar[:] = (*_WEIGHTS, 0.0, 0.0, 0.0)
-        return work.adjoint()
+        plan = kernel.rollout(np.array(task.start), u, task.step)
+        return kernel.adjoint(plan, u, end_bar=np.array((*_WEIGHTS, 0.0, 0.0, 0.0)))[0]
 
     return iteration
 
