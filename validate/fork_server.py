@@ -38,7 +38,7 @@ from validate.reaper import TOKEN_VARIABLE
 
 # What most cells import; not torch, which only some need and which takes longer than all of these.
 MODULES = (
-    *("numpy", "scipy.sparse.linalg", "scipy.linalg", "scipy.special", "sympy", "pyomo.environ", "h5netcdf", "psutil", "fmpy", "ipyopt"),
+    *("numpy", "scipy.sparse.linalg", "scipy.linalg", "scipy.special", "sympy", "pyomo.environ", "h5netcdf", "psutil", "fmpy"),
     *(
         "validate.child",
         "validate.cell",

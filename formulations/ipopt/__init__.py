@@ -19,7 +19,6 @@ Importing this package also registers `SolverFactory("touchstone_ipopt")`, which
 
 from __future__ import annotations
 
-from formulations.ipopt.backend import Start
 from formulations.ipopt.compiler import compile_model
 from formulations.ipopt.errors import MissingValueError, ModelRefusedError, StructureChangedError, UnknownOptionError
 from formulations.ipopt.options import known_options
@@ -29,6 +28,7 @@ from formulations.ipopt.residuals import Residuals, residuals
 from formulations.ipopt.result import IpoptResult, Iteration, Seconds, load
 from formulations.ipopt.solve import solve
 from formulations.ipopt.status import STATUS_MAP, STATUS_NAMES, outcome_of
+from formulations.ipopt.warm_start import Start
 
 __all__ = [
     "STATUS_MAP",

@@ -1,8 +1,8 @@
-"""Who factorises Ipopt's linear systems: our own L D L^T by fronts (`ldlt/`), or the MUMPS of the wheels.
+"""Who factorises Ipopt's linear systems: our own L D L^T by fronts (`ldlt/`), or the MUMPS of the wheel.
 
-Both wheels' Ipopt can be handed the calls of HSL's MA27 at run time; ours stand behind those. An optimality system of a plan is a chain of small
-dense pieces: a general solver spends most of its time on itself there. An iteration but for its evaluations, with MUMPS and with ours: two_discs
-22 and 11 ms with ipyopt, 53 and 14 with cyipopt, two_finger 46 and 22 (`python -m validate bench -k linear_algebra` measures the paper's scene).
+The wheel's Ipopt can be handed a library with the calls of HSL's MA27, solver by solver; ours stand behind those. An optimality system of a plan is
+a chain of small dense pieces: a general solver spends most of its time on itself there. An iteration but for its evaluations, with MUMPS and with
+ours: two_discs 53 and 14 ms (`python -m validate bench -k linear_algebra` measures the paper's scene).
 """
 
 from __future__ import annotations
@@ -14,7 +14,10 @@ import platform
 import sys
 from functools import cache
 from pathlib import Path
-from typing import Protocol
+from typing import Any
+
+import cyipopt
+import numpy as np
 
 from models.codegen.cache import cached
 from models.codegen.compiler import FLAGS, compile_shared, find_compiler
@@ -83,14 +86,8 @@ def _tell(why: str) -> None:
     logger.info("Ipopt's linear systems are factorised by MUMPS: %s", why)
 
 
-class TakesLdlt(Protocol):
-    name: str
-
-    def takes_ldlt(self) -> bool: ...
-
-
-def linear_solver(asked: str, backend: TakesLdlt) -> str:
-    """What a back end factorises with: what is asked for, else what $TOUCHSTONE_LINEAR_SOLVER names, else `ldlt` where it can be had.
+def linear_solver(asked: str = "") -> str:
+    """What Ipopt factorises with: what is asked for, else what $TOUCHSTONE_LINEAR_SOLVER names, else `ldlt` where it can be had.
 
     Raises MachineError for a name there is not, and where `ldlt` is insisted on and cannot be had.
     """
@@ -103,22 +100,43 @@ def linear_solver(asked: str, backend: TakesLdlt) -> str:
         return MUMPS
     if insisted == LDLT:
         ldlt_library()
-    if backend.takes_ldlt():
+    if available() and loads_solvers():
         return LDLT
     if insisted:
-        raise MachineError(f"the Ipopt of {backend.name} was built without loading linear solvers at run time; use linear_solver 'mumps'.")
+        raise MachineError("the installed Ipopt was built without loading linear solvers at run time; use linear_solver 'mumps'.")
     return MUMPS
 
 
 @cache
-def hand_to(extension: str) -> bool:
-    """Hand the library to the Ipopt (before 3.14) that a loaded extension module is linked to; False where that cannot be handed one."""
+def loads_solvers() -> bool:
+    """Whether this Ipopt was built to load linear solvers at run time, as that of the wheel is."""
+
+    class Nothing:  # a problem that is never solved
+        objective = gradient = staticmethod(np.zeros_like)
+
+    nlp = cyipopt.Problem(1, 0, Nothing(), [0.0], [1.0])
     try:
-        register = ctypes.CDLL(extension).LSL_setMA27
-    except (OSError, AttributeError):
+        for name, value in settings("linear_solver", LDLT):
+            nlp.add_option(name, value)
+    except TypeError:
         return False
-    library = ctypes.CDLL(str(ldlt_library()))
-    calls = [getattr(library, name) for name in _CALLS]
-    register.restype, register.argtypes = None, [ctypes.c_void_p] * len(calls)
-    register(*(ctypes.cast(call, ctypes.c_void_p) for call in calls))
+    finally:
+        nlp.close()
     return True
+
+
+def settings(name: str, value: str | int | float) -> tuple[tuple[str, str | int | float], ...]:
+    """An option in Ipopt's words: our factorisation stands behind the calls of MA27."""
+    if name == "linear_solver" and value == LDLT:
+        return (("hsllib", str(ldlt_library())), ("linear_solver", "ma27"))
+    return ((name, value),)
+
+
+# MUMPS permutes the KKT matrix before it orders it, unless told otherwise; where softplus' tiny slopes stand on the diagonal that destroys the band
+# of time steps: 10 carts at T = 500 take 0.04 instead of 1.1 CPU s an iteration, and 7 instead of 31 of them; three carts take the same.
+_KEEP_THE_BAND = {"mumps_permuting_scaling": 0}
+
+
+def band_options() -> dict[str, Any]:
+    """What keeps the band of time steps where MUMPS factorises by default; nothing where our own does, because an option of MUMPS asks for MUMPS."""
+    return dict(_KEEP_THE_BAND) if linear_solver() == MUMPS else {}

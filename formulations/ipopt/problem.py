@@ -2,8 +2,8 @@
 
     minimise f(x)   subject to   constraint_lower <= g(x) <= constraint_upper,   lower <= x <= upper
 
-A maximised objective is handed on as -f (`sense` is -1). Evaluations return NaN or inf where the model does: the back end turns
-them into a shorter step.
+A maximised objective is handed on as -f (`sense` is -1). Evaluations return NaN or inf where the model does: Ipopt
+answers with a shorter step.
 """
 
 from __future__ import annotations

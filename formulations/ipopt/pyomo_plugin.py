@@ -20,8 +20,7 @@ from pyomo.common.collections import Bunch
 from pyomo.common.tee import capture_output
 from pyomo.opt import SolverResults, SolverStatus
 
-from formulations.ipopt.backends import default_backend
-from models.errors import MachineError
+from formulations.ipopt.run import ipopt_version
 
 logger = logging.getLogger(__name__)
 
@@ -47,13 +46,6 @@ class PyomoPlugin(ABC):
     # -- what Pyomo asks of a solver ----------------------------------------------------------------------------------------------
 
     def available(self, exception_flag: bool = False) -> bool:
-        """Whether an Ipopt back end is installed; with exception_flag, raise if not."""
-        try:
-            default_backend()
-        except MachineError:
-            if exception_flag:
-                raise
-            return False
         return True
 
     def license_is_valid(self) -> bool:
@@ -67,7 +59,7 @@ class PyomoPlugin(ABC):
 
     def version(self) -> tuple[int, ...]:
         """Version of the Ipopt that would run."""
-        return default_backend().ipopt_version()
+        return ipopt_version()
 
     def set_options(self, text: str) -> None:
         """Options as 'name=value name=value'."""
@@ -108,7 +100,6 @@ class PyomoPlugin(ABC):
             raise TypeError(f"{self.title}.solve takes options as a dict, not {options!r}; options_string takes a text")
         if timelimit is not None and (isinstance(timelimit, (bool, str)) or not timelimit > 0):
             raise ValueError(f"{self.title}.solve: timelimit is a positive number of seconds, not {timelimit!r}")
-        self.available(exception_flag=True)
         self.last_result = None
         chosen = {**self.options, **(options or {}), **_options_of_text(options_string)}
         chosen.pop("solver", None)

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from pyomo.core.base import Block, Suffix
 
-from formulations.ipopt.backend import Start
 from formulations.ipopt.problem import IpoptProblem
 from formulations.ipopt.result import IpoptResult
+from formulations.ipopt.warm_start import Start
 
 
 def pyomo_duals(problem: IpoptProblem, result: IpoptResult) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -64,7 +64,6 @@ class IpoptResult:
     seconds: Seconds
     calls: Mapping[str, int] = field(default_factory=dict)
     options: Mapping[str, str | int | float]
-    backend: str
     version: str
 
     @property

@@ -9,16 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from formulations.ipopt.backend import Answer, Backend, Start
-from formulations.ipopt.backends import default_backend
 from formulations.ipopt.evaluations import Evaluations
 from formulations.ipopt.linear_solver import MUMPS, linear_solver
 from formulations.ipopt.options import DEFAULTS, checked_options
 from formulations.ipopt.problem import IpoptProblem
 from formulations.ipopt.residuals import FEASIBILITY, UNKNOWN, Residuals, residuals
 from formulations.ipopt.result import IpoptResult, Iteration, Seconds
+from formulations.ipopt.run import Answer, run, version
 from formulations.ipopt.status import NOT_SENT, name_of, outcome_of
-from formulations.ipopt.warm_start import complete_start, warm_options
+from formulations.ipopt.warm_start import Start, complete_start, warm_options
 from formulations.solution import Outcome
 
 # Multipliers of constraints that repeat each other grow without end where rounding hides it. Of 1210 solves of random quadratic programs with repeated
@@ -38,7 +37,6 @@ def solve(
     warm_start: Start | None = None,
     callback: Callback | None = None,
     time_limit: float | None = None,
-    backend: Backend | None = None,
 ) -> IpoptResult:
     """Minimise from `warm_start` (default: the current values of the model's variables); the model is left as it is.
 
@@ -48,8 +46,7 @@ def solve(
     time_limit: wall time [s], checked once an iteration
     """
     asked = checked_options(options or {})
-    backend = backend or default_backend(asked)
-    factorised_by = linear_solver(_asked_for(asked), backend)  # compiled at its first use, which no solve is to blame for
+    factorised_by = linear_solver(_asked_for(asked))  # compiled at its first use, which no solve is to blame for
     begin, cpu = time.perf_counter(), time.process_time()
     start, missing = complete_start(problem, warm_start)
     used: dict[str, str | int | float] = {
@@ -62,12 +59,12 @@ def solve(
         if not time_limit > 0:
             raise ValueError(f"time_limit is a positive number of seconds, not {time_limit!r}")
         used["max_wall_time"] = float(time_limit)
-    functions = Evaluations(problem, backend.evaluation_error)
     recorder = _Recorder(problem.sense, callback)
+    functions = Evaluations(problem, recorder)
 
     answer = _decided_without_ipopt(problem, start)
     if answer is None:
-        answer = backend.run(problem, functions, start, used, recorder)
+        answer = run(problem, functions, start, used)
     wall = time.perf_counter() - begin
     outcome, message, certificate = _judge(problem, answer, used)
     message += _hint(outcome, answer.lagrange, used)
@@ -93,8 +90,7 @@ def solve(
         ),
         calls=MappingProxyType(functions.calls),
         options=MappingProxyType(used),
-        backend=backend.name,
-        version=backend.version(),
+        version=version(),
     )
 
 

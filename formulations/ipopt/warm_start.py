@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from formulations.ipopt.backend import Start
 from formulations.ipopt.options import WARM_START_DEFAULTS
 from formulations.ipopt.problem import IpoptProblem
 
 # Limits of the barrier parameter that a primal-dual start begins with: Ipopt's own first value, and about its last.
 _MU_LARGEST, _MU_SMALLEST = 0.1, 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class Start:
+    """x (n,); multipliers lagrange (m,), zl, zu (n,) in Ipopt's signs, or None for a primal start."""
+
+    x: np.ndarray
+    lagrange: np.ndarray | None = None
+    zl: np.ndarray | None = None
+    zu: np.ndarray | None = None
 
 
 def complete_start(problem: IpoptProblem, given: Start | None) -> tuple[Start, int]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, cast
 
-from formulations.ipopt.backends import band_options
+from formulations.ipopt.linear_solver import band_options
 from formulations.solution import Outcome
 from formulations.transcription.contact_laws import ContactLaw
 from formulations.transcription.opening import Watch

@@ -18,7 +18,7 @@ from typing import Any, cast
 import numpy as np
 
 from formulations.ipopt import IpoptResult
-from formulations.ipopt.backends import band_options
+from formulations.ipopt.linear_solver import band_options
 from formulations.method import Method, OptionError, Session
 from formulations.solution import ModelSize, Outcome, Solution
 from formulations.transcription.build import build_model

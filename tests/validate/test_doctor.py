@@ -60,8 +60,8 @@ def test_a_compiler_that_computes_something_else_is_found(tmp_path, monkeypatch)
     assert "is 2.4142" in finding.sentence
 
 
-def test_an_unknown_ipopt_is_a_finding(tmp_path, monkeypatch):
-    monkeypatch.setenv("TOUCHSTONE_IPOPT", "nosuch")
+def test_an_unknown_linear_solver_is_a_finding(tmp_path, monkeypatch):
+    monkeypatch.setenv("TOUCHSTONE_LINEAR_SOLVER", "nosuch")
     finding = list(examine_machine(tmp_path, named("Ipopt")))[-1]
     assert finding.state is State.BROKEN
     assert "nosuch" in finding.sentence
@@ -90,7 +90,7 @@ def test_a_store_without_permission_is_said(tmp_path):
 
 def test_something_broken_is_exit_code_three(tmp_path):
     (tmp_path / "taken").write_text("x")
-    done = doctor("--out", str(tmp_path / "taken"), TOUCHSTONE_IPOPT="nosuch", CC="/nonexistent/cc")
+    done = doctor("--out", str(tmp_path / "taken"), TOUCHSTONE_LINEAR_SOLVER="nosuch", CC="/nonexistent/cc")
     assert done.returncode == 3
     assert "Traceback" not in done.stdout + done.stderr
     assert "to mend it" in done.stdout

@@ -54,11 +54,7 @@ class Trial:
 TRIALS = (
     Trial(name="C compiler", function="compiler", remedy="pip install 'touchstone-contact[compiler]', or set CC to a compiler you have"),
     Trial(name="cache", function="cache", remedy="set TOUCHSTONE_CACHE to a folder you can write"),
-    Trial(
-        name="Ipopt",
-        function="ipopt",
-        remedy="pip install --force-reinstall cyipopt-wheels==1.7.0.dev0; TOUCHSTONE_IPOPT=cyipopt leaves the other one out",
-    ),
+    Trial(name="Ipopt", function="ipopt", remedy="pip install --force-reinstall cyipopt-wheels==1.7.0.dev0"),
     Trial(name="PyTorch", function="gradient", remedy="pip install --force-reinstall 'torch>=2.4'", rests_on=("C compiler", "cache")),
     Trial(
         name="FMU",

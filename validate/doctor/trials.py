@@ -65,8 +65,8 @@ def ipopt(request: Any, arrays: Any) -> str:
     import pyomo.environ as pyo
 
     import formulations.ipopt  # noqa: F401 - registers the solver
-    from formulations.ipopt.backends import default_backend
     from formulations.ipopt.linear_solver import linear_solver
+    from formulations.ipopt.run import version
 
     model = pyo.ConcreteModel()
     model.x = pyo.Var(range(4), bounds=(1.0, 5.0), initialize={0: 1.0, 1: 5.0, 2: 5.0, 3: 1.0})
@@ -76,8 +76,7 @@ def ipopt(request: Any, arrays: Any) -> str:
     model.length = pyo.Constraint(expr=sum(x[i] ** 2 for i in range(4)) == 40.0)
     pyo.SolverFactory("touchstone_ipopt").solve(model)
     _compare("the optimum of problem 71 of Hock and Schittkowski", pyo.value(model.cost), 17.014017289156, 1e-7)
-    backend = default_backend()
-    return f"{backend.version()}, linear systems by {linear_solver('', backend)}; the optimum of a known problem to 1e-7"
+    return f"{version()}, linear systems by {linear_solver()}; the optimum of a known problem to 1e-7"
 
 
 def gradient(request: Any, arrays: Any) -> str:
