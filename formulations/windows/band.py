@@ -1,8 +1,8 @@
 """Banded LU with row pivoting: LAPACK's gbtrf and gbtrs, each solution refined once by its own residual.
 
-    band = BandedLU(size, width)
-    band.factor(matrix)                 # (2*width + 1, size): entry (i, j) at [width + i - j, j]; False where singular
-    x = band.solve(right)               # right (size,) or (size, m)
+band = BandedLU(size, width)
+band.factor(matrix)                 # (2*width + 1, size): entry (i, j) at [width + i - j, j]; False where singular
+x = band.solve(right)               # right (size,) or (size, m)
 """
 
 from __future__ import annotations
