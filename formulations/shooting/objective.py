@@ -59,7 +59,8 @@ class GoalLoss:
         error = plan.end - self._goal
         if self._asked is not None:
             error = torch.where(self._asked, error, 0.0)
-        return (error * error).sum(-1) * (self.weights.terminal / len(self._goal)) + plan.cost * self.weights.running
+        squares = (error * error).cumsum(-1)[..., -1]  # added up from the first to the last, so that no processor does it otherwise
+        return self.weights.terminal * squares / len(self._goal) + self.weights.running * plan.cost
 
 
 class Objective:
@@ -102,7 +103,7 @@ class Objective:
         """
         mean = None
         if self.noise is not None:
-            mean = self._loss(u + self.noise).mean()
+            mean = self._loss(u + self.noise).cumsum(0)[-1] / len(self.noise)
             u = u.detach()
         value = self._loss(u)
         return value if mean is None else mean + 0.0 * value  # not finite where the plan without noise is not
