@@ -48,9 +48,10 @@ def scene_path(reference: str) -> Path:
 
 def load_scene(reference: str) -> Scene:
     """The scene of that name or file. Raises UnknownNameError or SceneError, naming the file."""
-    from models.checked_once import remembering
     from models.local_modules import Afresh, loading
     from models.scene import Scene
+    from models.scene_checks import check_expressions
+    from models.scene_text import scene_text
     from models.step_dependence import step_problem
 
     path = scene_path(reference)
@@ -65,8 +66,11 @@ def load_scene(reference: str) -> Scene:
             raise SceneError(f"scene file {path}: it cannot be read as Python.")
         module = importlib.util.module_from_spec(spec)
         try:
-            with nullcontext() if ours else loading(path), remembering(path.read_bytes()):
+            with nullcontext() if ours else loading(path):
                 spec.loader.exec_module(module)
+                if isinstance(getattr(module, "SCENE", None), Scene):
+                    check_expressions(module.SCENE)
+                    scene_text(module.SCENE)  # kept with it: what its own functions are from is known only while the file is executed
         except TouchstoneError as error:
             raise SceneError(f"scene file {path}{_line_of(error, path)}: {error}") from error
         except (Exception, SystemExit) as error:

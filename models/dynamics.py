@@ -23,6 +23,7 @@ import sympy as sp
 
 from models.contacts import Contact, DampingLaw
 from models.scene import Scene
+from models.scene_checks import check_expressions
 
 _DERIVED: WeakKeyDictionary[Scene, Dynamics] = WeakKeyDictionary()
 
@@ -128,9 +129,11 @@ class Dynamics:
 
 
 def derive(scene: Scene) -> Dynamics:
-    """The equations of motion of a scene (kept with the scene object, so that they are derived once)."""
+    """The equations of motion of a scene (kept with the scene object, so that they are derived once). Raises SceneError where its physics is
+    impossible."""
     cached = _DERIVED.get(scene)
     if cached is None:
+        check_expressions(scene)
         cached = _DERIVED[scene] = _build(scene)
     return cached
 

@@ -8,7 +8,7 @@ class TouchstoneError(Exception):
 
 
 class SceneError(TouchstoneError):
-    """A scene (or its file) contradicts itself; raised when the scene is created."""
+    """A scene (or its file) contradicts itself; raised when the scene is created, loaded or first used."""
 
 
 class TrajectoryError(TouchstoneError):

@@ -11,7 +11,8 @@
     )
 
 Everything else - Pyomo models, the PyTorch rollout, the C kernel, the FMU, the equations in the report - is
-derived from this one object. All objects are frozen and are checked when they are created; what is wrong is said in
+derived from this one object. All objects are frozen. Their parts are checked when they are created, their
+physics when a scene is loaded or first derived from (models.scene_checks); what is wrong is said in
 one sentence that names the scene and the field.
 
 Sign conventions: `penetration` phi is positive in contact; the contact force lam >= 0 pushes the bodies apart, that is,

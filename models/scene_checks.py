@@ -1,14 +1,15 @@
-"""What is checked when a Scene is created: names, symbols, lengths, and that its physics is possible."""
+"""What is checked of a Scene: names, symbols and lengths when it is created; that its physics is possible when it is loaded, and before anything is
+derived from it."""
 
 from __future__ import annotations
 
 import keyword
 from collections import Counter
 from collections.abc import Iterable
+from weakref import WeakSet
 
 import sympy as sp
 
-from models.checked_once import checked_once
 from models.dimensions import dimension_problem
 from models.errors import SceneError
 from models.scene import Scene
@@ -41,10 +42,11 @@ _RESERVED = frozenset(keyword.kwlist) | {
 }
 # Numbers in a plan: 8 GB.
 _MOST_NUMBERS = 10**9
+_PASSED: WeakSet[Scene] = WeakSet()
 
 
 def check_scene(scene: Scene) -> None:
-    """Raise SceneError with one sentence naming the scene and the field, if anything contradicts itself."""
+    """What needs no computer algebra. Raises SceneError with one sentence naming the scene and the field."""
     _check_names(scene)
     _check_words(scene)
     _check_lengths(scene)
@@ -52,11 +54,12 @@ def check_scene(scene: Scene) -> None:
     _check_symbols(scene)
     _check_bodies(scene)
     _check_limits(scene)
-    checked_once(scene, check_expressions)
 
 
 def check_expressions(scene: Scene) -> None:
-    """What takes computer algebra, seconds of it for a large scene. Raises SceneError."""
+    """What takes computer algebra, up to a third of a second of it, once for each scene object. Raises SceneError."""
+    if scene in _PASSED:
+        return
     problem = function_problem(scene)
     if problem is not None:
         raise _fail(scene, problem)
@@ -67,6 +70,7 @@ def check_expressions(scene: Scene) -> None:
     problem = dimension_problem(scene)
     if problem is not None:
         raise _fail(scene, problem)
+    _PASSED.add(scene)
 
 
 def _fail(scene: Scene, text: str) -> SceneError:
@@ -218,21 +222,21 @@ def _check_limits(scene: Scene) -> None:
                 )
 
 
-def _start(scene: Scene) -> dict[sp.Symbol, float]:
+def _start(scene: Scene) -> dict[sp.Symbol, sp.Float]:
     values = dict(scene.parameter_values)
     for index, coordinate in enumerate(scene.coordinates):
         values[coordinate.symbol] = scene.task.start[index]
         values[coordinate.velocity] = scene.task.start[scene.nq + index]
-    return values
+    return {symbol: sp.Float(value) for symbol, value in values.items()}
 
 
 def _check_finite(scene: Scene) -> None:
     """Energy, forces and running cost at the start, inputs at zero or at the bound nearest to it."""
-    inputs = {item.symbol: min(max(0.0, item.lower), item.upper) for item in scene.inputs}
+    start, inputs = _start(scene), {item.symbol: sp.Float(min(max(0.0, item.lower), item.upper)) for item in scene.inputs}
     fields = [("potential_energy", scene.potential_energy), ("task.running_cost", scene.task.running_cost)]
     fields += [(f"forces[{coordinate.name}]", force) for coordinate, force in zip(scene.coordinates, scene.forces, strict=True)]
     for field, expression in fields:
-        value = expression.subs(_start(scene)).subs(inputs).evalf()  # the state first: 0 u / 0 is no 0
+        value = expression.xreplace(start).xreplace(inputs)  # the state first: 0 u / 0 is no 0
         if value.has(sp.nan, sp.zoo, sp.oo, -sp.oo, sp.I):
             raise _fail(scene, f"{field} is {value} at the start (inputs at zero), but must be a finite real number there.")
 
@@ -243,9 +247,9 @@ def _check_mass(scene: Scene) -> None:
     if any(entry.free_symbols & set(velocities) for entry in mass):
         raise _fail(scene, "kinetic_energy is not quadratic in the velocities, so there is no mass matrix M(q).")
     rest = sp.expand(scene.kinetic_energy - (sp.Matrix([velocities]) * mass * sp.Matrix(velocities))[0] / 2)
-    if sp.simplify(rest) != 0:
+    if rest != 0 and sp.simplify(rest) != 0:
         raise _fail(scene, f"kinetic_energy contains {rest}, which is not quadratic in the velocities.")
-    numeric = sp.Matrix(mass.subs(_start(scene)).evalf())
+    numeric = mass.xreplace(_start(scene))
     for size in range(1, scene.nq + 1):
         minor = numeric[:size, :size].det()
         if not (minor.is_number and minor.is_real and float(minor) > 0):
@@ -259,16 +263,16 @@ def _check_mass(scene: Scene) -> None:
 def _check_contacts(scene: Scene) -> None:
     start = _start(scene)
     for contact in scene.contacts:
-        stiffness = contact.stiffness.subs(start).evalf()
+        stiffness = contact.stiffness.xreplace(start).evalf()
         if not (stiffness.is_real and float(stiffness) > 0):
             raise _fail(scene, f"contact {contact.name}: the stiffness is {stiffness}, but must be positive.")
-        damping = contact.damping.subs(start).evalf()
+        damping = contact.damping.xreplace(start).evalf()
         if not (damping.is_real and float(damping) >= 0):
             unit = contact.damping_law.unit
             raise _fail(
                 scene, f"contact {contact.name}: the damping is {damping} {unit}, but must not be negative; 0 is a contact without damping."
             )
-        gradient = [sp.diff(contact.penetration, coordinate.symbol).subs(start).evalf() for coordinate in scene.coordinates]
+        gradient = [sp.diff(contact.penetration, coordinate.symbol).xreplace(start).evalf() for coordinate in scene.coordinates]
         if not all(entry.is_number and entry.is_real and entry.is_finite for entry in gradient):
             raise _fail(
                 scene, f"contact {contact.name}: the penetration is not differentiable at the start; its gradient there is {gradient}."
@@ -294,6 +298,6 @@ def _check_frictions(scene: Scene) -> None:
             raise _fail(scene, f"{where}: the slip depends on no velocity, so the friction has no direction.")
         for field in ("coefficient", "normal_force"):
             value = getattr(friction, field)
-            number = None if value is None else value.subs(start).evalf()
+            number = None if value is None else value.xreplace(start).evalf()
             if number is not None and not (number.is_real and float(number) >= 0):
                 raise _fail(scene, f"{where}: the {field} is {number} at the start, but must not be negative.")

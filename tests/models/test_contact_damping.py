@@ -15,6 +15,7 @@ from models.errors import SceneError
 from models.fmu.package import fmu_texts
 from models.fmu.standards import find_standard
 from models.scene import Scene
+from models.scene_checks import check_expressions
 from models.scenes import damped_collision
 
 t, w, s, a = sp.symbols("t w s a", positive=True)
@@ -86,7 +87,7 @@ def contact(**changes: object) -> Scene:
 )
 def test_a_wrong_damping_is_one_sentence(changes: dict, words: str):
     with pytest.raises(SceneError, match=words):
-        contact(**changes)
+        check_expressions(contact(**changes))
 
 
 def texts(scene: Scene) -> dict[str, str]:

@@ -10,12 +10,12 @@ from typing import Any
 import pytest
 import sympy as sp
 
-from models import scene_checks
 from models.catalog import load_scene, scene_names
 from models.contacts import Contact, DampingLaw, Friction
 from models.dimensions import dimension_problem
 from models.errors import SceneError
 from models.scene import Coordinate, Input, Parameter, Scene, Task
+from models.scene_checks import check_expressions
 from models.scene_functions import quantities
 
 q, v, theta, omega, u = sp.symbols("q v theta omega u", real=True)
@@ -56,7 +56,7 @@ def scene(units: dict[sp.Symbol, str] | None = None, push: str = "N", **changes:
 
 def wrong(**given: Any) -> str:
     with pytest.raises(SceneError) as caught:
-        scene(**given)
+        check_expressions(scene(**given))
     text = str(caught.value)
     assert text.startswith("scene own: ")
     assert "\n" not in text
@@ -185,13 +185,6 @@ def test_the_scenes_of_the_tests_fit(path: Path):
     assert dimension_problem(load_scene(str(path))) is None
 
 
-@pytest.fixture
-def unchecked(monkeypatch: pytest.MonkeyPatch):
-    """Scenes are made without the checks that take computer algebra."""
-    monkeypatch.setattr(scene_checks, "check_expressions", lambda scene: None)
-
-
-@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("name", scene_names())
 def test_any_parameter_of_another_unit_is_noticed(name: str):
     """Each parameter in a unit that no formula of it has, of all scenes."""
@@ -203,7 +196,6 @@ def test_any_parameter_of_another_unit_is_noticed(name: str):
             assert dimension_problem(replace(known, parameters=(*known.parameters[:index], odd, *known.parameters[index + 1 :]))), parameter
 
 
-@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("odd", [False, True])
 @pytest.mark.parametrize("combined", [sp.Add, sp.Mul])
 def test_a_huge_expression_is_read_at_once(combined: type, odd: bool):
@@ -217,7 +209,6 @@ def test_a_huge_expression_is_read_at_once(combined: type, odd: bool):
     assert problem is None or len(problem) < 500
 
 
-@pytest.mark.usefixtures("unchecked")
 def test_a_deep_expression_is_read():
     energy = theta
     for _ in range(150):

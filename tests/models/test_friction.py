@@ -11,6 +11,7 @@ from models.dynamics import derive
 from models.errors import SceneError, TrajectoryError
 from models.scene import Coordinate, Input, Parameter, Scene, Task
 from models.scene_annotations import goal_limits
+from models.scene_checks import check_expressions
 from models.trajectory import Trajectory
 
 x1, x2, z, w1, w2, wz, push = sp.symbols("x1 x2 z w1 w2 wz push", real=True)
@@ -176,4 +177,4 @@ def test_friction_is_in_the_equations_and_in_the_plan() -> None:
 )
 def test_mistakes_are_named(change: dict, sentence: str) -> None:
     with pytest.raises(SceneError, match=sentence):
-        block_on_a_cart(**change)
+        check_expressions(block_on_a_cart(**change))

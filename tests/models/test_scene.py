@@ -14,6 +14,7 @@ from models.contacts import Friction
 from models.errors import SceneError, UnknownNameError
 from models.scene import Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
 from models.scene_annotations import goal_limits
+from models.scene_checks import check_expressions
 from models.units import base_exponents
 
 x, vx, u = sp.symbols("x vx u", real=True)
@@ -95,7 +96,7 @@ def test_a_sound_scene_is_accepted():
 )
 def test_a_mistake_is_one_sentence(changes: dict, words: list[str]):
     with pytest.raises(SceneError) as caught:
-        small_scene(**changes)
+        check_expressions(small_scene(**changes))
     text = str(caught.value)
     assert "\n" not in text
     assert all(word in text for word in words), text
@@ -354,9 +355,9 @@ def test_a_scene_file_cannot_end_the_program(tmp_path: Path):
 )
 def test_an_equation_without_a_form_in_c_is_the_scene_s_mistake(force: sp.Expr, words: str):
     with pytest.raises(SceneError, match=rf"scene small: forces\[x\] contains {words}, which has no form in C"):
-        small_scene(forces=(force,))
+        check_expressions(small_scene(forces=(force,)))
     with pytest.raises(SceneError, match=f"task.final_cost contains {words}"):
-        small_scene(task=replace(small_scene().task, final_cost=force))
+        check_expressions(small_scene(task=replace(small_scene().task, final_cost=force)))
 
 
 NOT_SMOOTH = {
@@ -373,7 +374,7 @@ NOT_SMOOTH = {
 
 
 @pytest.mark.parametrize("name", NOT_SMOOTH)
-def test_a_corner_is_said_once_when_the_scene_is_made(name: str):
+def test_a_corner_is_said_once(name: str):
     """Wherever plans need derivatives, and how it is rounded off; a depth is a number, and may be a smallest one."""
     bent, advice = NOT_SMOOTH[name]
     task, rubbing = small_scene().task, Friction(name="f", slip=vx, coefficient=1, contact="wall")
@@ -387,7 +388,7 @@ def test_a_corner_is_said_once_when_the_scene_is_made(name: str):
         "task.final_cost": {"task": replace(task, final_cost=bent)},
     }.items():
         with pytest.raises(SceneError) as caught:
-            small_scene(**changes)
+            check_expressions(small_scene(**changes))
         text = str(caught.value)
         assert text.startswith(f"scene small: {field} contains {name}("), text
         assert "which is not differentiable everywhere, as plans need it; round it off: " in text
@@ -398,7 +399,7 @@ def test_a_corner_is_said_once_when_the_scene_is_made(name: str):
 def test_a_corner_of_parameters_is_a_parameter(field: str):
     wall = replace(small_scene().contacts[0], **{field: sp.Max(k, 2 * m)})
     with pytest.raises(SceneError, match=rf"contact wall: {field} contains Max\(k, 2\*m\), .* make it a parameter of its value"):
-        small_scene(contacts=(wall,))
+        check_expressions(small_scene(contacts=(wall,)))
 
 
 def test_what_has_no_form_in_c_but_is_no_function_is_said_where_it_is_written():

@@ -100,6 +100,8 @@ def _changes(entry: SceneEntry) -> dict[_Change, list[Any]]:
 
 
 def _variants(entry: SceneEntry, scene: Scene, reference: str) -> tuple[list[SceneReference], list[str]]:
+    from models.scene_checks import check_expressions
+
     changes = _changes(entry)
     if not changes and not entry.limits and entry.name is None:
         return [SceneReference(reference, scene)], []
@@ -108,7 +110,9 @@ def _variants(entry: SceneEntry, scene: Scene, reference: str) -> tuple[list[Sce
         chosen = dict(zip(changes, values, strict=True))
         variant = _variant(_name(entry, scene, changes, chosen), chosen, entry)
         try:
-            found.append(SceneReference(reference, varied(scene, variant), variant))
+            changed = varied(scene, variant)
+            check_expressions(changed)
+            found.append(SceneReference(reference, changed, variant))
         except (TouchstoneError, ValueError, OverflowError) as error:
             mistakes.append(f"scene: {variant.name}: {error}")
     return found, mistakes

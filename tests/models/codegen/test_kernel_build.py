@@ -136,7 +136,7 @@ def test_two_processes_may_build_at_once(tmp_path: Path):
     outputs = [process.communicate()[0].strip() for process in running]
     assert [process.returncode for process in running] == [0, 0]
     assert outputs == ["30.0", "30.0"]
-    assert sorted(path.suffix for path in tmp_path.iterdir()) == [".checked", ".h", ".so"]
+    assert sorted(path.suffix for path in tmp_path.iterdir()) == [".h", ".so"]
 
 
 def test_what_was_being_built_by_the_dead_goes_with_the_next_build(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
