@@ -139,18 +139,15 @@ class TranscriptionSession(Session):
         """Solve; where that leads nowhere, find out whether the goal can be reached at all, and go on from a plan that reaches it."""
         patience = watch or Patience()
         result = bench.run(account, options, start, share=share, callback=patience)
-        if isinstance(patience, Watch) and patience.has_lost_goal and not account.is_over:
+        is_lost = isinstance(patience, Watch) and patience.has_lost_goal
+        if is_lost and not account.is_over:
             plan = plan_with_goal_released(self._scene, cast(float, eps), account, options)
-            for begin in (plan, None) if plan is not None else (None,):
-                if begin is None:
-                    load_first_guess(bench.model)
-                else:
-                    load_plan(bench.model, begin)
+            if plan is not None:
+                load_plan(bench.model, plan)
                 patience = Patience()
                 result = bench.run(account, options, share=share, callback=patience)
-                if result.outcome is Outcome.SOLVED or account.is_over:
-                    break
-        if account.is_over or not (patience.is_out or result.outcome is Outcome.INFEASIBLE):
+                is_lost = False
+        if account.is_over or not (is_lost or patience.is_out or result.outcome is Outcome.INFEASIBLE):
             return result
         found = self._nearest_plan(account, self.sharpest(eps))
         if found.is_out_of_reach:
@@ -159,6 +156,8 @@ class TranscriptionSession(Session):
         if found.is_solved:
             load_plan(bench.model, found.plan)
             options = {**options, **self.ipopt_options(found.plan)}
+        elif is_lost:
+            load_first_guess(bench.model)
         elif not patience.is_out:
             shortfall = f"Ipopt ended where the constraints cannot be met any better, {result.residuals.constraint_violation:.3g} short"
             return replace(result, message=f"{self._no_plan()}: {shortfall}.")
