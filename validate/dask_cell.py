@@ -44,7 +44,7 @@ def job_from_json(data: Mapping[str, Any]) -> Job:
 
 def run_on_worker(request: Mapping[str, Any]) -> dict[str, str]:
     """Run one cell to its end. request: cell and provenance (JSON), folder, its mark, the campaign's token, fingerprint of its sources,
-    many: whether enough cells will come to be worth a fork server, name: by which the campaign counts how often the cell was begun."""
+    cells: how many will come to one thread, which may be worth a fork server, name: by which the campaign counts how often the cell was begun."""
     from reports.record import ProvenanceRecord
     from validate.isolation.process import shared_watchdog
     from validate.worker import Worker
@@ -54,7 +54,7 @@ def run_on_worker(request: Mapping[str, Any]) -> dict[str, str]:
         _check(request)
         _begin(request)
         job, provenance = job_from_json(request["cell"]), _here(ProvenanceRecord.model_validate(request["provenance"]))
-        store, server = Store(Path(request["folder"])), _server() if request["many"] else None
+        store, server = Store(Path(request["folder"])), _server(request["cells"])
         worker = Worker(job, _lost(job, provenance), provenance, store, shared_watchdog(), server, token_begins=request["token"])
         try:
             while wanted():
@@ -71,13 +71,15 @@ def run_on_worker(request: Mapping[str, Any]) -> dict[str, str]:
     return {}
 
 
-def _server() -> ForkServer | None:
+def _server(cells: int) -> ForkServer | None:
     """The process that forks the cells of this thread, with which it ends; None where there can be none."""
-    from validate.fork_server import ForkServer, ForkServerError
+    from validate.fork_server import WORTH, ForkServer, ForkServerError, modules_for
 
+    if cells < WORTH:
+        return None
     if not hasattr(_OF_THREAD, "server"):
         try:
-            _OF_THREAD.server = ForkServer()
+            _OF_THREAD.server = ForkServer(modules_for(cells))
         except ForkServerError:
             _OF_THREAD.server = None
     return _OF_THREAD.server

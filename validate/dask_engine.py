@@ -26,7 +26,6 @@ from validate.dask_cell import run_on_worker
 from validate.dask_cluster import local_cluster, quieten, remote_cluster
 from validate.disk import write_durably
 from validate.engine import Site
-from validate.fork_server import WORTH
 from validate.isolation.process import Watchdog
 from validate.store import LOG, PROGRESS, RECORD, REQUEST, Store
 
@@ -109,7 +108,7 @@ class DaskEngine:
         waiting = list(cells)
         running: dict[concurrent.futures.Future[dict[str, str]], _Submitted] = {}
         executor = self._client.get_executor(pure=False)
-        self._request["many"] = len(cells) >= WORTH * max(1, self._threads())
+        self._request["cells"] = len(cells) // max(1, self._threads())
         try:
             while waiting or running:
                 self._submit(waiting, running, executor)

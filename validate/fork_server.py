@@ -36,7 +36,7 @@ from validate.isolation.guards import die_with_parent
 from validate.isolation.process import ChildProcess, Ended, end_family
 from validate.reaper import TOKEN_VARIABLE
 
-# What most cells import; not torch, which only some need and which takes longer than all of these.
+# What most cells import.
 MODULES = (
     *("numpy", "scipy.sparse.linalg", "scipy.linalg", "scipy.special", "sympy", "pyomo.environ", "h5netcdf", "psutil", "fmpy"),
     *(
@@ -50,8 +50,10 @@ MODULES = (
     ),
     *("models.catalog", "models.scene_checks", "models.codegen.kernel", "models.fmu", "models.trajectory_netcdf"),
     *("reports.examination_record", "reports.telling", "formulations.mpec", "formulations.ipopt", "formulations.transcription.strict"),
-    *("formulations.windows.session", "formulations.shooting.session", "formulations.multiple_shooting.session"),
+    *("formulations.windows.session", "formulations.multiple_shooting.session"),
 )
+# What one cell in four imports, in 2 CPU s and half a gigabyte that all children then share: PyTorch. Worth it from so many cells on.
+TORCH_MODULE, TORCH_WORTH = "formulations.shooting.session", 20
 # Longest folder that is shown in a child's environment; a longer one only the child itself knows.
 _LONGEST = 1000
 _TOKEN = "0" * 32
@@ -155,11 +157,16 @@ class ForkedChild(ChildProcess):
         return Ended(code=told["status"], cpu=told["cpu"], memory=told["memory"], strays=strays)
 
 
+def modules_for(cells: int) -> Sequence[str]:
+    """What a server imports for so many cells."""
+    return (*MODULES, TORCH_MODULE) if cells >= TORCH_WORTH else MODULES
+
+
 @contextlib.contextmanager
 def fork_server(cells: int) -> Iterator[ForkServer | None]:
     """A server for so many cells, or None where there can be none, or it would cost more than it saves."""
     try:
-        server = ForkServer() if cells >= WORTH else None
+        server = ForkServer(modules_for(cells)) if cells >= WORTH else None
     except ForkServerError:
         server = None
     try:
