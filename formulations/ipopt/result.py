@@ -10,7 +10,6 @@ from pyomo.core.staleflag import StaleFlagManager
 
 from formulations.ipopt.problem import IpoptProblem
 from formulations.ipopt.residuals import Residuals
-from formulations.ipopt.status import name_of
 from formulations.solution import Outcome
 
 
@@ -69,10 +68,6 @@ class IpoptResult:
     @property
     def solved(self) -> bool:
         return self.outcome is Outcome.SOLVED
-
-    @property
-    def status_name(self) -> str:
-        return name_of(self.status)
 
 
 def load(problem: IpoptProblem, result: IpoptResult) -> None:

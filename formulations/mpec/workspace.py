@@ -70,13 +70,6 @@ class Workspace:
         point[known] = x[self._to_branch[known]]
         return point
 
-    def relaxed_point(self, point: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """The point of the problem without products in the relaxation's columns; what it does not have stays as in x."""
-        merged = x.copy()
-        known = self._to_branch >= 0
-        merged[self._to_branch[known]] = point[known]
-        return merged
-
     def _slacks(self) -> list[Any]:
         return [*self.lifted.shadow.slack.values(), *self.lifted.firsts]
 
