@@ -12,6 +12,10 @@ A child is a cell like any other: it has a session, a log, a folder and a token 
 token is written over that of the server's in the environment that the system shows, so that whoever ends the cell finds it. The server has one
 thread and never runs a cell's code, so there is nothing that a fork could cut in two. Linux only: elsewhere, and where a library has
 started threads, cells are started one by one.
+
+The standard library's forkserver starts a child in the same time (12 to 50 ms on a busy machine, ours 23 to 50). It reaps the child itself, at once,
+and tells an exit code alone: what a cell that crashed or was killed has cost in CPU time and memory would be lost, and its number could be
+another's before its family is ended.
 """
 
 from __future__ import annotations
