@@ -20,7 +20,8 @@ from time import process_time
 import numpy as np
 import torch
 
-from formulations.shooting.descent import Settings, descend
+from formulations.shooting.descent import descend
+from formulations.shooting.method import DescentOptions
 from formulations.shooting.objective import GoalLoss, Objective
 from formulations.shooting.rollout import rollout
 from models.catalog import load_scene
@@ -49,11 +50,11 @@ def _layers(law: ContactLaw, eps: float | None) -> dict[str, tuple[Callable[[], 
         loss(rollout(kernel, u, objective.start, law=law, eps=eps), u).backward()
 
     # A rate that changes nothing to speak of: every iteration costs the same, and none stops the descent.
-    settings = Settings(learning_rate=1e-3, iterations=_ITERATIONS)
+    options = DescentOptions(learning_rate=1e-3, iterations=_ITERATIONS)
     return {
         "kernel": (compiled, 100, 1),
         "rollout": (differentiated, 100, 1),
-        "iteration": (lambda: descend(objective, values, settings, 600.0), 1, _ITERATIONS),
+        "iteration": (lambda: descend(objective, values, options, 600.0), 1, _ITERATIONS),
         "plain": (torch_loop.iteration(Size(3, 500), Path()), 1, 1),
     }
 

@@ -23,9 +23,9 @@ from dataclasses import dataclass, field
 from enum import Enum
 from time import perf_counter, process_time
 from types import MappingProxyType, TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Generic
 
-from formulations.options import OptionError, OptionSpec, filled_options
+from formulations.options import AnyOptions, OptionError, Options, read_options
 
 if TYPE_CHECKING:  # pipelines are data: naming them must not cost SymPy and numpy
     from formulations.solution import Solution
@@ -63,7 +63,7 @@ class Session(ABC):
         self.close()
 
 
-class Method(ABC):
+class Method(ABC, Generic[AnyOptions]):
     """See the module docstring."""
 
     name: str
@@ -71,25 +71,25 @@ class Method(ABC):
     kind: Kind
     needs_eps: bool  # whether `solve` takes a relaxation eps
     exact: bool = False  # whether its plan claims to solve the exact contact problem: a campaign then certifies it
-    options: tuple[OptionSpec, ...] = ()
+    options: type[AnyOptions] = Options  # pyright: ignore[reportAssignmentType] - of a method that has none
 
     @abstractmethod
     def accepts(self, scene: Scene) -> str | None:
         """None, or the reason why this method does not apply to the scene."""
 
     @abstractmethod
-    def session(self, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> Session:
-        """A session on a scene that the method accepts; options are filled in; opening: wall and CPU clock when opening began, before
-        anything was imported for it."""
+    def session(self, scene: Scene, options: AnyOptions, opening: tuple[float, float]) -> Session:
+        """A session on a scene that the method accepts; opening: wall and CPU clock when opening began, before anything was imported for it."""
 
-    def open(self, scene: Scene, options: Mapping[str, object] = MappingProxyType({})) -> Session:
-        """Open on a scene. Raises OptionError for unknown or impossible options, and for a scene that the method does not accept."""
+    def open(self, scene: Scene, options: AnyOptions | Mapping[str, object] = MappingProxyType({})) -> Session:
+        """Open on a scene. options: such an object, or values by name. Raises OptionError for unknown or impossible options, and for a scene
+        that the method does not accept."""
         opening = (perf_counter(), process_time())
-        filled = self.filled_options(options)
+        read = self.read_options(options)
         reason = self.accepts(scene)
         if reason is not None:
             raise OptionError(f"method {self.name}: {reason}")
-        return self.session(scene, filled, opening)
+        return self.session(scene, read, opening)
 
     def check_eps(self, eps: float | None) -> None:
         """Raise OptionError if eps is missing, superfluous or out of range (0 < eps < 1 unless the method says otherwise)."""
@@ -100,9 +100,9 @@ class Method(ABC):
         if eps is None or isinstance(eps, bool) or not isinstance(eps, (int, float)) or not 0.0 < eps < 1.0:
             raise OptionError(f"method {self.name}: eps is {eps!r}, but must be a number with 0 < eps < 1.")
 
-    def filled_options(self, options: Mapping[str, object]) -> dict[str, object]:
+    def read_options(self, options: AnyOptions | Mapping[str, object]) -> AnyOptions:
         """All options with defaults filled in. Raises OptionError for unknown names and values out of range."""
-        return filled_options(self.name, self.options, options)
+        return read_options(self.options, options, self.name)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,7 @@ import difflib
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -226,7 +226,7 @@ def _entry(cell: Cell, scene: Scene, tools: Tools, shared: frozenset[Signature])
     plan, source = _plan(cell.pipeline, tools), tools_source(cell.tools)
 
     def key_of(stages: Sequence[Planned], *named: str) -> str:
-        asked = [(planned.name, planned.eps, {name: repr(value) for name, value in planned.options.items()}) for planned in stages]
+        asked = [(planned.name, planned.eps, {name: repr(value) for name, value in asdict(planned.options).items()}) for planned in stages]
         return content_key(scene, [*named, asked], {planned.name for planned in stages}, source)
 
     key = key_of(plan, cell.pipeline.name, cell.pipeline.title)

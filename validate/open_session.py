@@ -17,6 +17,7 @@ from validate.store import progress
 
 if TYPE_CHECKING:
     from formulations.method import Method, Session
+    from formulations.options import Options
     from models.scene import Scene
     from models.trajectory import Trajectory
     from validate.records import Planned
@@ -54,7 +55,7 @@ class OpenSession:
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self._session: Session | None = None
-        self._open: tuple[Method, dict[str, object]] | None = None
+        self._open: tuple[Method, Options] | None = None
         self._asked = (0.0, 0.0)  # wall and CPU seconds spent before the next stage that belong to it
 
     def starts_cold(self, planned: Planned, warm_start: Trajectory | None) -> bool:
@@ -98,7 +99,7 @@ class OpenSession:
                 traceback.print_exc()
 
     def _for(self, planned: Planned) -> Session:
-        wanted = (planned.method, dict(planned.options))
+        wanted = (planned.method, planned.options)
         if self._session is None or self._open != wanted:
             self.close()
             self._session = planned.method.open(self._scene, planned.options)

@@ -32,6 +32,7 @@ from validate.traces import plan_trace, replay_trace, thin
 
 if TYPE_CHECKING:
     from formulations.method import Method, Pipeline
+    from formulations.options import Options
     from models.scene import Scene
     from models.trajectory import Trajectory
     from reports.record import ProvenanceRecord
@@ -50,7 +51,7 @@ class Planned:
     name: str
     method: Method
     eps: float | None
-    options: Mapping[str, object]  # defaults filled in
+    options: Options
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +70,7 @@ def planned_stages(pipeline: Pipeline, methods: Mapping[str, Method]) -> tuple[P
     for index, (leg, eps, options) in enumerate(stage_plan(pipeline)):
         method = methods[leg.method]
         method.check_eps(eps)
-        stages.append(Planned(index=index, name=leg.method, method=method, eps=eps, options=method.filled_options(options)))
+        stages.append(Planned(index=index, name=leg.method, method=method, eps=eps, options=method.read_options(options)))
     return tuple(stages)
 
 
@@ -102,7 +103,7 @@ def stage_record(
         bound=_bound(solution.bound),
         size=_size(solution),
         solver=solution.solver,
-        options=_options(solution.options or planned.options),
+        options=_options(solution.options or asdict(planned.options)),
         history=_history(solution.history),
         certificate=certificate_record(solution.certificate),
         starts=start_records(solution),
@@ -138,7 +139,7 @@ def unfinished_stage(scene: str, pipeline: str, planned: Planned, outcome: Outco
         outcome=outcome.name.lower(),
         advice=outcome.value,
         message=message,
-        options=_options(planned.options),
+        options=_options(asdict(planned.options)),
         verdict="not applicable" if outcome is Outcome.REFUSED else "no plan",
         why=message,
         paper=dict(paper_row(scene, pipeline, planned.index)),

@@ -21,7 +21,7 @@ import os
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -76,7 +76,8 @@ def stage_files(index: int, stages: int) -> dict[str, str]:
 def signature(plan: Sequence[Planned]) -> Signature:
     """What is asked of each stage, so that two pipelines can be compared."""
     return tuple(
-        (planned.name, planned.eps, tuple(sorted((name, repr(value)) for name, value in planned.options.items()))) for planned in plan
+        (planned.name, planned.eps, tuple(sorted((name, repr(value)) for name, value in asdict(planned.options).items())))
+        for planned in plan
     )
 
 
@@ -113,7 +114,7 @@ def _later(plan: Sequence[Planned]) -> list[tuple[int, int]]:
 
 def _ends(plan: Sequence[Planned]) -> list[int]:
     """Numbers of stages after which the session is closed."""
-    asked = [(planned.name, dict(planned.options)) for planned in plan]
+    asked = [(planned.name, planned.options) for planned in plan]
     return [length for length in range(1, len(plan) + 1) if length == len(plan) or asked[length] != asked[length - 1]]
 
 

@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from formulations.method import Kind, Method, OptionSpec, Session
+from formulations.method import Kind, Method, Session
+from formulations.options import Options, option
 
 if TYPE_CHECKING:
     from models.scene import Scene
@@ -15,16 +16,17 @@ if TYPE_CHECKING:
 _MOST = 60
 
 
-class Global(Method):
+@dataclass(frozen=True, kw_only=True)
+class GlobalOptions(Options):
+    seconds: float = option(200.0, "time after which the best bound is reported", unit="s", lower=1e-3, upper=1e7)
+
+
+class Global(Method[GlobalOptions]):
     name = "global"
     title = "Global optimum by branch and bound"
     kind = Kind.DIRECT
     needs_eps = False
-    options = (
-        OptionSpec(
-            name="seconds", default=200.0, description="time after which the best bound is reported", unit="s", lower=1e-3, upper=1e7
-        ),
-    )
+    options = GlobalOptions
 
     def accepts(self, scene: Scene) -> str | None:
         if not scene.inputs:
@@ -40,10 +42,10 @@ class Global(Method):
 
         return why_no_proof(scene) or missing_solvers()
 
-    def session(self, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> Session:
+    def session(self, scene: Scene, options: GlobalOptions, opening: tuple[float, float]) -> Session:
         from formulations.proof.session import ProofSession
 
-        return ProofSession(self, scene, options, opening)
+        return ProofSession(self, scene, options.seconds, opening)
 
 
 METHOD = Global()

@@ -2,63 +2,54 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, cast
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from formulations.method import Kind, OptionError, OptionSpec
-from formulations.shooting.method import QUASI_NEWTON, QuasiNewtonMethod
+from formulations.method import Kind
+from formulations.options import OptionError, option
+from formulations.shooting.method import LbfgsOptions, QuasiNewtonMethod
 from models.contact_law import ContactLaw
 
 if TYPE_CHECKING:
     from formulations.shooting.objective import Objective
     from models.codegen.kernel import Kernel
 
+
 # The goal is not displaced: what the mean misses is as much the noise as the plan.
-_SHARED = tuple(option for option in QUASI_NEWTON if option.name not in ("goal_rounds", "goal_tolerance"))
+@dataclass(frozen=True, kw_only=True)
+class RandomisedSmoothingOptions(LbfgsOptions):
+    samples: int = option(16, "rollouts with noise; an even number, in pairs of opposite noise", lower=2, upper=10**6)
+    pieces: int = option(5, "noise is held over so many equal parts of the horizon", lower=1, upper=10**9)
+    seed: int = option(0, "of the noise", lower=0)
+    unbounded: float = option(1.0, "what stands for half the range of an input without bounds, in its unit", lower=1e-12, upper=1e12)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.samples % 2:
+            raise OptionError(f"option samples is {self.samples!r}, but must be an even number.")
 
 
-class RandomisedSmoothing(QuasiNewtonMethod):
+class RandomisedSmoothing(QuasiNewtonMethod[RandomisedSmoothingOptions]):
     name = "randomised_smoothing"
     title = "L-BFGS on ReLU contact, averaged over random inputs"
     kind = Kind.INDIRECT
     needs_eps = True  # standard deviation of the noise, in half ranges of the inputs
     law = ContactLaw.RELU
-    options = (
-        *_SHARED,
-        OptionSpec(
-            name="samples", default=16, description="rollouts with noise; an even number, in pairs of opposite noise", lower=2, upper=10**6
-        ),
-        OptionSpec(name="pieces", default=5, description="noise is held over so many equal parts of the horizon", lower=1, upper=10**9),
-        OptionSpec(name="seed", default=0, description="of the noise", lower=0),
-        OptionSpec(
-            name="unbounded",
-            default=1.0,
-            description="what stands for half the range of an input without bounds, in its unit",
-            lower=1e-12,
-            upper=1e12,
-        ),
-    )
+    options = RandomisedSmoothingOptions
 
-    def filled_options(self, options: Mapping[str, object]) -> dict[str, object]:
-        filled = super().filled_options(options)
-        if cast(int, filled["samples"]) % 2:
-            raise OptionError(f"method {self.name}: option samples is {filled['samples']!r}, but must be an even number.")
-        return filled
-
-    def objective(self, kernel: Kernel, eps: float | None, options: Mapping[str, object]) -> Objective:
+    def objective(self, kernel: Kernel, eps: float | None, options: RandomisedSmoothingOptions) -> Objective:
         from formulations.shooting.objective import Objective, Weights
         from formulations.shooting.smoothed import noise
 
-        number = {name: cast(float, value) for name, value in options.items()}
         drawn = noise(
             kernel.scene,
             deviation=eps or 0.0,
-            unbounded=number["unbounded"],
-            samples=int(number["samples"]),
-            pieces=int(number["pieces"]),
-            seed=int(number["seed"]),
+            unbounded=options.unbounded,
+            samples=options.samples,
+            pieces=options.pieces,
+            seed=options.seed,
         )
-        weights = Weights(terminal=number["terminal_weight"], running=number["input_weight"])
+        weights = Weights(terminal=options.terminal_weight, running=options.input_weight)
         return Objective(kernel, law=self.law, weights=weights, noise=drawn)
 
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from time import perf_counter, process_time
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from formulations.method import OptionError, Session
 from formulations.multiple_shooting.costs import Costs
 from formulations.multiple_shooting.goal import GoalTerm
-from formulations.multiple_shooting.solver import Found, Settings, Solver
+from formulations.multiple_shooting.solver import Found, Solver
 from formulations.shooting.ending import arrived, first_inputs, plan_residuals
 from formulations.shooting.growth import measure_growth
 from formulations.solution import Seconds, Solution
@@ -23,22 +22,17 @@ from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 
 if TYPE_CHECKING:
-    from formulations.multiple_shooting.method import MultipleShootingMethod
+    from formulations.multiple_shooting.method import MultipleShootingMethod, MultipleShootingOptions
 
 
 class MultipleShootingSession(Session):
-    """options: filled in and checked by the method; opening: wall and CPU clock when opening began."""
+    """opening: wall and CPU clock when opening began."""
 
-    def __init__(self, method: MultipleShootingMethod, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> None:
-        self._method, self._scene, self._options = method, scene, dict(options)
+    def __init__(
+        self, method: MultipleShootingMethod, scene: Scene, options: MultipleShootingOptions, opening: tuple[float, float]
+    ) -> None:
+        self._method, self._scene, self._options = method, scene, options
         self._kernel, self._steps, self._costs = load_kernel(scene), load_steps(scene), Costs(scene)
-        self._settings = Settings(
-            goal_weight=_number(options["goal_weight"]),
-            goal_tolerance=_number(options["goal_tolerance"]),
-            gap_tolerance=_number(options["gap_tolerance"]),
-            tolerance=_number(options["tolerance"]),
-            max_iterations=int(_number(options["max_iterations"])),
-        )
         # The first stage pays for building; the stages after it find it done.
         self._opening = (perf_counter() - opening[0], process_time() - opening[1])
 
@@ -49,8 +43,8 @@ class MultipleShootingSession(Session):
         if not time_limit > 0.0:
             raise OptionError(f"method {method.name}: the time limit is {time_limit!r}, but must be a positive number of seconds.")
         x, u = self._first_guess(warm_start)
-        goal = GoalTerm(scene, self._settings.goal_weight)
-        solver = Solver(steps=self._steps, costs=self._costs, law=method.law, eps=eps, settings=self._settings)
+        goal = GoalTerm(scene, self._options.goal_weight)
+        solver = Solver(steps=self._steps, costs=self._costs, law=method.law, eps=eps, options=self._options)
         solving = perf_counter()
         found = solver.solve(x, u, goal, started + time_limit)
         rest = perf_counter() - solving - solver.evaluate_seconds
@@ -74,9 +68,7 @@ class MultipleShootingSession(Session):
         if warm_start is not None:
             x = np.hstack([warm_start.q, warm_start.v])
         else:
-            end = [
-                begin if goal is None or self._options["guess"] == "start" else goal for begin, goal in zip(start, task.goal, strict=True)
-            ]
+            end = [begin if goal is None or self._options.guess == "start" else goal for begin, goal in zip(start, task.goal, strict=True)]
             x = start + np.linspace(0.0, 1.0, task.steps + 1)[:, None] * (np.array(end) - start)
         x[0] = start
         return x, u
@@ -87,14 +79,14 @@ class MultipleShootingSession(Session):
         base = {
             "method": self._method.name,
             "iterations": found.iterations,
-            "options": dict(self._options),
+            "options": asdict(self._options),
             "history": {column: tuple(values) for column, values in found.history.items()},
         }
         if not found.outcome.has_answer:
             return Solution(outcome=found.outcome, message=f"{found.message}.", **base)
         nq, u = scene.nq, found.u
         run = self._kernel.rollout(np.array(task.start), u, task.step, law, eps)
-        if run.diverged or found.gap > self._settings.gap_tolerance:
+        if run.diverged or found.gap > self._options.gap_tolerance:
             linear = self._steps.linearise(found.x[:-1], u, task.step, law, eps)
             lam = np.zeros((task.steps, scene.nl)) if linear is None else linear.lam
             plan = Trajectory(
@@ -110,7 +102,7 @@ class MultipleShootingSession(Session):
             **({} if growth is None else growth.figures()),
         }
         outcome, message = found.outcome, found.message
-        open_gap = f"the nodes are up to {found.gap:.2g} apart from the motion" if found.gap > self._settings.gap_tolerance else ""
+        open_gap = f"the nodes are up to {found.gap:.2g} apart from the motion" if found.gap > self._options.gap_tolerance else ""
         message = "; ".join(part for part in (message, open_gap) if part)
         outcome, message = arrived(scene, outcome, f"{message}." if message else "", residuals, "a larger goal_weight or more iterations")
         return Solution(
@@ -121,7 +113,3 @@ class MultipleShootingSession(Session):
             residuals=residuals,
             **base,
         )
-
-
-def _number(value: object) -> float:
-    return float(cast(float, value))  # checked by filled_options

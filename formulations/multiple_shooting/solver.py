@@ -17,6 +17,7 @@ import numpy as np
 
 from formulations.multiple_shooting.costs import Costs
 from formulations.multiple_shooting.goal import GoalTerm
+from formulations.multiple_shooting.method import MultipleShootingOptions
 from formulations.multiple_shooting.riccati import Stages
 from formulations.solution import Outcome
 from models.codegen.steps import Linearised, Steps
@@ -30,17 +31,6 @@ _SLOW = 0.25  # a miss that shrinks by less than this from update to update gets
 _HEAVIEST = 1e12
 _CRAWL, _CRAWLS = 10, 1e-2  # so many steps in a row that gain less than this share of the precision: a kink, and no way on
 _FIRST_PRECISION = 1e-3  # before the first update of the multipliers; each one asks for ten times more
-
-
-@dataclass(frozen=True, kw_only=True)
-class Settings:
-    """goal_weight: first weight of the squared miss of the goal; tolerance: a relative decrease of the penalty function that counts as none."""
-
-    goal_weight: float
-    goal_tolerance: float
-    gap_tolerance: float
-    tolerance: float
-    max_iterations: int
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,7 +64,7 @@ class Solver:
     costs: Costs
     law: ContactLaw
     eps: float | None
-    settings: Settings
+    options: MultipleShootingOptions
     evaluate_seconds: float = 0.0
     _history: dict[str, list[float]] = field(
         default_factory=lambda: {"penalty": [], "cost": [], "terminal_error": [], "gap": [], "length": []}
@@ -82,11 +72,11 @@ class Solver:
 
     def solve(self, x: np.ndarray, u: np.ndarray, goal: GoalTerm, deadline: float) -> Found:
         """From nodes x (steps+1, 2*nq), x[0] the start, and inputs u (steps, nu) within their bounds; deadline: of perf_counter."""
-        scene, settings = self.steps.scene, self.settings
+        scene, options = self.steps.scene, self.options
         self._lower, self._upper = np.array([i.lower for i in scene.inputs]), np.array([i.upper for i in scene.inputs])
         self._stages = Stages(len(u), 2 * scene.nq, scene.nu)
         shift, slope, last_miss, iteration, crawling, nu, settled = 0.0, -np.inf, np.inf, 0, 0, 0.0, False
-        precision = max(settings.tolerance, _FIRST_PRECISION) if goal.any else settings.tolerance
+        precision = max(options.tolerance, _FIRST_PRECISION) if goal.any else options.tolerance
         lin = self._linearise(x, u)
 
         def ended(outcome: Outcome, message: str) -> Found:
@@ -101,8 +91,8 @@ class Solver:
                 Outcome.EVALUATION_ERROR, "a time step from the first guess is not finite; start, parameters and inputs must allow one"
             )
         while True:
-            if iteration >= settings.max_iterations:
-                return ended(Outcome.ITERATION_LIMIT, f"stopped at max_iterations = {settings.max_iterations}")
+            if iteration >= options.max_iterations:
+                return ended(Outcome.ITERATION_LIMIT, f"stopped at max_iterations = {options.max_iterations}")
             if perf_counter() >= deadline:
                 return ended(Outcome.TIME_LIMIT, f"stopped after {iteration} iterations at its time limit")
             self._fill(x, u, lin, goal)
@@ -132,7 +122,7 @@ class Solver:
                 return ended(
                     Outcome.STALLED, "no step along the subproblem's direction lowers the penalty function, however short or damped"
                 )
-            if miss <= settings.goal_tolerance and gap <= settings.gap_tolerance and precision <= settings.tolerance:
+            if miss <= options.goal_tolerance and gap <= options.gap_tolerance and precision <= options.tolerance:
                 if settled:
                     return ended(Outcome.SOLVED, "")
                 return ended(
@@ -141,9 +131,9 @@ class Solver:
             if goal.weight > _HEAVIEST:
                 return ended(Outcome.STALLED, f"the goal is still missed by {miss:.3g} although its weight has grown to {goal.weight:.1g}")
             goal.update(x[-1])
-            if miss > max(settings.goal_tolerance, _SLOW * last_miss):
+            if miss > max(options.goal_tolerance, _SLOW * last_miss):
                 goal.weight *= 10.0
-            precision = max(settings.tolerance, 0.1 * precision)
+            precision = max(options.tolerance, 0.1 * precision)
             last_miss, shift, crawling = miss, 0.0, 0
 
     def _linearise(self, x: np.ndarray, u: np.ndarray) -> Linearised | None:
@@ -181,7 +171,7 @@ class Solver:
         """
         before = self._penalty(x, u, goal, nu, self._stages.gap)
         dx, du = self._stages.forward()
-        open_gaps = float(np.abs(self._stages.gap).max()) > self.settings.gap_tolerance
+        open_gaps = float(np.abs(self._stages.gap).max()) > self.options.gap_tolerance
         for rolled in (False, True) if open_gaps else (True,):
             length = 1.0
             while length >= _SHORTEST:

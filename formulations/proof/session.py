@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from time import perf_counter, process_time
 
 import numpy as np
@@ -24,8 +23,8 @@ _OUTCOMES = {
 
 
 class ProofSession(Session):
-    def __init__(self, method: Method, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> None:
-        self._method, self._scene, self._options = method, scene, dict(options)
+    def __init__(self, method: Method, scene: Scene, seconds: float, opening: tuple[float, float]) -> None:
+        self._method, self._scene, self._seconds = method, scene, seconds
         self._opening = (perf_counter() - opening[0], process_time() - opening[1])
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
@@ -35,7 +34,7 @@ class ProofSession(Session):
         if warm_start is not None:
             self._check_grid(warm_start)
         (build, build_cpu), self._opening = self._opening, (0.0, 0.0)
-        seconds = min(time_limit, float(self._options["seconds"]))  # pyright: ignore[reportArgumentType] - checked by filled_options
+        seconds = min(time_limit, self._seconds)
         proof = prove(self._scene, incumbent=warm_start, time_limit=seconds)
         return Solution(
             method=self._method.name,
@@ -46,7 +45,7 @@ class ProofSession(Session):
             iterations=proof.nodes,
             seconds=Seconds(build=build, linear_algebra=proof.seconds, wall=build + proof.seconds, cpu=build_cpu + proof.cpu),
             residuals={} if proof.plan is None else PlanResiduals(self._scene).of(proof.plan),
-            options=self._options,
+            options={"seconds": self._seconds},
             solver=proof.solver,
             history={
                 name: (value,) for name, value in (("cost", proof.cost), ("bound", proof.bound)) if value is not None and np.isfinite(value)

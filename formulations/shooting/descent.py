@@ -1,6 +1,6 @@
 """Gradient descent: `torch.optim.SGD` on a loss of the inputs, projected on their bounds.
 
-    found = descend(Objective(load_kernel(scene), law=ContactLaw.RELU), u0, Settings(learning_rate=500.0, iterations=15), time_limit=60.0)
+    found = descend(Objective(load_kernel(scene), law=ContactLaw.RELU), u0, DescentOptions(learning_rate=500.0, iterations=15), time_limit=60.0)
 
 The step is `u <- clip(u - learning_rate * gradient, lower, upper)`. The paper's descent ignores the bounds and its plans stay inside them: there the
 projection changes nothing, not even a bit. `projected_descent` is the loop alone, for many plans at once, on any device:
@@ -22,19 +22,10 @@ from torch import Tensor
 from formulations.shooting.diagnosis import dead_contact_message, divergence_message, sensitivity
 from formulations.shooting.ending import input_bounds
 from formulations.shooting.errors import ShootingError
+from formulations.shooting.method import DescentOptions
 from formulations.shooting.objective import Objective
 from formulations.shooting.stopping import Losses, Progress
 from formulations.solution import Outcome
-
-
-@dataclass(frozen=True, kw_only=True)
-class Settings:
-    """iterations: exactly that many, or None for the stopping rule with its `tolerance` and at most `max_iterations`."""
-
-    learning_rate: float
-    iterations: int | None = None
-    max_iterations: int = 20000
-    tolerance: float = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,13 +59,13 @@ def projected_descent(loss_of: Callable[[Tensor], Tensor], u: Tensor, rate: floa
         u.data.clamp_(lower, upper)
 
 
-def descend(objective: Objective, u0: np.ndarray, settings: Settings, time_limit: float) -> Descent:
+def descend(objective: Objective, u0: np.ndarray, options: DescentOptions, time_limit: float) -> Descent:
     """Descend from u0 (steps, nu). time_limit: wall seconds. Raises ShootingError for a loss of one's own that has no gradient."""
     began = perf_counter()
     scene = objective.kernel.scene
     lower, upper = input_bounds(scene)
-    rate, by_rule = settings.learning_rate, settings.iterations is None
-    limit = settings.max_iterations if settings.iterations is None else settings.iterations
+    rate, by_rule = options.learning_rate, options.iterations is None
+    limit = options.max_iterations if options.iterations is None else options.iterations
     u = torch.tensor(np.clip(u0, lower, upper), dtype=torch.float64, requires_grad=True)
     losses, best = Losses(), u.detach().clone()
     history: dict[str, list[float]] = {"loss": losses.values, "terminal_error": [], "cost": [], "gradient_norm": []}
@@ -91,7 +82,7 @@ def descend(objective: Objective, u0: np.ndarray, settings: Settings, time_limit
         if not (np.isfinite(value) and np.isfinite(norm)):
             message = divergence_message(objective, rate, iteration, best.numpy() if iteration else None)
             return ended(Outcome.DIVERGED if iteration else Outcome.EVALUATION_ERROR, message, None, 0.0)
-        progress = losses.add(value, settings.tolerance)
+        progress = losses.add(value, options.tolerance)
         history["terminal_error"].append(objective.terminal_error)
         history["cost"].append(objective.cost)
         history["gradient_norm"].append(norm)
@@ -106,7 +97,7 @@ def descend(objective: Objective, u0: np.ndarray, settings: Settings, time_limit
     if by_rule and progress is Progress.SETTLED:
         outcome, message = Outcome.SOLVED, ""
     elif iteration == limit:
-        outcome, message = Outcome.ITERATION_LIMIT, _limit_message(settings, losses)
+        outcome, message = Outcome.ITERATION_LIMIT, _limit_message(options, losses)
     else:
         outcome, message = Outcome.TIME_LIMIT, f"stopped after {iteration} iterations at the time limit of {time_limit:g} s"
 
@@ -115,7 +106,7 @@ def descend(objective: Objective, u0: np.ndarray, settings: Settings, time_limit
     slope = objective.gradient()
     if outcome is Outcome.SOLVED:
         step = np.clip(plan - rate * slope, lower, upper) - plan
-        outcome, message = _settled(losses, settings.tolerance, -float((slope * step).sum()))
+        outcome, message = _settled(losses, options.tolerance, -float((slope * step).sum()))
     dead = dead_contact_message(objective, sensitivity(objective, plan), rate)
     if dead:
         outcome = Outcome.STALLED if outcome is Outcome.SOLVED else outcome
@@ -132,13 +123,13 @@ def _norm(array: np.ndarray) -> float:
         return float(np.sqrt(flat @ flat))
 
 
-def _limit_message(settings: Settings, losses: Losses) -> str:
-    if settings.iterations is not None:
+def _limit_message(options: DescentOptions, losses: Losses) -> str:
+    if options.iterations is not None:
         rose = "; the loss is higher than at the start" if losses.last > losses.first else ""
-        return f"stopped after the {settings.iterations} iterations asked for{rose}"
+        return f"stopped after the {options.iterations} iterations asked for{rose}"
     return (
-        f"stopped at max_iterations = {settings.max_iterations}; over the last quarter of them the loss still fell by "
-        f"{100.0 * losses.decrease():.2g} % (tolerance {100.0 * settings.tolerance:.2g} %)"
+        f"stopped at max_iterations = {options.max_iterations}; over the last quarter of them the loss still fell by "
+        f"{100.0 * losses.decrease():.2g} % (tolerance {100.0 * options.tolerance:.2g} %)"
     )
 
 

@@ -1,6 +1,6 @@
 """L-BFGS on an Objective within the bounds of the inputs (SciPy's L-BFGS-B), and the goal met by aiming beside it.
 
-    found = minimise(objective, u0, Settings(), time_limit=60.0)
+    found = minimise(objective, u0, QuasiNewtonOptions(), time_limit=60.0)
 
 SciPy's, because `torch.optim.LBFGS` knows no bounds. The loss is that of gradient descent, through the same `rollout`; it weighs the goal against the cost and so the plan ends a little beside the goal. Each round after the
 first displaces the goal that is aimed at by what was missed: goal - s with s <- s + (x_T - goal). That is the method of multipliers, since
@@ -9,7 +9,7 @@ w |m + s|^2 = w |m|^2 + 2 w s'm + constant, with 2 w s as multipliers.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
@@ -18,6 +18,7 @@ from scipy.optimize import Bounds, minimize
 from formulations.shooting.descent import Descent
 from formulations.shooting.diagnosis import dead_contact_message, sensitivity, stable_rate
 from formulations.shooting.ending import input_bounds
+from formulations.shooting.method import LbfgsOptions
 from formulations.shooting.objective import Objective
 from formulations.solution import Outcome
 from models.scene import Scene
@@ -28,25 +29,13 @@ _STALLS = 0.9  # three rounds in a row that miss by more than this share of the 
 _FLAT = 1e-5  # a gradient of this share of the first one is none, where no step lowers the loss
 
 
-@dataclass(frozen=True, kw_only=True)
-class Settings:
-    """memory: corrections kept; tolerance: relative decrease over 20 iterations that counts as none; goal_rounds: most displacements of
-    the goal; goal_tolerance: |x_T - goal| at which there is no need of another."""
-
-    memory: int = 20
-    max_iterations: int = 2000
-    tolerance: float = 1e-4
-    goal_rounds: int = 10
-    goal_tolerance: float = 1e-6
-
-
 class _Run:
     """One minimisation for a fixed aim: the function in units of its first value, its best point, and when to stop."""
 
     def __init__(
-        self, objective: Objective, goal: np.ndarray, settings: Settings, deadline: float, history: dict[str, list[float]]
+        self, objective: Objective, goal: np.ndarray, options: LbfgsOptions, deadline: float, history: dict[str, list[float]]
     ) -> None:
-        self._objective, self._goal, self._settings, self._deadline, self._history = objective, goal, settings, deadline, history
+        self._objective, self._goal, self._options, self._deadline, self._history = objective, goal, options, deadline, history
         self._shape = (objective.kernel.scene.task.steps, objective.kernel.scene.nu)
         self._last: tuple[np.ndarray, float, np.ndarray, float, float] | None = None  # point, loss, gradient, miss, cost
         self._scale = 1.0
@@ -83,7 +72,7 @@ class _Run:
 
     def watch(self, point: np.ndarray) -> None:
         """After each iteration; raises StopIteration where it is enough."""
-        objective, settings = self._objective, self._settings
+        objective, options = self._objective, self._options
         if self._last is None or not np.array_equal(self._last[0], point):
             self.function(point)
         if self._last is None:
@@ -95,11 +84,11 @@ class _Run:
         for column, entry in zip(self._history.values(), row, strict=True):
             column.append(entry)
         self.losses.append(value)
-        if len(self._history["loss"]) >= settings.max_iterations:
+        if len(self._history["loss"]) >= options.max_iterations:
             self.ending = "limit"
         elif perf_counter() >= self._deadline:
             self.ending = "time"
-        elif len(self.losses) > _PATIENCE and self.losses[-1 - _PATIENCE] - value <= settings.tolerance * abs(self.losses[-1 - _PATIENCE]):
+        elif len(self.losses) > _PATIENCE and self.losses[-1 - _PATIENCE] - value <= options.tolerance * abs(self.losses[-1 - _PATIENCE]):
             self.ending = "settled"
         if self.ending:
             raise StopIteration
@@ -112,7 +101,7 @@ def projected(objective: Objective, u: np.ndarray, gradient: np.ndarray) -> np.n
     return np.where(beyond, 0.0, gradient)
 
 
-def minimise(objective: Objective, u0: np.ndarray, settings: Settings, time_limit: float) -> Descent:
+def minimise(objective: Objective, u0: np.ndarray, options: LbfgsOptions, time_limit: float) -> Descent:
     """From u0 (steps, nu) to the best inputs; gradient_norm is without entries that point beyond a bound. time_limit: wall seconds.
 
     The objective's goal is left where it was."""
@@ -121,7 +110,7 @@ def minimise(objective: Objective, u0: np.ndarray, settings: Settings, time_limi
     history: dict[str, list[float]] = {"loss": [], "terminal_error": [], "cost": [], "gradient_norm": []}
     u = np.clip(u0, *input_bounds(objective.kernel.scene))
     try:
-        run, u, missed, rounds = _rounds(objective, u, settings, deadline, history)
+        run, u, missed, rounds = _rounds(objective, u, options, deadline, history)
     finally:
         objective.aim(goal, weights)
     if run is None:
@@ -134,9 +123,9 @@ def minimise(objective: Objective, u0: np.ndarray, settings: Settings, time_limi
     objective.value(u)
     gradient = float(np.linalg.norm(projected(objective, u, objective.gradient())))
     told = {
-        "limit": (Outcome.ITERATION_LIMIT, f"stopped at max_iterations = {settings.max_iterations}"),
+        "limit": (Outcome.ITERATION_LIMIT, f"stopped at max_iterations = {options.max_iterations}"),
         "time": (Outcome.TIME_LIMIT, f"stopped after {iterations} iterations at the time limit of {time_limit:g} s"),
-        "settled": (Outcome.SOLVED, f"the loss fell by less than {100.0 * settings.tolerance:.2g} % over the last {_PATIENCE} iterations"),
+        "settled": (Outcome.SOLVED, f"the loss fell by less than {100.0 * options.tolerance:.2g} % over the last {_PATIENCE} iterations"),
         "flat": (Outcome.SOLVED, f"the gradient has fallen to less than {_FLAT:g} of what it was"),
         "search": (Outcome.STALLED, "no step along the search direction lowers the loss: a kink of the contact forces, or rounding"),
     }
@@ -144,7 +133,7 @@ def minimise(objective: Objective, u0: np.ndarray, settings: Settings, time_limi
     if rounds:
         message += f"; the goal was displaced {rounds} times"
     dead = ""
-    if missed > settings.goal_tolerance:
+    if missed > options.goal_tolerance:
         rate = min(stable_rate(objective, u), 1e12)
         objective.value(u)
         dead = dead_contact_message(objective, sensitivity(objective, u), rate)
@@ -155,17 +144,17 @@ def minimise(objective: Objective, u0: np.ndarray, settings: Settings, time_limi
 
 
 def _rounds(
-    objective: Objective, u: np.ndarray, settings: Settings, deadline: float, history: dict[str, list[float]]
+    objective: Objective, u: np.ndarray, options: LbfgsOptions, deadline: float, history: dict[str, list[float]]
 ) -> tuple[_Run | None, np.ndarray, float, int]:
     """Minimise, displace the goal by what was missed, and again; the last run, the best inputs, what they miss, and how often displaced."""
     goal, best, least, displaced, weight, slow = objective.goal, u, np.inf, 0, objective.weights.terminal, 0
-    shift, most = np.zeros(len(goal)), settings.goal_rounds if objective.aims else 0
+    shift, most = np.zeros(len(goal)), options.goal_rounds if objective.aims else 0
     while True:
         objective.aim(goal - shift, replace(objective.weights, terminal=weight))
-        run = _Run(objective, goal, settings, deadline, history)
+        run = _Run(objective, goal, options, deadline, history)
         if not np.isfinite(run.start(u)):
             return None, u, np.inf, 0
-        u = _one(run, objective.kernel.scene, u, settings)
+        u = _one(run, objective.kernel.scene, u, options)
         objective.value(u)
         error = objective.missed(goal)
         missed = float(np.linalg.norm(error))
@@ -175,12 +164,12 @@ def _rounds(
             weight, shift = weight * _HEAVIER, shift / _HEAVIER
         if missed < least:
             best, least = u, missed
-        if run.ending in ("limit", "time") or missed <= settings.goal_tolerance or displaced >= most or slow > 2:
+        if run.ending in ("limit", "time") or missed <= options.goal_tolerance or displaced >= most or slow > 2:
             return run, best, least, displaced
         displaced += 1
 
 
-def _one(run: _Run, scene: Scene, u: np.ndarray, settings: Settings) -> np.ndarray:
+def _one(run: _Run, scene: Scene, u: np.ndarray, options: LbfgsOptions) -> np.ndarray:
     lower, upper = (np.broadcast_to(bound, u.shape).ravel() for bound in input_bounds(scene))
     result = minimize(
         run.function,
@@ -189,7 +178,7 @@ def _one(run: _Run, scene: Scene, u: np.ndarray, settings: Settings) -> np.ndarr
         method="L-BFGS-B",
         bounds=Bounds(lower, upper),
         callback=run.watch,
-        options={"maxcor": settings.memory, "maxiter": settings.max_iterations, "maxfun": 10**9, "ftol": 0.0, "gtol": 0.0, "maxls": 40},
+        options={"maxcor": options.memory, "maxiter": options.max_iterations, "maxfun": 10**9, "ftol": 0.0, "gtol": 0.0, "maxls": 40},
     )
     if not run.ending:
         run.ending = "flat" if run.flat else "search"

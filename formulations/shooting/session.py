@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from time import perf_counter, process_time
 
 import numpy as np
@@ -12,7 +11,7 @@ from formulations.method import OptionError, Session
 from formulations.shooting.descent import Descent
 from formulations.shooting.ending import arrived, given_inputs, plan_residuals
 from formulations.shooting.growth import measure_growth, told
-from formulations.shooting.method import ShootingMethod
+from formulations.shooting.method import DescentOptions, LbfgsOptions, ShootingMethod
 from formulations.solution import Outcome, Seconds, Solution
 from models.codegen.kernel import load_kernel
 from models.codegen.steps import load_steps
@@ -25,11 +24,11 @@ from models.trajectory import Trajectory, uniform_grid
 class ShootingSession(Session):
     """See the module docstring.
 
-    options: filled in and checked by the method; opening: wall and CPU clock when opening began.
+    opening: wall and CPU clock when opening began.
     """
 
-    def __init__(self, method: ShootingMethod, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> None:
-        self._method, self._scene, self._options = method, scene, dict(options)
+    def __init__(self, method: ShootingMethod, scene: Scene, options: DescentOptions | LbfgsOptions, opening: tuple[float, float]) -> None:
+        self._method, self._scene, self._options = method, scene, options
         self._kernel, self._steps = load_kernel(scene), load_steps(scene)
         # The first stage pays for building; the stages after it find it done.
         self._opening = (perf_counter() - opening[0], process_time() - opening[1])
@@ -64,7 +63,7 @@ class ShootingSession(Session):
             outcome=descent.outcome,
             message=descent.message,
             iterations=descent.iterations,
-            options=dict(self._options),
+            options=asdict(self._options),
             history={column: tuple(values) for column, values in descent.history.items()},
         )
         u = u0 if descent.u is None else descent.u

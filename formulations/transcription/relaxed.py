@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from time import perf_counter
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from formulations.grids import coarse_scene, on_grid
 from formulations.solution import Outcome
@@ -25,6 +25,9 @@ from models.codegen.kernel import load_kernel
 from models.errors import TrajectoryError
 from models.stability import step_stability
 from models.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from formulations.methods.relaxed_lcp import RelaxedLCPOptions
 
 # Stages of the bank that ended well took up to 3.9e6 from a cold start (two_finger_lift: 575 iterations, of 6814 unknowns), and up to 2.6e6 from a
 # plan (two_discs_wall: 333, of 7688).
@@ -41,6 +44,7 @@ _LONG, _SHORT = 2000, 500
 
 class RelaxedSession(TightenedSession):
     contact = ContactLaw.COMPLEMENTARITY
+    _options: RelaxedLCPOptions
     _long, _is_try, _spent = _LONG, False, 0
 
     def run(self, bench: Workbench, account: Account, eps: float | None, warm_start: Trajectory | None) -> Ending:
@@ -77,7 +81,7 @@ class RelaxedSession(TightenedSession):
             self._is_try = index < len(levels) - 1
             ending = self._apart(bench, account, level, None, accounts)
             self._is_try = False
-            if ending.outcome is not Outcome.ITERATION_LIMIT or account.is_over or self._spent >= self.number("max_iterations"):
+            if ending.outcome is not Outcome.ITERATION_LIMIT or account.is_over or self._spent >= self._options.max_iterations:
                 break
         return ending, index
 
@@ -146,7 +150,7 @@ class RelaxedSession(TightenedSession):
         return float(softest) * math.log(2.0) / math.sqrt(cast(float, eps))
 
     def cold_options(self) -> dict[str, Any]:
-        return cold_barrier(self)
+        return cold_barrier(self._options)
 
     def common_options(self) -> dict[str, Any]:
         options = super().common_options()
@@ -154,10 +158,10 @@ class RelaxedSession(TightenedSession):
         return {**options, "bound_relax_factor": 0.0, "max_iter": max(0, options["max_iter"] - self._spent)}
 
     def takes_duals(self, eps: float | None) -> bool:
-        return cast(float, eps) <= self.number("duals_from")
+        return cast(float, eps) <= self._options.duals_from
 
     def promises(self, eps: float | None) -> dict[str, float]:
-        tolerance = self.number("plan_tolerance")
+        tolerance = self._options.plan_tolerance
         # each friction has two products, and friction_law is their sum
         products = {"complementarity": cast(float, eps) + tolerance, "friction_law": 2.0 * cast(float, eps) + tolerance}
         if self._scene.damped:  # the bound holds for spring, switch and force each, not for the force against the true law

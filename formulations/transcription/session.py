@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from time import perf_counter, process_time
 from typing import Any, cast
 
@@ -15,6 +15,7 @@ from formulations.method import Method, OptionError, Session
 from formulations.solution import Outcome, Solution
 from formulations.transcription.build import build_model
 from formulations.transcription.contact_laws import ContactLaw, tighten
+from formulations.transcription.method import BarrierOptions, TranscriptionOptions
 from formulations.transcription.opening import Watch, plan_with_goal_released
 from formulations.transcription.plans import load_first_guess, load_plan, read_plan
 from formulations.transcription.reach import Nearest, Patience, nearest
@@ -40,8 +41,8 @@ class TranscriptionSession(Session):
 
     contact: ContactLaw
 
-    def __init__(self, method: Method, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> None:
-        self._method, self._scene, self._options = method, scene, dict(options)
+    def __init__(self, method: Method, scene: Scene, options: TranscriptionOptions, opening: tuple[float, float]) -> None:
+        self._method, self._scene, self._options = method, scene, options
         self._residuals = PlanResiduals(scene)
         self._bench: Workbench | None = None
         self._last: tuple[Trajectory, IpoptResult] | None = None
@@ -56,7 +57,7 @@ class TranscriptionSession(Session):
 
     def common_options(self) -> dict[str, Any]:
         """Ipopt options of every run."""
-        return {"tol": self.number("tolerance"), "max_iter": int(self.number("max_iterations"))}
+        return {"tol": self._options.tolerance, "max_iter": self._options.max_iterations}
 
     def cold_options(self) -> dict[str, Any]:
         """Ipopt options of a start without a plan."""
@@ -84,7 +85,7 @@ class TranscriptionSession(Session):
 
     def promises(self, eps: float | None) -> dict[str, float]:
         """Largest residuals with which the outcome may be SOLVED."""
-        limit = self.number("plan_tolerance")
+        limit = self._options.plan_tolerance
         return dict.fromkeys(("dynamics_defect", "start_error", "terminal_error", "input_bound_excess", "velocity_bound_excess"), limit)
 
     # -- one stage --------------------------------------------------------------------------------------------------------------
@@ -173,7 +174,7 @@ class TranscriptionSession(Session):
         """Searched once for each sharpness; searched again if it was cut off."""
         found = self._nearest.get(sharpest)
         if found is None or not found.is_solved:
-            found = self._nearest[sharpest] = nearest(self._scene, account, int(self.number("max_iterations")), sharpest)
+            found = self._nearest[sharpest] = nearest(self._scene, account, self._options.max_iterations, sharpest)
         return found
 
     def _no_plan(self) -> str:
@@ -188,9 +189,6 @@ class TranscriptionSession(Session):
 
     def ipopt_options(self, warm_start: Trajectory | None) -> dict[str, Any]:
         return {**self.common_options(), **({} if warm_start is not None else self.cold_options())}
-
-    def number(self, option: str) -> float:
-        return float(cast(float, self._options[option]))  # checked by filled_options
 
     def _start_with_duals(self, eps: float | None, warm_start: Trajectory | None) -> Start | None:
         if warm_start is None or self._last is None or not self.takes_duals(eps):
@@ -228,7 +226,7 @@ class TranscriptionSession(Session):
             iterations=account.iterations,
             seconds=account.seconds(),
             residuals={name: value for name, value in residuals.items() if np.isfinite(value)},
-            options=dict(self._options),
+            options=asdict(self._options),
             solver=account.solver,
             history={name: tuple(values) for name, values in account.history.items()},
             size=bench.size,
@@ -236,7 +234,6 @@ class TranscriptionSession(Session):
         )
 
 
-def cold_barrier(session: TranscriptionSession) -> dict[str, Any]:
+def cold_barrier(options: BarrierOptions) -> dict[str, Any]:
     """Ipopt options of a complementarity model without a plan to start from."""
-    push = session.number("bound_push")
-    return {"mu_init": session.number("barrier_start"), "bound_push": push, "bound_frac": min(0.5, push)}
+    return {"mu_init": options.barrier_start, "bound_push": options.bound_push, "bound_frac": min(0.5, options.bound_push)}

@@ -4,7 +4,7 @@ handed on only if it is a plan."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from formulations.ipopt.linear_solver import band_options
 from formulations.solution import Outcome
@@ -17,6 +17,9 @@ from models.contact_law import ContactLaw as ForceLaw
 from models.contact_law import sharpness
 from models.trajectory import Trajectory
 
+if TYPE_CHECKING:
+    from formulations.methods.softplus_dc import SoftplusDCOptions
+
 # Of a stage that starts from a plan, in nonzeros, which is what an iteration's time grows with: friction and many contacts have three times as many a
 # unknown. Those of the bank that ended well took up to 6.3e6 (transport: 951 iterations, of 6608), and where they were larger up to 136 iterations.
 _WORK = Work(6.5e6, 130)
@@ -26,6 +29,7 @@ _BROKEN = 1e-2
 
 class SoftplusSession(TightenedSession):
     contact = ContactLaw.SOFTPLUS
+    _options: SoftplusDCOptions
 
     def is_plan(self, residuals: Mapping[str, float], eps: float | None) -> bool:
         return max(residuals.get(name, 0.0) for name in ("dynamics_defect", "contact_law", "regularised_friction")) <= _BROKEN
@@ -47,7 +51,7 @@ class SoftplusSession(TightenedSession):
         return sharpness(cast(float, eps), self._scene.length)
 
     def takes_duals(self, eps: float | None) -> bool:
-        return cast(float, eps) <= self.number("duals_from")
+        return cast(float, eps) <= self._options.duals_from
 
     def watch(self, warm_start: Trajectory | None) -> Patience:
         is_cold = warm_start is None and self._scene.nc > 0 and self._scene.task.has_goal
@@ -57,4 +61,4 @@ class SoftplusSession(TightenedSession):
         return self._residuals.of(plan, ForceLaw.SOFTPLUS, eps)
 
     def promises(self, eps: float | None) -> dict[str, float]:
-        return {**super().promises(eps), **dict.fromkeys(("contact_law", "regularised_friction"), self.number("plan_tolerance"))}
+        return {**super().promises(eps), **dict.fromkeys(("contact_law", "regularised_friction"), self._options.plan_tolerance)}

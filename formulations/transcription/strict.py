@@ -12,9 +12,8 @@ The plan is judged on its own: residuals from the scene, and the goal after a re
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,6 +32,9 @@ from models.dynamics import derive
 from models.goal import distance, goal_state
 from models.scene import Scene
 from models.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from formulations.methods.strict_lcp import StrictLCPOptions
 
 # Step 3: the factor between two bounds, and the last one; below it Ipopt's own tolerance (1e-8) is coarser than the bound.
 _TIGHTENING, _LAST_BOUND = 1e-2, 1e-8
@@ -61,17 +63,18 @@ _UNDECIDED, _WANTING = 1e-5, 1e-5
 
 class StrictSession(TranscriptionSession):
     contact = ContactLaw.COMPLEMENTARITY
+    _options: StrictLCPOptions
 
-    def __init__(self, method: Method, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> None:
+    def __init__(self, method: Method, scene: Scene, options: StrictLCPOptions, opening: tuple[float, float]) -> None:
         super().__init__(method, scene, options, opening)
         self._kernel: Kernel = load_kernel(scene)
         self._modes_bench: Workbench | None = None
 
     def first_eps(self, eps: float | None) -> float:
-        return self.number("attack_bound")
+        return self._options.attack_bound
 
     def cold_options(self) -> dict[str, Any]:
-        return cold_barrier(self)
+        return cold_barrier(self._options)
 
     def common_options(self) -> dict[str, Any]:
         return {**super().common_options(), "bound_relax_factor": 0.0}
@@ -80,7 +83,7 @@ class StrictSession(TranscriptionSession):
         """Without contacts any plan is a start; with them a broken one is none."""
         if warm_start is None or not self._scene.nl or self._residuals.dynamics_defect(warm_start) <= _BROKEN:
             return warm_start
-        return warm_start if self._is_nearly_strict(warm_start, self.number("attack_bound")) else None
+        return warm_start if self._is_nearly_strict(warm_start, self._options.attack_bound) else None
 
     def certificate(self, plan: Trajectory, eps: float | None) -> dict[str, float]:
         task = self._scene.task
@@ -91,10 +94,10 @@ class StrictSession(TranscriptionSession):
     def promises(self, eps: float | None) -> dict[str, float]:
         return {
             **super().promises(eps),
-            **dict.fromkeys(("force_sign", "friction_cone", "friction_law"), self.number("plan_tolerance")),
-            "physics": self.number("physics_tolerance"),
-            "terminal_error": self.number("terminal_tolerance"),
-            "discrete_terminal_error": self.number("replay_tolerance"),
+            **dict.fromkeys(("force_sign", "friction_cone", "friction_law"), self._options.plan_tolerance),
+            "physics": self._options.physics_tolerance,
+            "terminal_error": self._options.terminal_tolerance,
+            "discrete_terminal_error": self._options.replay_tolerance,
         }
 
     def solve_modes(self, closed: np.ndarray, time_limit: float = 60.0) -> IpoptResult:
@@ -108,7 +111,7 @@ class StrictSession(TranscriptionSession):
     def run(self, bench: Workbench, account: Account, eps: float | None, warm_start: Trajectory | None) -> Ending:
         if not self._scene.nl:
             return self.ending(self.attempt(bench, account, None, self.ipopt_options(warm_start)))
-        bound = self.number("attack_bound")
+        bound = self._options.attack_bound
         if warm_start is not None and self._is_nearly_strict(warm_start, bound):
             exact = self._exact(bench, account, warm_start)
             if exact.outcome is Outcome.SOLVED:
@@ -139,7 +142,7 @@ class StrictSession(TranscriptionSession):
         return replace(ending, message=f"{ending.message} {cut}")
 
     def _is_nearly_strict(self, plan: Trajectory, bound: float) -> bool:
-        found, tolerance = self._residuals.of(plan), self.number("plan_tolerance")
+        found, tolerance = self._residuals.of(plan), self._options.plan_tolerance
         products = max(found.get("complementarity", 0.0), found.get("friction_law", 0.0))
         return products <= bound + tolerance and max(found["terminal_error"], found["dynamics_defect"]) <= tolerance
 
@@ -193,7 +196,7 @@ class StrictSession(TranscriptionSession):
 
     def _attack_options(self, account: Account, warm_start: Trajectory | None) -> dict[str, Any]:
         options, most = self.ipopt_options(warm_start), _ATTACK.iterations(size_on_paper(self._scene, self.contact).unknowns)
-        return {**options, "max_iter": min(options["max_iter"], account.iterations + min(most, int(self.number("attack_iterations"))))}
+        return {**options, "max_iter": min(options["max_iter"], account.iterations + min(most, self._options.attack_iterations))}
 
     def _solve_modes(self, bench: Workbench, account: Account, closed: np.ndarray) -> IpoptResult:
         """Step 2: the last solved problem without complementarity, its plan left in the model."""
@@ -201,7 +204,7 @@ class StrictSession(TranscriptionSession):
             self._modes_bench = Workbench(bench.model)
         hold_modes(bench.model, closed)
         best = self._modes_bench.run(account, self._modes_options(account))
-        for _ in range(int(self.number("mode_switches"))):
+        for _ in range(self._options.mode_switches):
             if best.outcome is not Outcome.SOLVED or account.is_over:
                 return best
             switch = _cheaper_modes(self._modes_bench.problem(account), best, bench.model, closed)

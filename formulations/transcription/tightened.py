@@ -4,7 +4,7 @@ plan, and where contact is softer and there was no plan, none is looked for."""
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, cast
 
 from formulations.solution import Outcome, Solution
@@ -59,7 +59,7 @@ class TightenedSession(TranscriptionSession):
             outcome = self.is_vain(failure.outcome, warm_start)
             if outcome is not None:
                 message = f"Not tried: from this start there was no plan at eps = {failure.eps:g} either, where contact is softer."
-                return Solution(method=self._method.name, outcome=outcome, message=message, options=dict(self._options))
+                return Solution(method=self._method.name, outcome=outcome, message=message, options=asdict(self._options))
         found = super().solve(eps=eps, warm_start=warm_start, time_limit=time_limit)
         if found.trajectory is None and found.outcome is not Outcome.TIME_LIMIT:
             self._failure = _Failure(cast(float, eps), warm_start, found.outcome)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from formulations.solution import Outcome
 from formulations.transcription.reach import nearest
 from formulations.transcription.workbench import Account
 from formulations.windows.approach import approach
-from formulations.windows.homotopy import PATIENCE
+from formulations.windows.homotopy import PATIENCE, schedule
 from formulations.windows.landing import land, land_by_softplus, miss_of
 from formulations.windows.nonlinear import NlpAnswer, NonlinearModes
 from formulations.windows.quadratic import ModesAnswer, ModesProblem
@@ -26,6 +26,9 @@ from models.goal import goal_state
 from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
+
+if TYPE_CHECKING:
+    from formulations.methods.mpcc import MpccOptions
 
 _ARRIVED = 1e-6  # from the goal: what remains is taken out by the exact problem
 STRIDES = 125  # the first stride is this part of the steps: 4 steps of 500
@@ -50,7 +53,7 @@ class Search:
 class Finder:
     """Everything of one scene that is kept from one solve to the next."""
 
-    def __init__(self, scene: Scene, kernel: Kernel, options: Mapping[str, object], structures: Structures) -> None:
+    def __init__(self, scene: Scene, kernel: Kernel, options: MpccOptions, structures: Structures) -> None:
         self._scene, self._kernel, self._options, self._structures = scene, kernel, options, structures
         self._is_linear = structures.is_linear
         self._random_is_vain = False  # all random inputs were steered once, and none of them gave a plan
@@ -63,7 +66,7 @@ class Finder:
         problem = self._modes_problem(account)
         account.build += perf_counter() - begin
         self._most_work = account.most_work
-        account.most_work = min(self._most_work, account.work + 1e6 * self._number("first_work"))
+        account.most_work = min(self._most_work, account.work + 1e6 * self._options.first_work)
         self._ending = (Outcome.FAILED, "no source of contact modes gave a plan.")
         self._near: list[tuple[float, np.ndarray]] = []  # (miss, modes) of rollouts that do not quite reach the goal
         answer, stride, is_refined = None, max(1, self._scene.task.steps // STRIDES), False
@@ -80,7 +83,7 @@ class Finder:
             elif account.is_over:
                 outcome, message = Outcome.ITERATION_LIMIT, "no contact modes with a plan were found by the work it may do."
             elif is_given_up:
-                millions = self._number("first_work")
+                millions = self._options.first_work
                 message = (
                     f"no contact modes with a plan were found by the work it may do until there is one (first_work, {millions:g} million)."
                 )
@@ -89,8 +92,8 @@ class Finder:
         return self.searched(account, problem, answer, stride, far=not is_refined)
 
     def _modes_problem(self, account: Account) -> ModesProblem | NonlinearModes:
-        ball = self._number("goal_tolerance") if self._scene.task.has_goal else 0.0
-        return self._structures.modes(ball, account, self._ipopt_options("tolerance"))
+        ball = self._options.goal_tolerance if self._scene.task.has_goal else 0.0
+        return self._structures.modes(ball, account, self._ipopt_options(self._options.tolerance))
 
     # -- where modes come from --------------------------------------------------------------------------------------------------
 
@@ -117,23 +120,24 @@ class Finder:
         yield None, 0
         self._random_is_vain = True
         if had_plan:
-            for plan in self._stages(account, first, int(self._number("max_iterations"))):
+            for plan in self._stages(account, first, self._options.max_iterations):
                 yield plan, 0
             yield None, 0
 
     def _stages(self, account: Account, begin_at: Trajectory | None, patience: int) -> list[Trajectory]:
         """The plans of the sharpest stages of the homotopy, the sharpest first."""
-        begin = perf_counter()
-        homotopy = self._structures.homotopy(self._number("goal_tolerance"), self._schedule())
+        begin, own = perf_counter(), self._options
+        sharpnesses = schedule(own.first_sharpness, own.last_sharpness, own.sharpness_growth)
+        homotopy = self._structures.homotopy(own.goal_tolerance, sharpnesses)
         account.build += perf_counter() - begin
         stages: list[Trajectory] = []
-        ending = homotopy.run(account, self._ipopt_options("homotopy_tolerance"), begin_at, stages.append, patience)
+        ending = homotopy.run(account, self._ipopt_options(own.homotopy_tolerance), begin_at, stages.append, patience)
         self._ending = self._words(*ending)
         return stages[: -_STAGES - 1 : -1]
 
     def _steered(self, account: Account, first: Trajectory | None) -> Iterator[Trajectory]:
         """Random inputs, and those of a plan, steered to the goal through softplus contact that grows sharper."""
-        task, ball, seed = self._scene.task, self._number("goal_tolerance"), int(self._number("seed"))
+        task, ball, seed = self._scene.task, self._options.goal_tolerance, self._options.seed
         for index in range(-1, 0 if self._random_is_vain else _RANDOM):  # whatever the start, these are the same
             if account.is_over:
                 return
@@ -141,7 +145,7 @@ class Finder:
             if plan is None:
                 continue
             bounds = (np.array([item.lower for item in self._scene.inputs]), np.array([item.upper for item in self._scene.inputs]))
-            sharpness = self._number("first_sharpness")
+            sharpness = self._options.first_sharpness
             rollout, u = land_by_softplus(self._kernel, np.array(task.start), goal_state(task), plan.u, task.step, bounds, ball, sharpness)
             if not rollout.diverged:
                 yield Trajectory(
@@ -150,9 +154,9 @@ class Finder:
 
     def _is_out_of_reach(self, account: Account) -> bool:
         """Not even softplus contact had a plan: how near do the inputs come to the goal at all?"""
-        if not self._scene.task.has_goal or self._number("goal_tolerance") > 0.0:
+        if not self._scene.task.has_goal or self._options.goal_tolerance > 0.0:
             return False
-        found = nearest(self._scene, account, account.iterations + int(self._number("max_iterations")))
+        found = nearest(self._scene, account, account.iterations + self._options.max_iterations)
         if found.is_out_of_reach:
             words = f"no plan reaches the goal within the input bounds: the nearest found misses {found.words}."
             self._ending = (Outcome.INFEASIBLE, words)
@@ -160,7 +164,7 @@ class Finder:
 
     def _coarse(self, account: Account, start: Trajectory | None) -> tuple[Trajectory, int] | None:
         """The best plan of a coarser grid, on this one."""
-        coarse = coarse_scene(self._scene, int(self._number("coarse_steps")))
+        coarse = coarse_scene(self._scene, self._options.coarse_steps)
         if coarse is None:
             return None
         task = coarse.task
@@ -218,7 +222,7 @@ class Finder:
 
     def _modes(self, plan: Trajectory) -> Iterator[np.ndarray]:
         yield self._kernel.penetration(plan.q[:-1]) > 0.0
-        task, ball = self._scene.task, self._number("goal_tolerance")
+        task, ball = self._scene.task, self._options.goal_tolerance
         bounds = (np.array([item.lower for item in self._scene.inputs]), np.array([item.upper for item in self._scene.inputs]))
         goal = goal_state(task)
         rollout, _ = land(self._kernel, np.array(task.start), goal, plan.u, task.step, bounds, ball)
@@ -248,7 +252,7 @@ class Finder:
         if not self._scene.nc:
             return Search(answer=answer, outcome=Outcome.SOLVED, message=f"There are no contacts; {how}.")
         begin, most = perf_counter(), problem.solves + self._most_windows()
-        share = self._number("search_share")
+        share = self._options.search_share
         end, done = begin + share * account.remaining, account.work + share * (account.most_work - account.work)
 
         def is_over() -> bool:
@@ -258,7 +262,7 @@ class Finder:
             return problem.solve(closed, near=near, below=below)
 
         found = Found(best=answer, tried=0, complete=False)
-        if self._options["search"]:
+        if self._options.search:
             found = search_windows(answer, improve, stride=stride, is_over=is_over, far=far)
         is_late = perf_counter() >= end
         if not found.complete:  # the plan is to be stationary all the same
@@ -271,7 +275,7 @@ class Finder:
         if isinstance(problem, NonlinearModes):
             known = f"{problem.unsolved} of {problem.solves} solves found no plan in a few iterations, which proves nothing"
             message = f"With the contact windows fixed {how}; of {found.tried} neighbouring windows none was found to be cheaper ({known})."
-        if not self._options["search"]:
+        if not self._options.search:
             message = f"Contact modes were read off a softplus plan; {how}."
         elif not found.complete:
             why = "its part of the time was over before all were" if is_late else "as many as it may try"
@@ -282,16 +286,7 @@ class Finder:
 
     def _most_windows(self) -> int:
         """Modes that a search may ask for; a nonlinear scene's cost a run of Ipopt each."""
-        return int(self._number("search_windows")) // (1 if self._is_linear else _NONLINEAR)
+        return self._options.search_windows // (1 if self._is_linear else _NONLINEAR)
 
-    def _schedule(self) -> tuple[float, ...]:
-        """b L by b L, from the first to the last by a constant factor."""
-        first, last, growth = (self._number(name) for name in ("first_sharpness", "last_sharpness", "sharpness_growth"))
-        count = int(np.floor(np.log(max(last / first, 1.0)) / np.log(growth) + 1e-9)) + 1
-        return tuple(first * growth**index for index in range(count))
-
-    def _ipopt_options(self, tolerance: str) -> dict[str, Any]:
-        return {"tol": self._number(tolerance), "max_iter": int(self._number("max_iterations"))}
-
-    def _number(self, option: str) -> float:
-        return float(cast(float, self._options[option]))  # checked by filled_options
+    def _ipopt_options(self, tolerance: float) -> dict[str, Any]:
+        return {"tol": tolerance, "max_iter": self._options.max_iterations}

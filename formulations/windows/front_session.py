@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import fields, replace
+from dataclasses import asdict, fields, replace
 from time import perf_counter, process_time
-from typing import cast
+from typing import TYPE_CHECKING
 
 from formulations.method import Method, OptionError, Session
 from formulations.solution import FrontPoint, Outcome, Seconds, Solution
@@ -13,14 +12,16 @@ from formulations.windows.front import checked_tolerances, front
 from models.scene import Scene
 from models.trajectory import Trajectory
 
+if TYPE_CHECKING:
+    from formulations.methods.mpcc_front import MpccFrontOptions
+
 
 class FrontSession(Session):
     """See the module docstring."""
 
-    def __init__(self, method: Method, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> None:
+    def __init__(self, method: Method, scene: Scene, options: MpccFrontOptions, opening: tuple[float, float]) -> None:
         self._method, self._scene = method, scene
-        self._tolerances = checked_tolerances(cast(Iterable[float], options["tolerances"]))
-        self._options = {**options, "tolerances": self._tolerances}
+        self._options = replace(options, tolerances=checked_tolerances(options.tolerances))
         self._opening = (perf_counter() - opening[0], process_time() - opening[1])
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
@@ -29,8 +30,8 @@ class FrontSession(Session):
             raise OptionError(f"method {self._method.name}: the time limit is {time_limit!r}, but must be a positive number of seconds.")
         wall, cpu = perf_counter() - self._opening[0], process_time() - self._opening[1]
         self._opening = (0.0, 0.0)
-        own = {name: value for name, value in self._options.items() if name != "tolerances"}
-        points = front(self._scene, self._tolerances, options=own, start=warm_start, time_limit=time_limit)
+        own = {"work": self._options.work, "search": self._options.search, "seed": self._options.seed}
+        points = front(self._scene, self._options.tolerances, options=own, start=warm_start, time_limit=time_limit)
         first = points[0].solution
         solutions = list({id(point.solution): point.solution for point in points}.values())
         found = sum(point.solution.trajectory is not None for point in points)
@@ -41,7 +42,7 @@ class FrontSession(Session):
             method=self._method.name,
             outcome=outcome,
             message=told(found, points, first.message),
-            options=self._options,
+            options=asdict(self._options),
             iterations=sum(solution.iterations for solution in solutions),
             seconds=_together(solutions, perf_counter() - wall, process_time() - cpu),
             front=points,

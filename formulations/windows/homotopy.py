@@ -101,6 +101,12 @@ class SoftplusHomotopy:
         return outcome, message
 
 
+def schedule(first: float, last: float, growth: float) -> tuple[float, ...]:
+    """b L by b L, from the first to the last by a constant factor."""
+    count = int(np.floor(np.log(max(last / first, 1.0)) / np.log(growth) + 1e-9)) + 1
+    return tuple(first * growth**index for index in range(count))
+
+
 def _own_stiffness(scene: Scene) -> dict[str, float]:
     """Parameters that are the stiffness of contacts and nothing else; empty unless all contacts have such."""
     symbols = {contact.stiffness for contact in scene.contacts}

@@ -15,9 +15,9 @@ Where the end is free, and the best of these plans touches nothing although the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from time import perf_counter, process_time
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -32,6 +32,9 @@ from models.codegen.kernel import Kernel
 from models.scene import Scene
 from models.trajectory import Trajectory
 
+if TYPE_CHECKING:
+    from formulations.methods.mpcc import MpccOptions
+
 _CHAIN = tuple(float(-np.log(eps)) for eps in (1e-3, 1e-5, 1e-7))  # b L = |ln eps|
 
 
@@ -43,21 +46,19 @@ class _Start:
 
 
 class MultiStart:
-    """The starts of one scene. options: those of method mpcc; ipopt: of the softplus chain."""
+    """The starts of one scene."""
 
     def __init__(
         self,
         scene: Scene,
         kernel: Kernel,
         finder: Finder,
-        options: Mapping[str, object],
-        ipopt: Mapping[str, object],
+        options: MpccOptions,
         structures: Structures | None = None,
     ) -> None:
-        self._scene, self._kernel, self._finder, self._ipopt = scene, kernel, finder, dict(ipopt)
+        self._scene, self._kernel, self._finder, self._options = scene, kernel, finder, options
         self._structures = structures or Structures(scene, kernel)
         self._throws = Throws(scene, kernel, finder, options, self._structures)
-        self._seed, self._ball = int(str(options["seed"])), float(str(options["goal_tolerance"]))
 
     def run(self, account: Account, numbers: range, warm_start: Trajectory | None) -> tuple[Search, tuple[Attempt, ...]]:
         """The best of the starts of these numbers, and what became of each. Starts for which there is no time are not among them.
@@ -80,7 +81,7 @@ class MultiStart:
         if best is None:
             raise ValueError("a range of starts is never empty: the options see to that.")
         began = process_time()
-        thrown = self._throws.instead_of(best, account, (self._seed, numbers[0]))
+        thrown = self._throws.instead_of(best, account, (self._options.seed, numbers[0]))
         if thrown is not best:
             place = min(range(len(attempts)), key=lambda place: (attempts[place].cost is None, attempts[place].cost or 0.0))
             start = _Start(words=f"{attempts[place].start}, then throws", plan=None, for_modes=False)
@@ -94,7 +95,7 @@ class MultiStart:
         plan, words = self._special(account, number)
         if plan is not None:
             return _Start(words=words, plan=plan, for_modes=True)
-        plan = random_plan(self._scene, self._kernel, (self._seed, number))
+        plan = random_plan(self._scene, self._kernel, (self._options.seed, number))
         for_modes = number % 2 == 0 and plan is not None
         return _Start(words="random inputs, steered to the goal" if for_modes else "random inputs", plan=plan, for_modes=for_modes)
 
@@ -110,9 +111,10 @@ class MultiStart:
     def _chain(self, account: Account) -> tuple[Trajectory | None, str]:
         stages: list[Trajectory] = []
         begin = perf_counter()
-        homotopy = self._structures.homotopy(self._ball, _CHAIN)
+        homotopy = self._structures.homotopy(self._options.goal_tolerance, _CHAIN)
         account.build += perf_counter() - begin
-        homotopy.run(account, self._ipopt, None, stages.append)
+        ipopt = {"tol": self._options.homotopy_tolerance, "max_iter": self._options.max_iterations}
+        homotopy.run(account, ipopt, None, stages.append)
         return (stages[-1] if stages else None), "softplus chain"
 
     def _descended(self, _account: Account) -> tuple[Trajectory | None, str]:

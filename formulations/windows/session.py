@@ -8,10 +8,9 @@ the terminal error (1e-9) is taken out by Newton steps. Where the end is free an
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from time import perf_counter, process_time
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,6 +30,7 @@ from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 
 if TYPE_CHECKING:
+    from formulations.methods.mpcc import MpccOptions
     from formulations.mpec.certificate.certificate import Certificate
 
 
@@ -41,22 +41,21 @@ class MpccSession(Session):
         self,
         method: Method,
         scene: Scene,
-        options: Mapping[str, object],
+        options: MpccOptions,
         opening: tuple[float, float],
         structures: Structures | None = None,
     ) -> None:
-        self._method, self._scene, self._options = method, scene, dict(options)
+        self._method, self._scene, self._options = method, scene, options
         self._kernel, self._residuals = load_kernel(scene), PlanResiduals(scene)
         self._structures = structures or Structures(scene, self._kernel)
         self._finder = Finder(scene, self._kernel, self._options, self._structures)
-        ipopt = {"tol": self._number("homotopy_tolerance"), "max_iter": int(self._number("max_iterations"))}
-        self._starts = MultiStart(scene, self._kernel, self._finder, self._options, ipopt, self._structures)
+        self._starts = MultiStart(scene, self._kernel, self._finder, self._options, self._structures)
         self._opening = (perf_counter() - opening[0], process_time() - opening[1])
 
     def within(self, goal_tolerance: float, *, from_a_plan: bool = True) -> MpccSession:
         """A session for another radius of the goal, which uses the models of this one; what starts without a plan may do `first_work` more."""
-        more = 0.0 if from_a_plan else self._number("first_work")
-        options = {**self._options, "goal_tolerance": goal_tolerance, "work": self._number("work") + more}
+        more = 0.0 if from_a_plan else self._options.first_work
+        options = replace(self._options, goal_tolerance=goal_tolerance, work=self._options.work + more)
         return MpccSession(self._method, self._scene, options, (perf_counter(), process_time()), self._structures)
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
@@ -66,9 +65,9 @@ class MpccSession(Session):
         if warm_start is not None:
             self._check_grid(warm_start)
         account, self._opening = Account(time_limit, self._opening), (0.0, 0.0)
-        account.most_work = 1e6 * self._number("work")
-        first = int(self._number("first_start"))
-        search, attempts = self._starts.run(account, range(first, first + int(self._number("starts"))), warm_start)
+        account.most_work = 1e6 * self._options.work
+        first = self._options.first_start
+        search, attempts = self._starts.run(account, range(first, first + self._options.starts), warm_start)
         return self._solution(account, search, attempts)
 
     def _check_grid(self, plan: Trajectory) -> None:
@@ -85,7 +84,7 @@ class MpccSession(Session):
     def _solution(self, account: Account, search: Search, attempts: tuple[Attempt, ...]) -> Solution:
         several = attempts if len(attempts) > 1 else ()
         empty = Solution(
-            method=self._method.name, outcome=search.outcome, message=search.message, options=dict(self._options), starts=several
+            method=self._method.name, outcome=search.outcome, message=search.message, options=asdict(self._options), starts=several
         )
         answer = search.answer
         if answer is None:
@@ -96,7 +95,7 @@ class MpccSession(Session):
         if several:
             optima = [attempt.cost for attempt in several if attempt.cost is not None]
             spread = f"costs from {min(optima):.6g} to {max(optima):.6g}"
-            search = replace(search, message=f"{len(optima)} of {self._options['starts']} starts were solved, {spread}. {search.message}")
+            search = replace(search, message=f"{len(optima)} of {self._options.starts} starts were solved, {spread}. {search.message}")
             residuals |= {"starts_solved": float(len(optima)), "dearest_start": max(optima)}
         outcome, message = search.outcome, f"{search.message} {stationarity.sentence}"
         missed = {name: limit for name, limit in self._promises().items() if not residuals.get(name, 0.0) <= limit}
@@ -105,7 +104,7 @@ class MpccSession(Session):
             outcome, message = Outcome.STALLED, f"{message} Checked on the plan itself, {worst}."
         certificate = None
         if outcome is Outcome.SOLVED and stationarity.letter != "S":
-            certificate = self._structures.judge().certify(plan, goal_tolerance=self._number("goal_tolerance"))
+            certificate = self._structures.judge().certify(plan, goal_tolerance=self._options.goal_tolerance)
             outcome, message = _judged(certificate, message)
         residuals |= {
             "dual_infeasibility": answer.dual_infeasibility,
@@ -131,7 +130,7 @@ class MpccSession(Session):
         task = self._scene.task
         bounds = tuple(np.array([getattr(item, side) for item in self._scene.inputs]) for side in ("lower", "upper"))
         rollout, u = land(
-            self._kernel, np.array(task.start), goal_state(task), u, task.step, (bounds[0], bounds[1]), self._number("goal_tolerance")
+            self._kernel, np.array(task.start), goal_state(task), u, task.step, (bounds[0], bounds[1]), self._options.goal_tolerance
         )
         return Trajectory(
             t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
@@ -149,15 +148,12 @@ class MpccSession(Session):
         return {**found, "discrete_terminal_error": distance(end, goal_state(task))}
 
     def _promises(self) -> dict[str, float]:
-        plan, miss = self._number("plan_tolerance"), self._number("terminal_tolerance") + self._number("goal_tolerance")
+        plan, miss = self._options.plan_tolerance, self._options.terminal_tolerance + self._options.goal_tolerance
         return {
             **dict.fromkeys(("dynamics_defect", "start_error", "input_bound_excess", "velocity_bound_excess", "force_sign"), plan),
             **dict.fromkeys(("terminal_error", "discrete_terminal_error"), miss),
-            "physics": self._number("physics_tolerance"),
+            "physics": self._options.physics_tolerance,
         }
-
-    def _number(self, option: str) -> float:
-        return float(cast(float, self._options[option]))  # checked by filled_options
 
 
 def _judged(found: Certificate, message: str) -> tuple[Outcome, str]:

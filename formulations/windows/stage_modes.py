@@ -10,10 +10,9 @@ Contacts open and close within steps, not at nodes. What that costs is bounded: 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from time import perf_counter, process_time
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -28,13 +27,16 @@ from formulations.transcription.plans import load_plan, read_plan, read_values, 
 from formulations.transcription.reach import nearest
 from formulations.transcription.residuals import PlanResiduals
 from formulations.transcription.workbench import Account, Workbench
-from formulations.windows.homotopy import PATIENCE, SoftplusHomotopy
+from formulations.windows.homotopy import PATIENCE, SoftplusHomotopy, schedule
 from models.codegen.kernel import load_kernel
 from models.collocation import switch_error
 from models.errors import TrajectoryError
 from models.scene import Scene
 from models.schemes import Scheme, tableau
 from models.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from formulations.methods.collocation import CollocationOptions
 
 # Stages of the homotopy whose modes are tried.
 _TRIED = 3
@@ -63,10 +65,10 @@ class _Guess:
 class CollocationSession(Session):
     """See the module docstring."""
 
-    def __init__(self, method: Method, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> None:
-        self._method, self._scene, self._options = method, scene, dict(options)
+    def __init__(self, method: Method, scene: Scene, options: CollocationOptions, opening: tuple[float, float]) -> None:
+        self._method, self._scene, self._options = method, scene, options
         self._kernel, self._residuals = load_kernel(scene), PlanResiduals(scene)
-        self._scheme, self._integrates = Scheme(str(options["scheme"])), bool(options["integrate_cost"])
+        self._scheme = Scheme(options.scheme)
         self._homotopy: SoftplusHomotopy | None = None
         self._exact: Workbench | None = None
         self._opening = (perf_counter() - opening[0], process_time() - opening[1])
@@ -76,9 +78,10 @@ class CollocationSession(Session):
         if not time_limit > 0.0:
             raise OptionError(f"method {self._method.name}: the time limit is {time_limit!r}, but must be a positive number of seconds.")
         account, self._opening = Account(time_limit, self._opening), (0.0, 0.0)
-        begin = perf_counter()
+        begin, own = perf_counter(), self._options
         if self._homotopy is None:
-            self._homotopy = SoftplusHomotopy(self._scene, 0.0, self._schedule(), scheme=self._scheme, integrate_cost=self._integrates)
+            sharpnesses = schedule(own.first_sharpness, own.last_sharpness, own.sharpness_growth)
+            self._homotopy = SoftplusHomotopy(self._scene, 0.0, sharpnesses, scheme=self._scheme, integrate_cost=own.integrate_cost)
         softplus = self._homotopy.bench
         if warm_start is not None:
             load_plan(softplus.model, warm_start)  # refuses a plan of another grid
@@ -110,8 +113,8 @@ class CollocationSession(Session):
         """The last stages of the homotopy, the sharpest first; where its first stage has no plan, from the plan that comes nearest to the goal."""
         homotopy = cast(SoftplusHomotopy, self._homotopy)
         options = {
-            "tol": self._number("homotopy_tolerance"),
-            "max_iter": int(self._number("max_iterations")),
+            "tol": self._options.homotopy_tolerance,
+            "max_iter": self._options.max_iterations,
             **band_options(),
         }
         guesses: list[_Guess] = []
@@ -122,8 +125,8 @@ class CollocationSession(Session):
 
         outcome, message = homotopy.run(account, options, start, keep, PATIENCE)
         if not guesses and outcome is not Outcome.SOLVED and not account.is_over:
-            sharpest = self._number("first_sharpness") / self._scene.length
-            found = nearest(self._scene, account, int(self._number("max_iterations")), sharpest)
+            sharpest = self._options.first_sharpness / self._scene.length
+            found = nearest(self._scene, account, self._options.max_iterations, sharpest)
             if found.is_out_of_reach:
                 task = self._scene.task
                 words = f"no plan of {task.steps} steps of {task.step:g} s was found that reaches the goal within the bounds: the nearest misses {found.words}."
@@ -135,7 +138,9 @@ class CollocationSession(Session):
     def _bench(self, account: Account) -> Workbench:
         if self._exact is None:
             begin = perf_counter()
-            model = build_model(self._scene, ContactLaw.COMPLEMENTARITY, eps=0.0, scheme=self._scheme, integrate_cost=self._integrates)
+            model = build_model(
+                self._scene, ContactLaw.COMPLEMENTARITY, eps=0.0, scheme=self._scheme, integrate_cost=self._options.integrate_cost
+            )
             account.build += perf_counter() - begin
             self._exact = Workbench(model)
         return self._exact
@@ -150,7 +155,7 @@ class CollocationSession(Session):
         bench = self._bench(account)
         self._load(bench, guess)
         hold_modes(bench.model, guess.closed)
-        options = {"tol": self._number("tolerance"), **band_options(), **_NEAR}
+        options = {"tol": self._options.tolerance, **band_options(), **_NEAR}
         return bench.run(account, {**options, "max_iter": account.iterations + _MODE_ITERATIONS})
 
     def _from_relaxed(self, account: Account, guess: _Guess) -> IpoptResult:
@@ -158,9 +163,9 @@ class CollocationSession(Session):
         self._load(bench, guess)
         release_modes(bench.model)
         tighten(bench.model, _RELAXED)
-        options = {"tol": self._number("homotopy_tolerance"), **band_options(), **_NEAR, "mu_init": 1e-2}
+        options = {"tol": self._options.homotopy_tolerance, **band_options(), **_NEAR, "mu_init": 1e-2}
         relaxed = Workbench(bench.model)  # translated anew: the products are rows again
-        result = relaxed.run(account, {**options, "max_iter": account.iterations + int(self._number("max_iterations"))})
+        result = relaxed.run(account, {**options, "max_iter": account.iterations + self._options.max_iterations})
         if not result.solved:
             return result
         return self._with_modes(account, _Guess.of(bench.model))
@@ -177,12 +182,12 @@ class CollocationSession(Session):
         if plan is not None:
             cost = self._residuals.cost(plan)
             residuals = {**self._residuals.of(plan), "switch_error": switch_error(self._kernel, plan)}
-            missed = {name: residuals[name] for name in _PROMISED if not residuals.get(name, 0.0) <= self._number("plan_tolerance")}
+            missed = {name: residuals[name] for name in _PROMISED if not residuals.get(name, 0.0) <= self._options.plan_tolerance}
             if missed and outcome is Outcome.SOLVED:
                 worst = ", ".join(f"{name} is {value:.3g}" for name, value in missed.items())
                 outcome, message = (
                     Outcome.STALLED,
-                    f"{message} Checked on the plan itself, {worst} (limit {self._number('plan_tolerance'):g}).",
+                    f"{message} Checked on the plan itself, {worst} (limit {self._options.plan_tolerance:g}).",
                 )
         return Solution(
             method=self._method.name,
@@ -193,7 +198,7 @@ class CollocationSession(Session):
             iterations=account.iterations,
             seconds=account.seconds(),
             residuals={name: value for name, value in residuals.items() if np.isfinite(value)},
-            options=dict(self._options),
+            options=asdict(self._options),
             solver=account.solver,
             history={name: tuple(values) for name, values in account.history.items()},
             size=None if bench is None else bench.size,
@@ -210,15 +215,6 @@ class CollocationSession(Session):
             unknowns=2 * scene.nq * (steps + 1) + (scene.nu + 2 * scene.nq * own + 2 * scene.nc * table.stages) * steps,
             equations=2 * scene.nq + given + (2 * scene.nq * (table.stages + ends) + scene.nc * table.stages) * steps,
         )
-
-    def _schedule(self) -> tuple[float, ...]:
-        """b L by b L, from the first to the last by a constant factor."""
-        first, last, growth = (self._number(name) for name in ("first_sharpness", "last_sharpness", "sharpness_growth"))
-        count = int(np.floor(np.log(max(last / first, 1.0)) / np.log(growth) + 1e-9)) + 1
-        return tuple(first * growth**index for index in range(count))
-
-    def _number(self, option: str) -> float:
-        return float(cast(float, self._options[option]))  # checked by filled_options
 
 
 _PROMISED = ("dynamics_defect", "start_error", "terminal_error", "input_bound_excess", "velocity_bound_excess")

@@ -9,9 +9,9 @@ Windows are then searched around the best of these plans as around any other.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,6 +26,9 @@ from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 
+if TYPE_CHECKING:
+    from formulations.methods.mpcc import MpccOptions
+
 _SAMPLES = 2048  # constant inputs tried: of two discs and a wall about 35 of them bring the disc nearer to its goal, in 0.1 CPU s
 _SIZES = 4  # powers of two by which they are made smaller, in turn: what is cheap is rarely near its bounds
 _SOLVED = 6  # of the cheapest throws are solved with their contact modes, in 0.3 CPU s each
@@ -33,9 +36,9 @@ _PRESSED = 1e-6  # [N] a contact that is pressed with less is left open: Ipopt k
 
 
 class Throws:
-    """The throws of one scene. options: those of method mpcc; finder: searches windows around the best of them."""
+    """The throws of one scene. finder: searches windows around the best of them."""
 
-    def __init__(self, scene: Scene, kernel: Kernel, finder: Finder, options: Mapping[str, object], structures: Structures) -> None:
+    def __init__(self, scene: Scene, kernel: Kernel, finder: Finder, options: MpccOptions, structures: Structures) -> None:
         self._scene, self._kernel, self._finder, self._options, self._structures = scene, kernel, finder, options, structures
 
     def instead_of(self, before: Search, account: Account, seed: tuple[int, ...]) -> Search:
@@ -44,7 +47,7 @@ class Throws:
         task = self._scene.task
         if task.has_goal or task.final_cost == 0 or not self._scene.nc or account.is_late:
             return before
-        work = 1e6 * float(str(self._options["throw_work"]))
+        work = 1e6 * self._options.throw_work
         bounds = (np.array([item.lower for item in self._scene.inputs]), np.array([item.upper for item in self._scene.inputs]))
         none = np.clip(np.zeros((task.steps, self._scene.nu)), *bounds)
         idle = self._pressed(none)
@@ -64,8 +67,8 @@ class Throws:
         begin = perf_counter()
         below = final_cost(self._kernel, self._kernel.rollout(np.array(self._scene.task.start), planned, self._scene.task.step))
         plans = thrown_plans(self._scene, self._kernel, seed, idle, below)[:_SOLVED]
-        most = min(int(str(self._options["max_iterations"])), PATIENCE)
-        problem = self._structures.modes(0.0, account, {"tol": float(str(self._options["tolerance"])), "max_iter": most})
+        most = min(self._options.max_iterations, PATIENCE)
+        problem = self._structures.modes(0.0, account, {"tol": self._options.tolerance, "max_iter": most})
         account.build += perf_counter() - begin
         answers: list[Answer] = []
         for plan in plans:

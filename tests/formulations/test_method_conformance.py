@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import asdict, fields
 from functools import cache
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from formulations.catalog import load_method, method_names
-from formulations.method import Kind, Method, OptionError, OptionSpec
+from formulations.method import Kind, Method, OptionError
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.errors import TrajectoryError
@@ -35,7 +36,7 @@ def scene_for(*names: str) -> Scene:
 
 def solved(method: Method, scene: Scene | None = None, warm_start: Trajectory | None = None) -> Solution:
     scene = scene_for(method.name) if scene is None else scene
-    few = {option.name: FEW[option.name] for option in method.options if option.name in FEW}
+    few = {item.name: FEW[item.name] for item in fields(method.options) if item.name in FEW}
     with method.open(scene, few) as session:
         return session.solve(eps=1e-2 if method.needs_eps else None, warm_start=warm_start, time_limit=600.0)
 
@@ -59,13 +60,9 @@ def test_it_says_what_it_is(name: str) -> None:
     assert method.title
     assert isinstance(method.kind, Kind)
     assert isinstance(method.needs_eps, bool)
-    names = [option.name for option in method.options]
-    assert len(names) == len(set(names))
-    for option in method.options:
-        assert isinstance(option, OptionSpec)
-        assert option.description
-    filled = method.filled_options({})
-    assert list(filled) == names
+    for item in fields(method.options):
+        assert item.metadata["description"], item.name
+    assert method.read_options({}) == method.options()
 
 
 @pytest.mark.parametrize("name", ALL)
@@ -111,7 +108,7 @@ def test_its_answer_is_whole(name: str) -> None:
     np.testing.assert_allclose(plan.start, scene.task.start, rtol=0, atol=1e-9)
     assert solution.cost == pytest.approx(float((plan.u**2).sum()), rel=1e-12)
     assert solution.iterations >= 0
-    assert set(solution.options) == {option.name for option in load_method(name).options}
+    assert set(solution.options) == set(asdict(load_method(name).options()))
     assert solution.residuals
     assert all(np.isfinite(value) for value in solution.residuals.values())
     assert "terminal_error" in solution.residuals

@@ -10,13 +10,13 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from formulations.method import Kind, Leg, Method, OptionSpec, Pipeline, Session
+from formulations.method import Kind, Leg, Method, Pipeline, Session
+from formulations.options import Options, option
 from formulations.solution import Outcome, Solution
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
@@ -24,8 +24,13 @@ from validate.score.result import Question
 from validate.tools import Tools
 
 
+@dataclass(frozen=True, kw_only=True)
+class FakeOptions(Options):
+    iterations: int = option(7, "does nothing", lower=1)
+
+
 class _Session(Session):
-    def __init__(self, scene: Scene, act, options: dict[str, object], name: str) -> None:
+    def __init__(self, scene: Scene, act, options: FakeOptions, name: str) -> None:
         self._scene, self._act, self._options, self._name = scene, act, options, name
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
@@ -45,22 +50,23 @@ class _Session(Session):
                 lam=np.zeros((nodes - 1, scene.nc)),
             )
         cost = None if trajectory is None else float(np.sum(trajectory.u**2))
-        return Solution(method=self._name, outcome=outcome, trajectory=trajectory, cost=cost, iterations=3, options=self._options)
+        return Solution(method=self._name, outcome=outcome, trajectory=trajectory, cost=cost, iterations=3, options=asdict(self._options))
 
 
-class FakeMethod(Method):
+class FakeMethod(Method[FakeOptions]):
+    options = FakeOptions
+
     def __init__(
         self, name: str, act=lambda: None, *, kind: Kind = Kind.DIRECT, needs_eps: bool = False, refuses: str | None = None
     ) -> None:
         self.name, self.title, self.kind, self.needs_eps = name, f"fake method {name}", kind, needs_eps
-        self.options = (OptionSpec(name="iterations", default=7, description="does nothing", lower=1),)
         self._act, self._refuses = act, refuses
 
     def accepts(self, scene: Scene) -> str | None:
         return self._refuses
 
-    def session(self, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> Session:
-        return _Session(scene, self._act, dict(options), self.name)
+    def session(self, scene: Scene, options: FakeOptions, opening: tuple[float, float]) -> Session:
+        return _Session(scene, self._act, options, self.name)
 
 
 def _segfault() -> None:

@@ -11,11 +11,10 @@ import os
 import signal
 import time
 import uuid
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from campaign_fakes import TOOLS, FakeMethod
+from campaign_fakes import TOOLS, FakeMethod, FakeOptions
 
 from formulations.method import Kind, Leg, Pipeline, Session
 from formulations.solution import Outcome, Solution
@@ -62,7 +61,7 @@ class _ColdSession(Session):
 
 
 class _Cold(FakeMethod):
-    def session(self, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> Session:
+    def session(self, scene: Scene, options: FakeOptions, opening: tuple[float, float]) -> Session:
         return _ColdSession(super().session(scene, options, opening))
 
 

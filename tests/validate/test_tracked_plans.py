@@ -152,7 +152,7 @@ def test_the_command_shows_both_and_keeps_the_gains(
 def test_a_campaign_keeps_and_tells_both(scene: Scene, plans: dict[str, Trajectory], exact: Replay):
     """The record of a stage: which replay is judged, growth, effort, the tracked motion with the inputs as applied; the last columns of results.csv."""
     plan, method = plans["exact"], load_method("strict_lcp")
-    planned = Planned(index=0, name="strict_lcp", method=method, eps=None, options={})
+    planned = Planned(index=0, name="strict_lcp", method=method, eps=None, options=method.read_options({}))
     told = score(scene, plan, exact)
     record = stage_record(
         scene, "strict", planned, Solution(method="strict_lcp", outcome=Outcome.SOLVED, trajectory=plan, cost=0.2), wall=1.0, cpu=1.0, before=0.0,

@@ -69,12 +69,12 @@ def _option_mistakes(leg: LegEntry, method: Method) -> Iterator[str]:
         sentence
         for section, options in sections.items()
         for name, value in options.items()
-        for sentence in _refused(f"{section}.{name[:80]}", method.filled_options, {name: value})
+        for sentence in _refused(f"{section}.{name[:80]}", method.read_options, {name: value})
     ]
     yield from single
     if not single:  # options that are impossible only together
         for section, options in sections.items():
-            yield from _refused(section, method.filled_options, {**leg.options, **options})
+            yield from _refused(section, method.read_options, {**leg.options, **options})
 
 
 def _refused(where: str, check: Callable[[Any], Any], value: Any) -> Iterator[str]:
@@ -107,10 +107,10 @@ def _seeded(
     found: list[Pipeline] = []
     mistakes: list[str] = []
     for pipeline in pipelines:
-        draws = {leg.method for leg in pipeline.legs if any(spec.name == "seed" for spec in load_method(leg.method).options)}
+        draws = {leg.method for leg in pipeline.legs if hasattr(load_method(leg.method).options, "seed")}
         for name in sorted(draws):
             for place, seed in enumerate(seeds):
-                mistakes += _refused(f"seeds[{place}]", load_method(name).filled_options, {"seed": seed})
+                mistakes += _refused(f"seeds[{place}]", load_method(name).read_options, {"seed": seed})
         found += [_with_seed(pipeline, draws, seed) for seed in seeds] if draws else [pipeline]
     if len(found) == len(pipelines) and not mistakes and found == list(pipelines):
         mistakes.append("seeds: none of these pipelines draws at random; leave them out")

@@ -7,6 +7,7 @@ defaults.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from validate.config.schema import FREE
@@ -43,7 +44,7 @@ def resolved_text(file: CampaignFile, scenes: Sequence[SceneReference], load_met
 
 def _defaults(method: Method) -> dict[str, Any]:
     """Those that TOML can hold."""
-    return {spec.name: spec.default for spec in method.options if isinstance(spec.default, (bool, int, float, str))}
+    return {name: value for name, value in asdict(method.options()).items() if isinstance(value, (bool, int, float, str))}
 
 
 def _scene(reference: SceneReference) -> Iterator[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from formulations.shooting.descent import Settings
+from formulations.shooting.method import DescentOptions
 from models.codegen.kernel import Kernel
 from models.contact_law import ContactLaw
 
@@ -25,7 +25,13 @@ def progress(losses: list[float], tolerance: float) -> str:
 
 
 def descend_in_python(
-    kernel: Kernel, law: ContactLaw, eps: float | None, goal: np.ndarray, weights: tuple[float, float], u0: np.ndarray, settings: Settings
+    kernel: Kernel,
+    law: ContactLaw,
+    eps: float | None,
+    goal: np.ndarray,
+    weights: tuple[float, float],
+    u0: np.ndarray,
+    settings: DescentOptions,
 ) -> tuple[str, np.ndarray, np.ndarray, np.ndarray]:
     """How it ended; the last inputs and the best ones (steps, nu); rows of loss, terminal error, cost and gradient norm (n, 4)."""
     scene, (terminal, running) = kernel.scene, weights

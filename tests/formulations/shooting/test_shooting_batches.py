@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from formulations.shooting.descent import Settings, descend, projected_descent
+from formulations.shooting.descent import descend, projected_descent
 from formulations.shooting.ending import input_bounds
 from formulations.shooting.errors import ShootingError
+from formulations.shooting.method import DescentOptions
 from formulations.shooting.objective import GoalLoss, Objective
 from formulations.shooting.reference import reference_cost, reference_rollout
 from formulations.shooting.rollout import RolloutTensors, rollout
@@ -112,7 +113,7 @@ def test_several_plans_descend_each_by_itself():
     assert losses[-1].shape == (4,)
     assert u.abs().max() == 10.0
     for row in range(4):
-        alone = descend(Objective(kernel, law=ContactLaw.RELU), first[row].numpy(), Settings(learning_rate=5e3, iterations=10), 60.0)
+        alone = descend(Objective(kernel, law=ContactLaw.RELU), first[row].numpy(), DescentOptions(learning_rate=5e3, iterations=10), 60.0)
         assert alone.u is not None
         assert losses[-1][row].item() == pytest.approx(alone.history["loss"][-1], rel=1e-10)
         assert np.abs(u[row].detach().numpy() - alone.u).max() <= 1e-10

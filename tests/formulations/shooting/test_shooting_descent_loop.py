@@ -9,8 +9,9 @@ import pytest
 import torch
 from descent_in_python import descend_in_python
 
-from formulations.shooting.descent import Settings, descend
+from formulations.shooting.descent import descend
 from formulations.shooting.errors import ShootingError
+from formulations.shooting.method import DescentOptions
 from formulations.shooting.objective import Objective, Weights
 from formulations.solution import Outcome
 from models.catalog import load_scene, scene_names
@@ -30,13 +31,37 @@ def _scene(name: str) -> Scene:
 
 # scene, law, eps, settings, size of the first inputs, how it ends, and how many digits of a chaotic descent two orders of summation share
 CASES = {
-    "the paper's descent": ("three_cart", ContactLaw.SOFTPLUS, 1e-3, Settings(learning_rate=500.0, iterations=300), 0.0, "at limit", 1e-9),
-    "our own rule": ("three_cart", ContactLaw.RELU, None, Settings(learning_rate=500.0), 0.5, "settled", 1e-9),
-    "at the bounds": ("three_cart", ContactLaw.RELU, None, Settings(learning_rate=5e4, max_iterations=400), 12.0, "runaway", 1e-3),
-    "too long steps": ("three_cart", ContactLaw.SOFTPLUS, 1e-5, Settings(learning_rate=3e3, max_iterations=2000), 0.0, "runaway", 1e-3),
-    "a mass matrix that turns": ("two_link_arm", ContactLaw.RELU, None, Settings(learning_rate=1.0, iterations=60), 0.1, "at limit", 1e-6),
-    "a divergence": ("two_link_arm", ContactLaw.RELU, None, Settings(learning_rate=700.0, iterations=200), 0.0, "not finite", 1e-3),
-    "a free end": ("three_cart", ContactLaw.RELU, None, Settings(learning_rate=100.0, iterations=40), 0.3, "at limit", 1e-10),
+    "the paper's descent": (
+        "three_cart",
+        ContactLaw.SOFTPLUS,
+        1e-3,
+        DescentOptions(learning_rate=500.0, iterations=300),
+        0.0,
+        "at limit",
+        1e-9,
+    ),
+    "our own rule": ("three_cart", ContactLaw.RELU, None, DescentOptions(learning_rate=500.0), 0.5, "settled", 1e-9),
+    "at the bounds": ("three_cart", ContactLaw.RELU, None, DescentOptions(learning_rate=5e4, max_iterations=400), 12.0, "runaway", 1e-3),
+    "too long steps": (
+        "three_cart",
+        ContactLaw.SOFTPLUS,
+        1e-5,
+        DescentOptions(learning_rate=3e3, max_iterations=2000),
+        0.0,
+        "runaway",
+        1e-3,
+    ),
+    "a mass matrix that turns": (
+        "two_link_arm",
+        ContactLaw.RELU,
+        None,
+        DescentOptions(learning_rate=1.0, iterations=60),
+        0.1,
+        "at limit",
+        1e-6,
+    ),
+    "a divergence": ("two_link_arm", ContactLaw.RELU, None, DescentOptions(learning_rate=700.0, iterations=200), 0.0, "not finite", 1e-3),
+    "a free end": ("three_cart", ContactLaw.RELU, None, DescentOptions(learning_rate=100.0, iterations=40), 0.3, "at limit", 1e-10),
 }
 
 
@@ -74,7 +99,7 @@ def test_an_interrupt_is_obeyed_in_the_middle():
     try:
         signal.setitimer(signal.ITIMER_REAL, 0.2)
         with pytest.raises(KeyboardInterrupt):
-            descend(objective, np.zeros((500, 2)), Settings(learning_rate=1e-9, iterations=10**9), 1e9)
+            descend(objective, np.zeros((500, 2)), DescentOptions(learning_rate=1e-9, iterations=10**9), 1e9)
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
@@ -82,7 +107,7 @@ def test_an_interrupt_is_obeyed_in_the_middle():
 
 def test_a_time_limit_ends_it_with_the_plan_so_far():
     objective = Objective(load_kernel(_scene("three_cart")), law=ContactLaw.RELU)
-    found = descend(objective, np.zeros((500, 2)), Settings(learning_rate=1e-9, iterations=10**9), 0.1)
+    found = descend(objective, np.zeros((500, 2)), DescentOptions(learning_rate=1e-9, iterations=10**9), 0.1)
     assert found.outcome is Outcome.TIME_LIMIT
     assert found.u is not None
     assert f"stopped after {found.iterations} iterations at the time limit of 0.1 s" in found.message
@@ -98,9 +123,9 @@ def test_a_loss_of_ones_own_is_descended():
 
     u0 = np.where(np.arange(500)[:, None] % 2 == 0, 3.0, -3.0) * np.ones((1, 2))
     own = descend(
-        Objective(kernel, law=ContactLaw.SOFTPLUS, eps=1e-3, loss=smooth), u0, Settings(learning_rate=100.0, iterations=300), 60.0
+        Objective(kernel, law=ContactLaw.SOFTPLUS, eps=1e-3, loss=smooth), u0, DescentOptions(learning_rate=100.0, iterations=300), 60.0
     )
-    papers = descend(Objective(kernel, law=ContactLaw.SOFTPLUS, eps=1e-3), u0, Settings(learning_rate=100.0, iterations=300), 60.0)
+    papers = descend(Objective(kernel, law=ContactLaw.SOFTPLUS, eps=1e-3), u0, DescentOptions(learning_rate=100.0, iterations=300), 60.0)
     assert own.u is not None
     assert papers.u is not None
     assert own.history["loss"][-1] < 0.1 * own.history["loss"][0]
@@ -111,7 +136,7 @@ def test_a_loss_that_does_not_depend_on_the_inputs_is_refused():
     scene = _scene("three_cart")
     objective = Objective(load_kernel(scene), law=ContactLaw.RELU, loss=lambda plan, u: plan.cost.detach())
     with pytest.raises(ShootingError, match="scene three_cart: the loss has no gradient with respect to the inputs"):
-        descend(objective, np.zeros((500, 2)), Settings(learning_rate=1.0, iterations=1), 60.0)
+        descend(objective, np.zeros((500, 2)), DescentOptions(learning_rate=1.0, iterations=1), 60.0)
 
 
 def test_pytorch_is_imported_where_something_is_descended_and_not_before():

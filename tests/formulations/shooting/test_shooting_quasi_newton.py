@@ -8,8 +8,9 @@ import pytest
 
 from formulations.catalog import load_method
 from formulations.method import OptionError
+from formulations.shooting.method import QuasiNewtonOptions
 from formulations.shooting.objective import Objective, Weights
-from formulations.shooting.quasi_newton import Settings, minimise
+from formulations.shooting.quasi_newton import minimise
 from formulations.shooting.smoothed import noise
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
@@ -40,7 +41,7 @@ def test_the_goal_is_met_and_nothing_is_cheaper():
 def test_without_rounds_it_is_the_minimum_of_the_loss_of_gradient_descent():
     kernel = load_kernel(CARTS)
     objective = Objective(kernel, law=ContactLaw.SOFTPLUS, eps=1e-3)
-    found = minimise(objective, np.zeros((CARTS.task.steps, 2)), Settings(goal_rounds=0, tolerance=1e-8), 60.0)
+    found = minimise(objective, np.zeros((CARTS.task.steps, 2)), QuasiNewtonOptions(goal_rounds=0, tolerance=1e-8), 60.0)
     descent = _solve(CARTS, "softplus_gd", 1e-3)
     assert found.u is not None
     assert descent.trajectory is not None
@@ -50,7 +51,7 @@ def test_without_rounds_it_is_the_minimum_of_the_loss_of_gradient_descent():
 
 def test_the_goal_is_left_where_it_was():
     objective = Objective(load_kernel(HILL), law=ContactLaw.RELU, weights=Weights(running=1e-2))
-    minimise(objective, np.zeros((HILL.task.steps, 1)), Settings(), 60.0)
+    minimise(objective, np.zeros((HILL.task.steps, 1)), QuasiNewtonOptions(), 60.0)
     assert objective.goal.tolist() == [0.0, 0.0]
     assert objective.weights == Weights(running=1e-2)
 
@@ -112,7 +113,7 @@ def test_a_loss_of_ones_own_is_made_small_without_displacing_its_goal():
     objective = Objective(
         kernel, law=ContactLaw.RELU, loss=lambda plan, u: (u - 0.5).square().mean((-2, -1)) + plan.end[..., 3:].square().sum(-1)
     )
-    found = minimise(objective, np.zeros((CARTS.task.steps, 2)), Settings(tolerance=1e-10), 60.0)
+    found = minimise(objective, np.zeros((CARTS.task.steps, 2)), QuasiNewtonOptions(tolerance=1e-10), 60.0)
     assert found.u is not None
     assert found.history["loss"][-1] < found.history["loss"][0] / 2.0
     assert "displaced" not in found.message

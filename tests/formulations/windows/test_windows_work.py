@@ -9,6 +9,7 @@ import pyomo.environ as pyo
 import pytest
 
 from formulations.catalog import load_method
+from formulations.methods.mpcc import MpccOptions
 from formulations.solution import Outcome
 from formulations.transcription.workbench import Account, Workbench
 from formulations.windows.finder import Search
@@ -17,7 +18,6 @@ from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 
 SCENE = load_scene("cart_pole_walls")
-STARTS = {"seed": 0, "goal_tolerance": 0.0}
 
 
 def _rosenbrock() -> pyo.ConcreteModel:
@@ -73,7 +73,7 @@ def _rest():
 def test_half_of_the_work_that_is_left_for_each_start(spends: list[float], allowed: list[float]) -> None:
     finder, account = _Finder(spends), Account(60.0)
     account.most_work = 100.0
-    starts = MultiStart(SCENE, load_kernel(SCENE), cast(Any, finder), STARTS, {})
+    starts = MultiStart(SCENE, load_kernel(SCENE), cast(Any, finder), MpccOptions())
     best, attempts = starts.run(account, range(5, 10), None)
     assert finder.allowed == allowed
     assert [attempt.number for attempt in attempts] == list(range(5, 5 + len(allowed)))

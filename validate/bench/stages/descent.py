@@ -15,19 +15,20 @@ _ITERATIONS, _RATE = 100, 1e-9
 
 def gd_iteration(size: Size, folder: Path) -> Work:
     """Loss, gradient, history, stopping rule, step and projection on the bounds, as the methods of single shooting run it."""
-    from formulations.shooting.descent import Settings, descend
+    from formulations.shooting.descent import descend
+    from formulations.shooting.method import DescentOptions
     from formulations.shooting.objective import Objective
     from models.codegen.kernel import load_kernel
     from models.contact_law import ContactLaw
     from validate.bench.measure import cpu_seconds
 
     objective = Objective(load_kernel(scene_of(size)), law=ContactLaw.RELU)
-    u, settings = push(size.steps), Settings(learning_rate=_RATE, iterations=_ITERATIONS)
-    descend(objective, u, Settings(learning_rate=_RATE, iterations=2), 1e5)
+    u, options = push(size.steps), DescentOptions(learning_rate=_RATE, iterations=_ITERATIONS)
+    descend(objective, u, DescentOptions(learning_rate=_RATE, iterations=2), 1e5)
 
     def work() -> Mapping[str, Any]:
         began = cpu_seconds()
-        descent = descend(objective, u, settings, 1e5)
+        descent = descend(objective, u, options, 1e5)
         return {"cpu_s": (cpu_seconds() - began) / _ITERATIONS, "iterations": _ITERATIONS, "value": descent.history["gradient_norm"][0]}
 
     return work
