@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from formulations.method import Method, Session
 from formulations.options import OptionError, Options, option
@@ -73,7 +73,7 @@ _Options = TypeVar("_Options", bound=DescentOptions | LbfgsOptions)
 _LbfgsOptions = TypeVar("_LbfgsOptions", bound=LbfgsOptions)
 
 
-class ShootingMethod(Method[_Options], Generic[_Options]):
+class ShootingMethod(Method[_Options]):
     """Single shooting under one contact law: a loss of the inputs alone, and a way to make it small."""
 
     law: ContactLaw

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from formulations.method import Method
 from formulations.options import Options, option
@@ -37,7 +37,7 @@ class BarrierOptions(TranscriptionOptions):
 _Options = TypeVar("_Options", bound=TranscriptionOptions)
 
 
-class TranscriptionMethod(Method[_Options], Generic[_Options]):
+class TranscriptionMethod(Method[_Options]):
     """A method that hands a Pyomo model of the whole plan to Ipopt."""
 
     def accepts(self, scene: Scene) -> str | None:
