@@ -39,6 +39,12 @@ class QuantityRecord(_Model):
     value: Finite | None = None
 
 
+class ContactRecord(QuantityRecord):
+    """A contact; the value is its stiffness. bodies: the two it acts between, by the names of their shapes; what has none, as a joint, is not drawn."""
+
+    bodies: tuple[str, str] = ("", "")  # earlier records do not tell
+
+
 class ShapeRecord(_Model):
     """How a body is drawn; positions per thinned node of the stage's plan and replay are in `TraceRecord.poses`."""
 
@@ -61,7 +67,7 @@ class SceneRecord(_Model):
     coordinates: tuple[QuantityRecord, ...]
     velocities: tuple[QuantityRecord, ...]
     inputs: tuple[QuantityRecord, ...]
-    contacts: tuple[QuantityRecord, ...]
+    contacts: tuple[ContactRecord, ...]
     frictions: tuple[QuantityRecord, ...] = ()  # by the names of their forces; the value is the coefficient
     parameters: tuple[QuantityRecord, ...]
     start: tuple[Finite, ...]

@@ -13,7 +13,7 @@ from models.codegen.operations import step_operations
 from models.contacts import Contact, DampingLaw
 from models.dynamics import Dynamics, derive
 from models.scene import Scene
-from reports.record import EquationRecord, QuantityRecord, SceneRecord, ShapeRecord
+from reports.record import ContactRecord, EquationRecord, QuantityRecord, SceneRecord, ShapeRecord
 
 _ENTITY = re.compile(r"&([A-Za-z]+);")
 # The only names XML itself knows; everything else SymPy writes by name is an HTML entity, which a strict parser refuses.
@@ -24,8 +24,12 @@ def scene_record(scene: Scene) -> SceneRecord:
     """The record of a scene; deriving its equations is what costs (some 10 ms)."""
     dynamics = derive(scene)
     contacts = [
-        QuantityRecord(
-            name=contact.name, unit="N/m", description=contact.description, value=float(sp.sympify(stiffness).subs(scene.parameter_values))
+        ContactRecord(
+            name=contact.name,
+            unit="N/m",
+            description=contact.description,
+            value=float(sp.sympify(stiffness).subs(scene.parameter_values)),
+            bodies=contact.bodies,
         )
         for contact, stiffness in zip(scene.contacts, dynamics.stiffness, strict=True)
     ]

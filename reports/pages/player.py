@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,10 +12,9 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from reports.judged import is_tracked, judged_trace
-from reports.record import RunRecord, ShapeRecord, StageRecord, TraceRecord
+from reports.record import ContactRecord, RunRecord, ShapeRecord, StageRecord, TraceRecord
 from reports.series import array_of
-from reports.touching import touches
-from reports.traces import at_all, force
+from reports.traces import at_all, force, gap
 
 # Frames of a film: smooth at the speed of the clock for a few seconds of motion.
 _FRAMES = 151
@@ -22,6 +22,10 @@ _FRAMES = 151
 _GRAINS, _LEVELS = 3600, 1000
 # Grain of an angle [rad]: a bar of 500 pixels ends a quarter of one off.
 _ANGLE = 5e-4
+# Which of two shapes has the side that the other meets: the flatter. A disc has none.
+_SIDES = {"line": 1, "box": 2, "wall": 3}
+# How much of its range a gap may differ from the distance to that side.
+_FLAT = 1e-3
 
 
 @dataclass(frozen=True)
@@ -59,7 +63,7 @@ def film(run: RunRecord) -> Film | None:
         "plan": _stepped_tracks(planned, grain),
         "replay": _stepped_tracks(replayed, grain),
         "contacts": contacts,
-        "touches": [_touch(shapes, (replay, stage.plan_trace), name) for name in contacts],
+        "touches": [_touch(shapes, (replay, stage.plan_trace), contact) for contact in run.scene.contacts],
         "plan_force": _stepped_forces(pushes, push),
         "replay_force": _stepped_forces(pushed, push),
     }
@@ -88,16 +92,35 @@ def _track(trace: TraceRecord | None, names: list[str], times: NDArray[np.float6
     return track
 
 
-def _touch(shapes: list[ShapeRecord], traces: Sequence[TraceRecord | None], contact: str) -> dict[str, object] | None:
-    """Where the contact's arrows are drawn, from whichever trace tells it."""
-    found = next((touch for trace in traces if (touch := touches(shapes, trace, contact)) is not None), None)
-    if found is None:
+def _touch(shapes: list[ShapeRecord], traces: Sequence[TraceRecord | None], contact: ContactRecord) -> dict[str, object] | None:
+    """Where the contact's arrows are drawn: on the two shapes it acts between, along the way in which its gap opens, from whichever trace shows it."""
+    drawn = [shape.name for shape in shapes]
+    if not set(contact.bodies) <= set(drawn):
         return None
-    return {
-        "shapes": [found.first, found.second],
-        "ends": [found.first_end, found.second_end],
-        "turn": round(found.turn, 6) if found.flat else None,
-    }
+    # The second has the side.
+    first, second = sorted((drawn.index(body) for body in contact.bodies), key=lambda place: _SIDES.get(shapes[place].kind, 0))
+    if shapes[second].kind not in _SIDES:
+        return {"shapes": [first, second], "ends": [0.0, 0.0], "turn": None}
+    faced = next((found for trace in traces if (found := _faced(trace, shapes[first], shapes[second], contact.name))), None)
+    return faced and {"shapes": [first, second], "ends": [faced[0], 0.0], "turn": faced[1]}
+
+
+def _faced(trace: TraceRecord | None, body: ShapeRecord, other: ShapeRecord, contact: str) -> tuple[float, float] | None:
+    """The point of the body (0 centre, -0.5 and 0.5 the ends of a line) that a side of the other meets, and the turn of that side's normal against
+    the other's direction [rad]. The gap is the distance along that normal, but for a constant; None where no side is such."""
+    gaps = gap(trace, contact)
+    if trace is None or not gaps or not trace.poses.get(body.name) or not trace.poses.get(other.name):
+        return None
+    (x, y, angle), (far_x, far_y, turned) = (array_of(trace.poses[shape.name])[: len(gaps)].T for shape in (body, other))
+    best, least = None, _FLAT * float(np.ptp(gaps))
+    for end in (0.0, -0.5, 0.5) if body.kind == "line" else (0.0,):
+        across, up = x + end * body.size[0] * np.cos(angle) - far_x, y + end * body.size[0] * np.sin(angle) - far_y
+        for quarter in (1, -1, 0, 2):
+            turn = quarter * math.pi / 2
+            missed = float(np.ptp(across * np.cos(turned + turn) + up * np.sin(turned + turn) - array_of(gaps)))
+            if missed < least:
+                best, least = (end, round(turn, 6)), missed
+    return best
 
 
 def _extent(tracks: list[NDArray[np.float64] | None]) -> float:

@@ -84,7 +84,7 @@ def hostile(factory) -> RunRecord:
     where = factory.scene(factory.HOSTILE, factory.HOSTILE).model_copy(
         update={
             "source": factory.HOSTILE,
-            "contacts": (factory.quantity(factory.HOSTILE, factory.HOSTILE, factory.HOSTILE),),
+            "contacts": (factory.contact(factory.HOSTILE, factory.HOSTILE, factory.HOSTILE, (factory.HOSTILE, factory.HOSTILE)),),
             "equations": (
                 EquationRecord(caption=factory.HOSTILE, mathml=f"<math><mi>{factory.HOSTILE}</mi></math>"),
                 EquationRecord(caption="script", mathml="<math><script>document.title='owned'</script></math>"),

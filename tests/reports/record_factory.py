@@ -11,6 +11,7 @@ from pathlib import Path
 from reports.paper import TABLE_1
 from reports.record import (
     CampaignRecord,
+    ContactRecord,
     EquationRecord,
     MetricRecord,
     ProvenanceRecord,
@@ -34,6 +35,10 @@ def quantity(name: str, unit: str, description: str = "", value: float | None = 
     return QuantityRecord(name=name, unit=unit, description=description, value=value)
 
 
+def contact(name: str, unit: str, description: str = "", bodies: tuple[str, str] = ("", "")) -> ContactRecord:
+    return ContactRecord(name=name, unit=unit, description=description, bodies=bodies)
+
+
 def scene(name: str = "three_cart", title: str = "Three carts: the outer two push the middle one") -> SceneRecord:
     return SceneRecord(
         name=name,
@@ -42,7 +47,10 @@ def scene(name: str = "three_cart", title: str = "Three carts: the outer two pus
         coordinates=tuple(quantity(f"q{i}", "m", f"position of cart {i}") for i in (1, 2, 3)),
         velocities=tuple(quantity(f"v{i}", "m/s", f"velocity of cart {i}") for i in (1, 2, 3)),
         inputs=tuple(quantity(f"u{i}", "N", f"force on cart {i}") for i in (1, 3)),
-        contacts=(quantity("left", "N", "left cart against middle cart"), quantity("right", "N", "middle cart against right cart")),
+        contacts=(
+            contact("left", "N", "left cart against middle cart", ("left", "middle")),
+            contact("right", "N", "middle cart against right cart", ("middle", "right")),
+        ),
         parameters=(quantity("k", "N/m", "contact stiffness", STIFFNESS), quantity("d", "m", "length of a cart", LENGTH)),
         start=(2.0, 3.0, 4.0, 0.0, 0.0, 0.0),
         goal=(2.5, 3.5, 4.5, 0.0, 0.0, 0.0),

@@ -51,6 +51,7 @@ def test_scene_record_says_what_is_absent_and_drawn():
     assert "friction" in record.absent
     assert [(shape.name, shape.size) for shape in record.shapes] == [(name, (0.5, 0.5)) for name in ("left", "middle", "right")]
     assert [contact.value for contact in record.contacts] == [30.0, 30.0]
+    assert [contact.bodies for contact in record.contacts] == [("left", "middle"), ("middle", "right")]
 
 
 def test_plan_trace_has_gaps_and_poses():

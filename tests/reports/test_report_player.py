@@ -1,0 +1,57 @@
+"""The film of a run: on which bodies a contact's arrows are drawn, and which way they point."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from models.catalog import load_scene
+from models.trajectory import Trajectory
+from reports.pages.player import film
+from validate.scene_record import scene_record
+from validate.traces import plan_trace
+
+_UP, _DOWN = round(math.pi / 2, 6), -round(math.pi / 2, 6)
+_BACK = round(math.pi, 6)
+# The body that is pushed along the arrow, the other, the point of the first (0 centre, 0.5 end of a line), the arrow against the other's direction [rad];
+# None: from centre to centre.
+_ARROWS = {
+    "three_cart": {"left": ("left", "middle", 0.0, _BACK), "right": ("middle", "right", 0.0, _BACK)},
+    "transport": {"front": ("cargo", "cart", 0.0, _BACK), "rear": ("cargo", "cart", 0.0, 0.0)},
+    "cart_pole_walls": {"left": ("pole", "left wall", 0.5, _DOWN), "right": ("pole", "right wall", 0.5, _UP)},
+    "hopper": {"floor": ("foot", "floor", 0.0, _UP)},
+    "two_discs_wall": {"pair": ("disc 1", "disc 2", 0.0, None), "wall_1": ("disc 1", "wall", 0.0, _DOWN), "wall_2": ("disc 2", "wall", 0.0, _DOWN)},
+    "two_finger": {"left": ("left tip", "disc", 0.0, None), "right": ("right tip", "disc", 0.0, None)},
+    # The force of a joint's stop is no push between two drawn bodies.
+    "acrobot_limits": {"left": None, "right": None},
+}  # fmt: skip
+
+
+def _drawn(factory, name: str, **changes) -> dict:
+    scene = load_scene(name)
+    q = np.random.default_rng(0).normal(0.0, 0.3, (60, scene.nq)) + np.asarray(scene.task.start[: scene.nq])
+    still = np.zeros((60, scene.nq))
+    trace = plan_trace(scene, Trajectory(t=np.arange(60.0), q=q, v=still, u=np.zeros((59, scene.nu)), lam=np.zeros((59, scene.nl))))
+    run = factory.runs()[0]
+    stage = run.stages[-1].model_copy(update={"plan_trace": None, "replay_trace": trace})
+    shown = film(run.model_copy(update={"scene": scene_record(scene).model_copy(update=changes), "stages": (stage,)}))
+    assert shown is not None
+    return json.loads(shown.data)
+
+
+@pytest.mark.parametrize("name", _ARROWS)
+def test_arrows_stand_on_the_bodies_that_the_scene_names_and_part_them(factory, name):
+    data = _drawn(factory, name)
+    found = {}
+    for contact, touch in zip(data["contacts"], data["touches"], strict=True):
+        first, second = (data["shapes"][place]["name"] for place in touch["shapes"]) if touch else ("", "")
+        found[contact] = touch and (first, second, touch["ends"][0], touch["turn"])
+    assert found == _ARROWS[name]
+
+
+def test_a_record_that_names_no_bodies_is_shown_without_arrows(factory):
+    contacts = tuple(contact.model_copy(update={"bodies": ("", "")}) for contact in scene_record(load_scene("three_cart")).contacts)
+    assert _drawn(factory, "three_cart", contacts=contacts)["touches"] == [None, None]
