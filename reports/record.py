@@ -2,7 +2,7 @@
 
     record = RunRecord.model_validate_json(path.read_text())
 
-Numbers are plain JSON, columns of numbers texts (reports.series): NaN and infinities are refused when written and when read. Arrays of trajectories
+Numbers are plain JSON, columns of numbers texts (reports.trace_record): NaN and infinities are refused when written and when read. Arrays of trajectories
 do not live here but in the NetCDF files beside the record; `thin` copies for plots (at most 1500 points a trace) do.
 """
 
@@ -12,9 +12,8 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from reports.series import Floats
 from reports.time_step_record import TimeStepRecord
-from reports.trace_record import TraceRecord
+from reports.trace_record import Floats, TraceRecord
 from reports.tracked_record import TrackedRecord
 
 # 3: metrics, questions and the words of the verdict; records of earlier versions are of another rule, and are refused.

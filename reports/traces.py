@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from reports.record import SceneRecord, TraceRecord
-from reports.series import array_of
 
 # A planned force below this is none: a thousandth of the smallest force worth drawing [N].
 _FORCE_OF_CONTACT = 1e-3
@@ -35,35 +33,22 @@ def contact_phases(trace: TraceRecord | None, contact: str) -> list[tuple[float,
         return []
     gaps, forces = gap(trace, contact), force(trace, contact)
     if gaps is not None:
-        touching = array_of(gaps) <= 0
+        touching = np.asarray(gaps) <= 0
     elif forces is not None:
-        touching = np.abs(array_of(forces)) > _FORCE_OF_CONTACT  # friction has two directions
+        touching = np.abs(forces) > _FORCE_OF_CONTACT  # friction has two directions
     else:
         return []
-    times = array_of(trace.t)[: len(touching)]
+    times = np.asarray(trace.t)[: len(touching)]
     changes = np.flatnonzero(np.diff(touching[: len(times)], prepend=False, append=False))
     # A phase ends at the first time without contact; one that lasts to the end, with the last time.
     ends = times[np.minimum(changes, len(times) - 1)].tolist() if len(times) else []
     return list(zip(ends[::2], ends[1::2], strict=True))
 
 
-def at(times: Sequence[float], values: Sequence[float], t: float) -> float:
-    """The value at time t, linear between the stored times and constant beyond them."""
-    last = min(len(times), len(values)) - 1
-    place = bisect_right(times, t, 0, last + 1)
-    if place == 0:
-        return values[0]
-    if place > last:
-        return values[last]
-    width = times[place] - times[place - 1]
-    part = (t - times[place - 1]) / width if width > 0 else 1.0
-    return values[place - 1] + part * (values[place] - values[place - 1])
-
-
 def at_all(times: Sequence[float], values: Sequence[float], wanted: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The values at many times, as by `at`."""
+    """The values at many times, linear between the stored times and constant beyond them."""
     length = min(len(times), len(values))
-    return np.interp(wanted, array_of(times)[:length], array_of(values)[:length])
+    return np.interp(wanted, times[:length], values[:length])
 
 
 def position_error(
@@ -79,6 +64,6 @@ def position_error(
     usable = [(planned, replayed) for planned, replayed in pairs if planned is not None and replayed is not None]
     if not usable or not replay.t:
         return None
-    times = array_of(plan.t)[: min([len(plan.t), *(len(planned) for planned, _ in usable)])]
-    errors = [np.abs(array_of(planned)[: len(times)] - at_all(replay.t, replayed, times)) for planned, replayed in usable]
+    times = np.asarray(plan.t)[: min([len(plan.t), *(len(planned) for planned, _ in usable)])]
+    errors = [np.abs(np.asarray(planned)[: len(times)] - at_all(replay.t, replayed, times)) for planned, replayed in usable]
     return times.tolist(), np.max(errors, axis=0).tolist()

@@ -62,7 +62,6 @@ _OF_EXAMINATIONS = (
 # Parts of the room of reports that decide what is in a record: its form, how columns are written, and the paper's numbers beside ours.
 _RECORDS = (
     "record",
-    "series",
     "trace_record",
     "tracked_record",
     "time_step_record",

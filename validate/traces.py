@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,8 +11,7 @@ import sympy as sp
 from models.dynamics import derive
 from models.scene import Scene
 from models.trajectory import Trajectory
-from reports.record import TraceRecord
-from reports.series import Pose
+from reports.trace_record import Pose, TraceRecord
 
 if TYPE_CHECKING:
     from validate.replay.result import Replay
@@ -56,9 +55,9 @@ def replay_trace(scene: Scene, trajectory: Trajectory, replay: Replay) -> TraceR
     return TraceRecord(t=_numbers(replay.t[keep]), columns=columns, poses=poses(scene, q))
 
 
-def poses(scene: Scene, q: np.ndarray) -> dict[str, Sequence[Pose]]:
+def poses(scene: Scene, q: np.ndarray) -> dict[str, tuple[Pose, ...]]:
     """(x, y, angle) of every shape at positions q (n, nq) [m, m, rad]."""
-    found: dict[str, Sequence[Pose]] = {}
+    found: dict[str, tuple[Pose, ...]] = {}
     for shape in scene.shapes:
         values = _function(scene, [shape.x, shape.y, shape.angle])(q)
         found[shape.name] = tuple((x, y, angle) for x, y, angle in values.tolist())
@@ -83,7 +82,7 @@ def _function(scene: Scene, expressions: list[sp.Expr]) -> Callable[[np.ndarray]
     return evaluate
 
 
-def _columns(scene: Scene, **groups: np.ndarray) -> dict[str, Sequence[float]]:
+def _columns(scene: Scene, **groups: np.ndarray) -> dict[str, tuple[float, ...]]:
     names = {
         "q": [item.name for item in scene.coordinates],
         "v": [item.velocity_name for item in scene.coordinates],

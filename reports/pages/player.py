@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from reports.judged import is_tracked, judged_trace
 from reports.record import ContactRecord, RunRecord, ShapeRecord, StageRecord, TraceRecord
-from reports.series import array_of
 from reports.traces import at_all, force, gap
 
 # Frames of a film: smooth at the speed of the clock for a few seconds of motion.
@@ -88,7 +87,7 @@ def _track(trace: TraceRecord | None, names: list[str], times: NDArray[np.float6
     track: list[NDArray[np.float64] | None] = []
     for name in names:
         poses = trace.poses.get(name)
-        track.append(np.array([at_all(trace.t, axis, times) for axis in array_of(poses).T]) if poses else None)
+        track.append(np.array([at_all(trace.t, axis, times) for axis in np.asarray(poses).T]) if poses else None)
     return track
 
 
@@ -111,13 +110,13 @@ def _faced(trace: TraceRecord | None, body: ShapeRecord, other: ShapeRecord, con
     gaps = gap(trace, contact)
     if trace is None or not gaps or not trace.poses.get(body.name) or not trace.poses.get(other.name):
         return None
-    (x, y, angle), (far_x, far_y, turned) = (array_of(trace.poses[shape.name])[: len(gaps)].T for shape in (body, other))
+    (x, y, angle), (far_x, far_y, turned) = (np.asarray(trace.poses[shape.name])[: len(gaps)].T for shape in (body, other))
     best, least = None, _FLAT * float(np.ptp(gaps))
     for end in (0.0, -0.5, 0.5) if body.kind == "line" else (0.0,):
         across, up = x + end * body.size[0] * np.cos(angle) - far_x, y + end * body.size[0] * np.sin(angle) - far_y
         for quarter in (1, -1, 0, 2):
             turn = quarter * math.pi / 2
-            missed = float(np.ptp(across * np.cos(turned + turn) + up * np.sin(turned + turn) - array_of(gaps)))
+            missed = float(np.ptp(across * np.cos(turned + turn) + up * np.sin(turned + turn) - gaps))
             if missed < least:
                 best, least = (end, round(turn, 6)), missed
     return best
@@ -131,7 +130,7 @@ def _extent(tracks: list[NDArray[np.float64] | None]) -> float:
 
 def steps(values: Sequence[float] | NDArray[np.float64], grain: float) -> list[int]:
     """The first value and then the changes, in grains; the changes of a sum that is rounded, so that errors do not add up. One number if nothing changes."""
-    rounded = np.rint(array_of(values) / grain).astype(int)
+    rounded = np.rint(np.divide(values, grain)).astype(int)
     changes = np.diff(rounded)
     return [int(rounded[0]), *(changes.tolist() if changes.any() else ())]
 
@@ -159,7 +158,7 @@ def _forces(trace: TraceRecord | None, contacts: list[str], times: NDArray[np.fl
 def _peaks(times: Sequence[float], values: Sequence[float], wanted: NDArray[np.float64], half: float) -> NDArray[np.float64]:
     """The largest value within `half` of each wanted time."""
     length = min(len(times), len(values))
-    known, there = array_of(times)[:length], np.append(array_of(values)[:length], -np.inf)
+    known, there = np.asarray(times)[:length], np.append(np.asarray(values)[:length], -np.inf)
     begin, end = np.searchsorted(known, wanted - half, "left"), np.searchsorted(known, wanted + half, "right")
     # Every second of these is from a beginning to its end; where there is nothing between them, reduceat gives what lies at the beginning.
     inside = np.maximum.reduceat(there, np.column_stack([begin, end]).ravel())[::2]

@@ -11,7 +11,6 @@ from reports.judged import is_tracked, judged_trace
 from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
 from reports.record import QuantityRecord, SceneRecord, StageRecord, TraceRecord
-from reports.series import array_of, joined
 from reports.traces import column, contact_phases, force, gap, position_error
 from reports.wording import clean, error, number
 
@@ -99,7 +98,7 @@ def _positions(items: list[QuantityRecord], unit: str, x: Axis, plan: TraceRecor
     plot = Plot(
         "Positions: plan dotted, replay solid",
         x,
-        Axis.fitted("position", unit, joined(*(values for *_, values in data)), margin=0.1),
+        Axis.fitted("position", unit, np.concatenate([values for *_, values in data]), margin=0.1),
     )
     for item, style, name, trace, values in data:
         plot.line(f"{item.name} {name}", style, trace.t, values)
@@ -126,7 +125,7 @@ def _contact(
     ]
     if not data:
         return None
-    plot = Plot(title, x, Axis.fitted(quantity, unit, joined(*(values for *_, values in data)), zero=True))
+    plot = Plot(title, x, Axis.fitted(quantity, unit, np.concatenate([values for *_, values in data]), zero=True))
     phases, planned = contact_phases(replay, contact), contact_phases(plan, contact)
     for low, high in phases:
         plot.band(low, high, "touch")
@@ -152,9 +151,9 @@ def _error(scene: SceneRecord, x: Axis, plan: TraceRecord | None, replay: TraceR
         return None
     times, values = found
     unit = "/".join(dict.fromkeys(item.unit for item in scene.coordinates))
-    plot = Plot("Position error: replay against plan", x, Axis.fitted("largest difference", unit, array_of(values), zero=True))
+    plot = Plot("Position error: replay against plan", x, Axis.fitted("largest difference", unit, np.asarray(values), zero=True))
     plot.line("difference", "c5", times, values)
-    worst = int(array_of(values).argmax())
+    worst = int(np.argmax(values))
     plot.words = f"The largest difference is {error(values[worst])} {unit}, at {number(times[worst], 3)} s; at the end it is {error(values[-1])} {unit}."
     return plot
 
@@ -196,7 +195,7 @@ def _inputs(scene: SceneRecord, x: Axis, plan: TraceRecord | None, tracked: Trac
     units = list(dict.fromkeys(item.unit for item, _ in data))
     applied = {item.name: values for item, _ in data if (values := column(tracked, item.name))}
     title = "Inputs of the plan (dotted) and with feedback" if applied else "Inputs of the plan"
-    every = joined(*(values for _, values in data), *applied.values())
+    every = np.concatenate([*(values for _, values in data), *applied.values()])
     plot = Plot(title, x, Axis.fitted("input", "/".join(units), every, zero=True))
     for place, (item, values) in enumerate(data):
         style = f"c{place % _MOST_COLOURS}"
@@ -204,7 +203,7 @@ def _inputs(scene: SceneRecord, x: Axis, plan: TraceRecord | None, tracked: Trac
             plot.line(f"{item.name} with feedback", style, tracked.t, applied[item.name])
             style += " ghost"
         plot.line(item.name, style, plan.t, values)
-        peak = int(np.abs(array_of(values)).argmax())
+        peak = int(np.abs(values).argmax())
         plot.label(plan.t[min(peak, len(plan.t) - 1)], values[peak], item.name, f"strong c{place % _MOST_COLOURS}")
     plot.words = " ".join(
         f"{item.name} lies between {number(min(values), 3)} and {number(max(values), 3)} {item.unit}." for item, values in data

@@ -15,7 +15,6 @@ from reports.plots.axis import Axis
 from reports.plots.figure import Drawing, Key, Plot
 from reports.record import QuantityRecord, SceneRecord, TraceRecord
 from reports.rows import Row
-from reports.series import array_of, joined
 from reports.traces import column, force, gap
 from reports.wording import error, number, small
 
@@ -124,7 +123,7 @@ def _positions(items: Sequence[QuantityRecord], unit: str, lines: list[tuple[str
     plot = Plot(
         "Positions",
         Axis.fitted("time", "s", [t for _, _, trace in lines for t in (trace.t[0], trace.t[-1])], margin=0.0),
-        Axis.fitted("position", unit, joined(*(values for *_, values in data)), margin=0.08),
+        Axis.fitted("position", unit, np.concatenate([values for *_, values in data]), margin=0.08),
         height=300,
     )
     for item, words, style, trace, values in data:
@@ -148,13 +147,13 @@ def _single(title: str, quantity: str, unit: str, data: list[tuple[str, str, Tra
     plot = Plot(
         title,
         Axis.fitted("time", "s", [t for _, _, trace, _ in usable for t in (trace.t[0], trace.t[-1])], margin=0.0),
-        Axis.fitted(quantity, unit, joined(*(values for *_, values in usable)), zero=True),
+        Axis.fitted(quantity, unit, np.concatenate([values for *_, values in usable]), zero=True),
     )
     for words, style, trace, values in usable:
         plot.line(words, style, trace.t, values)
     told = []
     for words, style, trace, values in usable:
-        peak = int(np.abs(array_of(values)).argmax())
+        peak = int(np.abs(values).argmax())
         told.append(f"{words}: largest size {number(abs(values[peak]), 3)} {unit} at {number(trace.t[min(peak, len(trace.t) - 1)], 3)} s.")
         if quantity == "force":
             plot.label(trace.t[min(peak, len(trace.t) - 1)], values[peak], words, style, anchor="middle")

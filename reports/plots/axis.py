@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from reports.series import array_of
 from reports.wording import number, power, unit
 
 # Steps of a linear axis that a reader can add up in the head.
@@ -85,7 +84,7 @@ class Axis:
 
     def pixels(self, values: Sequence[float] | NDArray[np.float64], start: float, end: float) -> NDArray[np.float64]:
         """Pixels of many values, `start` at the low end and `end` at the high end: the same as by `fraction`."""
-        array = array_of(values)
+        array = np.asarray(values, np.float64)
         if self.log:
             begin = math.log10(self.low)
             position = (np.log10(np.maximum(array, 1 / _LARGEST)) - begin) / (math.log10(self.high) - begin)

@@ -5,9 +5,7 @@ from __future__ import annotations
 from math import inf
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-from reports.series import array_of
+from numpy.typing import NDArray
 
 # Stretches of so many points are looked at all at once; of the tolerance, this share is theirs.
 _STRETCH, _STRAIGHT = 8, 0.1
@@ -67,10 +65,3 @@ def _bent(xs: NDArray[np.float64], ys: NDArray[np.float64], tolerance: float) ->
     bent = np.ones(len(xs), bool)
     bent[inside[(away.max(axis=1, initial=0.0) <= tolerance) & (run > 0)]] = False
     return np.flatnonzero(bent)
-
-
-def simplified(points: ArrayLike, tolerance: float) -> list[tuple[float, float]]:
-    """The points (x, y) of a line that are kept."""
-    xs, ys = array_of(np.asarray(points, np.float64)).reshape(-1, 2).T
-    places = seen(xs, ys, tolerance)
-    return list(zip(xs[places].tolist(), ys[places].tolist(), strict=True))

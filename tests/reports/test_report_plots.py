@@ -6,6 +6,7 @@ import math
 import re
 from itertools import pairwise
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,9 +15,9 @@ from reports.mathml import safe_mathml
 from reports.pages.stage_plots import stage_plots
 from reports.plots.axis import Axis
 from reports.plots.figure import Plot
-from reports.plots.simplify import simplified
+from reports.plots.simplify import seen
 from reports.record import QuantityRecord, TraceRecord
-from reports.traces import at, contact_phases
+from reports.traces import contact_phases
 from reports.tracked_record import TrackedRecord
 from reports.wording import cost, error, number, percent, product, seconds, small
 
@@ -25,16 +26,14 @@ _HEIGHTS = st.lists(st.floats(-300, 300), min_size=2, max_size=200)
 
 @given(_HEIGHTS)
 def test_no_dropped_point_is_farther_than_the_tolerance(heights):
-    points = [(place * 0.7, height) for place, height in enumerate(heights)]
-    kept = simplified(points, 0.12)
-    assert kept[0] == points[0]
-    assert kept[-1] == points[-1]
-    xs, ys = [x for x, _ in kept], [y for _, y in kept]
-    assert max(abs(at(xs, ys, x) - y) for x, y in points) <= 0.12 + 1e-9
+    xs, ys = 0.7 * np.arange(len(heights)), np.array(heights)
+    kept = seen(xs, ys, 0.12)
+    assert (kept[0], kept[-1]) == (0, len(xs) - 1)
+    assert np.abs(np.interp(xs, xs[kept], ys[kept]) - ys).max() <= 0.12 + 1e-9
 
 
 def test_a_straight_line_needs_two_points():
-    assert simplified([(place, 3.0 * place) for place in range(100)], 0.1) == [(0, 0.0), (99, 297.0)]
+    assert seen(np.arange(100.0), 3.0 * np.arange(100.0), 0.1) == [0, 99]
 
 
 @given(st.lists(st.floats(-1e12, 1e12), min_size=1, max_size=20), st.booleans())
@@ -61,7 +60,7 @@ def test_a_path_reads_back_as_the_values_drawn():
     assert path is not None
     points = [tuple(map(float, pair.split(","))) for pair in path[1].split("L")]
     for t in (0.0, 1.3, 4.99):
-        height = at([x for x, _ in points], [y for _, y in points], plot.px(t))
+        height = np.interp(plot.px(t), *zip(*points, strict=True))
         assert height == pytest.approx(plot.py(math.sin(t)), abs=0.25)
 
 

@@ -126,8 +126,8 @@ def test_whatever_writes_records_is_part_of_their_keys():
     counted = provenance._source_digests()
     telling = {"reports/load.py", "reports/render.py", "reports/split.py", "reports/telling.py"}
     imported = {name: _imported_reports(name) for name in counted if name.endswith(".py")}
-    assert "reports/series.py" in imported["reports/trace_record.py"]
+    assert "reports/trace_record.py" in imported["reports/record.py"]
     assert {name: missing for name, modules in imported.items() if (missing := modules - set(counted) - telling)} == {}
     # a cell's record holds columns of numbers and the paper's figures
-    assert {"reports/series.py", "reports/trace_record.py", "reports/paper.py"} <= set(source_digests(["strict_lcp"]))
+    assert {"reports/record.py", "reports/trace_record.py", "reports/paper.py"} <= set(source_digests(["strict_lcp"]))
     assert "reports/chart_record.py" not in source_digests(["strict_lcp"])

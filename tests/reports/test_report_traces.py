@@ -6,7 +6,6 @@ import base64
 import json
 import struct
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -26,17 +25,8 @@ def test_columns_and_poses_come_back_to_the_bit(numbers, poses):
     assert again == trace
     assert list(again.columns["q"]) == numbers
     assert list(again.poses["body"]) == poses
-    assert np.asarray(again.poses["body"]).shape == (len(poses), 3)
     listed = json.dumps({"t": times, "columns": {"q": numbers}, "poses": {"body": poses}})
     assert TraceRecord.model_validate_json(listed) == trace
-
-
-def test_columns_may_be_compared_with_anything():
-    column = TraceRecord(t=(0.0, 1.0), columns={"q": (1.0, 2.0)}, poses={}).columns["q"]
-    assert column == [1.0, 2.0] == column
-    assert column == pytest.approx([1.0, 2.0 + 1e-9])
-    assert column != pytest.approx([1.0, 2.1])
-    assert column not in ("12", 3, [1.0])
 
 
 def _text(*numbers: float) -> str:
