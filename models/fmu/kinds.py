@@ -82,3 +82,7 @@ class Variable:
     @property
     def initial(self) -> str | None:
         return _ROLES.get(self.kind, _OUTPUT)[2]
+
+    @property
+    def is_enumeration(self) -> bool:
+        return self.kind is Kind.INTEGRATOR
