@@ -46,7 +46,7 @@ def main() -> int:
     classes: Counter[tuple[str, str]] = Counter()
     lines = []
     for seed in range(asked.first, asked.first + asked.seeds):
-        verdict = judge.judge(seed)
+        verdict = judge.judge(judge.generator.random_mpec(seed))
         classes[verdict.agreement, verdict.kind] += 1
         lines.append(json.dumps(asdict(verdict)))
         if asked.out:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
+import random
 import resource
 import sys
 import tempfile
@@ -32,7 +33,7 @@ def _chunk(name: str, seeds: range, results: str) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     with tempfile.TemporaryDirectory() as folder, open(results, "a", encoding="utf-8") as file:
         for seed in seeds:
-            outcome = tried(READERS[name], seed, Path(folder))
+            outcome = tried(READERS[name], random.Random(seed), Path(folder))
             file.write(json.dumps([seed, outcome]) + "\n")
             file.flush()
 

@@ -80,7 +80,7 @@ def check_engine(name: str) -> None:
 def _check_scheduler_file(path: Path) -> None:
     try:
         content: Any = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:  # not there, no JSON, or nested without end
         why = error.strerror if isinstance(error, OSError) else "it is no JSON"
         raise EngineError(f"--engine dask:{path}: the scheduler file cannot be read ({why}); start a scheduler that writes it.") from error
     if not isinstance(content, dict) or not isinstance(content.get("address"), str):

@@ -1,8 +1,11 @@
-"""Hostile files for every reader, by seeded mutation of good ones, and what each reader does with them.
+"""Hostile files for every reader, by random mutation of good ones, and what each reader does with them.
 
-    outcome = tried(READERS["plan"], seed, folder)       # "read", "refused", or the traceback; "hang" after HANG seconds of CPU
+    outcome = tried(READERS["plan CSV"], random, folder)       # "read", "refused", or the traceback; "hang" after HANG seconds of CPU
 
-A reader may read a file or refuse it by one of our own errors; anything else is a fault. The benchmark `fuzz_readers.py` counts many, the tests a few.
+A reader may read a file or refuse it by one of our own errors; anything else is a fault. In the tests `random` is hypothesis's `randoms()`, which shrinks a
+fault to the fewest and plainest mutations. The benchmark `fuzz_readers.py` gives `random.Random(seed)`: it counts thousands, and a file that kills the
+process that reads it, after which hypothesis itself would be gone, is made again by its seed. A reader that hangs is stopped by CPU time here, since
+hypothesis looks at its clock only when a test has ended.
 """
 
 from __future__ import annotations
@@ -54,13 +57,13 @@ class Reader:
     read: Callable[[Path], Any]
 
 
-def tried(reader: Reader, seed: int, folder: Path) -> str:
+def tried(reader: Reader, rng: random.Random, folder: Path) -> str:
     """What came of one hostile file."""
 
     def ring(*_: object) -> None:
         raise Hang
 
-    path = reader.make(random.Random(seed), folder)
+    path = reader.make(rng, folder)
     before = {number: signal.signal(number, ring) for number in (signal.SIGPROF, signal.SIGALRM)}
     signal.setitimer(signal.ITIMER_PROF, HANG)
     signal.setitimer(signal.ITIMER_REAL, _ASLEEP)

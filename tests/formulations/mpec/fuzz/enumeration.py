@@ -1,4 +1,4 @@
-"""A random MPEC against all its branches, each a smooth program solved from several starts: judge(seed) says how `solve_mpec` compares."""
+"""A random MPEC against all its branches, each a smooth program solved from several starts: judge(problem) says how `solve_mpec` compares."""
 
 from __future__ import annotations
 
@@ -59,9 +59,8 @@ class Branches:
     descent: float = 0.0  # how far a branch that holds the judged point goes below it
 
 
-def judge(seed: int) -> Verdict:
-    problem = generator.random_mpec(seed)
-    model = problem.model
+def judge(problem: Any) -> Verdict:
+    seed, model = problem.seed, problem.model
     free = [v for v in model.component_data_objects(pyo.Var, descend_into=True) if not v.fixed]
     start = np.array([v.value for v in free], dtype=float)
     try:

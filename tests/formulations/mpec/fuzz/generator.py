@@ -1,4 +1,8 @@
-"""Random small MPECs of many kinds, with the branches of every condition written down beside it: random_mpec(seed).
+"""Random small MPECs of many kinds, with the branches of every condition written down beside it.
+
+    drawn_mpec(kind).example()    a hypothesis strategy: numbers of two decimals, and a wrong answer is shrunk to a small problem
+    random_mpec(seed)             the same construction from numpy's generator, for the benchmark: hypothesis stops at the first wrong answer and
+                                  repeats no problem by its number, while the benchmark counts answers of thousands, with irrational data
 
 At most 4 pairs (6 conditions) and 3 further variables, in blocks, with mutable parameters, either sense, in every form of `complements`,
 some conditions twice. A kind is what makes a problem hard; seed % len(KINDS) is its index.
@@ -13,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pyomo.environ as pyo
+from hypothesis import strategies as st
 from pyomo.mpec import Complementarity, ComplementarityList, complements
 
 KINDS = (
@@ -31,7 +36,7 @@ class RandomMpec:
     seed: int
     kind: str
     model: Any
-    random: np.random.Generator
+    random: Any
     x: list[Any] = field(default_factory=list)
     y: list[Any] = field(default_factory=list)
     scale: np.ndarray = field(default_factory=lambda: np.ones(0))
@@ -55,11 +60,42 @@ class RandomMpec:
         return sum(float(w) * z for w, z in zip(weights, self.scaled, strict=True))
 
     def pick(self, makers: list[Callable[[], Any]]) -> Any:
-        return makers[int(self.random.integers(len(makers)))]()
+        return makers[int(self.random.integers(0, len(makers)))]()
+
+
+class _Drawn:
+    """The methods of numpy's generator that are used here, drawn by hypothesis; each shrinks towards 0, and chances towards no."""
+
+    def __init__(self, draw: Callable[[Any], int]) -> None:
+        self._draw = draw
+
+    def integers(self, low: int, high: int) -> int:
+        return self._draw(st.integers(low, high - 1))
+
+    def random(self) -> float:
+        return 1.0 - self._draw(st.integers(1, 100)) / 100
+
+    def uniform(self, low: float = 0.0, high: float = 1.0, size: int | None = None) -> Any:
+        return self._numbers(0, 100, size) * (high - low) + low
+
+    def normal(self, size: int | None = None) -> Any:
+        return self._numbers(-250, 250, size)
+
+    def _numbers(self, low: int, high: int, size: int | None) -> Any:
+        drawn = [self._draw(st.integers(low, high)) / 100 for _ in range(size or 1)]
+        return np.float64(drawn[0]) if size is None else np.array(drawn)
+
+
+@st.composite
+def drawn_mpec(draw: Any, kind: str) -> RandomMpec:
+    return _built(RandomMpec(seed=0, kind=kind, model=pyo.ConcreteModel(), random=_Drawn(draw)))
 
 
 def random_mpec(seed: int) -> RandomMpec:
-    p = RandomMpec(seed=seed, kind=KINDS[seed % len(KINDS)], model=pyo.ConcreteModel(), random=np.random.default_rng(seed))
+    return _built(RandomMpec(seed=seed, kind=KINDS[seed % len(KINDS)], model=pyo.ConcreteModel(), random=np.random.default_rng(seed)))
+
+
+def _built(p: RandomMpec) -> RandomMpec:
     _variables(p)
     _objective(p)
     for k in range(len(p.y)):
