@@ -101,7 +101,7 @@ class Store:
         try:
             sizes = json.loads((folder / FILES).read_bytes())
             return next((name for name, size in sizes.items() if _size(folder / Path(name).name) != size), "")
-        except (OSError, ValueError, AttributeError):
+        except (OSError, ValueError, AttributeError, RecursionError):
             return FILES
 
     def request(self, key: str) -> dict[str, Any]:

@@ -56,7 +56,7 @@ def earlier_schema(folder: Path) -> str:
 
     try:
         version = json.loads((folder / CAMPAIGN).read_bytes())["schema_version"]
-    except (OSError, ValueError, TypeError, KeyError):
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
         return ""
     if version == SCHEMA_VERSION:
         return ""

@@ -46,6 +46,7 @@ def spoilt_folder(rng: random.Random, folder: Path) -> Path:
         )
     request = {"cell": {"key": KEY, "scene_name": "s", "pipeline": {"name": "p", "part": []}, "time_limit": 5.0}}
     (run / "cell.json").write_bytes(_spoilt(rng, request))
+    (run / "files.json").write_bytes(_spoilt(rng, {"trajectory_0.nc": 10}))
     return path
 
 
@@ -67,13 +68,15 @@ def resume(path: Path) -> None:
     from validate.compare import compare
     from validate.standing_report import campaign_text, standing_report
     from validate.store import Store
-    from validate.stored import CAMPAIGN, only_last_failed
+    from validate.stored import CAMPAIGN, earlier_schema, only_last_failed
     from validate.time_steps import time_steps
 
     store, settings = Store(path), Settings(out=path)
     store.prepare()
     found = with_stored([_entry()], store, settings)
     reasons(found, store)
+    store.lost(KEY)
+    earlier_schema(path)
     time_steps((), path / CAMPAIGN)
     standing_report(path, campaign_text(path))
     good = path.with_name("good")

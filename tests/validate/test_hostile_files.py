@@ -7,7 +7,9 @@ from pathlib import Path
 from random import Random
 
 import pytest
+from hostile_folders import resume, spoilt_folder
 from hostile_inputs import READERS, Reader, tried
+from hostile_records import KEY
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -66,3 +68,15 @@ def test_a_damaged_netcdf_prints_nothing(tmp_path: Path, capfd: pytest.CaptureFi
     with pytest.raises(TrajectoryError, match="cannot be read as NetCDF-4"):
         read_columns(tmp_path / "x.nc")
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("name", ["campaign.json", "record.json", "cell.json", "files.json"])
+def test_a_file_nested_without_end_is_read_or_refused(name: str, tmp_path: Path):
+    """Random mutations seldom put it where a value stands."""
+
+    def nested(rng: Random, folder: Path) -> Path:
+        path = spoilt_folder(rng, folder)
+        (path if name == "campaign.json" else path / "runs" / KEY).joinpath(name).write_text("[" * 3000, encoding="utf-8")
+        return path
+
+    assert tried(Reader(nested, resume), Random(1), tmp_path) in ("read", "refused")
