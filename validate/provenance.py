@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from validate.examination import Examination
 
 SEED = 0
-LIBRARIES = ("numpy", "scipy", "sympy", "pyomo", "cyipopt-wheels", "torch", "fmpy", "scikit-sundae")
+LIBRARIES = ("numpy", "scipy", "sympy", "pyomo", "cyipopt-wheels", "clarabel", "torch", "fmpy", "scikit-sundae")
 # Parts of us that cannot change a number of a cell: how cells are chosen, run side by side, listed and told.
 _NO_INFLUENCE = (
     "validate/bench/",

@@ -37,10 +37,10 @@ class Global(Method[GlobalOptions]):
                 f"scene {scene.name} has {decisions} contact decisions ({scene.nc} a step), and a proof is tried up to {_MOST}; "
                 "benchmarks/bench_proof.py says what is reached beyond."
             )
-        from formulations.proof.extra import missing_solvers
+        from formulations.proof.extra import missing_solver
         from formulations.proof.prove import why_no_proof
 
-        return why_no_proof(scene) or missing_solvers()
+        return why_no_proof(scene) or missing_solver()
 
     def session(self, scene: Scene, options: GlobalOptions, opening: tuple[float, float]) -> Session:
         from formulations.proof.session import ProofSession

@@ -16,17 +16,18 @@ from enum import Enum
 from time import perf_counter, process_time
 from typing import Any
 
+import clarabel
 import numpy as np
 
 from formulations.proof.bounds import PairBounds, pair_bounds
-from formulations.proof.extra import solver
+from formulations.proof.extra import missing_solver
 from formulations.proof.miqp import build_miqp
 from formulations.transcription.residuals import PlanResiduals
 from formulations.windows.landing import land
 from formulations.windows.linear_scene import linear_scene, why_not_linear
 from formulations.windows.quadratic import ModesProblem
 from models.codegen.kernel import load_kernel
-from models.errors import SceneError
+from models.errors import MachineError, SceneError
 from models.goal import distance, goal_state
 from models.scene import Scene
 from models.schemes import Scheme
@@ -79,13 +80,14 @@ class Proof:
 def prove(scene: Scene, *, incumbent: Trajectory | None = None, time_limit: float = 600.0) -> Proof:
     """See the module docstring. incumbent: a plan whose modes are tried first; time_limit: wall seconds.
 
-    Raises SceneError for scenes that are not linear (`why_no_proof`), MachineError where SCIP or Clarabel are not installed.
+    Raises SceneError for scenes that are not linear (`why_no_proof`), MachineError where SCIP is not installed.
     """
     reason = why_no_proof(scene)
     if reason is not None:
         raise SceneError(reason)
-    for name in ("clarabel", "pyscipopt"):  # found missing before anything is built
-        solver(name)
+    missing = missing_solver()  # known before anything is built
+    if missing is not None:
+        raise MachineError(missing)
     return _Prover(scene, time_limit).run(incumbent)
 
 
@@ -170,7 +172,6 @@ class _Prover:
             status = ProofStatus.INFEASIBLE
         elif np.isneginf(bound):
             status = ProofStatus.NOTHING
-        clarabel = solver("clarabel")
         return Proof(
             status=status,
             plan=self._plan,

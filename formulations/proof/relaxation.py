@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import clarabel
 import numpy as np
 import scipy.sparse as sp
 
-from formulations.proof.extra import solver
 from formulations.windows.linear_scene import LinearScene
 
 SLACK = 1e-6  # relative, and absolute for bounds below 1: a hundred times Clarabel's own tolerance
@@ -67,12 +67,11 @@ class Relaxation:
             room = 2.0 * (ceiling - constant)
             slope = sp.csr_matrix(linear_part)  # |(factor x + offset, (1 - r)/2)| <= (1 + r)/2
             rows = [(sp.vstack([slope, -slope, -factor]), np.concatenate([[0.5 * (1.0 + room), 0.5 * (1.0 - room)], offset]))]
-            cones = [solver("clarabel").SecondOrderConeT(2 + len(offset))]
+            cones = [clarabel.SecondOrderConeT(2 + len(offset))]
         answer = self._solve(sp.csc_matrix((self._size, self._size)), objective, lower, upper, rows, cones)
         return Answer(answer.status, _lowered(answer.bound + sign * self._offset[row]))
 
     def _solve(self, quadratic: Any, objective: np.ndarray, lower: np.ndarray, upper: np.ndarray, rows: list, cones: list) -> Answer:
-        clarabel = solver("clarabel")
         left, right = self._equalities
         inner = [self._always, *self._hull(lower[1:].ravel(), upper[1:].ravel())]
         matrix = sp.vstack([left, *(part[0] for part in inner), *(part[0] for part in rows)]).tocsc()

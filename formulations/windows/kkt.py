@@ -108,19 +108,9 @@ class BandedKKT:
         """c[t] (steps, n)."""
         return self._linear.c + (closed * (self._linear.k * self._linear.p)) @ self._linear.E.T
 
-    def factor(
-        self,
-        closed: np.ndarray,
-        held: np.ndarray,
-        touching: np.ndarray,
-        *,
-        stiffness: np.ndarray | None = None,
-        compliance: np.ndarray | None = None,
-        softness: float = 0.0,
-    ) -> bool:
+    def factor(self, closed: np.ndarray, held: np.ndarray, touching: np.ndarray, *, softness: float = 0.0) -> bool:
         """Factorise with these closed contacts (steps, nc), inputs held on a bound (steps, nu) and phi = 0 imposed (steps, nc; row 0 unused).
 
-        stiffness (steps, nu), compliance (steps, nc): the terms of a barrier, added to the diagonal of u and taken from that of mu.
         softness: instead of z[T] = goal, the cost 1/2 |z[T] - goal|^2 / softness is added.
         False where the matrix is singular: the goal cannot be steered to, or conditions contradict each other.
         """
@@ -139,10 +129,6 @@ class BandedKKT:
         contact, state = self._linear.P.nonzero()
         flat[self._at_touch] += imposed[:-1, contact] * self._linear.P[contact, state]
         flat[self._at_mu] += ~imposed
-        if stiffness is not None:
-            flat[self._at_u] += stiffness
-        if compliance is not None:
-            flat[self._at_mu[:-1]] -= compliance[1:]
         flat[self._at_w] -= softness * self._linear.aimed
         return self._lu.factor(band)
 

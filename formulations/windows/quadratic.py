@@ -7,7 +7,7 @@
     minimise sum_t cost   subject to   the time step,  lower <= u <= upper,  phi >= 0 where closed,  phi <= 0 where open,
                                        |z[T] - goal| <= ball   (ball = 0: z[T] = goal)
 
-A dual active-set method (`dual_rounds`) names the active conditions; where it finds too many of them an interior-point method (`barrier`)
+A dual active-set method (`dual_rounds`) names the active conditions; where it finds too many of them an interior-point method (`interior_point`)
 does. Then the equality problem is solved once more by a factorisation that holds them, and every sign is checked: the answer is exact or
 there is none.
 """
@@ -19,9 +19,9 @@ from hashlib import blake2b
 
 import numpy as np
 
-from formulations.windows.barrier import BarrierMethod
 from formulations.windows.dual_rounds import DualAnswer, DualRounds
 from formulations.windows.goal_ball import nearest_goal
+from formulations.windows.interior_point import active_set
 from formulations.windows.kkt import BandedKKT, Point
 from formulations.windows.linear_scene import LinearScene
 from formulations.windows.stationarity import Stationarity, classify
@@ -98,7 +98,7 @@ class ModesProblem:
         self.kkt = BandedKKT(linear)
         self.solves, self.softness = 0, 0.0
         self._floors: dict[tuple[float, float, bytes], float] = {}  # by ball, softness and modes: no plan costs less
-        self._barrier, self._dual = BarrierMethod(linear, self.kkt), DualRounds(linear, self.kkt)
+        self._dual = DualRounds(linear, self.kkt)
 
     def empty_set(self) -> ActiveSet:
         lin = self.linear
@@ -135,7 +135,7 @@ class ModesProblem:
                 guess = ActiveSet(side=dual.side, touching=dual.touching)
         found = self._rounds(closed, guess)
         if found is None:
-            named = self._barrier.active_set(closed, self.linear.goal, self.ball, self.softness)
+            named = active_set(self.linear, closed, self.ball, self.softness)
             found = None if named is None else self._rounds(closed, ActiveSet(side=named[0], touching=named[1]))
         return found if found is not None and found.cost < below else None
 

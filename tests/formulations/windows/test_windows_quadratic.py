@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from formulations.transcription.workbench import Account
+from formulations.windows.interior_point import active_set
 from formulations.windows.linear_scene import linear_scene, why_not_linear
 from formulations.windows.moves import closed_of
 from formulations.windows.nonlinear import NonlinearModes
-from formulations.windows.quadratic import ModesProblem
+from formulations.windows.quadratic import ActiveSet, ModesProblem
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.scene import Scene
@@ -94,6 +95,29 @@ def test_optimality_conditions_hold() -> None:
     assert (answer.active.side != 0).any()
     assert (slope[answer.active.side < 0] >= -1e-8).all()
     assert (slope[answer.active.side > 0] <= 1e-8).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("ball", "softness"), [(0.0, 0.0), (1e-3, 0.0), (0.0, 1e-3), (1e-3, 1e-3)])
+def test_the_interior_point_names_the_conditions_that_are_active(seed: int, ball: float, softness: float) -> None:
+    scene, closed = random_scene(seed, 1.6)
+    linear = linear_scene(scene)
+    problem = ModesProblem(linear, ball)
+    problem.softness = softness
+    answer = problem.solve(closed)
+    assert answer is not None
+    named = active_set(linear, closed, ball, softness)
+    assert named is not None
+    held = problem._rounds(closed, ActiveSet(side=named[0], touching=named[1]), most=2)
+    assert held is not None, "two rounds, so that a condition whose multiplier is zero may be named or not"
+    assert held.cost == pytest.approx(answer.cost, rel=1e-11)
+
+
+def test_the_interior_point_finds_nothing_where_there_is_no_plan() -> None:
+    linear, nobody = linear_scene(SCENE), np.zeros((500, 2), dtype=bool)
+    assert active_set(linear, nobody, 0.0) is None
+    assert active_set(linear, nobody, 1e-3) is None
+    assert active_set(linear, nobody, 0.0, softness=1e-3) is not None, "whatever the modes, some inputs come nearest"
 
 
 def test_modes_without_a_plan_have_no_answer() -> None:
