@@ -13,7 +13,8 @@ import os
 import sys
 import tempfile
 import traceback
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import click
 from click.shell_completion import shell_complete
@@ -68,28 +69,40 @@ Environment:
 """
 
 
-class _Group(click.Group):
+class LazyGroup(click.Group):
+    """Commands that are imported when they are used. told: name -> (module whose `command` it is, what the overview says)."""
+
+    def __init__(self, *arguments: Any, told: Mapping[str, tuple[str, str]], **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.told = told
+
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(_COMMANDS)
+        return list(self.told)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in _COMMANDS:
-            return None
-        return importlib.import_module(f"validate.cli.{cmd_name}").command
+        own = super().get_command(ctx, cmd_name)
+        if own is not None or cmd_name not in self.told:
+            return own
+        return importlib.import_module(self.told[cmd_name][0]).command
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
-        if args and args[0] not in _COMMANDS and not args[0].startswith("-") and not ctx.resilient_parsing:
-            close = difflib.get_close_matches(args[0], _COMMANDS, n=1)
-            hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(_COMMANDS)}."
+        if args and args[0] not in self.told and not args[0].startswith("-") and not ctx.resilient_parsing:
+            close = difflib.get_close_matches(args[0], self.told, n=1)
+            hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(self.told)}."
             raise click.UsageError(f"there is no command {args[0]!r}; {hint}", ctx=ctx)
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
-            formatter.write_dl(list(_COMMANDS.items()))
+            formatter.write_dl([(name, words) for name, (_, words) in self.told.items()])
 
 
-@click.group(cls=_Group, epilog=_EPILOG, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    cls=LazyGroup,
+    told={name: (f"validate.cli.{name}", words) for name, words in _COMMANDS.items()},
+    epilog=_EPILOG,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
 @click.version_option(package_name="touchstone-contact", prog_name="touchstone")
 def group() -> None:
     """Does this plan through contact hold?
@@ -98,8 +111,8 @@ def group() -> None:
     """
 
 
-def run(arguments: Sequence[str]) -> int:
-    """Run one command line; the exit code. Nothing but TOUCHSTONE_DEBUG=1 lets a traceback through."""
+def run(arguments: Sequence[str], command: click.Group = group, program: str = PROGRAM) -> int:
+    """Run one command line of a program; the exit code. Nothing but TOUCHSTONE_DEBUG=1 lets a traceback through."""
     _open_closed_streams()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -107,14 +120,14 @@ def run(arguments: Sequence[str]) -> int:
     if wanted := os.environ.get(_COMPLETE):
         return shell_complete(group, {}, INSTALLED, _COMPLETE, wanted)
     try:
-        return _run(arguments)
+        return _run(arguments, command, program)
     except BrokenPipeError:
         return _reader_gone()
 
 
-def _run(arguments: Sequence[str]) -> int:
+def _run(arguments: Sequence[str], command: click.Group, program: str) -> int:
     try:
-        code = group.main(list(arguments), prog_name=PROGRAM, standalone_mode=False, obj=tuple(arguments))
+        code = command.main(list(arguments), prog_name=program, standalone_mode=False, obj=tuple(arguments))
         sys.stdout.flush()
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.ctx.get_help() if error.ctx is not None else "", err=True)
