@@ -1,7 +1,7 @@
 """The golden campaign: what a full campaign found, without its seconds, as small committed data; and what a change of the code moved.
 
-    python -m validate all -j 2 --out runs/golden; python -m benchmarks.golden compare runs/golden --exit-code $?
-    python -m benchmarks.golden freeze runs/golden --exit-code 0     # writes benchmarks/golden.csv
+    python -m validate all -j 2 --out runs/golden; python -m benchmarks golden compare runs/golden --exit-code $?
+    python -m benchmarks golden freeze runs/golden --exit-code 0     # writes benchmarks/golden.csv
 
 A row is a stage of a run, or an examination (hard case, FMU check): outcome, verdict, iterations, the certificate's letter, the hash of the FMU,
 the main figures to nine digits, and `bits`, a hash of every number of the record at full precision. Two rows of equal bits are equal; of the
@@ -13,7 +13,6 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
-import sys
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -135,11 +134,11 @@ def frozen() -> tuple[list[Row], str]:
 
 
 @click.group()
-def main() -> None:
+def command() -> None:
     """Freeze a campaign, or compare one with what is frozen."""
 
 
-@main.command()
+@command.command()
 @click.argument("folder", type=click.Path(path_type=Path, exists=True))
 @click.option("--exit-code", type=int, required=True, help="What the campaign's command ended with.")
 def freeze(folder: Path, exit_code: int) -> None:
@@ -147,17 +146,17 @@ def freeze(folder: Path, exit_code: int) -> None:
     found = list(rows(folder))
     with GOLDEN.open("w", encoding="utf-8", newline="") as file:
         file.write(f"# exit code {exit_code}\n")
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        writer = csv.DictWriter[str](file, COLUMNS, lineterminator="\n")
         writer.writeheader()
         writer.writerows(found)
     click.echo(f"{len(found)} rows in {GOLDEN}")
 
 
-@main.command()
+@command.command()
 @click.argument("folder", type=click.Path(path_type=Path, exists=True))
 @click.option("--exit-code", type=int, help="What the campaign's command ended with, to be compared too.")
 @click.option("--bits", "strict", is_flag=True, help="Fail where any number differs at all.")
-def compare(folder: Path, exit_code: int | None, strict: bool) -> None:
+def compare(folder: Path, exit_code: int | None, strict: bool) -> int:
     """What the campaign in FOLDER found otherwise. Exit code 1 where something is worse or gone (--bits: where anything differs)."""
     kept, code = frozen()
     before = {tuple(row[name] for name in KEY): row for row in kept}
@@ -183,8 +182,4 @@ def compare(folder: Path, exit_code: int | None, strict: bool) -> None:
     for sentence in failures(load(folder).runs, load(folder).examinations):
         click.echo(f"failure {sentence}")
     click.echo(", ".join(f"{count} {word}" for word, count in told.most_common()))
-    sys.exit(1 if told["worse"] or told["gone"] or (strict and set(told) != {"equal"}) else 0)
-
-
-if __name__ == "__main__":
-    main()
+    return 1 if told["worse"] or told["gone"] or (strict and set(told) != {"equal"}) else 0

@@ -1,7 +1,7 @@
 """Every plan that a campaign stored, judged by the rule of today, beside what its record says: what a change of the rule changes, and why.
 
-    python benchmarks/rejudge.py runs/all -o rejudged.json
-    python benchmarks/rejudge.py runs/all --scene three_cart --all
+    python -m benchmarks rejudge runs/all --json rejudged.json
+    python -m benchmarks rejudge runs/all --scene three_cart --all
 
 Prints a row for each stage whose verdict changed (`--all`: each stage), with the sentence of today; then counts. Equal plans are judged once.
 """
@@ -9,7 +9,6 @@ Prints a row for each stage whose verdict changed (`--all`: each stage), with th
 from __future__ import annotations
 
 import json
-import sys
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -22,6 +21,7 @@ import click
 from models.catalog import load_scene, scene_names
 from models.errors import TouchstoneError
 from models.trajectory_netcdf import read_netcdf
+from validate.disk import write_durably
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,8 +74,8 @@ def judged(scene: str, file: Path) -> tuple[str, str, dict[str, Any]]:
 @click.option("--scene", "scenes", multiple=True, help="Only this scene; may be given again.")
 @click.option("--all", "everything", is_flag=True, help="Every stage, not only those whose verdict changed.")
 @click.option("-j", "jobs", type=int, default=1, show_default=True)
-@click.option("-o", "out", type=click.Path(path_type=Path), help="Write all rows as JSON.")
-def main(folder: Path, scenes: tuple[str, ...], everything: bool, jobs: int, out: Path | None) -> None:
+@click.option("--json", "out", type=click.Path(path_type=Path), help="Write all rows as JSON.")
+def command(folder: Path, scenes: tuple[str, ...], everything: bool, jobs: int, out: Path | None) -> int:
     """Judge the stored plans of a campaign anew."""
     found = list(stages(folder, scenes))
     contents = {file: (record["scene"]["name"], file.read_bytes()) for record, _, file in found}
@@ -107,9 +107,5 @@ def main(folder: Path, scenes: tuple[str, ...], everything: bool, jobs: int, out
     for (kind, before, after), count in sorted(Counter((row.kind, row.before, row.after) for row in rows).items()):
         click.echo(f"{count:5d}  {kind:9s} {before} -> {after}")
     if out is not None:
-        out.write_text(json.dumps([asdict(row) for row in rows], indent=0), encoding="utf-8")
-    sys.exit(0)
-
-
-if __name__ == "__main__":
-    main()
+        write_durably(out, json.dumps([asdict(row) for row in rows], indent=0))
+    return 0

@@ -16,9 +16,3 @@ def record_files(folder: Path) -> list[Path]:
     # Folders whose name begins with a dot or ends in .tmp are runs that are being written.
     folders = sorted(path for path in runs.iterdir() if path.is_dir() and not path.name.startswith(".") and path.suffix != ".tmp")
     return [path / "record.json" for path in folders]
-
-
-def bench_files(folder: Path) -> list[Path]:
-    """What benchmarks left, sorted."""
-    bench = folder / "bench"
-    return sorted(path for path in bench.glob("*.json") if not path.name.startswith(".")) if bench.is_dir() else []

@@ -2,7 +2,7 @@
 
     text = kept(folder, "report", lambda: render(folder))          keeps the text in DIR/.report.kept
 
-The first line of the file holds two digests: of all that goes into the text - campaign, records, benchmarks, the folder's name, the files of this
+The first line of the file holds two digests: of all that goes into the text - campaign, records, the folder's name, the files of this
 room, the versions of what it stands on - and of the text itself. One that does not fit, for whatever reason, is as none: it may be removed at any time.
 """
 
@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable
 from importlib import metadata
 from pathlib import Path
 
-from reports.files import LARGEST_BYTES, bench_files, record_files
+from reports.files import LARGEST_BYTES, record_files
 
 _HERE = Path(__file__).parent
 # A change of one of these may change a text.
@@ -71,7 +71,7 @@ def content_digest(folder: Path, sources: Iterable[Path] = ()) -> str | None:
 
 
 def _of_folder(folder: Path) -> list[Path]:
-    return [folder / "campaign.json", *record_files(folder), *bench_files(folder)]
+    return [folder / "campaign.json", *record_files(folder)]
 
 
 def _of_room() -> list[Path]:

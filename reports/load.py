@@ -12,10 +12,9 @@ from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from reports.bench_record import AnyBench, BenchRecord
 from reports.collected import collected, grouped
 from reports.examination_record import ExaminationRecord, divided, record_of
-from reports.files import LARGEST_BYTES, bench_files, record_files
+from reports.files import LARGEST_BYTES, record_files
 from reports.record import SCHEMA_VERSION, CampaignRecord, RunRecord
 from reports.wording import clean
 
@@ -43,8 +42,7 @@ class Stored:
     """All that the report is made of.
 
     missing: keys that the campaign lists and of which nothing is stored; foreign: stored records that the campaign does not list;
-    examinations: cells that are no scene x pipeline; benches: what benchmarks left in the folder `bench`; parts: of each run, the records of
-    its cells.
+    examinations: cells that are no scene x pipeline; parts: of each run, the records of its cells.
     """
 
     folder: str
@@ -54,7 +52,6 @@ class Stored:
     missing: tuple[str, ...]
     foreign: int
     examinations: tuple[ExaminationRecord, ...] = ()
-    benches: tuple[AnyBench, ...] = ()
     parts: tuple[tuple[RunRecord, ...], ...] = ()
 
 
@@ -63,10 +60,10 @@ def load(folder: Path, read: Callable[[bytes], RunRecord | ExaminationRecord] = 
     if not folder.is_dir():
         raise ReportError(f"{folder}: there is no such folder; give the folder of a campaign (it holds campaign.json and runs/).")
     unreadable: list[Unreadable] = []
-    campaign = _read(folder / "campaign.json", folder, CampaignRecord.model_validate_json, unreadable)
+    campaign = read_record(folder / "campaign.json", folder, CampaignRecord.model_validate_json, unreadable)
     found: dict[str, RunRecord | ExaminationRecord] = {}
     for path in record_files(folder):
-        run = _read(path, folder, read, unreadable)
+        run = read_record(path, folder, read, unreadable)
         if run is None:
             continue
         if run.key != path.parent.name:
@@ -74,16 +71,11 @@ def load(folder: Path, read: Callable[[bytes], RunRecord | ExaminationRecord] = 
             unreadable.append(Unreadable(clean(str(path.relative_to(folder))), clean(sentence)))
             continue
         found[run.key] = run
-    benches = tuple(
-        bench.root
-        for path in bench_files(folder)
-        if (bench := _read(path, folder, BenchRecord.model_validate_json, unreadable)) is not None
-    )
     if campaign is None:
         runs, examinations = divided(found.values())
         runs = sorted(runs, key=lambda run: (run.scene.name, run.pipeline, run.key))
         examinations = tuple(sorted(examinations, key=lambda item: (item.kind, item.name)))
-        return Stored(folder.name, None, collected(runs), tuple(unreadable), (), 0, examinations, benches, grouped(runs))
+        return Stored(folder.name, None, collected(runs), tuple(unreadable), (), 0, examinations, grouped(runs))
     keys = list(dict.fromkeys(campaign.keys))
     runs, examinations = divided(found[key] for key in keys if key in found)
     # What another version left here is of another campaign: this one lists what it has run itself.
@@ -99,12 +91,12 @@ def load(folder: Path, read: Callable[[bytes], RunRecord | ExaminationRecord] = 
         missing=tuple(clean(key) for key in keys if key not in found and clean(key) not in broken),
         foreign=len(set(found) - set(keys)) + len(earlier),
         examinations=examinations,
-        benches=benches,
         parts=grouped(runs),
     )
 
 
-def _read(path: Path, folder: Path, read: Callable[[bytes], _Record], unreadable: list[Unreadable]) -> _Record | None:
+def read_record(path: Path, folder: Path, read: Callable[[bytes], _Record], unreadable: list[Unreadable]) -> _Record | None:
+    """What a file holds; None where it cannot be used, and the sentence why is added to `unreadable`."""
     try:
         return read(_text(path))
     except ReportError as problem:

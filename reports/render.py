@@ -17,6 +17,7 @@ import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from markupsafe import Markup
 
@@ -25,22 +26,15 @@ from reports.kept import kept
 from reports.load import ReportError, Stored, load
 from reports.outlines import Outlines
 from reports.pages import (
-    balance,
-    cosimulation,
     errata,
     fmus,
     front,
     matrix,
-    order,
     pareto,
     provenance,
-    replay_speed,
-    rigid_limit,
     runs,
-    scaling,
     scene,
     stability,
-    suite,
     summary,
     table1,
     tightening,
@@ -67,14 +61,7 @@ _PAGES = (
     runs,
     scene,
     fmus,
-    replay_speed,
-    rigid_limit,
-    balance,
-    cosimulation,
     errata,
-    suite,
-    scaling,
-    order,
     time_spent,
     provenance,
 )
@@ -102,21 +89,33 @@ class Drawn:
 
     def page(self, sections: list[tuple[Section, str]], blocks: Sequence[Block] = (), about: str = "") -> str:
         """One page with these sections; the contents name all of them. `about`: what this page is, where there are several."""
-        style, script = _asset("report.css"), "\n".join(_asset(name) for name in _SCRIPTS)
         campaign = self.report.stored.campaign
-        return self.templates.render(
-            "page.html",
+        return page(
+            self.templates,
             self.parcels,
             title=self.title,
             about=about,
             quick=campaign.quick if campaign else False,
+            lead="Does this plan through contact hold? Every plan below was replayed through the true contact dynamics and scored there.",
+            again="python -m reports DIR",
             contents=[section for section, _ in self.bodies],
-            sections=[(section, Markup(text)) for section, text in sections],
+            sections=sections,
             blocks=blocks,
-            policy=f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; base-uri 'none'; form-action 'none'",
-            style=Markup(style),
-            script=Markup(script),
         )
+
+
+def page(templates: Templates, parcels: Parcels, *, sections: list[tuple[Section, str]], **words: Any) -> str:
+    """A page of sections whose texts are markup, with its style and script; words: what else page.html tells."""
+    style, script = _asset("report.css"), "\n".join(_asset(name) for name in _SCRIPTS)
+    return templates.render(
+        "page.html",
+        parcels,
+        sections=[(section, Markup(text)) for section, text in sections],
+        policy=f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; base-uri 'none'; form-action 'none'",
+        style=Markup(style),
+        script=Markup(script),
+        **words,
+    )
 
 
 def write_report(folder: Path) -> Path:
@@ -159,7 +158,7 @@ def draw(folder: Path) -> Drawn:
     templates, parcels = Templates(), Parcels()
     outlines = _outlines(folder, templates)
     report = Report(load(folder, outlines.read), outlines, parcels)
-    sections = [section for page in _PAGES if (section := page.build(report)) is not None]
+    sections = [section for part in _PAGES if (section := part.build(report)) is not None]
     bodies = [(section, _body(templates, parcels, section)) for section in sections]
     return Drawn(report, parcels, templates, outlines.shelf, bodies)
 

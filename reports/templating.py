@@ -24,10 +24,11 @@ _FILTERS = (
 class Templates:
     """Each template is compiled once, whatever page it is rendered for."""
 
-    def __init__(self) -> None:
+    def __init__(self, *folders: Path) -> None:
+        """folders: of further templates, beside those of this room."""
         self._parcels = Parcels()
         self._environment = Environment(
-            loader=FileSystemLoader(Path(__file__).parent / "templates"),
+            loader=FileSystemLoader([Path(__file__).parent / "templates", *folders]),
             autoescape=True,
             undefined=StrictUndefined,
             trim_blocks=True,

@@ -1,5 +1,7 @@
 """Rules of the house: who may import whom, how long a file may be, and that importing a room costs little."""
 
+import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -35,6 +37,21 @@ def test_importing_a_room_is_cheap(module: str, heavy: set[str]):
     code = f"import sys, {module}; print([name for name in {sorted(heavy)!r} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_what_is_shipped_reads_nothing_that_is_not():
+    """No path of a shipped room is made of a folder that a checkout alone has; sentences may name one."""
+    made = []
+    for room in ROOMS:
+        for path in (ROOT / room).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if (
+                    isinstance(node, ast.Constant)
+                    and isinstance(node.value, str)
+                    and re.fullmatch(r"(tests|docs|benchmarks)(/\S*)?", node.value)
+                ):
+                    made.append(f"{path.relative_to(ROOT)}:{node.lineno}: {node.value}")
+    assert not made, made
 
 
 def test_no_file_is_a_drawer():

@@ -32,7 +32,6 @@ SEED = 0
 LIBRARIES = ("numpy", "scipy", "sympy", "pyomo", "cyipopt-wheels", "clarabel", "torch", "fmpy", "scikit-sundae")
 # Parts of us that cannot change a number of a cell: how cells are chosen, run side by side, listed and told.
 _NO_INFLUENCE = (
-    "validate/bench/",
     "validate/cli",
     "validate/__main__.py",
     "validate/campaign.py",
@@ -54,7 +53,6 @@ _OF_EXAMINATIONS = (
     "validate/examination.py",
     "validate/fmu_examination.py",
     "validate/fmu_check/",
-    "validate/cosim/",
     "validate/hardcases/",
     "reports/examination_record.py",
     "reports/chart_record.py",

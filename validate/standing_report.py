@@ -3,7 +3,7 @@
     before = campaign_text(folder)                                  # before campaign.json is written anew, if its content is another
     report = standing_report(folder, before) or write_report(folder)
 
-It stands if it is younger than every record, benchmark and source of the report, and the campaign differs in nothing but when and how it was
+It stands if it is younger than every record and source of the report, and the campaign differs in nothing but when and how it was
 called.
 """
 
@@ -38,7 +38,7 @@ def of_content(campaign: str | bytes) -> str:
 def standing_report(folder: Path, before: str) -> Path | None:
     """The report of the folder if it stands, else None. before: `campaign_text` when the report was written."""
     report = folder / REPORT
-    sources = (*folder.glob("runs/*/record.json"), *folder.glob("bench/*.json"), *(ROOT / "reports").rglob("*.*"))
+    sources = (*folder.glob("runs/*/record.json"), *(ROOT / "reports").rglob("*.*"))
     try:
         written = report.stat().st_mtime_ns
         young = any(path.stat().st_mtime_ns >= written for path in sources if "__pycache__" not in path.parts)

@@ -3,9 +3,11 @@
     python benchmarks/verdicts/elsewhere.py mujoco|drake|drake-plan INPUTS.csv MOTION.csv STEP
 
 INPUTS: rows of t, u1, u3, each held to the next row's time, the last as long as the one before it. MOTION: rows of t, q1, q2, q3, v1, v2, v3, u1, u3.
-Run by a Python that has the tool (`--mujoco`, `--drake` of `python -m benchmarks.verdicts` name one), which needs nothing of ours: `pip install mujoco`
+Run by a Python that has the tool (`--mujoco`, `--drake` of `python -m benchmarks verdicts` name one), which needs nothing of ours: `pip install mujoco`
 or `pip install drake`.
 """
+
+# pyright: reportMissingImports=false
 
 from __future__ import annotations
 

@@ -12,6 +12,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -38,7 +39,7 @@ def base(reference: str) -> tuple[np.ndarray, np.ndarray]:
     return np.array(plan.t), np.array(plan.u)
 
 
-def truly(reference: str, t: np.ndarray, u: np.ndarray, **how: np.ndarray) -> Motions:
+def truly(reference: str, t: np.ndarray, u: np.ndarray, **how: Any) -> Motions:
     """The motion, which must be what the scene asks for. Raises NoPlanError, else nothing could be expected."""
     path = motion_of(reference).run(t, u, **how)
     held = u if len(path.t) == len(t) else u[np.searchsorted(t, path.t[:-1] + 1e-12, side="right") - 1]
@@ -57,7 +58,7 @@ def based(reference: str) -> tuple[np.ndarray, np.ndarray, Motions]:
 def _written(reference: str) -> dict[str, Callable[[], Plan]]:
     """The one motion, by how it is written."""
 
-    def say(forces: str = "mean", **changes: object) -> Callable[[], Plan]:
+    def say(forces: str = "mean", **changes: Any) -> Callable[[], Plan]:
         def make() -> Plan:
             t, u, path = based(reference)
             return exact(path, t, u, forces).but(**changes)
@@ -71,7 +72,7 @@ def _written(reference: str) -> dict[str, Callable[[], Plan]]:
 
         return make
 
-    no_forces: dict[str, object] = {"lam": None, "friction": None}
+    no_forces: dict[str, Any] = {"lam": None, "friction": None}
     written = {f"true forces at the {word}": say(word) for word in FORCES[:2]} | {"forces averaged over the step": say()}
     written |= {f"4 decimals, forces {word}": say(word, digits=4) for word in FORCES}
     written |= {

@@ -82,6 +82,9 @@ def common(reference: str) -> dict[str, tuple[Callable[[], Plan], tuple[str, ...
         t, u, path = based(reference)
         return exact(path, t, u)
 
+    def stated(group: str) -> np.ndarray:
+        return np.asarray(getattr(good(), group))
+
     def appended() -> Plan:
         u = based(reference)[1]
         more = round(5.0 / scene.task.step)
@@ -172,8 +175,11 @@ def common(reference: str) -> dict[str, tuple[Callable[[], Plan], tuple[str, ...
         "spikes between the nodes": (spiky, (*MOTION, *GOAL)),
         "a spike of one velocity": (lambda: kinked("v", 5.0), (*MOTION, "velocit")),
         "a spike of one position": (lambda: kinked("q", wide), MOTION),
-        "positions all moved": (lambda: good().but(q=good().q + np.linspace(0, wide, steps + 1)[:, None] ** 2 / wide), (*MOTION, *GOAL)),
-        "velocities doubled": (lambda: good().but(v=np.vstack([good().v[:1], 2 * good().v[1:-1], good().v[-1:]])), (*MOTION, "velocit")),
+        "positions all moved": (lambda: good().but(q=stated("q") + np.linspace(0, wide, steps + 1)[:, None] ** 2 / wide), (*MOTION, *GOAL)),
+        "velocities doubled": (
+            lambda: good().but(v=np.vstack([stated("v")[:1], 2 * stated("v")[1:-1], stated("v")[-1:]])),
+            (*MOTION, "velocit"),
+        ),
     }
     if scene.nu > 1:
         made["inputs mirrored"] = (lambda: _astray(reference, good().but(u=good().u[:, ::-1])), MOTION)
@@ -196,8 +202,8 @@ def common(reference: str) -> dict[str, tuple[Callable[[], Plan], tuple[str, ...
             "forces a tenth of the plan late": (lambda: forces(lambda rows: np.roll(-turned(rows), steps // 10, axis=0)), FORCES),
         }
     if scene.nf:
-        made["friction works with the slip"] = (lambda: good().but(friction=-good().friction), FRICTION)
-        made["friction ten times too large"] = (lambda: good().but(friction=10.0 * good().friction), FRICTION)
+        made["friction works with the slip"] = (lambda: good().but(friction=-stated("friction")), FRICTION)
+        made["friction ten times too large"] = (lambda: good().but(friction=10.0 * stated("friction")), FRICTION)
     return made
 
 

@@ -2,7 +2,7 @@
 
 The wheel's Ipopt can be handed a library with the calls of HSL's MA27, solver by solver; ours stand behind those. An optimality system of a plan is
 a chain of small dense pieces: a general solver spends most of its time on itself there. An iteration but for its evaluations, with MUMPS and with
-ours: two_discs 53 and 14 ms (`python -m validate bench -k linear_algebra` measures the paper's scene).
+ours: two_discs 53 and 14 ms (`python -m benchmarks suite -k linear_algebra` measures the paper's scene).
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ class Global(Method[GlobalOptions]):
         if decisions > _MOST:
             return (
                 f"scene {scene.name} has {decisions} contact decisions ({scene.nc} a step), and a proof is tried up to {_MOST}; "
-                "benchmarks/bench_proof.py says what is reached beyond."
+                "`python -m benchmarks proof` in a checkout says what is reached beyond."
             )
         from formulations.proof.extra import missing_solver
         from formulations.proof.prove import why_no_proof

@@ -6,7 +6,7 @@
     lam <= k h+ b,     lam - k phi <= -k l- (1 - b),     lam >= 0,     lam - k phi >= 0,     b in {0, 1}
 
 on top of the plain model of `build_model` (same names). `mpec.simple_disjunction` and a big-M transformation make two binaries a pair and one
-M for all; see benchmarks/bench_proof.py for what that costs.
+M for all; `python -m benchmarks proof --disjunction` says what that costs.
 """
 
 from __future__ import annotations

@@ -90,7 +90,7 @@ SCENE = Scene(
             quantity="best known cost of an exact plan",
             value=13.622851470202807,
             tolerance=1e-9,
-            source="convex QP with the wall pushing on steps 13..19; proved global by method global (benchmarks/bench_proof.py)",
+            source="convex QP with the wall pushing on steps 13..19; proved global by method global (python -m benchmarks proof)",
         ),
         Answer(
             quantity="least cost of a plan that never touches the wall",

@@ -32,11 +32,6 @@ def factory():
 
 
 @pytest.fixture(scope="session")
-def benches():
-    return _load("bench_files")
-
-
-@pytest.fixture(scope="session")
 def chromium(tmp_path_factory: pytest.TempPathFactory):
     """An open browser; without one the tests are skipped, except in CI, where that is a failure."""
     executable = os.environ.get("TOUCHSTONE_CHROMIUM") or next((found for name in _NAMES if (found := shutil.which(name))), None)
@@ -57,8 +52,6 @@ def full_folder(factory, tmp_path_factory: pytest.TempPathFactory) -> Path:
     keys = (*(record.key for record in records), "gone-1")
     campaign = factory.campaign(records, keys=keys, quick=True, left_out=("the multistart pipelines",))
     folder = factory.store(tmp_path_factory.mktemp("full") / "all", records, campaign)
-    benches = _load("bench_files")
-    benches.leave(folder, benches.cosim(), benches.speed())
     (folder / "runs" / "cut-1").mkdir()
     (folder / "runs" / "cut-1" / "record.json").write_text(records[0].model_dump_json()[:3000])
     return folder
@@ -71,8 +64,6 @@ def hostile_folder(factory, tmp_path_factory: pytest.TempPathFactory) -> Path:
     campaign = factory.campaign(records, title=factory.HOSTILE, command=factory.HOSTILE, left_out=(factory.HOSTILE,), quick=True)
     campaign = campaign.model_copy(update={"keys": (*campaign.keys, factory.HOSTILE)})
     folder = factory.store(tmp_path_factory.mktemp("hostile") / "all", records, campaign)
-    benches = _load("bench_files")
-    benches.leave(folder, benches.cosim(factory.HOSTILE), benches.speed(factory.HOSTILE))
     return folder
 
 

@@ -85,7 +85,7 @@ def test_the_command_keeps_what_says_which_cells_there_are(factory, recorded, ke
         assert matches(shlex.split(again(odd))[-4], [], f"three_cart x {name}")
 
 
-@pytest.mark.parametrize("command", ["python -m validate bench", "make 'half", ""])
+@pytest.mark.parametrize("command", ["python -m benchmarks suite", "make 'half", ""])
 def test_a_recorded_command_of_another_kind_is_repeated_as_it_is(factory, command):
     assert again(factory.run("strict", None, "strict_lcp", provenance=factory.provenance(command=command))) == command
 

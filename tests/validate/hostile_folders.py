@@ -163,9 +163,9 @@ def compare_suite(path: Path) -> None:
     """Both ways, since a campaign's own figures are read by its report."""
     import click
 
-    from reports.suite_record import SuiteRecord
-    from validate.bench.compare import compare
-    from validate.cli.bench import read_suite
+    from benchmarks.records import SuiteRecord
+    from benchmarks.suite.command import read_suite
+    from benchmarks.suite.compare import compare
 
     good = SuiteRecord.model_validate(_suite())
     try:

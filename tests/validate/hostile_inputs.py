@@ -3,7 +3,7 @@
     outcome = tried(READERS["plan CSV"], random, folder)       # "read", "refused", or the traceback; "hang" after HANG seconds of CPU
 
 A reader may read a file or refuse it by one of our own errors; anything else is a fault. In the tests `random` is hypothesis's `randoms()`, which shrinks a
-fault to the fewest and plainest mutations. The benchmark `fuzz_readers.py` gives `random.Random(seed)`: it counts thousands, and a file that kills the
+fault to the fewest and plainest mutations. `python -m benchmarks fuzz readers` gives `random.Random(seed)`: it counts thousands, and a file that kills the
 process that reads it, after which hypothesis itself would be gone, is made again by its seed. A reader that hangs is stopped by CPU time here, since
 hypothesis looks at its clock only when a test has ended.
 """

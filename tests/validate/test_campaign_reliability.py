@@ -1,6 +1,6 @@
 """Campaigns that are killed, that share a folder, or whose cells come in another order: the same numbers, nothing lost, nothing left behind.
 
-benchmarks/kill_campaign.py kills more often, and more kinds of cells.
+`python -m benchmarks kill` kills more often, and more kinds of cells.
 """
 
 from __future__ import annotations

@@ -40,7 +40,6 @@ _ELSEWHERE = {
     "checking an FMU": (("check", "{made}/a.fmu", "--only", "set state restores"), {"TMPDIR": "{out}"}, 29),
     "replaying": (("replay", "{made}/plan.csv", "--scene", _SCENE), {"TMPDIR": "{out}"}, 13),
     "a replay": (("replay", "{made}/plan.csv", "--scene", _SCENE, "--out", "{out}/answer"), {}, 4),
-    "measurements": (("bench", "--quick", "-k", "list", "--repeats", "1", "--out", "{out}"), {}, 3),
     "parts of a scene": (("fmu", _SCENE, "--coupled", "-o", "{out}/answer.ssp"), {}, 1),
     "a campaign of a file": (("run", "{made}/campaign.toml", "--tools", _FAKES[1], "--out", "{out}"), {}, 4),
 }
@@ -165,7 +164,7 @@ def made(tmp_path_factory, cli, cli_environment) -> Path:
 @pytest.mark.parametrize("name", _ELSEWHERE)
 def test_each_request_elsewhere_is_refused_in_turn(ask: Ask, stored: Path, made: Path, tmp_path: Path, name: str):
     words, environment, each = _ELSEWHERE[name]
-    out, answers = tmp_path / "out", ("new.fmu", "answer/score.json", "answer.ssp", "bench/suite.json")
+    out, answers = tmp_path / "out", ("new.fmu", "answer/score.json", "answer.ssp")
 
     def tried(number: int, error: int) -> tuple[int, str, int]:
         shutil.rmtree(out, ignore_errors=True)

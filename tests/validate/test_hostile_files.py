@@ -1,4 +1,4 @@
-"""A few hostile files for every reader: each is read or refused in a sentence; benchmarks/fuzz_readers.py tries thousands."""
+"""A few hostile files for every reader: each is read or refused in a sentence; `python -m benchmarks fuzz readers` tries thousands."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A campaign's folder and a room of reports, older than the report."""
     root, out = tmp_path / "root", tmp_path / "out"
     monkeypatch.setattr(module, "ROOT", root)
-    for path in (root / "reports/pages/page.py", out / "runs/a/record.json", out / "runs/b/record.json", out / "bench/one.json"):
+    for path in (root / "reports/pages/page.py", out / "runs/a/record.json", out / "runs/b/record.json"):
         path.parent.mkdir(parents=True)
         path.write_text("{}")
         os.utime(path, (1e9, 1e9))
@@ -34,7 +34,7 @@ def test_nothing_new(folder: Path) -> None:
     assert standing_report(folder, before) == folder / "report.html"
 
 
-@pytest.mark.parametrize("name", ["runs/a/record.json", "runs/c/record.json", "bench/two.json", "../root/reports/pages/page.py"])
+@pytest.mark.parametrize("name", ["runs/a/record.json", "runs/c/record.json", "../root/reports/pages/page.py"])
 def test_a_younger_source(folder: Path, name: str) -> None:
     (folder / name).parent.mkdir(exist_ok=True)
     (folder / name).write_text("{}")

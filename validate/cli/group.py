@@ -38,7 +38,6 @@ _COMMANDS = {
     "report": "Rebuild results.csv and report.html of a campaign from its records.",
     "compare": "What differs between two campaigns, regressions first.",
     "replay": "Replay and score anybody's plan, on a scene or on anybody's FMU.",
-    "bench": "How fast each stage is, beside what people would use instead.",
     "fmu": "Export a scene as an FMU.",
     "check": "Check any FMU: its files, and how its code behaves.",
     "doctor": "Try what this machine can do, and say how to mend what it cannot.",

@@ -5,7 +5,7 @@
     path = build_ssp(scene)              all FMUs and SystemStructure.ssd in one .ssp
 
 This is how systems are split every day - the contact in a model of its own - and what that costs is measured by
-`validate.cosim`. Each body is a Scene of its own and goes through the exporter of scenes; a contact has no state, so its FMU is
+`python -m benchmarks cosim`. Each body is a Scene of its own and goes through the exporter of scenes; a contact has no state, so its FMU is
 algebraic: `contact.c` around generated functions.
 """
 

@@ -1,4 +1,4 @@
-"""Random MPECs of every kind against all their branches; and a judge that can say no. benchmarks/fuzz_mpec.py counts thousands."""
+"""Random MPECs of every kind against all their branches, and a judge that can say no: a share of what `python -m benchmarks fuzz mpec` counts."""
 
 from __future__ import annotations
 

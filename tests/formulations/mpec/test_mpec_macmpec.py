@@ -7,7 +7,7 @@ ex9.1.1 and 3 to 10, ex9.2.1 to 9, flp2, gauvin, gnash10 to 19 and 10m to 19m, h
 Not here: ex9.1.2 (it has a binary variable, which is refused); not written down yet, with at most 13 pairs: bar-truss-3, design-cent-2, 21, 3, 31
 and 4, portfl-i-1 to 6, taxmcp, water-net; with 30 to 1748 pairs, most with data of their own: bem-milanc30-s, flp4, incid-set, liswet1, monteiro,
 pack-comp, pack-rig, qpec-100 and 200, ralphmod, siouxfls, tap-09, tap-15, TrafficSignalCycle, water-FL.
-benchmarks/bench_mpec_obstacle.py stands for the large ones: 100 to 3025 pairs.
+`python -m benchmarks mpec-growth` stands for the large ones: 100 to 3025 pairs.
 """
 
 from __future__ import annotations

@@ -1,0 +1,70 @@
+"""`page`: what benchmarks left in a folder, told on one page by the report's own rendering; it asks nothing of any network.
+
+render(Path("runs/benchmarks"))  ->  the text of runs/benchmarks/page.html
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from benchmarks.pages import cosimulation, order, replay_speed, rigid_limit, scaling, suite, tables, unstable_starts
+from benchmarks.results import FOLDER, stored
+from reports.load import ReportError
+from reports.pages.section import Section
+from reports.parcels import Parcels
+from reports.render import page, write_page
+from reports.templating import Templates
+
+# kind of record -> what makes its section.
+_SECTIONS = {
+    "suite": suite,
+    "scaling": scaling,
+    "order": order,
+    "replay_speed": replay_speed,
+    "rigid_limit": rigid_limit,
+    "unstable_starts": unstable_starts,
+    "cosim": cosimulation,
+    "table": tables,
+}
+
+
+def render(folder: Path) -> str:
+    """The page's text. Raises ReportError if there is no such folder."""
+    templates, parcels = Templates(Path(__file__).parent / "pages" / "templates"), Parcels()
+    records, unreadable = stored(folder)
+    told: list[tuple[Section, list]] = []
+    for kind, maker in _SECTIONS.items():
+        same = [record for record in records if record.kind == kind]
+        for group in [[record] for record in same] if maker is tables else [same]:
+            section = maker.build(group)
+            if section is not None:
+                told.append((section, group))
+    measured = [(section, record.provenance) for section, group in told for record in group]
+    overview = Section("overview", "What is measured", "overview.html", {"measured": measured, "unreadable": unreadable})
+    sections = [overview, *(section for section, _ in told)]
+    return page(
+        templates,
+        parcels,
+        title="Benchmarks",
+        about="",
+        quick=False,
+        lead="How fast and how exact touchstone is, and how it grows, beside what people would use instead.",
+        again="python -m benchmarks page DIR",
+        contents=sections,
+        sections=[(section, templates.render(section.template, parcels, section=section, **section.values)) for section in sections],
+        blocks=(),
+    )
+
+
+@click.command()
+@click.argument("folder", type=click.Path(path_type=Path), default=FOLDER, metavar="[DIR]")
+def command(folder: Path) -> int:
+    """Write DIR/page.html from what benchmarks left in DIR (runs/benchmarks, if none is given)."""
+    try:
+        write_page(folder / "page.html", render(folder))
+    except ReportError as problem:
+        raise click.UsageError(str(problem)) from problem
+    click.echo(folder / "page.html")
+    return 0

@@ -1,0 +1,113 @@
+"""Step size and order: what a finer grid and a scheme of higher order buy, and which grid reaches an error at the least CPU time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from benchmarks.records import AnyRecord, OrderAnswer, OrderChoice, OrderRecord, OrderRow, OrderScene
+from reports.pages.section import Section
+from reports.plots.axis import Axis
+from reports.plots.figure import Key, Plot
+from reports.wording import error, listing, power, seconds, small, spaced, times
+
+_STYLES = (("c5", "circle"), ("c1", "square"), ("c4", "diamond"), ("c2", "square"), ("c0", "circle"), ("c3", "diamond"))
+_NAMES = {
+    "semi_implicit_euler": "semi-implicit Euler",
+    "implicit_midpoint": "implicit midpoint",
+    "radau_iia_2": "Radau IIA, 2 stages",
+    "radau_iia_3": "Radau IIA, 3 stages",
+}
+
+
+@dataclass(frozen=True)
+class View:
+    """The plots of one scene, a sentence for each target, one on the orders, and the grids without a plan."""
+
+    scene: OrderScene
+    plots: list[Plot]
+    answers: list[str]
+    orders: str
+    failed: str
+
+
+def build(records: Sequence[AnyRecord]) -> Section | None:
+    views = [_view(scene) for record in records if isinstance(record, OrderRecord) for scene in record.scenes]
+    return Section("order", "Step size and order", "order.html", {"views": views, "named": scheme_name}) if views else None
+
+
+def scheme_name(name: str) -> str:
+    return _NAMES.get(name, spaced(name))
+
+
+def _view(scene: OrderScene) -> View:
+    plots = [
+        _plot(scene, "Replay error over CPU time", ("CPU time", "s"), lambda row: row.cpu_s, lambda row: row.replay_error, "replay error"),
+        _plot(scene, "Replay error over the step", ("step h", "s"), lambda row: row.h, lambda row: row.replay_error, "replay error"),
+        _plot(
+            scene, "Distance to the finest plan over the step", ("step h", "s"), lambda row: row.h, lambda row: row.plan_error, "plan error"
+        ),
+    ]
+    known = [f"{scheme_name(name)} {order:.1f}" for name, order in scene.orders.items() if order is not None]
+    failed = [f"{scheme_name(row.scheme)} with {row.steps} steps ({spaced(row.outcome)})" for row in scene.rows if row.outcome != "solved"]
+    return View(
+        scene,
+        [plot for plot in plots if plot is not None],
+        [_sentence(answer, scene.unit) for answer in scene.answers],
+        f"Order of the replay error in h, fitted over all grids: {listing(known)}." if known else "Too few grids for an order.",
+        f"Without a plan that was solved: {listing(failed)}." if failed else "",
+    )
+
+
+def _plot(
+    scene: OrderScene,
+    title: str,
+    across: tuple[str, str],
+    x_of: Callable[[OrderRow], float],
+    y_of: Callable[[OrderRow], float | None],
+    what: str,
+) -> Plot | None:
+    known: dict[str, list[tuple[float, float, OrderRow]]] = {}
+    for row in scene.rows:
+        y = y_of(row)
+        if row.outcome == "solved" and y is not None and y > 0 and x_of(row) > 0:
+            known.setdefault(row.scheme, []).append((x_of(row), y, row))
+    points = [point for rows in known.values() for point in rows]
+    if not points:
+        return None
+    plot = Plot(
+        title,
+        Axis.fitted(*across, [x for x, _, _ in points], log=True, margin=0.06),
+        Axis.fitted(what, scene.unit, [y for _, y, _ in points], log=True, margin=0.06),
+        width=720,
+        height=360,
+    )
+    for place, (name, rows) in enumerate(known.items()):
+        style, marker = _STYLES[place % len(_STYLES)]
+        plot.keys.append(Key(style, scheme_name(name), marker))
+        rows.sort(key=lambda point: point[2].steps)
+        plot.line(scheme_name(name), style, [x for x, _, _ in rows], [y for _, y, _ in rows])
+        for x, y, row in rows:
+            tip = f"{scheme_name(name)}, {row.steps} steps of {error(row.h)} s: {what} {error(y)} {scene.unit}, {seconds(row.cpu_s)} CPU s"
+            plot.point(x, y, style, marker, tip)
+    best = min(points, key=lambda point: point[1])
+    plot.words = f"{len(points)} grids; the smallest {what} is {error(best[1])} {scene.unit}, {scheme_name(best[2].scheme)} with {best[2].steps} steps."
+    return plot
+
+
+def _sentence(answer: OrderAnswer, unit: str) -> str:
+    target = f"{small(answer.target) if answer.target < 1 else power(0)} {unit}"
+    best, euler = answer.best, answer.euler
+    if best is None:
+        return f"Within {target}: none of the grids that were tried."
+    said = f"Within {target}: cheapest is {_words(best)}."
+    if best.scheme == "semi_implicit_euler":
+        return said
+    if euler is None:
+        return f"{said} No grid of semi-implicit Euler that was tried gets there."
+    ratio = euler.cpu_s / best.cpu_s if best.cpu_s > 0 else 1.0
+    return f"{said} Semi-implicit Euler needs {euler.steps} steps and {times(ratio)} the time, {seconds(euler.cpu_s)} s."
+
+
+def _words(choice: OrderChoice) -> str:
+    return f"{scheme_name(choice.scheme)} with {choice.steps} steps, {seconds(choice.cpu_s)} CPU s (error {error(choice.replay_error)})"

@@ -1,0 +1,98 @@
+"""What a report weighs and how soon it can be used: CPU seconds to write it, bytes, and seconds until a headless Chromium answers.
+
+Interactive: from the start of the navigation until the load event is over and the page has answered clicks on the matrix's head with a picture;
+the median of five. Beside it stands what the page's main thread did meanwhile, in CPU seconds, and its tasks of more than 50 ms: where a busy
+machine makes the clock useless, the CPU seconds still tell. With `--axe` also the violations of WCAG 2 A and AA that axe-core finds, light and
+dark, at desk and phone width. Exit code 1 where a target is missed.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from pathlib import Path
+
+import click
+
+from benchmarks.checkout import module_at
+from benchmarks.measure import timed
+from reports.load import load
+from reports.render import render, write_report
+
+_TRIES = 5
+# Targets: seconds until it is interactive, and size of the file [MB].
+_PATIENCE, _SIZE = 2.0, 6.0
+_READY = """(async () => {
+  const tasks = [];
+  new PerformanceObserver((list) => tasks.push(...list.getEntries())).observe({ type: "longtask", buffered: true });
+  await new Promise((done) => document.readyState === "complete" ? done() : addEventListener("load", done));
+  const head = document.querySelector("#matrix-table thead button");
+  if (head) { head.click(); head.click(); head.click(); }
+  await new Promise((done) => requestAnimationFrame(() => setTimeout(done)));
+  const end = performance.now();
+  await new Promise((done) => setTimeout(done, 100));
+  const [visit] = performance.getEntriesByType("navigation");
+  return {
+    interactive: end / 1000, parsed: visit.domInteractive / 1000, loaded: visit.loadEventEnd / 1000,
+    tasks: tasks.filter((task) => task.startTime < end).map((task) => [task.startTime / 1000, task.duration / 1000]),
+  };
+})()"""
+# What the main thread's CPU seconds go to, as Chromium counts them.
+_METRICS = {"TaskDuration": "in all", "ScriptDuration": "script", "LayoutDuration": "layout", "RecalcStyleDuration": "style"}
+
+
+@click.command()
+@click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@click.option(
+    "--browser", "program", type=shutil.which, default=shutil.which("chromium") or shutil.which("google-chrome"), metavar="PROGRAM"
+)
+@click.option("--axe", type=click.Path(path_type=Path, exists=True), help="axe.min.js: also the violations of WCAG 2 A and AA.")
+@click.option("--kept", is_flag=True, help="Look at the report that is there, without writing it.")
+def command(folder: Path, program: str | None, axe: Path | None, kept: bool) -> int:
+    """What the report of a campaign in FOLDER weighs, and seconds until a headless Chromium answers; exit code 1 where a target is missed."""
+    if program is None:
+        raise click.UsageError("there is no Chromium on this machine; give one with --browser.")
+    browser_of = module_at("tests/reports/browser.py").Browser
+    target = folder / "report.html"
+    if not kept:
+        stored, read = timed(lambda: load(folder))
+        _, made = timed(lambda: render(folder))
+        write_report(folder)
+        target, again = timed(lambda: write_report(folder))
+        click.echo(
+            f"{len(stored.runs)} runs; CPU s: {read:.1f} reading them, {made:.1f} making the page of them, {again:.1f} the same again from what is kept"
+        )
+    size = target.stat().st_size / 1e6
+    click.echo(f"{size:.2f} MB (target {_SIZE:g})")
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile, browser_of(program, Path(profile)) as browser:
+        visits = []
+        for _ in range(_TRIES):
+            page = browser.open(target, metered=True)
+            found = page.evaluate(_READY)
+            found["cpu"] = {item["name"]: item["value"] for item in page.call("Performance.getMetrics")["metrics"]}
+            visits.append((found["interactive"], len(page.requests) - 1, len(page.messages), found))
+            page.call("Page.close")
+        visits.sort(key=lambda visit: visit[0])
+        median, _, _, told = visits[_TRIES // 2]
+        asked, said = sum(visit[1] for visit in visits), sum(visit[2] for visit in visits)
+        click.echo(f"interactive after {', '.join(f'{visit[0]:.2f}' for visit in visits)} s, median {median:.2f} (target {_PATIENCE:g})")
+        click.echo(f"  of the median: parsed after {told['parsed']:.2f} s, loaded after {told['loaded']:.2f} s")
+        spent = [f"{words} {told['cpu'].get(name, 0.0):.2f}" for name, words in _METRICS.items()]
+        click.echo(f"  CPU s of the main thread: {', '.join(spent)}")
+        click.echo(f"  tasks over 50 ms: {', '.join(f'{length:.2f} s at {start:.2f} s' for start, length in told['tasks']) or 'none'}")
+        click.echo(f"{asked} requests, {said} console messages")
+        violations = 0
+        rules = None if axe is None else axe.read_text(encoding="utf-8")
+        for width, dark in ((1400, False), (1400, True), (375, False), (375, True)) if rules else ():
+            page = browser.open(target, width=width, dark=dark)
+            page.evaluate(f"{rules};0")
+            found = page.evaluate(
+                "axe.run(document, {runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa']}).then((r) => r.violations.map("
+                "(v) => [v.id, v.nodes.length, v.nodes[0].html.slice(0, 160), v.nodes[0].failureSummary.slice(0, 200)]))"
+            )
+            violations += len(found)
+            click.echo(f"axe, {width} px, {'dark' if dark else 'light'}: {len(found)} violations")
+            for one in found:
+                click.echo("  " + json.dumps(one, ensure_ascii=False))
+    return int(median > _PATIENCE or size > _SIZE or asked + said + violations > 0)

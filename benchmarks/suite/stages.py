@@ -1,0 +1,330 @@
+"""Our stages of the suite: function(size, folder) prepares, and returns the work that is measured."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from benchmarks.measure import Size, Work, cpu_seconds, scratch
+from benchmarks.suite.carts import INPUT_WEIGHT, SOFTPLUS_EPS, push, pushed_plan, scene_of
+from models.codegen.kernel import load_kernel
+from models.fmu import build_fmu
+from models.scene import Scene
+from validate.replay import replay
+from validate.replay.everyday import simulate
+from validate.replay.inputs import HeldInputs
+from validate.replay.package import find_variables, read_package, unpacked
+
+
+def yardstick(size: Size, folder: Path) -> Work:
+    """Python objects, a sort, small vectors and matrices: what the stages are made of."""
+    matrix = np.random.default_rng(0).normal(size=(60, 60)) + 60.0 * np.eye(60)
+
+    def work() -> Mapping[str, Any]:
+        table = {k: float(k % 97) for k in range(20_000)}
+        total = sum(sorted(table.values())[::3])
+        for _ in range(60):
+            total += float(np.linalg.solve(matrix, matrix[0]).sum())
+            total += float(np.exp(-np.abs(matrix)).sum())
+        return {"value": total}
+
+    return work
+
+
+_OTHER = Size(2, 5)
+
+
+def scene_compile(size: Size, folder: Path) -> Work:
+    """Equations of motion, C code, and the compiler's run."""
+    return _afresh(lambda scene: load_kernel(scene).path, size, folder)
+
+
+def fmu_build(size: Size, folder: Path) -> Work:
+    """A whole FMU 2.0: code, description, binary, archive."""
+    return _afresh(build_fmu, size, folder)
+
+
+def _afresh(build: Callable[[Scene], Path], size: Size, folder: Path) -> Work:
+    """Another scene first, so that libraries and the compiler itself are in memory."""
+    os.environ["TOUCHSTONE_CACHE"] = str(scratch(folder))
+    build(scene_of(_OTHER))
+
+    def work() -> Mapping[str, Any]:
+        os.environ["TOUCHSTONE_CACHE"] = str(scratch(folder))
+        return {"value": float(build(scene_of(size)).stat().st_size)}
+
+    return work
+
+
+_TINY = Size(3, 5)
+# Longer than any measurement may take [s].
+_NO_LIMIT = 1e5
+
+
+def pyomo_build(size: Size, folder: Path) -> Work:
+    """Scene -> Pyomo model."""
+    scene = _warm(size)
+    return lambda: {"value": float(_built(scene).nvariables())}
+
+
+def translate(size: Size, folder: Path) -> Work:
+    """Pyomo model -> Ipopt's functions, their structure and code."""
+    from formulations.ipopt import compile_model
+
+    model = _built(_warm(size))
+    return lambda: {"value": float(compile_model(model).n)}
+
+
+def evaluate(size: Size, folder: Path) -> Work:
+    """Objective, constraints, gradient, Jacobian and Hessian at one point: what an iteration of Ipopt asks for."""
+    from formulations.ipopt import compile_model
+
+    problem = compile_model(_built(_warm(size)))
+    x = problem.start()[0]
+    lagrange = np.ones(problem.m)
+
+    def work() -> Mapping[str, Any]:
+        value = problem.objective(x)
+        problem.constraints(x)
+        problem.gradient(x)
+        problem.jacobian(x)
+        problem.hessian(x, lagrange, 1.0)
+        return {"value": float(value)}
+
+    return work
+
+
+def linear_algebra(size: Size, folder: Path) -> Work:
+    """An iteration of Ipopt less the functions it asks for, at the first eps from a cold start; its CPU share is that of its wall time."""
+    return _iteration(size, {})
+
+
+def with_mumps(size: Size, folder: Path) -> Work:
+    """`linear_algebra` with the linear solver that came with Ipopt."""
+    return _iteration(size, {"linear_solver": "mumps"})
+
+
+def _iteration(size: Size, options: Mapping[str, Any]) -> Work:
+    from formulations.ipopt import compile_model, solve
+
+    problem = compile_model(_built(_warm(size)))
+
+    def work() -> Mapping[str, Any]:
+        result = solve(problem, options=options)
+        seconds = result.seconds
+        share = seconds.linear_algebra / seconds.wall if seconds.wall > 0 else 1.0
+        iterations = max(1, result.iterations)
+        return {"cpu_s": seconds.cpu * share / iterations, "iterations": iterations, "outcome": result.outcome.name.lower()}
+
+    return work
+
+
+def softplus_chain(size: Size, folder: Path) -> Work:
+    """Scene -> the plans at three eps."""
+    scene = _warm(size)
+    return lambda: _chain(scene, SOFTPLUS_EPS)
+
+
+def cold_step(size: Size, folder: Path) -> Work:
+    """Scene -> the plan at the last eps, from a cold start."""
+    scene = _warm(size)
+    return lambda: _chain(scene, SOFTPLUS_EPS[-1:])
+
+
+def eps_step(size: Size, folder: Path) -> Work:
+    """The plan at the last eps from that at the one before, in a session that is open."""
+    from formulations.catalog import load_method
+
+    session = load_method("softplus_dc").open(_warm(size), {})
+    plan = None
+    for eps in SOFTPLUS_EPS[:-1]:
+        plan = session.solve(eps=eps, warm_start=plan, time_limit=_NO_LIMIT).trajectory
+
+    def work() -> Mapping[str, Any]:
+        solution = session.solve(eps=SOFTPLUS_EPS[-1], warm_start=plan, time_limit=_NO_LIMIT)
+        return {"outcome": solution.outcome.name.lower(), "iterations": solution.iterations, "value": solution.cost}
+
+    return work
+
+
+def _warm(size: Size) -> Any:
+    """The scene, with everything imported and compiled that it needs, and a small plan made."""
+    from models.codegen.kernel import load_kernel
+
+    scene = scene_of(size)
+    load_kernel(scene)
+    _built(scene_of(_TINY))
+    _chain(scene_of(_TINY), SOFTPLUS_EPS[:1])
+    return scene
+
+
+def _built(scene: Any) -> Any:
+    from formulations import ContactLaw, build_model
+
+    return build_model(scene, ContactLaw.SOFTPLUS, eps=SOFTPLUS_EPS[0])
+
+
+def _chain(scene: Any, schedule: tuple[float, ...]) -> Mapping[str, Any]:
+    from formulations.catalog import load_method
+
+    plan, solution, iterations = None, None, 0
+    with load_method("softplus_dc").open(scene, {}) as session:
+        for eps in schedule:
+            solution = session.solve(eps=eps, warm_start=plan, time_limit=_NO_LIMIT)
+            plan = solution.trajectory
+            iterations += solution.iterations
+    return {} if solution is None else {"outcome": solution.outcome.name.lower(), "iterations": iterations, "value": solution.cost}
+
+
+# Iterations of one call; the rate is so small that none of them leaves the plan it starts from.
+_ITERATIONS, _RATE = 100, 1e-9
+
+
+def gd_iteration(size: Size, folder: Path) -> Work:
+    """Loss, gradient, history, stopping rule, step and projection on the bounds, as the methods of single shooting run it."""
+    from formulations.shooting.descent import descend
+    from formulations.shooting.method import DescentOptions
+    from formulations.shooting.objective import Objective
+    from models.codegen.kernel import load_kernel
+    from models.contact_law import ContactLaw
+
+    objective = Objective(load_kernel(scene_of(size)), law=ContactLaw.RELU)
+    u, options = push(size.steps), DescentOptions(learning_rate=_RATE, iterations=_ITERATIONS)
+    descend(objective, u, DescentOptions(learning_rate=_RATE, iterations=2), 1e5)
+
+    def work() -> Mapping[str, Any]:
+        began = cpu_seconds()
+        descent = descend(objective, u, options, 1e5)
+        return {"cpu_s": (cpu_seconds() - began) / _ITERATIONS, "iterations": _ITERATIONS, "value": descent.history["gradient_norm"][0]}
+
+    return work
+
+
+def gd_kernel(size: Size, folder: Path) -> Work:
+    """The compiled part of an iteration: rollout and adjoint."""
+    import numpy as np
+
+    from models.codegen.kernel import load_kernel
+
+    scene, u = scene_of(size), push(size.steps)
+    kernel, start = load_kernel(scene), np.array(scene.task.start)
+
+    def work() -> Mapping[str, Any]:
+        plan = kernel.rollout(start, u, scene.task.step)
+        kernel.adjoint(plan, u, end_bar=start, cost_bar=INPUT_WEIGHT)
+        return {"value": float(plan.q[-1, 0])}
+
+    return work
+
+
+# Internal steps a plan step.
+FINENESS = 50
+
+
+def cs_replay(size: Size, folder: Path) -> Work:
+    """An unpacked FMU stepped through the plan; value: position of the first body at the end."""
+    return _stepped(size, FINENESS)
+
+
+def cs_calls(size: Size, folder: Path) -> Work:
+    """The same with one internal step a plan step: what the calls cost, and no more than the least integration."""
+    return _stepped(size, 1)
+
+
+def _stepped(size: Size, fineness: int) -> Work:
+    from models.fmu import build_fmu
+
+    scene, plan = scene_of(size), pushed_plan(size)
+    opened = unpacked(read_package(build_fmu(scene)))
+    package = opened.__enter__()  # kept open as long as the work is
+    variables, inputs = find_variables(package, scene), HeldInputs(plan)
+    simulate(package, variables, plan.start, HeldInputs(pushed_plan(_TINY)), fineness)
+
+    def work(_kept: object = opened) -> Mapping[str, Any]:
+        run = simulate(package, variables, plan.start, inputs, fineness)
+        return {"outcome": run.outcome.name.lower(), "value": float(np.asarray(run.outputs)[run.knots[-1], 0])}
+
+    return work
+
+
+def whole_replay(size: Size, folder: Path) -> Work:
+    """As `validate all` judges a plan: the reference at two tolerances, Co-Simulation at three steps."""
+    from models.fmu import build_fmu
+
+    scene, plan = scene_of(size), pushed_plan(size)
+    fmu = build_fmu(scene)
+    replay(scene_of(_TINY), build_fmu(scene_of(_TINY)), pushed_plan(_TINY))
+
+    def work() -> Mapping[str, Any]:
+        result = replay(scene, fmu, plan)
+        return {"outcome": result.outcome.name.lower(), "value": float(result.q[-1, 0])}
+
+    return work
+
+
+# Libraries that neither listing nor reporting may import.
+_HEAVY = ("torch", "pyomo")
+_CODE = """
+import sys
+from validate.cli.group import run
+code = run(sys.argv[1:])
+sys.stdout.flush()
+print(*[name for name in {heavy!r} if name in sys.modules], file=sys.stderr)
+sys.exit(code)
+"""
+# Where in the folder that measurements are given the records of a campaign are, if there is one.
+STORED = "stored"
+
+
+def list_command(size: Size, folder: Path) -> Work:
+    """`python -m validate list`."""
+    return lambda: _light(["list"])
+
+
+def report_command(size: Size, folder: Path) -> Work:
+    """`python -m validate report` of the stored campaign."""
+    return lambda: _light(["report", str(folder / STORED)])
+
+
+def quick_campaign(size: Size, folder: Path) -> Work:
+    """`python -m validate all --quick -j 2`, nothing stored; wall seconds."""
+    return lambda: _campaign(scratch(folder))
+
+
+def stored_campaign(size: Size, folder: Path) -> Work:
+    """The same again, everything stored; wall seconds."""
+    out = scratch(folder)
+    _campaign(out)
+    return lambda: _campaign(out)
+
+
+def _light(arguments: Sequence[str]) -> Mapping[str, Any]:
+    done = subprocess.run(
+        [sys.executable, "-c", _CODE.format(heavy=_HEAVY), *arguments], capture_output=True, text=True, check=False, errors="replace"
+    )
+    if done.returncode != 0:
+        raise RuntimeError(f"python -m validate {arguments[0]} ended with {done.returncode}: {done.stderr.strip()[-300:]}")
+    imported = done.stderr.strip().splitlines()[-1:] or [""]
+    return {"outcome": f"imports {imported[0]}" if imported[0] else "ok"}
+
+
+def _campaign(out: Path) -> Mapping[str, Any]:
+    began = perf_counter()
+    command = [sys.executable, "-m", "validate", "all", "--quick", "-j", "2", "--out", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, errors="replace")
+    if done.returncode not in (0, 1):
+        raise RuntimeError(f"python -m validate all --quick ended with {done.returncode}: {done.stderr.strip()[-300:]}")
+    return {"cpu_s": perf_counter() - began, "outcome": "ok" if done.returncode == 0 else "not all that must hold holds"}
+
+
+def copy_records(campaign: Path, folder: Path) -> None:
+    """The records of a campaign, without its trajectories, to where `report_command` looks for them."""
+    shutil.copytree(campaign, folder / STORED, ignore=shutil.ignore_patterns("*.nc", ".*", "*.html"))

@@ -1,0 +1,110 @@
+"""`verdicts`: see the package's docstring."""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+
+from benchmarks.verdicts import exact, search, wrong
+from benchmarks.verdicts.plans import SKIPPED, Case, NoPlanError, Plan, Said, judged_in_time, scene_of
+from models.errors import TouchstoneError
+from validate.disk import write_durably
+
+GROUPS = ("exact", "wrong", "search")
+SCENES = (
+    "three_cart", "wall_pendulum", "cart_chain", "hopper", "two_discs", "transport", "two_discs_wall", "cart_pole_walls", "acrobot_limits", "hopper_planar",
+    "slider",
+)  # fmt: skip
+
+
+def answer(case: Case, folder: Path) -> Said:
+    """What the judge says of the case's plan, written as a CSV file into a folder; "skipped" where the plan cannot be made."""
+    try:
+        scene = scene_of(case.scene)
+        plan = case.plan if isinstance(case.plan, Plan) else case.plan()
+    except (NoPlanError, TouchstoneError) as error:
+        return Said(verdict=SKIPPED, why=str(error))
+    return judged_in_time(scene, plan.write(folder / "plan.csv", scene))
+
+
+def differs(case: Case, said: Said) -> str:
+    """What is not as expected, or nothing."""
+    if said.verdict == SKIPPED:
+        return ""
+    if said.verdict not in case.expected:
+        return "verdict"
+    lowered = said.why.lower()
+    named = not case.causes or any(cause in lowered for cause in case.causes)
+    return "" if named and not any(cause in lowered for cause in case.never) else "cause"
+
+
+def _told(cases: Iterator[Case], only: str, rows: list[dict[str, object]]) -> int:
+    wrong_ones = 0
+    with tempfile.TemporaryDirectory() as folder:
+        for case in cases:
+            if only not in case.name:
+                continue
+            began = time.perf_counter()
+            said = answer(case, Path(folder))
+            fault = differs(case, said)
+            wrong_ones += bool(fault)
+            expected = case.expected[0] + (f" ({'|'.join(case.causes)})" if case.causes else "")
+            expected += f", never {'|'.join(case.never)}" if case.never else ""
+            rows.append(
+                {
+                    "plan": case.name, "expected": list(case.expected), "causes": list(case.causes), "said": said.verdict, "why": said.why, "differs": fault,
+                    "seconds": round(time.perf_counter() - began, 2), "figures": dict(said.figures),
+                }
+            )  # fmt: skip
+            click.echo(f"{'!! ' + fault if fault else 'ok':12}{case.name:75} {said.verdict:20} {said.why[:160]}")
+            if fault:
+                click.echo(f"{'':12}expected: {expected}")
+    return wrong_ones
+
+
+@click.command()
+@click.argument("groups", nargs=-1, type=click.Choice(GROUPS), metavar="[GROUP]...")
+@click.option("--scene", "scenes", type=click.Choice(SCENES), multiple=True, default=SCENES, help="Only these scenes; may be repeated.")
+@click.option("-k", "only", default="", metavar="TEXT", help="Only plans whose name has this in it.")
+@click.option("--tries", default=10, show_default=True, help="Wrong plans that the search makes for each scene.")
+@click.option("--seed", default=0, show_default=True, help="Of the search.")
+@click.option(
+    "--finds", type=click.Path(path_type=Path), default="runs/verdict_finds", show_default=True, help="Where plans go that the search finds to cheat."
+)  # fmt: skip
+@click.option("--mujoco", default=sys.executable, metavar="PYTHON", help="A Python that has MuJoCo (default: this one).")
+@click.option("--drake", default=sys.executable, metavar="PYTHON", help="A Python that has Drake (default: this one).")
+@click.option("--json", "out", type=click.Path(path_type=Path, dir_okay=False), help="Write what was said to this file.")
+def command(
+    groups: tuple[str, ...], scenes: tuple[str, ...], only: str, tries: int, seed: int, finds: Path, mujoco: str, drake: str, out: Path | None
+) -> int:  # fmt: skip
+    """Plans whose verdict is known, tried on the judge: GROUP is exact, wrong or search (default: all); exit code 1 where one is another."""
+    groups = groups or GROUPS
+    table: dict[str, Any] = {}
+    faults = 0
+    with tempfile.TemporaryDirectory() as folder:
+        if "exact" in groups:
+            rows: list[dict[str, object]] = []
+            faults += _told(exact.cases(scenes, {"mujoco": mujoco, "drake": drake}), only, rows)
+            table["exact"] = rows
+        if "wrong" in groups:
+            rows = []
+            faults += _told(wrong.cases(scenes, Path(folder)), only, rows)
+            table["wrong"] = rows
+    for name, rows in table.items():
+        skipped = sum(row["said"] == SKIPPED for row in rows)
+        odd = sum(bool(row["differs"]) for row in rows)
+        click.echo(f"{name}: {len(rows)} plans, {skipped} skipped, {odd} not as expected")
+    if "search" in groups:
+        result = search.run([name for name in scenes if name != "slider"], tries, seed, finds)
+        faults += result["said_to_hold"] + result["not_answered"]
+        table["search"] = result
+    if out is not None:
+        write_durably(out, json.dumps(table, indent=1) + "\n")
+    return 1 if faults else 0

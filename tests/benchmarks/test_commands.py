@@ -1,0 +1,69 @@
+"""`python -m benchmarks`: every command that is told exists, what was measured is told on the page, and mistakes are one sentence."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import pytest
+
+from benchmarks import ROOT
+from benchmarks.__main__ import _COMMANDS, group
+from benchmarks.measure import least, slope
+from benchmarks.page import render
+from validate.cli.group import run
+
+TEXT = (ROOT / "docs" / "benchmarks.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", _COMMANDS)
+def test_a_command_explains_itself_and_the_docs_name_it(name: str, capsys: pytest.CaptureFixture[str]):
+    assert run([name, "--help"], group, "python -m benchmarks") == 0
+    assert f"Usage: python -m benchmarks {name}" in capsys.readouterr().out
+    assert re.search(rf"`{name}[` ]|benchmarks {name}\b", TEXT), name
+
+
+def test_commands_in_docs_and_readme_exist():
+    texts = [path.read_text(encoding="utf-8") for path in (*(ROOT / "docs").glob("*.md"), ROOT / "README.md")]
+    for name in {name for text in texts for name in re.findall(r"python -m benchmarks ([a-z-]+)", text)}:
+        assert name in _COMMANDS, name
+
+
+def test_what_is_measured_is_listed_and_told_with_its_origin(cli, tmp_path):
+    done = cli("run", "shooting", "--out", str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == str(tmp_path / "page.html")
+    told = json.loads((tmp_path / "shooting.json").read_text())
+    assert told["provenance"]["command"].startswith("python -m benchmarks shooting")
+    assert [row[0] for row in told["tables"][0]["rows"][:3]] == ["relu: kernel", "relu: rollout", "relu: iteration"]
+    assert re.findall('<section id="(.*?)"', render(tmp_path)) == ["overview", "table-shooting"]
+    (line,) = [line for line in cli("list", str(tmp_path)).stdout.splitlines() if line.startswith("shooting")]
+    assert line.split()[1] == "measured"
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("siute",), "did you mean suite?"),
+        (("run", "golden"), "is not one of"),
+        (("page", "no_such_folder"), "there is no such folder"),
+        (("rigid-limit", "--stiffness", "5000"), "write k [N/m], a colon, steps"),
+        (("fuzz", "readers", "--only", "nobody"), "there is no reader"),
+    ],
+)
+def test_a_mistake_is_one_sentence(words: tuple[str, ...], sentence: str, cli, tmp_path):
+    done = cli(*words, cwd=tmp_path)
+    assert done.returncode == 2, done
+    assert sentence in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_slope_of_a_power_and_the_least_of_some():
+    assert slope((n, 3.0 * n**2) for n in (1.0, 2.0, 4.0, 8.0)) == pytest.approx(2.0)
+    assert slope([(1.0, 1.0), (2.0, 2.0), (3.0, 0.0)]) is None
+    calls = []
+    assert least(lambda: calls.append(1) or len(calls), repetitions=3)[0] == 1
+    assert len(calls) == 3
+    least(lambda: calls.append(1), repetitions=3, enough=-1.0)
+    assert len(calls) == 4

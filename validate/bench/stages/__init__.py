@@ -1,1 +1,0 @@
-"""Our stages: each function prepares, and hands back the work that is measured."""
