@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import sys
 import time
@@ -17,8 +16,8 @@ from benchmarks.checkout import module_at
 
 PROBLEMS = "tests/formulations/mpec/macmpec"
 
-# Where a peer given a CasADi program is written.
-PEERS = {"casadi_scholtes": "solvers", "pympcc": "solvers", "mpecss": "packages", "nosnoc": "packages"}
+# Peers that are given a CasADi program.
+PEERS = ("casadi_scholtes", "pympcc", "mpecss", "nosnoc")
 
 
 class Notes:
@@ -45,7 +44,9 @@ class Notes:
 
 
 def by_peer(peer: str, program: Any, notes: Notes) -> dict[str, Any]:
-    return notes.last(getattr(importlib.import_module(f"benchmarks.mpec.{PEERS[peer]}"), peer)(program, notes))
+    from benchmarks.mpec import solvers
+
+    return notes.last(getattr(solvers, peer)(program, notes))
 
 
 def on_three_cart(peer: str, seed: int, result: Path) -> dict[str, Any]:

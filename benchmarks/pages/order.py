@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from benchmarks.pages.chart import Point, chart
 from benchmarks.records import AnyRecord, OrderAnswer, OrderChoice, OrderRecord, OrderRow, OrderScene
 from reports.pages.section import Section
-from reports.plots.axis import Axis
-from reports.plots.figure import Key, Plot
+from reports.plots.figure import Plot
 from reports.wording import error, listing, power, seconds, small, spaced, times
 
-_STYLES = (("c5", "circle"), ("c1", "square"), ("c4", "diamond"), ("c2", "square"), ("c0", "circle"), ("c3", "diamond"))
 _NAMES = {
     "semi_implicit_euler": "semi-implicit Euler",
     "implicit_midpoint": "implicit midpoint",
@@ -67,31 +66,23 @@ def _plot(
     y_of: Callable[[OrderRow], float | None],
     what: str,
 ) -> Plot | None:
-    known: dict[str, list[tuple[float, float, OrderRow]]] = {}
-    for row in scene.rows:
+    series: dict[str, list[Point]] = {}
+    for row in sorted(scene.rows, key=lambda row: row.steps):
         y = y_of(row)
         if row.outcome == "solved" and y is not None and y > 0 and x_of(row) > 0:
-            known.setdefault(row.scheme, []).append((x_of(row), y, row))
-    points = [point for rows in known.values() for point in rows]
-    if not points:
-        return None
-    plot = Plot(
+            tip = f"{scheme_name(row.scheme)}, {row.steps} steps of {error(row.h)} s: {what} {error(y)} {scene.unit}, {seconds(row.cpu_s)} CPU s"
+            series.setdefault(scheme_name(row.scheme), []).append((x_of(row), y, tip))
+    plot = chart(
         title,
-        Axis.fitted(*across, [x for x, _, _ in points], log=True, margin=0.06),
-        Axis.fitted(what, scene.unit, [y for _, y, _ in points], log=True, margin=0.06),
-        width=720,
+        across,
+        (what, scene.unit),
+        {name: series[name] for name in map(scheme_name, scene.orders) if name in series},
+        lines=True,
         height=360,
     )
-    for place, (name, rows) in enumerate(known.items()):
-        style, marker = _STYLES[place % len(_STYLES)]
-        plot.keys.append(Key(style, scheme_name(name), marker))
-        rows.sort(key=lambda point: point[2].steps)
-        plot.line(scheme_name(name), style, [x for x, _, _ in rows], [y for _, y, _ in rows])
-        for x, y, row in rows:
-            tip = f"{scheme_name(name)}, {row.steps} steps of {error(row.h)} s: {what} {error(y)} {scene.unit}, {seconds(row.cpu_s)} CPU s"
-            plot.point(x, y, style, marker, tip)
-    best = min(points, key=lambda point: point[1])
-    plot.words = f"{len(points)} grids; the smallest {what} is {error(best[1])} {scene.unit}, {scheme_name(best[2].scheme)} with {best[2].steps} steps."
+    if plot is not None:
+        best = min((y, row.steps, row.scheme) for row in scene.rows if row.outcome == "solved" and (y := y_of(row)) is not None and y > 0)
+        plot.words = f"{sum(map(len, series.values()))} grids; the smallest {what} is {error(best[0])} {scene.unit}, {scheme_name(best[2])} with {best[1]} steps."
     return plot
 
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from benchmarks.pages.chart import chart
 from benchmarks.records import AnyRecord, ReplaySpeedRecord, SpeedRow, SpeedScene
 from reports.pages.section import Section
-from reports.plots.axis import Axis
-from reports.plots.figure import Key, Plot
+from reports.plots.figure import Plot
 from reports.wording import error, listing, number, small, spaced
 
-_STYLES = (("c5", "circle"), ("c1", "square"), ("c4", "diamond"), ("c2", "square"), ("c0", "circle"), ("c3", "diamond"))
 # Errors that a reader may want [m]: what judges a plan, and what judges the replay itself.
 _GOALS = (1e-3, 1e-6, 1e-9)
 # Below this an error is rounding; drawn at the edge.
@@ -47,22 +46,17 @@ def _name(kind: str) -> str:
 
 def _view(scene: SpeedScene) -> View:
     known = [(row, row.error_m) for row in scene.sweep if row.error_m is not None]
-    plot = Plot(
-        f"{scene.name}: CPU time against true error",
-        Axis.fitted("largest position error", "m", [max(missed, _SMALLEST) for _, missed in known], log=True),
-        Axis.fitted("CPU time of a replay", "s", [row.cpu_s for row, _ in known], log=True),
-        width=720,
-        height=400,
-    )
-    for place, kind in enumerate(dict.fromkeys(row.kind for row, _ in known)):
-        style, marker = _STYLES[place % len(_STYLES)]
-        plot.keys.append(Key(style, _name(kind), marker))
-        mine = sorted(
-            ((max(missed, _SMALLEST), row.cpu_s, row) for row, missed in known if row.kind == kind), key=lambda item: item[2].setting
-        )
-        plot.line(_name(kind), style, [x for x, _, _ in mine], [y for _, y, _ in mine])
-        for x, y, row in mine:
-            plot.point(x, y, style, marker, f"{_name(kind)}, {_setting(row)}: error {error(row.error_m)} m, {error(row.cpu_s)} CPU s")
+    series = {
+        _name(kind): [
+            (max(missed, _SMALLEST), row.cpu_s, f"{_name(kind)}, {_setting(row)}: error {error(row.error_m)} m, {error(row.cpu_s)} CPU s")
+            for row, missed in sorted(known, key=lambda item: item[0].setting)
+            if row.kind == kind
+        ]
+        for kind in dict.fromkeys(row.kind for row, _ in known)
+    }
+    title = f"{scene.name}: CPU time against true error"
+    plot = chart(title, ("largest position error", "m"), ("CPU time of a replay", "s"), series, lines=True)
+    assert plot is not None, "build leaves out a scene without a point"
     plot.words = "Further left is more exact, further down is faster; each point is one replay."
     return View(scene, plot, _sentence(scene, known), [row for row in scene.sweep if row.error_m is None])
 

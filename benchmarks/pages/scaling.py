@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from benchmarks.pages.chart import chart
 from benchmarks.records import AnyRecord, ScalingRecord, ScalingRow, ScalingStage
 from reports.pages.section import Section
-from reports.plots.axis import Axis
-from reports.plots.figure import Key, Plot
+from reports.plots.figure import Plot
 from reports.wording import error, listing, spaced
 
-_STYLES = (("c5", "circle"), ("c1", "square"), ("c4", "diamond"), ("c2", "square"), ("c0", "circle"), ("c3", "diamond"))
 # What counts as about linear: in time, and in memory.
 _LINEAR = {"time": 1.15, "memory": 1.05}
 # Below this [MiB] a growth of the process is its own bookkeeping.
@@ -41,28 +40,17 @@ def _view(record: ScalingRecord) -> View:
 
 
 def _plot(record: ScalingRecord, title: str, what: str, unit: str, value: Callable[[ScalingRow], float | None]) -> Plot | None:
-    known = {
-        stage.name: sorted(
-            ((row.n * row.steps, y, row) for row in stage.rows if (y := value(row)) is not None and y > 0), key=lambda point: point[:2]
-        )
+    series = {
+        spaced(stage.name): [
+            (float(row.n * row.steps), y, f"{spaced(stage.name)}, n = {row.n}, T = {row.steps}: {error(y)} {unit}, {spaced(row.outcome)}")
+            for row in stage.rows
+            if (y := value(row)) is not None and y > 0
+        ]
         for stage in record.stages
     }
-    points = [point for rows in known.values() for point in rows]
-    if not points:
-        return None
-    plot = Plot(
-        title,
-        Axis.fitted("bodies times steps, n T", "", [x for x, _, _ in points], log=True),
-        Axis.fitted(what, unit, [y for _, y, _ in points], log=True),
-        width=720,
-        height=400,
-    )
-    for place, (name, rows) in enumerate(known.items()):
-        style, marker = _STYLES[place % len(_STYLES)]
-        plot.keys.append(Key(style, spaced(name), marker))
-        for x, y, row in rows:
-            plot.point(x, y, style, marker, f"{spaced(name)}, n = {row.n}, T = {row.steps}: {error(y)} {unit}, {spaced(row.outcome)}")
-    plot.words = "Each point is one size; points on a line of slope one grow linearly."
+    plot = chart(title, ("bodies times steps, n T", ""), (what, unit), series)
+    if plot is not None:
+        plot.words = "Each point is one size; points on a line of slope one grow linearly."
     return plot
 
 

@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from benchmarks.pages.chart import Point, chart
 from benchmarks.records import AnyRecord, SuiteFigure, SuiteRecord, SuiteRow, middle, spread
 from reports.pages.section import Section
-from reports.plots.axis import Axis
-from reports.plots.figure import Key, Plot
+from reports.plots.figure import Plot
 from reports.wording import Sign, count, error, listing, number, seconds, spaced, times
 
 OURS = "touchstone"
 MET = Sign("met", "✓", "holds", "the median is at most the target")
 MISSED = Sign("missed", "✗", "violates", "the median is above the target")
 UNJUDGED = Sign("not judged", "○", "noplan", "not measured, or not at the size that the target is set for")
-_STYLES = tuple((f"c{place % 6}", marker) for marker in ("circle", "square", "diamond") for place in range(6))
 # The stages that a chain of collocation is made of; the last two come once an iteration.
 _ONCE, _EACH = ("pyomo_build", "translate"), ("evaluate", "linear_algebra")
 _OF_DESCENT = ("gd_against_pytorch", "gd_against_c")
@@ -139,26 +138,17 @@ def _factor(row: SuiteRow, ours: float | None) -> str:
 
 def _plot(rows: Iterable[SuiteRow]) -> Plot | None:
     """CPU time of our stages over n T, where there are several sizes."""
-    known: dict[str, list[tuple[float, float, SuiteRow]]] = {}
+    series: dict[str, list[Point]] = {}
     for row in rows:
         y = middle(row.cpu_s)
         if row.by == OURS and row.n and row.stage != "yardstick" and y:
-            known.setdefault(row.stage, []).append((float(row.n * row.steps), y, row))
-    points = [point for found in known.values() for point in found]
-    if len({x for x, _, _ in points}) < 2:
+            tip = f"{spaced(row.stage)}, n = {row.n}, T = {row.steps}: {error(y)} s"
+            series.setdefault(spaced(row.stage), []).append((float(row.n * row.steps), y, tip))
+    if len({x for points in series.values() for x, _, _ in points}) < 2:
         return None
-    plot = Plot(
-        "CPU time of our stages over n T",
-        Axis.fitted("bodies times steps, n T", "", [x for x, _, _ in points], log=True),
-        Axis.fitted("CPU time", "s", [y for _, y, _ in points], log=True),
-        width=720,
-        height=440,
-    )
-    for (stage, found), (style, marker) in zip(known.items(), _STYLES, strict=False):
-        plot.keys.append(Key(style, spaced(stage), marker))
-        for x, y, row in sorted(found, key=lambda point: point[:2]):
-            plot.point(x, y, style, marker, f"{spaced(stage)}, n = {row.n}, T = {row.steps}: {error(y)} s")
-    plot.words = "Medians; points on a line of slope one grow linearly."
+    plot = chart("CPU time of our stages over n T", ("bodies times steps, n T", ""), ("CPU time", "s"), series, height=440)
+    if plot is not None:
+        plot.words = "Medians; points on a line of slope one grow linearly."
     return plot
 
 

@@ -18,8 +18,7 @@ from enum import Enum
 from statistics import median
 
 from benchmarks.records import SuiteRecord, SuiteRow, middle
-from benchmarks.suite.case import OURS
-from benchmarks.suite.cases import YARDSTICK
+from benchmarks.suite.cases import OURS, YARDSTICK
 
 FACTOR, LEAST_MEMORY, SIGNIFICANCE = 1.15, 2.0, 0.01
 _Key = tuple[str, str, int, int]

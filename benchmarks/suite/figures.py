@@ -9,8 +9,7 @@ from statistics import median
 import numpy as np
 
 from benchmarks.records import SuiteFigure, SuiteRow
-from benchmarks.suite.case import OURS
-from benchmarks.suite.cases import YARDSTICK
+from benchmarks.suite.cases import OURS, YARDSTICK
 
 _Key = tuple[str, str]
 # Ratios of the paper's scene are the ones with targets: n = 3; and sizes from here on, because below fixed costs are all there is.

@@ -9,8 +9,7 @@ from pathlib import Path
 
 from benchmarks.measure import Sample, Size, sample
 from benchmarks.records import SuiteRecord, SuiteRow
-from benchmarks.suite.case import OURS, Case
-from benchmarks.suite.cases import CASES, FULL_SIZES, YARDSTICK
+from benchmarks.suite.cases import CASES, FULL_SIZES, OURS, YARDSTICK, Case
 from benchmarks.suite.figures import figures
 from models.errors import TouchstoneError
 from validate.disk import temporary_folder

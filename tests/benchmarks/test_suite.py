@@ -11,8 +11,7 @@ import pytest
 
 from benchmarks.measure import Size
 from benchmarks.records import SuiteRow
-from benchmarks.suite.case import OURS, Case
-from benchmarks.suite.cases import CASES, YARDSTICK
+from benchmarks.suite.cases import CASES, OURS, YARDSTICK, Case
 from benchmarks.suite.figures import RATIOS, figures
 from benchmarks.suite.run import BenchError, Settings, failures, plan, run_suite
 
