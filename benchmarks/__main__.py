@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from benchmarks.results import FOLDER, out_option
+from benchmarks.options import measured_argument, out_option
 from validate.cli.group import LazyGroup, run
 from validate.cli.table import table
 
@@ -73,7 +73,7 @@ def run_several(names: tuple[str, ...], out: Path) -> int:
 
 
 @group.command("list")
-@click.argument("folder", type=click.Path(path_type=Path), default=FOLDER, metavar="[DIR]")
+@measured_argument
 def list_all(folder: Path) -> int:
     """Benchmarks, and which of them have left figures in DIR (runs/benchmarks, if none is given)."""
     rows = [[name, "measured" if (folder / f"{name}.json").is_file() else "", words] for name, (_, words) in _MEASURED.items()]

@@ -17,11 +17,11 @@ from pathlib import Path
 import click
 
 from benchmarks.checkout import find_modules_in, module_at
+from benchmarks.options import COUNT, SEED, json_option
 from validate.disk import write_durably
 
 CHUNK = 250
 MEMORY = 6 * 1024**3  # [bytes] of address space: a reader that takes more has been made to
-_JSON = click.option("--json", "file", type=click.Path(path_type=Path, dir_okay=False), help="Write every answer to this file.")
 
 
 @click.group("fuzz")
@@ -30,9 +30,9 @@ def command() -> None:
 
 
 @command.command("mpec")
-@click.option("--seeds", default=500, show_default=True, help="How many problems.")
-@click.option("--first", default=0, show_default=True, help="The first seed.")
-@_JSON
+@click.option("--seeds", type=COUNT, default=500, show_default=True, help="How many problems.")
+@click.option("--first", type=SEED, default=0, show_default=True, help="The first seed.")
+@json_option
 def mpec(seeds: int, first: int, file: Path | None) -> int:
     """What `solve_mpec` says of random small MPECs beside what enumeration finds.
 
@@ -97,10 +97,10 @@ def fuzz(name: str, seeds: range) -> dict[int, str]:
 
 
 @command.command("readers")
-@click.option("--each", default=1500, show_default=True, help="Hostile files for each reader.")
-@click.option("--first", default=0, show_default=True, help="The first seed.")
+@click.option("--each", type=COUNT, default=1500, show_default=True, help="Hostile files for each reader.")
+@click.option("--first", type=SEED, default=0, show_default=True, help="The first seed.")
 @click.option("--only", metavar="READER", help="Only this reader.")
-@_JSON
+@json_option
 def readers(each: int, first: int, only: str | None, file: Path | None) -> int:
     """Hostile plans, maps, campaigns, scene files, FMUs, NetCDF and records.
 

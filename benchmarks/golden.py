@@ -19,6 +19,7 @@ from pathlib import Path
 
 import click
 
+from benchmarks.options import campaign_argument
 from reports.examination_record import ExaminationRecord
 from reports.load import load
 from reports.record import HOLD, RunRecord, StageRecord
@@ -56,8 +57,8 @@ def rows(folder: Path) -> Iterator[Row]:
     """One row for each stage and examination of a campaign, in the order of their names."""
     stored = load(folder)
     if stored.unreadable or stored.missing:
-        raise click.ClickException(
-            f"{folder}: the campaign is not whole: {len(stored.unreadable)} unreadable and {len(stored.missing)} missing records."
+        raise click.UsageError(
+            f"{folder}: the campaign is not whole ({len(stored.unreadable)} unreadable and {len(stored.missing)} missing records); end it first."
         )
     runs = [part for parts in stored.parts for part in parts]
     for run in sorted(runs, key=lambda run: (run.scene.name, run.pipeline, run.part)):
@@ -139,7 +140,7 @@ def command() -> None:
 
 
 @command.command()
-@click.argument("folder", type=click.Path(path_type=Path, exists=True))
+@campaign_argument
 @click.option("--exit-code", type=int, required=True, help="What the campaign's command ended with.")
 def freeze(folder: Path, exit_code: int) -> None:
     """Write the campaign's rows to benchmarks/golden.csv."""
@@ -153,7 +154,7 @@ def freeze(folder: Path, exit_code: int) -> None:
 
 
 @command.command()
-@click.argument("folder", type=click.Path(path_type=Path, exists=True))
+@campaign_argument
 @click.option("--exit-code", type=int, help="What the campaign's command ended with, to be compared too.")
 @click.option("--bits", "strict", is_flag=True, help="Fail where any number differs at all.")
 def compare(folder: Path, exit_code: int | None, strict: bool) -> int:

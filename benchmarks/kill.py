@@ -13,12 +13,13 @@ from pathlib import Path
 import click
 
 from benchmarks.checkout import find_modules_in
+from benchmarks.options import COUNT, json_option, seed_option
 from validate.disk import write_durably
 
 
 @click.command()
-@click.option("--kills", default=25, show_default=True)
-@click.option("--seed", default=0, show_default=True)
+@click.option("--kills", type=COUNT, default=25, show_default=True)
+@seed_option
 @click.option(
     "--engine",
     type=click.Choice(["local", "dask", "standing"]),
@@ -34,8 +35,8 @@ from validate.disk import write_durably
     show_default=True,
     help="int: as Ctrl-C, which must also end in words.",
 )
-@click.option("-j", "--jobs", default=2, show_default=True)
-@click.option("--json", "file", type=click.Path(path_type=Path, dir_okay=False), help="Write the figures to this file too.")
+@click.option("-j", "--jobs", type=COUNT, default=2, show_default=True)
+@json_option
 def command(kills: int, seed: int, engine: str, word: str, jobs: int, file: Path | None) -> int:
     """Kill a campaign with signal 9 at random moments and resume it; the figures as JSON, exit code 1 where a promise was broken.
 

@@ -25,8 +25,9 @@ import numpy as np
 import sympy as sp
 
 from benchmarks.measure import start_child
+from benchmarks.options import POSITIVE, out_option
 from benchmarks.records import Table
-from benchmarks.results import out_option, store_tables
+from benchmarks.results import store_tables
 from formulations.catalog import load_method
 from formulations.mpec.certificate.plan import certify_plan
 from models.catalog import load_scene
@@ -162,8 +163,8 @@ def run_child(name: str, steps: int, search: bool, time_limit: float) -> dict[st
 
 @click.command()
 @click.option("--only", default="", metavar="TEXT", help="Rows whose name contains this text.")
-@click.option("--random", "random_scenes", default=20, show_default=True, help="Random scenes of each kind.")
-@click.option("--time-limit", default=60.0, show_default=True, metavar="SECONDS", help="Of the clock, for a row.")
+@click.option("--random", "random_scenes", type=click.IntRange(min=0), default=20, show_default=True, help="Random scenes of each kind.")
+@click.option("--time-limit", type=POSITIVE, default=60.0, show_default=True, metavar="SECONDS", help="Of the clock, for a row.")
 @out_option
 def command(only: str, random_scenes: int, time_limit: float, out: Path) -> int:
     """`mpcc` from a cold start: outcome, cost, residuals, certificate, CPU seconds."""
@@ -173,6 +174,8 @@ def command(only: str, random_scenes: int, time_limit: float, out: Path) -> int:
         if only in case.name:
             rows.append(run(case, time_limit))
             click.echo(f"{case.name}: {rows[-1]['outcome']}, {rows[-1]['cpu']:.2f} CPU s", err=True)
+    if not rows:
+        raise click.UsageError(f"no row's name contains {only!r}; there are {', '.join(children)}, k=.. T=.., start 0 to 19, random ...")
     solved = sum(row["outcome"] == "SOLVED" for row in rows)
     told = Table(
         caption=f"{solved} of {len(rows)} solved, {sum(row['cpu'] for row in rows):.0f} CPU s.",

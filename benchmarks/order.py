@@ -25,7 +25,8 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from benchmarks.measure import least, slope
-from benchmarks.results import out_option, store
+from benchmarks.options import COUNT, POSITIVE, out_option
+from benchmarks.results import store
 from formulations.catalog import load_method
 from formulations.solution import Solution
 from models.catalog import load_scene
@@ -166,12 +167,16 @@ def measure(name: str, most: int, limit: float, repeats: int) -> dict[str, Any]:
 
 @click.command()
 @click.option("--scene", "scenes", type=click.Choice(sorted(GRIDS)), multiple=True, help="Only this scene; may be repeated.")
-@click.option("--most", default=10**6, metavar="STEPS", help="Leave out finer grids.")
-@click.option("--limit", default=300.0, show_default=True, metavar="SECONDS", help="For one solve.")
-@click.option("--repeats", default=3, show_default=True, help="Most solves of one grid.")
+@click.option("--most", type=COUNT, default=10**6, metavar="STEPS", help="Leave out finer grids.")
+@click.option("--limit", type=POSITIVE, default=300.0, show_default=True, metavar="SECONDS", help="For one solve.")
+@click.option("--repeats", type=COUNT, default=3, show_default=True, help="Most solves of one grid.")
 @out_option
 def command(scenes: tuple[str, ...], most: int, limit: float, repeats: int, out: Path) -> int:
     """Which grid and scheme give a plan that its replay confirms to 1e-2, 1e-3, 1e-4 m, and at what CPU time."""
+    for name in scenes or GRIDS:
+        coarsest = min(sum(GRIDS[name], ()))
+        if most < coarsest:
+            raise click.UsageError(f"--most {most} leaves no grid of {name}, whose coarsest has {coarsest} steps.")
     told = []
     for name in scenes or GRIDS:
         click.echo(name)

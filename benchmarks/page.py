@@ -9,8 +9,9 @@ from pathlib import Path
 
 import click
 
+from benchmarks.options import measured_argument
 from benchmarks.pages import cosimulation, order, replay_speed, rigid_limit, scaling, suite, tables, unstable_starts
-from benchmarks.results import FOLDER, stored
+from benchmarks.results import stored
 from reports.load import ReportError
 from reports.pages.section import Section
 from reports.parcels import Parcels
@@ -31,9 +32,11 @@ _SECTIONS = {
 
 
 def render(folder: Path) -> str:
-    """The page's text. Raises ReportError if there is no such folder."""
+    """The page's text. Raises ReportError if there is no such folder, or nothing in it."""
     templates, parcels = Templates(Path(__file__).parent / "pages" / "templates"), Parcels()
     records, unreadable = stored(folder)
+    if not records and not unreadable:
+        raise ReportError(f"{folder}: no benchmark has left figures there; `python -m benchmarks run NAME --out {folder}` measures.")
     told: list[tuple[Section, list]] = []
     for kind, maker in _SECTIONS.items():
         same = [record for record in records if record.kind == kind]
@@ -59,7 +62,7 @@ def render(folder: Path) -> str:
 
 
 @click.command()
-@click.argument("folder", type=click.Path(path_type=Path), default=FOLDER, metavar="[DIR]")
+@measured_argument
 def command(folder: Path) -> int:
     """Write DIR/page.html from what benchmarks left in DIR (runs/benchmarks, if none is given)."""
     try:

@@ -18,6 +18,7 @@ from typing import Any
 
 import click
 
+from benchmarks.options import COUNT, campaign_argument, json_option
 from models.catalog import load_scene, scene_names
 from models.errors import TouchstoneError
 from models.trajectory_netcdf import read_netcdf
@@ -70,12 +71,12 @@ def judged(scene: str, file: Path) -> tuple[str, str, dict[str, Any]]:
 
 
 @click.command()
-@click.argument("folder", type=click.Path(path_type=Path, exists=True))
-@click.option("--scene", "scenes", multiple=True, help="Only this scene; may be given again.")
+@campaign_argument
+@click.option("--scene", "scenes", type=click.Choice(scene_names()), multiple=True, help="Only this scene; may be given again.")
 @click.option("--all", "everything", is_flag=True, help="Every stage, not only those whose verdict changed.")
-@click.option("-j", "jobs", type=int, default=1, show_default=True)
-@click.option("--json", "out", type=click.Path(path_type=Path), help="Write all rows as JSON.")
-def command(folder: Path, scenes: tuple[str, ...], everything: bool, jobs: int, out: Path | None) -> int:
+@click.option("-j", "jobs", type=COUNT, default=1, show_default=True)
+@json_option
+def command(folder: Path, scenes: tuple[str, ...], everything: bool, jobs: int, file: Path | None) -> int:
     """Judge the stored plans of a campaign anew."""
     found = list(stages(folder, scenes))
     contents = {file: (record["scene"]["name"], file.read_bytes()) for record, _, file in found}
@@ -83,8 +84,8 @@ def command(folder: Path, scenes: tuple[str, ...], everything: bool, jobs: int, 
     with ProcessPoolExecutor(jobs) as pool:
         answers = dict(zip(first.values(), pool.map(judged, [scene for scene, _ in first], first.values()), strict=True))
     rows = []
-    for record, stage, file in found:
-        after, why, metrics = answers[first[contents[file]]]
+    for record, stage, plan in found:
+        after, why, metrics = answers[first[contents[plan]]]
         rows.append(
             Row(
                 scene=record["scene"]["name"],
@@ -106,6 +107,6 @@ def command(folder: Path, scenes: tuple[str, ...], everything: bool, jobs: int, 
             click.echo(f"{row.scene} | {row.pipeline} {row.stage} | {row.method}{eps} | {row.before} -> {row.after} | {row.why}")
     for (kind, before, after), count in sorted(Counter((row.kind, row.before, row.after) for row in rows).items()):
         click.echo(f"{count:5d}  {kind:9s} {before} -> {after}")
-    if out is not None:
-        write_durably(out, json.dumps([asdict(row) for row in rows], indent=0))
+    if file is not None:
+        write_durably(file, json.dumps([asdict(row) for row in rows], indent=0))
     return 0

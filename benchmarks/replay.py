@@ -19,7 +19,8 @@ import click
 import numpy as np
 
 from benchmarks.measure import least, timed
-from benchmarks.results import out_option, store
+from benchmarks.options import out_option
+from benchmarks.results import store
 from models.catalog import load_scene
 from models.fmu import build_fmu, variable_names
 from models.fmu.kinds import INTEGRATORS
@@ -200,8 +201,7 @@ def _deepest(result: Replay) -> float:
 def command(scenes: tuple[str, ...], no_sweep: bool, out: Path) -> int:
     """CPU seconds of the replay against its true error, of SCENES (or three_cart and two with a closed form), and beside FMPy's own simulation."""
     told = []
-    for name in scenes or _DEFAULT:
-        scene = load_scene(name)
+    for scene in list(map(load_scene, scenes or _DEFAULT)):
         plan = _plan(scene)
         fmu = build_fmu(scene)
         result, here = least(lambda scene=scene, fmu=fmu, plan=plan: replay(scene, fmu, plan), _REPETITIONS)

@@ -17,6 +17,7 @@ import click
 
 from benchmarks.checkout import module_at
 from benchmarks.measure import timed
+from benchmarks.options import campaign_argument
 from reports.load import load
 from reports.render import render, write_report
 
@@ -43,16 +44,20 @@ _METRICS = {"TaskDuration": "in all", "ScriptDuration": "script", "LayoutDuratio
 
 
 @click.command()
-@click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@campaign_argument
 @click.option(
-    "--browser", "program", type=shutil.which, default=shutil.which("chromium") or shutil.which("google-chrome"), metavar="PROGRAM"
+    "--browser",
+    default=lambda: shutil.which("chromium") or shutil.which("google-chrome"),
+    metavar="PROGRAM",
+    help="Chromium, if it is elsewhere.",
 )
 @click.option("--axe", type=click.Path(path_type=Path, exists=True), help="axe.min.js: also the violations of WCAG 2 A and AA.")
 @click.option("--kept", is_flag=True, help="Look at the report that is there, without writing it.")
-def command(folder: Path, program: str | None, axe: Path | None, kept: bool) -> int:
+def command(folder: Path, browser: str | None, axe: Path | None, kept: bool) -> int:
     """What the report of a campaign in FOLDER weighs, and seconds until a headless Chromium answers; exit code 1 where a target is missed."""
-    if program is None:
-        raise click.UsageError("there is no Chromium on this machine; give one with --browser.")
+    program = browser and shutil.which(browser)
+    if not program:
+        raise click.UsageError(f"there is no {browser or 'Chromium'} on this machine; give one with --browser.")
     browser_of = module_at("tests/reports/browser.py").Browser
     target = folder / "report.html"
     if not kept:
@@ -65,10 +70,10 @@ def command(folder: Path, program: str | None, axe: Path | None, kept: bool) -> 
         )
     size = target.stat().st_size / 1e6
     click.echo(f"{size:.2f} MB (target {_SIZE:g})")
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile, browser_of(program, Path(profile)) as browser:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile, browser_of(program, Path(profile)) as opened:
         visits = []
         for _ in range(_TRIES):
-            page = browser.open(target, metered=True)
+            page = opened.open(target, metered=True)
             found = page.evaluate(_READY)
             found["cpu"] = {item["name"]: item["value"] for item in page.call("Performance.getMetrics")["metrics"]}
             visits.append((found["interactive"], len(page.requests) - 1, len(page.messages), found))
@@ -85,7 +90,7 @@ def command(folder: Path, program: str | None, axe: Path | None, kept: bool) -> 
         violations = 0
         rules = None if axe is None else axe.read_text(encoding="utf-8")
         for width, dark in ((1400, False), (1400, True), (375, False), (375, True)) if rules else ():
-            page = browser.open(target, width=width, dark=dark)
+            page = opened.open(target, width=width, dark=dark)
             page.evaluate(f"{rules};0")
             found = page.evaluate(
                 "axe.run(document, {runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa']}).then((r) => r.violations.map("

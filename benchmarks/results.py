@@ -18,17 +18,6 @@ from reports.load import ReportError, Unreadable, read_record
 from validate.cli.table import table
 from validate.disk import make_folder, write_durably
 
-FOLDER = Path("runs/benchmarks")
-out_option = click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=FOLDER,
-    show_default=True,
-    metavar="DIR",
-    help="Where the figures go, for `python -m benchmarks page`.",
-)
-
 
 def typed() -> str:
     """The command that runs, as it was typed."""

@@ -20,7 +20,8 @@ from typing import Any
 import click
 import numpy as np
 
-from benchmarks.results import out_option, store
+from benchmarks.options import COUNT, POSITIVE, out_option
+from benchmarks.results import store
 from formulations.catalog import load_method
 from formulations.grids import on_grid
 from formulations.solution import Solution
@@ -137,10 +138,14 @@ def _row(wall: bool, k: float, steps: int, before: list[Trajectory], seconds: fl
 
 
 def _pairs(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> list[tuple[float, int]]:
-    try:
-        return [(float(k), int(steps)) for k, steps in (value.split(":") for value in values)]
-    except ValueError as error:
-        raise click.BadParameter(f"{values!r}: write k [N/m], a colon, steps, such as 5000:960.", context, parameter) from error
+    found = []
+    for value in values:
+        k, _, steps = value.partition(":")
+        try:
+            found.append((POSITIVE.convert(k, parameter, context), COUNT.convert(steps, parameter, context)))
+        except click.BadParameter as error:
+            raise click.BadParameter(f"{value!r}: write k [N/m], a colon, steps, such as 5000:960.", context, parameter) from error
+    return found
 
 
 @click.command()
@@ -149,7 +154,7 @@ def _pairs(context: click.Context, parameter: click.Parameter, values: tuple[str
     help="k [N/m] and steps; may be repeated, from soft to stiff.",
 )  # fmt: skip
 @click.option("--variant", type=click.Choice(["free", "wall", "both"]), default="both", show_default=True, help="Without a wall, with it.")
-@click.option("--seconds", default=120.0, show_default=True, help="For each solve.")
+@click.option("--seconds", type=POSITIVE, default=120.0, show_default=True, help="For each solve.")
 @out_option
 def command(sweep: list[tuple[float, int]], variant: str, seconds: float, out: Path) -> int:
     """The optimum of the two discs as their contact gets stiffer, against the optimum of rigid discs."""

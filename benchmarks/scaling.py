@@ -18,7 +18,8 @@ from typing import Any
 import click
 
 from benchmarks.measure import Size, Work, sample, slope
-from benchmarks.results import out_option, store
+from benchmarks.options import POSITIVE, out_option
+from benchmarks.results import store
 from validate.disk import temporary_folder
 
 SIZES = tuple(
@@ -116,8 +117,15 @@ def exponents(rows: list[dict[str, Any]]) -> dict[str, float | None]:
 
 @click.command()
 @click.option("--stage", "stages", type=click.Choice(list(STAGES)), multiple=True, help="Only this stage; may be repeated.")
-@click.option("--largest", default=60_000, show_default=True, metavar="NT", help="Leave out sizes with a larger n T.")
-@click.option("--limit", default=900.0, show_default=True, metavar="SECONDS", help="For one process.")
+@click.option(
+    "--largest",
+    type=click.IntRange(min=min(size.n * size.steps for size in SIZES)),
+    default=60_000,
+    show_default=True,
+    metavar="NT",
+    help="Leave out sizes with a larger n T.",
+)
+@click.option("--limit", type=POSITIVE, default=900.0, show_default=True, metavar="SECONDS", help="For one process.")
 @out_option
 def command(stages: tuple[str, ...], largest: int, limit: float, out: Path) -> int:
     """CPU time and memory of five stages over n carts and T steps, and the exponents of n T."""

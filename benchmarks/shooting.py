@@ -19,8 +19,9 @@ import numpy as np
 import torch
 
 from benchmarks.measure import Size, timed
+from benchmarks.options import out_option
 from benchmarks.records import Table
-from benchmarks.results import out_option, store_tables
+from benchmarks.results import store_tables
 from benchmarks.suite.peers import torch_loop
 from formulations.shooting.descent import descend
 from formulations.shooting.method import DescentOptions

@@ -17,7 +17,8 @@ from typing import Any
 import click
 import numpy as np
 
-from benchmarks.results import out_option, store
+from benchmarks.options import COUNT, SEED, out_option
+from benchmarks.results import store
 from formulations.catalog import load_method
 from formulations.pipeline import find_pipeline, stage_plan
 from models.catalog import load_scene
@@ -101,8 +102,8 @@ def _row(start: np.ndarray, tried: list[Tried]) -> dict[str, Any]:
 
 
 @click.command()
-@click.option("--starts", "number", default=100, show_default=True)
-@click.option("--seed", default=1, show_default=True)
+@click.option("--starts", "number", type=COUNT, default=100, show_default=True)
+@click.option("--seed", type=SEED, default=1, show_default=True)
 @out_option
 def command(number: int, seed: int, out: Path) -> int:
     """How many random starts of cart_pole_walls are balanced, in the tracked replay and in the open loop."""

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import click
 
-from benchmarks.cosim.study import MACRO_STEPS, cases, study
-from benchmarks.results import out_option, store
+from benchmarks.cosim.study import EVERY, MACRO_STEPS, cases, study
+from benchmarks.options import POSITIVE, out_option
+from benchmarks.results import store
+
+
+def _dividing(context: click.Context, parameter: click.Parameter, steps: tuple[float, ...]) -> tuple[float, ...]:
+    for h in steps:
+        if not h <= EVERY or not math.isclose(round(EVERY / h) * h, EVERY, rel_tol=1e-9):
+            raise click.BadParameter(f"{h:g} s does not divide {EVERY:g} s, the times at which motions are compared.", context, parameter)
+    return steps
 
 
 @click.command()
 @click.option(
-    "--step", "steps", type=float, multiple=True, default=MACRO_STEPS, help="A macro step [s] that divides 0.01 s; may be repeated."
-)
+    "--step", "steps", type=POSITIVE, multiple=True, default=MACRO_STEPS, callback=_dividing,
+    help="A macro step [s] that divides 0.01 s; may be repeated.",
+)  # fmt: skip
 @out_option
 def command(steps: tuple[float, ...], out: Path) -> int:
     """Energy, momentum and CPU time of a split scene against the macro step; 5 CPU minutes.

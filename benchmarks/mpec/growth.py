@@ -20,8 +20,9 @@ import pyomo.environ as pyo
 from pyomo.mpec import Complementarity, complements
 
 from benchmarks.measure import start_child
+from benchmarks.options import COUNT, out_option
 from benchmarks.records import Table
-from benchmarks.results import out_option, store_tables
+from benchmarks.results import store_tables
 
 _FORCE, _CONTROL, _WEIGHT = -10.0, 20.0, 1e-2
 
@@ -81,14 +82,14 @@ def solve(side: int) -> dict[str, Any]:
 
 @click.command()
 @click.option(
-    "--side", "sides", type=int, multiple=True, default=(10, 32, 55), show_default=True, help="Grid points a side; may be repeated."
+    "--side", "sides", type=COUNT, multiple=True, default=(10, 32, 55), show_default=True, help="Grid points a side; may be repeated."
 )
-@click.option("--limit", default=300, show_default=True, metavar="SECONDS", help="CPU seconds of one size.")
+@click.option("--limit", type=COUNT, default=300, show_default=True, metavar="SECONDS", help="CPU seconds of one size.")
 @out_option
 def command(sides: tuple[int, ...], limit: int, out: Path) -> int:
     """How `mpec_ipopt` grows with the number of pairs: a membrane over an obstacle."""
     rows: list[dict[str, Any]] = []
-    for side in sides:
+    for side in dict.fromkeys(sides):
         with start_child("benchmarks.mpec.growth", str(side), cpu_limit=limit, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as child:
             told, said = child.communicate()
         if child.returncode:

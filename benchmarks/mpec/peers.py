@@ -18,8 +18,9 @@ from typing import Any
 import click
 
 from benchmarks.mpec.process import reached, run_one
+from benchmarks.options import POSITIVE, out_option
 from benchmarks.records import Table
-from benchmarks.results import out_option, store_tables, tables_of
+from benchmarks.results import store_tables, tables_of
 
 Row = dict[str, Any]
 PEERS = ("mpcc", "mpec_ipopt", "casadi_scholtes", "nosnoc", "pympcc", "mpecss")
@@ -97,9 +98,11 @@ def tables(rows: list[Row]) -> list[Table]:
 
 
 @click.command()
-@click.option("--seeds", default=20, show_default=True, help="Random starts a peer.")
-@click.option("--package-seeds", default=20, show_default=True, help=f"Random starts for {', '.join(PACKAGES)}.")
-@click.option("--limit", default=60.0, show_default=True, metavar="SECONDS", help="CPU seconds of one solve.")
+@click.option("--seeds", type=click.IntRange(min=0), default=20, show_default=True, help="Random starts a peer.")
+@click.option(
+    "--package-seeds", type=click.IntRange(min=0), default=20, show_default=True, help=f"Random starts for {', '.join(PACKAGES)}."
+)
+@click.option("--limit", type=POSITIVE, default=60.0, show_default=True, metavar="SECONDS", help="CPU seconds of one solve.")
 @click.option("--no-macmpec", is_flag=True, help="The carts alone.")
 @out_option
 def command(seeds: int, package_seeds: int, limit: float, no_macmpec: bool, out: Path) -> int:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from benchmarks.results import out_option, store, typed
+from benchmarks.options import out_option
+from benchmarks.results import store, typed
 from validate.cli.table import one_line, table
 
 if TYPE_CHECKING:

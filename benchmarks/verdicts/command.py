@@ -12,6 +12,7 @@ from typing import Any
 
 import click
 
+from benchmarks.options import COUNT, json_option, seed_option
 from benchmarks.verdicts import exact, search, wrong
 from benchmarks.verdicts.plans import SKIPPED, Case, NoPlanError, Plan, Said, judged_in_time, scene_of
 from models.errors import TouchstoneError
@@ -73,16 +74,16 @@ def _told(cases: Iterator[Case], only: str, rows: list[dict[str, object]]) -> in
 @click.argument("groups", nargs=-1, type=click.Choice(GROUPS), metavar="[GROUP]...")
 @click.option("--scene", "scenes", type=click.Choice(SCENES), multiple=True, default=SCENES, help="Only these scenes; may be repeated.")
 @click.option("-k", "only", default="", metavar="TEXT", help="Only plans whose name has this in it.")
-@click.option("--tries", default=10, show_default=True, help="Wrong plans that the search makes for each scene.")
-@click.option("--seed", default=0, show_default=True, help="Of the search.")
+@click.option("--tries", type=COUNT, default=10, show_default=True, help="Wrong plans that the search makes for each scene.")
+@seed_option
 @click.option(
     "--finds", type=click.Path(path_type=Path), default="runs/verdict_finds", show_default=True, help="Where plans go that the search finds to cheat."
 )  # fmt: skip
 @click.option("--mujoco", default=sys.executable, metavar="PYTHON", help="A Python that has MuJoCo (default: this one).")
 @click.option("--drake", default=sys.executable, metavar="PYTHON", help="A Python that has Drake (default: this one).")
-@click.option("--json", "out", type=click.Path(path_type=Path, dir_okay=False), help="Write what was said to this file.")
+@json_option
 def command(
-    groups: tuple[str, ...], scenes: tuple[str, ...], only: str, tries: int, seed: int, finds: Path, mujoco: str, drake: str, out: Path | None
+    groups: tuple[str, ...], scenes: tuple[str, ...], only: str, tries: int, seed: int, finds: Path, mujoco: str, drake: str, file: Path | None
 ) -> int:  # fmt: skip
     """Plans whose verdict is known, tried on the judge: GROUP is exact, wrong or search (default: all); exit code 1 where one is another."""
     groups = groups or GROUPS
@@ -97,6 +98,8 @@ def command(
             rows = []
             faults += _told(wrong.cases(scenes, Path(folder)), only, rows)
             table["wrong"] = rows
+    if only and not any(table.values()) and "search" not in groups:
+        raise click.UsageError(f"no plan of {', '.join(scenes)} has {only!r} in its name.")
     for name, rows in table.items():
         skipped = sum(row["said"] == SKIPPED for row in rows)
         odd = sum(bool(row["differs"]) for row in rows)
@@ -105,6 +108,6 @@ def command(
         result = search.run([name for name in scenes if name != "slider"], tries, seed, finds)
         faults += result["said_to_hold"] + result["not_answered"]
         table["search"] = result
-    if out is not None:
-        write_durably(out, json.dumps(table, indent=1) + "\n")
+    if file is not None:
+        write_durably(file, json.dumps(table, indent=1) + "\n")
     return 1 if faults else 0
