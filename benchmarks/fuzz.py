@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import logging
-import multiprocessing
 import random
 import resource
+import sys
 import tempfile
 import time
 import warnings
@@ -17,6 +17,7 @@ from pathlib import Path
 import click
 
 from benchmarks.checkout import find_modules_in, module_at
+from benchmarks.measure import run_child
 from benchmarks.options import COUNT, SEED, json_option
 from validate.disk import write_durably
 
@@ -63,14 +64,14 @@ def mpec(seeds: int, first: int, file: Path | None) -> int:
     return 1 if any(agreement in judge.WRONG for agreement, _ in classes) else 0
 
 
-def _chunk(name: str, seeds: range, results: str) -> None:
+def _chunk(name: str, results: str, *seeds: str) -> None:
     find_modules_in("tests/validate")
     from hostile_inputs import READERS, tried  # pyright: ignore[reportMissingImports]
 
     warnings.simplefilter("ignore")
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     with tempfile.TemporaryDirectory() as folder, open(results, "a", encoding="utf-8") as file:
-        for seed in seeds:
+        for seed in map(int, seeds):
             outcome = tried(READERS[name], random.Random(seed), Path(folder))
             file.write(json.dumps([seed, outcome]) + "\n")
             file.flush()
@@ -84,14 +85,12 @@ def fuzz(name: str, seeds: range) -> dict[int, str]:
         left = list(seeds)
         while left:
             part = left[:CHUNK]
-            process = multiprocessing.get_context("spawn").Process(target=_chunk, args=(name, part, str(results)))
-            process.start()
-            process.join()
+            done = run_child("benchmarks.fuzz", name, str(results), *map(str, part))
             lines = results.read_text(encoding="utf-8").splitlines() if results.exists() else []
             found |= dict(map(json.loads, lines))
             dead = next((seed for seed in part if seed not in found), None)
             if dead is not None:
-                found[dead] = f"crash: the process ended with {process.exitcode}"
+                found[dead] = f"crash: the process ended with {done.returncode}"
             left = [seed for seed in left if seed not in found]
     return found
 
@@ -130,3 +129,7 @@ def readers(each: int, first: int, only: str | None, file: Path | None) -> int:
     if file is not None:
         write_durably(file, json.dumps(table, indent=1))
     return 1 if faults else 0
+
+
+if __name__ == "__main__":
+    _chunk(*sys.argv[1:])

@@ -14,6 +14,7 @@ import gc
 import importlib
 import os
 import resource
+import signal
 import subprocess
 import sys
 import tempfile
@@ -154,15 +155,22 @@ def slope(points: Iterable[tuple[float, float]]) -> float | None:
     return float(np.polyfit(logs[:, 0], logs[:, 1], 1)[0])
 
 
-def start_child(module: str, *arguments: str, cpu_limit: float | None = None, **options: Any) -> subprocess.Popen[str]:
-    """`python -m module arguments` with one thread, wherever this process stands; cpu_limit: CPU seconds after which it is ended by SIGXCPU."""
+def run_child(
+    module: str, *arguments: str, cpu_limit: float | None = None, timeout: float | None = None
+) -> subprocess.CompletedProcess[str]:
+    """`python -m module arguments` with one thread, wherever this process stands; it is gone when this returns, and Ctrl-C is ours to tell.
+
+    cpu_limit: CPU seconds after which it is ended by SIGXCPU; timeout: seconds of the clock. Raises subprocess.TimeoutExpired.
+    """
     environment = {**os.environ, **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")}
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), environment.get("PYTHONPATH", "")]))
-    limit = None if cpu_limit is None else (int(cpu_limit) + 1, int(cpu_limit) + 2)
-    return subprocess.Popen(
-        [sys.executable, "-m", module, *arguments],
-        env=environment,
-        text=True,
-        preexec_fn=None if limit is None else lambda: resource.setrlimit(resource.RLIMIT_CPU, limit),
-        **options,
+
+    def prepare() -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        if cpu_limit is not None:
+            resource.setrlimit(resource.RLIMIT_CPU, (int(cpu_limit) + 1, int(cpu_limit) + 2))
+
+    command = [sys.executable, "-m", module, *arguments]
+    return subprocess.run(
+        command, env=environment, capture_output=True, text=True, errors="replace", timeout=timeout, check=False, preexec_fn=prepare
     )

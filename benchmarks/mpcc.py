@@ -12,7 +12,6 @@ inputs lead, so that it can be reached for certain, moving in general; `far`: ou
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ import click
 import numpy as np
 import sympy as sp
 
-from benchmarks.measure import start_child
+from benchmarks.measure import run_child
 from benchmarks.options import POSITIVE, out_option
 from benchmarks.records import Table
 from benchmarks.results import store_tables
@@ -151,13 +150,12 @@ def three_cart(steps: int, search: bool, time_limit: float) -> None:
     click.echo(json.dumps({"outcome": solution.outcome.name, "cost": solution.cost, "cpu": process_time()}))
 
 
-def run_child(name: str, steps: int, search: bool, time_limit: float) -> dict[str, Any]:
+def as_process(name: str, steps: int, search: bool, time_limit: float) -> dict[str, Any]:
     """One row, as a process of its own."""
-    with start_child("benchmarks.mpcc", str(steps), str(int(search)), str(time_limit), stdout=subprocess.PIPE) as child:
-        told, _ = child.communicate()
-    if child.returncode:
-        raise click.ClickException(f"{name}: its process ended with code {child.returncode}")
-    found = json.loads(told)
+    done = run_child("benchmarks.mpcc", str(steps), str(int(search)), str(time_limit))
+    if done.returncode:
+        raise click.ClickException(f"{name}: its process ended with code {done.returncode}: {done.stderr.strip()[-200:]}")
+    found = json.loads(done.stdout)
     return {"name": name, **found, "cost_h": found["cost"] * 5.0 / steps if found["cost"] else None}
 
 
@@ -169,13 +167,13 @@ def run_child(name: str, steps: int, search: bool, time_limit: float) -> dict[st
 def command(only: str, random_scenes: int, time_limit: float, out: Path) -> int:
     """`mpcc` from a cold start: outcome, cost, residuals, certificate, CPU seconds."""
     children = {"three_cart, no search": (500, False), "three_cart": (500, True), "three_cart T=5000": (5000, True)}
-    rows = [run_child(name, *child, time_limit) for name, child in children.items() if only in name]
+    rows = [as_process(name, *child, time_limit) for name, child in children.items() if only in name]
     for case in cases(random_scenes):
         if only in case.name:
             rows.append(run(case, time_limit))
             click.echo(f"{case.name}: {rows[-1]['outcome']}, {rows[-1]['cpu']:.2f} CPU s", err=True)
     if not rows:
-        raise click.UsageError(f"no row's name contains {only!r}; there are {', '.join(children)}, k=.. T=.., start 0 to 19, random ...")
+        raise click.UsageError(f"no row's name contains {only!r}; there are {', '.join(children)}, k=.. T=.., start 0 to 19, random ..")
     solved = sum(row["outcome"] == "SOLVED" for row in rows)
     told = Table(
         caption=f"{solved} of {len(rows)} solved, {sum(row['cpu'] for row in rows):.0f} CPU s.",

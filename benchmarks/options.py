@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 
 import click
@@ -20,6 +21,13 @@ def _place(context: click.Context, parameter: click.Parameter, path: Path | None
         if not there.is_dir() or not os.access(there, os.W_OK):
             raise click.BadParameter(f"nothing can be written to {there}; name another place.", context, parameter)
     return path
+
+
+def program(context: click.Context, parameter: click.Parameter, name: str | None) -> str | None:
+    """A program by its path, or by its name where the shell finds it."""
+    if name is not None and shutil.which(name) is None:
+        raise click.BadParameter(f"there is no program {name}.", context, parameter)
+    return name
 
 
 def _campaign(context: click.Context, parameter: click.Parameter, folder: Path) -> Path:

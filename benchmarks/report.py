@@ -17,7 +17,7 @@ import click
 
 from benchmarks.checkout import module_at
 from benchmarks.measure import timed
-from benchmarks.options import campaign_argument
+from benchmarks.options import campaign_argument, program
 from reports.load import load
 from reports.render import render, write_report
 
@@ -47,6 +47,7 @@ _METRICS = {"TaskDuration": "in all", "ScriptDuration": "script", "LayoutDuratio
 @campaign_argument
 @click.option(
     "--browser",
+    callback=program,
     default=lambda: shutil.which("chromium") or shutil.which("google-chrome"),
     metavar="PROGRAM",
     help="Chromium, if it is elsewhere.",
@@ -55,9 +56,8 @@ _METRICS = {"TaskDuration": "in all", "ScriptDuration": "script", "LayoutDuratio
 @click.option("--kept", is_flag=True, help="Look at the report that is there, without writing it.")
 def command(folder: Path, browser: str | None, axe: Path | None, kept: bool) -> int:
     """What the report of a campaign in FOLDER weighs, and seconds until a headless Chromium answers; exit code 1 where a target is missed."""
-    program = browser and shutil.which(browser)
-    if not program:
-        raise click.UsageError(f"there is no {browser or 'Chromium'} on this machine; give one with --browser.")
+    if browser is None:
+        raise click.UsageError("there is no Chromium on this machine; give one with --browser.")
     browser_of = module_at("tests/reports/browser.py").Browser
     target = folder / "report.html"
     if not kept:
@@ -70,7 +70,7 @@ def command(folder: Path, browser: str | None, axe: Path | None, kept: bool) -> 
         )
     size = target.stat().st_size / 1e6
     click.echo(f"{size:.2f} MB (target {_SIZE:g})")
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile, browser_of(program, Path(profile)) as opened:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile, browser_of(browser, Path(profile)) as opened:
         visits = []
         for _ in range(_TRIES):
             page = opened.open(target, metered=True)

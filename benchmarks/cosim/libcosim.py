@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.measure import start_child
+from benchmarks.measure import run_child
 from validate.disk import disk_error, temporary_folder
 
 FIXED, ECCO = "fixed", "ecco"
@@ -51,12 +51,10 @@ def run_libcosim(
             paths[0].write_text(json.dumps(job), encoding="utf-8")
         except OSError as error:
             raise disk_error(paths[0], error) from error
-        with start_child("benchmarks.cosim.libcosim", *map(str, paths), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as child:
-            try:
-                code = child.wait(_PATIENCE)
-            except subprocess.TimeoutExpired:
-                child.kill()
-                return f"libcosim did not end within {_PATIENCE:g} s"
+        try:
+            code = run_child("benchmarks.cosim.libcosim", *map(str, paths), timeout=_PATIENCE).returncode
+        except subprocess.TimeoutExpired:
+            return f"libcosim did not end within {_PATIENCE:g} s"
         if code != 0 or not paths[1].is_file():
             return f"libcosim ended with code {code}"
         told = json.loads(paths[1].read_text(encoding="utf-8"))

@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import math
 import resource
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ import click
 import pyomo.environ as pyo
 from pyomo.mpec import Complementarity, complements
 
-from benchmarks.measure import start_child
+from benchmarks.measure import run_child
 from benchmarks.options import COUNT, out_option
 from benchmarks.records import Table
 from benchmarks.results import store_tables
@@ -90,13 +89,12 @@ def command(sides: tuple[int, ...], limit: int, out: Path) -> int:
     """How `mpec_ipopt` grows with the number of pairs: a membrane over an obstacle."""
     rows: list[dict[str, Any]] = []
     for side in dict.fromkeys(sides):
-        with start_child("benchmarks.mpec.growth", str(side), cpu_limit=limit, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as child:
-            told, said = child.communicate()
-        if child.returncode:
-            reason = said.strip().splitlines()[-1:] or [f"no answer within {limit} CPU s"]
+        done = run_child("benchmarks.mpec.growth", str(side), cpu_limit=limit)
+        if done.returncode:
+            reason = done.stderr.strip().splitlines()[-1:] or [f"no answer within {limit} CPU s"]
             rows.append({"side": side, "outcome": reason[0]})
         else:
-            rows.append(json.loads(told.splitlines()[-1]))
+            rows.append(json.loads(done.stdout.splitlines()[-1]))
         click.echo(f"{side**2} pairs: {rows[-1]['outcome']}", err=True)
     lines, before = [], None
     for row in rows:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 import math
 import signal
-import subprocess
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from benchmarks.measure import Size, Work, cpu_seconds, start_child
+from benchmarks.measure import Size, Work, cpu_seconds, run_child
 from validate.disk import temporary_folder
 
 # CPU seconds after which a peer of the suite is stopped; its last point then stands.
@@ -22,10 +21,7 @@ def run_one(peer: str, problem: str, seed: int, limit: float) -> dict[str, Any]:
     with temporary_folder("touchstone-mpec-") as folder:
         result, before = folder / "result.json", cpu_seconds()
         arguments = (peer, problem, str(seed), str(result))
-        with start_child(
-            "benchmarks.mpec.run_one", *arguments, cpu_limit=limit, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        ) as child:
-            code = child.wait()
+        code = run_child("benchmarks.mpec.run_one", *arguments, cpu_limit=limit).returncode
         told: dict[str, Any] = {"reason": f"no point, ended with code {code}"}
         if code == -signal.SIGXCPU:
             told = {"reason": f"no point within {limit:g} CPU s"}

@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from benchmarks.options import COUNT, json_option, seed_option
+from benchmarks.options import COUNT, json_option, program, seed_option
 from benchmarks.verdicts import exact, search, wrong
 from benchmarks.verdicts.plans import SKIPPED, Case, NoPlanError, Plan, Said, judged_in_time, scene_of
 from models.errors import TouchstoneError
@@ -79,8 +79,8 @@ def _told(cases: Iterator[Case], only: str, rows: list[dict[str, object]]) -> in
 @click.option(
     "--finds", type=click.Path(path_type=Path), default="runs/verdict_finds", show_default=True, help="Where plans go that the search finds to cheat."
 )  # fmt: skip
-@click.option("--mujoco", default=sys.executable, metavar="PYTHON", help="A Python that has MuJoCo (default: this one).")
-@click.option("--drake", default=sys.executable, metavar="PYTHON", help="A Python that has Drake (default: this one).")
+@click.option("--mujoco", callback=program, default=sys.executable, metavar="PYTHON", help="A Python that has MuJoCo (default: this one).")
+@click.option("--drake", callback=program, default=sys.executable, metavar="PYTHON", help="A Python that has Drake (default: this one).")
 @json_option
 def command(
     groups: tuple[str, ...], scenes: tuple[str, ...], only: str, tries: int, seed: int, finds: Path, mujoco: str, drake: str, file: Path | None

@@ -8,7 +8,7 @@ import re
 import pytest
 
 from benchmarks import ROOT
-from benchmarks.__main__ import _COMMANDS, group
+from benchmarks.commands import _COMMANDS, group
 from benchmarks.measure import least, slope
 from benchmarks.page import render
 from validate.cli.group import run
