@@ -1,4 +1,4 @@
-"""`mpcc` from a cold start, on the paper's scene and around it: outcome, cost, residuals, certificate, CPU seconds.
+"""Method mpcc from a cold start, on the paper's scene and around it: outcome, cost, residuals, certificate, CPU seconds.
 
 The three_cart rows are whole processes: CPU seconds of a fresh Python with imports, model and solve. The others run here, one after the other;
 their CPU seconds are those of opening and solving. J*h compares grids: cost is a sum over steps. `class` is what `formulations.mpec` says of

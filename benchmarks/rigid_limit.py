@@ -142,7 +142,7 @@ def _pairs(context: click.Context, parameter: click.Parameter, values: tuple[str
     for value in values:
         k, _, steps = value.partition(":")
         try:
-            found.append((POSITIVE.convert(k, parameter, context), COUNT.convert(steps, parameter, context)))
+            found.append((POSITIVE(k, parameter, context), COUNT(steps, parameter, context)))
         except click.BadParameter as error:
             raise click.BadParameter(f"{value!r}: write k [N/m], a colon, steps, such as 5000:960.", context, parameter) from error
     return found

@@ -17,7 +17,6 @@ MISSED = Sign("missed", "✗", "violates", "the median is above the target")
 UNJUDGED = Sign("not judged", "○", "noplan", "not measured, or not at the size that the target is set for")
 # The stages that a chain of collocation is made of; the last two come once an iteration.
 _ONCE, _EACH = ("pyomo_build", "translate"), ("evaluate", "linear_algebra")
-_OF_DESCENT = ("gd_against_pytorch", "gd_against_c")
 _OF_CHAIN = ("chain_against_casadi", "chain_against_drake", "pyomo_share")
 
 
@@ -84,9 +83,9 @@ def _shown(figure: SuiteFigure, record: SuiteRecord) -> Shown:
 def _profile(figure: SuiteFigure, rows: Iterable[SuiteRow]) -> str:
     """Where our time went, from the stages that were measured beside it."""
     here = {row.stage: row for row in rows if row.by == OURS and (row.n, row.steps) == (figure.n, figure.steps)}
-    if figure.name in _OF_DESCENT:
+    if figure.name == "gd_against_pytorch":
         return _profile_of_two(
-            here, "gd_iteration", "gd_kernel", "compiled rollout and adjoint", "loss, history, stopping rule and step, compiled too"
+            here, "gd_iteration", "gd_kernel", "compiled rollout and adjoint", "loss, history, stopping rule and step, in PyTorch"
         )
     if figure.name == "replay_against_fmpy":
         return _profile_of_two(

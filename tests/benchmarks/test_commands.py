@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import signal
+import subprocess
+import sys
 
 import pytest
 
@@ -47,7 +51,19 @@ def test_what_is_measured_is_listed_and_told_with_its_origin(cli, tmp_path):
         (("siute",), "did you mean suite?"),
         (("run", "golden"), "is not one of"),
         (("page", "no_such_folder"), "there is no such folder"),
+        (("page", "."), "no benchmark has left figures there"),
         (("rigid-limit", "--stiffness", "5000"), "write k [N/m], a colon, steps"),
+        (("rigid-limit", "--stiffness", "5000:0"), "write k [N/m], a colon, steps"),
+        (("scaling", "--largest", "10"), "x>=1500"),
+        (("scaling", "--limit", "nan"), "not a finite number"),
+        (("order", "--most", "30", "--scene", "hopper"), "whose coarsest has 50 steps"),
+        (("cosim", "--step", "0.003"), "does not divide 0.01 s"),
+        (("replay", "three_cart", "nobody"), "there is no scene"),
+        (("verdicts", "exact", "--mujoco", "/no/python"), "there is no program"),
+        (("kill", "--kills", "0"), "x>=1"),
+        (("golden", "compare", "."), "there is no campaign in this folder"),
+        (("rejudge", "."), "there is no campaign in this folder"),
+        (("report", "no_such_folder"), "there is no campaign in this folder"),
         (("fuzz", "readers", "--only", "nobody"), "there is no reader"),
     ],
 )
@@ -57,6 +73,24 @@ def test_a_mistake_is_one_sentence(words: tuple[str, ...], sentence: str, cli, t
     assert sentence in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_ends_a_run_with_its_children_in_one_word(tmp_path):
+    """The second benchmark is not begun, and a child that is interrupted with us tells nothing of its own."""
+    command = [sys.executable, "-m", "benchmarks", "run", "mpec-growth", "shooting", "--out", str(tmp_path / "out")]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    running = subprocess.Popen(
+        command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # which a shell's background ignores
+    )  # fmt: skip
+    assert running.stderr is not None
+    first = running.stderr.readline()  # the smallest size is solved, the next one is a child that runs
+    os.killpg(running.pid, signal.SIGINT)
+    _, said = running.communicate(timeout=60)
+    assert first.startswith("100 pairs")
+    assert running.returncode == 130
+    assert said.strip() == "error: interrupted."
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_slope_of_a_power_and_the_least_of_some():

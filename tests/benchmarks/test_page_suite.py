@@ -76,7 +76,7 @@ def test_met_and_not_judged_are_words(page, factory):
 
 def test_a_missed_iteration_says_what_is_compiled(page, factory):
     rows = [row("gd_iteration", 60e-6), row("gd_kernel", 30e-6)]
-    text = page(suite_record(factory, rows, [figure(False, name="gd_against_c", what="against C")]))
+    text = page(suite_record(factory, rows, [figure(False, name="gd_against_pytorch", what="against PyTorch")]))
     assert "Of its 60 µs: compiled rollout and adjoint 30 µs" in text
 
 
