@@ -8,6 +8,7 @@ x = band.solve(right)               # right (size,) or (size, m)
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg.blas import dgbmv
 from scipy.linalg.lapack import dgbtrf, dgbtrs
 
 
@@ -34,13 +35,11 @@ class BandedLU:
 
     def product(self, x: np.ndarray) -> np.ndarray:
         """The matrix of the last factorisation times x (size,) or (size, m)."""
-        width, size = self._width, len(x)
-        y, columns = np.zeros(x.shape), self._matrix.reshape(2 * width + 1, size, *(1 for _ in x.shape[1:]))
-        for place in range(2 * width + 1):
-            below = place - width  # entry (j + below, j)
-            first, last = max(0, -below), size - max(0, below)
-            y[first + below : last + below] += columns[place, first:last] * x[first:last]
-        return y
+        if x.ndim > 1:
+            return np.stack([self.product(column) for column in x.T], axis=1)
+        size, width = len(x), self._width
+        rows = max(size, 2 * width + 1)  # fewer SciPy refuses; those beyond the matrix are cut off
+        return dgbmv(rows, size, width, width, 1.0, self._matrix, x)[:size]
 
     def _back(self, right: np.ndarray) -> np.ndarray:
         found, _ = dgbtrs(self._factors, self._width, self._width, right, self._pivots)
