@@ -69,7 +69,7 @@ def test_where_a_larger_tolerance_had_no_plan_none_is_looked_for(monkeypatch: py
     tried: list[float] = []
 
     def nothing(self: MpccSession, **_given: object) -> Solution:
-        tried.append(self._number("goal_tolerance"))
+        tried.append(self._options.goal_tolerance)
         return Solution(method="mpcc", outcome=Outcome.FAILED)
 
     monkeypatch.setattr(MpccSession, "solve", nothing)
@@ -122,7 +122,7 @@ def test_a_cold_start_may_do_more_until_it_has_a_plan(monkeypatch: pytest.Monkey
     solve = MpccSession.solve
 
     def told(self: MpccSession, **given: object) -> Solution:
-        allowed.append((given["warm_start"] is not None, self._number("work")))
+        allowed.append((given["warm_start"] is not None, self._options.work))
         return solve(self, **given)  # type: ignore[arg-type] - handed on as they came
 
     monkeypatch.setattr(MpccSession, "solve", told)
