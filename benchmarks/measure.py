@@ -14,7 +14,6 @@ import gc
 import importlib
 import os
 import resource
-import signal
 import subprocess
 import sys
 import tempfile
@@ -165,12 +164,11 @@ def run_child(
     environment = {**os.environ, **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")}
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), environment.get("PYTHONPATH", "")]))
 
-    def prepare() -> None:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        if cpu_limit is not None:
-            resource.setrlimit(resource.RLIMIT_CPU, (int(cpu_limit) + 1, int(cpu_limit) + 2))
-
     command = [sys.executable, "-m", module, *arguments]
+    if cpu_limit is not None:
+        most = int(cpu_limit) + 1
+        command = ["sh", "-c", f'ulimit -S -t {most}; ulimit -H -t {most + 1}; exec "$@"', "sh", *command]
+    # A session of its own, as Ctrl-C goes to all of a terminal's; no preexec_fn: what Python calls before a fork may swallow a Ctrl-C.
     return subprocess.run(
-        command, env=environment, capture_output=True, text=True, errors="replace", timeout=timeout, check=False, preexec_fn=prepare
+        command, env=environment, capture_output=True, text=True, errors="replace", timeout=timeout, check=False, start_new_session=True
     )

@@ -13,7 +13,7 @@ import pytest
 
 from benchmarks import ROOT
 from benchmarks.commands import _COMMANDS, group
-from benchmarks.measure import least, slope
+from benchmarks.measure import least, run_child, slope
 from benchmarks.page import render
 from validate.cli.group import run
 
@@ -91,6 +91,10 @@ def test_ctrl_c_ends_a_run_with_its_children_in_one_word(tmp_path):
     assert running.returncode == 130
     assert said.strip() == "error: interrupted."
     assert not (tmp_path / "out").exists()
+
+
+def test_a_child_that_takes_too_long_is_ended_by_its_limit():
+    assert run_child("benchmarks.mpec.growth", "55", cpu_limit=1).returncode == -signal.SIGXCPU
 
 
 def test_the_slope_of_a_power_and_the_least_of_some():
