@@ -140,7 +140,7 @@ class TranscriptionSession(Session):
         """Solve; where that leads nowhere, find out whether the goal can be reached at all, and go on from a plan that reaches it."""
         patience = watch or Patience()
         result = bench.run(account, options, start, share=share, callback=patience)
-        is_lost = isinstance(patience, Watch) and patience.has_lost_goal
+        is_lost = isinstance(patience, Watch) and (patience.has_lost_goal or result.outcome is Outcome.INFEASIBLE)
         if is_lost and not account.is_over:
             plan = plan_with_goal_released(self._scene, cast(float, eps), account, options)
             if plan is not None:
