@@ -311,7 +311,7 @@ def _plain(value: object) -> Any:
     return str(value)
 
 
-def _history(history: Mapping[str, Sequence[float]]) -> dict[str, Sequence[float]]:
+def _history(history: Mapping[str, Sequence[float]]) -> dict[str, tuple[float, ...]]:
     """Columns thinned to what a plot can show; iterations in which any column is not finite are left out."""
     columns = {name: [float(value) for value in values] for name, values in history.items()}
     length = min((len(values) for values in columns.values()), default=0)

@@ -6,7 +6,8 @@ that, the contact no longer answers to any input, and the multipliers of the goa
 
     cost + w sum over the state of ((x_T - goal) / nominal)^2,      w the cost of the first guess, at least 1, and heavier as needed
 
-keeps them near the size of the cost, and takes 42 iterations; from its plan the goal itself takes 17.
+keeps them near the size of the cost, and takes 42 iterations; from its plan the goal itself takes 17. What Ipopt calls infeasible from the first
+guess is begun again in the same way: on the cart and pole it ended 0.06 short after 179 iterations, and this way has a plan in 85 more.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from formulations.transcription.contact_laws import tighten
 from formulations.transcription.opening import Watch, plan_with_goal_released
 from formulations.transcription.residuals import PlanResiduals
 from formulations.transcription.tightened import Work
-from formulations.transcription.workbench import Account
+from formulations.transcription.workbench import Account, Workbench
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw as ForceLaw
@@ -50,6 +50,21 @@ def test_a_goal_that_is_let_go_is_still_drawn_to():
     assert found["contact_law"] < 1e-6
     assert 1e-3 < found["terminal_error"] < 0.35
     assert account.iterations > 0
+
+
+def test_a_cold_start_called_infeasible_is_begun_again_with_the_goal_let_go(monkeypatch):
+    """Ipopt's word is local; here it is put into its mouth once, so that the test does not hang on its version. The second start has a plan."""
+    run, runs = Workbench.run, []
+
+    def denied_once(self, *arguments, **options):
+        runs.append(run(self, *arguments, **options))
+        return replace(runs[-1], outcome=Outcome.INFEASIBLE) if len(runs) == 1 else runs[-1]
+
+    monkeypatch.setattr(Workbench, "run", denied_once)
+    with load_method("softplus_dc").open(load_scene("cart_pole_walls")) as session:
+        solution = session.solve(eps=EPS, warm_start=None, time_limit=300.0)
+    assert solution.outcome is Outcome.SOLVED
+    assert len(runs) == 3  # the first guess, the goal let go, the goal itself from there
 
 
 def test_what_misses_its_own_time_step_starts_no_other_stage(monkeypatch):
