@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import io
 import sys
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,22 +28,37 @@ def _judge() -> Any:
 
 
 ENUMERATION = _judge()
-KINDS = ENUMERATION.generator.KINDS
 _CONVEX = 52  # a seed of a convex problem with few branches
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_nothing_wrong_is_claimed(kind):
-    @settings(max_examples=2)
-    @given(ENUMERATION.generator.drawn_mpec(kind))
+KINDS = ENUMERATION.generator.KINDS
+FAULTS = (*ENUMERATION.WRONG, "refused")
+
+
+@pytest.mark.parametrize("seed", range(26, 26 + len(KINDS)), ids=lambda seed: f"{KINDS[seed % len(KINDS)]}-{seed}")
+def test_nothing_wrong_is_claimed_of_a_problem_of_each_kind(seed):
+    """Beside those of hypothesis, which prefers plain numbers: of defects planted in the solver, each of the two tests found some that the other missed."""
+    verdict = ENUMERATION.judge(ENUMERATION.generator.random_mpec(seed))
+    assert verdict.agreement not in FAULTS, verdict
+
+
+def test_nothing_wrong_is_claimed_and_little_left_open():
+    """Where it fails, it takes up to five minutes to find a smaller problem that fails."""
+    answers: Counter[str] = Counter()
+
+    @settings(max_examples=len(KINDS))
+    @given(ENUMERATION.generator.drawn_mpec())
     def nothing_wrong_is_claimed(problem):
         shown = io.StringIO()
         problem.model.pprint(shown)
         note(shown.getvalue())
         verdict = ENUMERATION.judge(problem)
-        assert verdict.agreement not in ENUMERATION.WRONG, verdict
+        answers[verdict.agreement] += 1
+        assert verdict.agreement not in FAULTS, verdict
 
     nothing_wrong_is_claimed()
+    # A wrong model ends here: the solver holds its point against the user's model, and does not claim what does not belong to it.
+    assert answers["undecided"] <= answers.total() / 10, answers
 
 
 def test_a_pair_stated_twice():

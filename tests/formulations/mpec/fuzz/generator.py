@@ -1,8 +1,8 @@
 """Random small MPECs of many kinds, with the branches of every condition written down beside it.
 
-    drawn_mpec(kind).example()    a hypothesis strategy: numbers of two decimals, and a wrong answer is shrunk to a small problem
-    random_mpec(seed)             the same construction from numpy's generator, for the benchmark: hypothesis stops at the first wrong answer and
-                                  repeats no problem by its number, while the benchmark counts answers of thousands, with irrational data
+    drawn_mpec()         a hypothesis strategy: numbers of two decimals, and a wrong answer is shrunk to a small problem
+    random_mpec(seed)    the same construction from numpy's generator, for the benchmark and one of each kind: hypothesis stops at the first wrong answer and
+                         repeats no problem by its number, while the benchmark counts the answers of thousands, with data of all digits
 
 At most 4 pairs (6 conditions) and 3 further variables, in blocks, with mutable parameters, either sense, in every form of `complements`,
 some conditions twice. A kind is what makes a problem hard; seed % len(KINDS) is its index.
@@ -29,7 +29,7 @@ _INF = math.inf
 _FAR = 5.0  # bounds of variables, in units of their scale
 
 
-@dataclass(kw_only=True)
+@dataclass(kw_only=True, repr=False)
 class RandomMpec:
     """branches: of each condition its alternatives, each a list of relations that hold together. is_convex: every branch is a convex program."""
 
@@ -87,7 +87,8 @@ class _Drawn:
 
 
 @st.composite
-def drawn_mpec(draw: Any, kind: str) -> RandomMpec:
+def drawn_mpec(draw: Any) -> RandomMpec:
+    kind = draw(st.sampled_from(KINDS))
     return _built(RandomMpec(seed=0, kind=kind, model=pyo.ConcreteModel(), random=_Drawn(draw)))
 
 
