@@ -26,7 +26,12 @@ CHEAP: dict[str, dict[str, object]] = {
     "h02_restitution": {"SWEEP": (0.5, 1.2)},
     "h03_mass_ratio": {"RATIOS": (1e-4, 1e4), "PLANNED": (1e-2, 1e-1, 1e1)},
     "h07_unstable": {"ITERATIONS": 60},
-    "h08_long_horizon": {"LENGTHS": (500, 2000), "MODEL_LENGTHS": (50, 100), "EXPONENT": 100.0},  # seconds are for the campaign
+    "h08_long_horizon": {
+        "LENGTHS": (500, 2000),
+        "MODEL_LENGTHS": (50, 100),
+        "EXPONENT": 100.0,
+        "A_STEP": 100.0,
+    },  # seconds are for the campaign
     "h14_creep": {"COEFFICIENTS": (0.05, 0.8), "STEPS": (0.02, 0.01, 0.005)},
     "h17_front": {"TOLERANCES": (0.0, 0.1)},
     "h18_hold": {"COUNTS": (10, 40), "FINE": 320},
