@@ -147,7 +147,7 @@ def freeze(folder: Path, exit_code: int) -> None:
     found = list(rows(folder))
     with GOLDEN.open("w", encoding="utf-8", newline="") as file:
         file.write(f"# exit code {exit_code}\n")
-        writer = csv.DictWriter[str](file, COLUMNS, lineterminator="\n")
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         writer.writeheader()
         writer.writerows(found)
     click.echo(f"{len(found)} rows in {GOLDEN}")

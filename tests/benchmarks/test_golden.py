@@ -60,8 +60,8 @@ def test_a_better_verdict_is_none_the_worse_for_its_cost():
     )
 
 
-def test_seconds_and_places_change_no_bits(tmp_path: Path, cli):
-    """Two campaigns of one cell: other times, folders and commands, the same rows."""
+def test_seconds_and_places_change_no_bits(tmp_path: Path, cli, monkeypatch: pytest.MonkeyPatch):
+    """Two campaigns of one cell: other times, folders and commands, the same rows; what is frozen is read as what it was."""
     for name in ("one", "two"):
         done = cli("all", "--scene", "bouncing_mass", "-k", "=free_motion", "--out", str(tmp_path / name), program="validate")
         assert done.returncode == 0, done.stderr
@@ -71,3 +71,7 @@ def test_seconds_and_places_change_no_bits(tmp_path: Path, cli):
     (run,) = load(tmp_path / "one").runs
     changed = run.stages[0].model_copy(update={"iterations": 7})
     assert golden.bits(changed) != golden.bits(run.stages[0])
+    monkeypatch.setattr(golden, "GOLDEN", tmp_path / "golden.csv")
+    assert golden.freeze.callback is not None
+    golden.freeze.callback(tmp_path / "one", 0)
+    assert golden.frozen() == (first, "0")
