@@ -56,8 +56,9 @@ MODULES = (
     *("reports.examination_record", "reports.telling", "formulations.mpec", "formulations.ipopt", "formulations.transcription.strict"),
     *("formulations.windows.session", "formulations.multiple_shooting.session"),
 )
-# What one cell in four imports, in 2 CPU s and half a gigabyte that all children then share: PyTorch. Worth it from so many cells on.
-TORCH_MODULE, TORCH_WORTH = "formulations.shooting.session", 20
+# What one cell in four imports, in 3 CPU s and half a gigabyte that all children then share: PyTorch, and what its optimisers import at their first
+# use (1.1 s). Worth it from so many cells on.
+TORCH_MODULES, TORCH_WORTH = ("formulations.shooting.session", "torch._dynamo"), 20
 # Longest folder that is shown in a child's environment; a longer one only the child itself knows.
 _LONGEST = 1000
 _TOKEN = "0" * 32
@@ -163,7 +164,7 @@ class ForkedChild(ChildProcess):
 
 def modules_for(cells: int) -> Sequence[str]:
     """What a server imports for so many cells."""
-    return (*MODULES, TORCH_MODULE) if cells >= TORCH_WORTH else MODULES
+    return (*MODULES, *TORCH_MODULES) if cells >= TORCH_WORTH else MODULES
 
 
 @contextlib.contextmanager
