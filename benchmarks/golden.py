@@ -147,9 +147,9 @@ def freeze(folder: Path, exit_code: int) -> None:
     found = list(rows(folder))
     with GOLDEN.open("w", encoding="utf-8", newline="") as file:
         file.write(f"# exit code {exit_code}\n")
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(found)
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        writer.writerows([row[column] for column in COLUMNS] for row in found)
     click.echo(f"{len(found)} rows in {GOLDEN}")
 
 

@@ -27,6 +27,15 @@ from models.scene import Scene
 from models.trajectory import Trajectory
 
 
+@dataclass(frozen=True)
+class Solved:
+    """A stage that was solved: at which eps, its plan, and what Ipopt knew of it."""
+
+    eps: float | None
+    plan: Trajectory
+    result: IpoptResult
+
+
 @dataclass(frozen=True, kw_only=True)
 class Ending:
     """How a stage ended, before its plan was checked."""
@@ -45,7 +54,7 @@ class TranscriptionSession(Session):
         self._method, self._scene, self._options = method, scene, options
         self._residuals = PlanResiduals(scene)
         self._bench: Workbench | None = None
-        self._last: tuple[Trajectory, IpoptResult] | None = None
+        self._last: Solved | None = None
         self._nearest: dict[float, Nearest] = {}
         self._opening = (perf_counter() - opening[0], process_time() - opening[1])
 
@@ -123,7 +132,7 @@ class TranscriptionSession(Session):
             result = self.attempt(bench, account, eps, self.ipopt_options(warm_start))
         self._last = None
         if result.outcome is Outcome.SOLVED:
-            self._last = (read_plan(bench.model), result)
+            self._last = Solved(eps, read_plan(bench.model), result)
         return self.ending(result)
 
     def attempt(
@@ -191,11 +200,18 @@ class TranscriptionSession(Session):
         return {**self.common_options(), **({} if warm_start is not None else self.cold_options())}
 
     def _start_with_duals(self, eps: float | None, warm_start: Trajectory | None) -> Start | None:
-        if warm_start is None or self._last is None or not self.takes_duals(eps):
+        if warm_start is None or not self.takes_duals(eps):
             return None
-        plan, result = self._last
-        same = all(np.array_equal(getattr(plan, name), getattr(warm_start, name)) for name in ("q", "v", "u", "lam"))
-        return primal_dual(result) if same else None
+        solved = self._solved_before(warm_start)
+        return None if solved is None else primal_dual(solved.result)
+
+    def _solved_before(self, plan: Trajectory) -> Solved | None:
+        """The last solved stage of this session, if this is its plan."""
+        solved = self._last
+        if solved is None:
+            return None
+        same = all(np.array_equal(getattr(solved.plan, name), getattr(plan, name)) for name in ("q", "v", "u", "lam"))
+        return solved if same else None
 
     def _solution(self, bench: Workbench, account: Account, eps: float | None, ending: Ending) -> Solution:
         outcome, message = ending.outcome, ending.message

@@ -95,7 +95,28 @@ def test_the_work_of_a_soft_stage_is_counted_in_nonzeros(monkeypatch):
         first = session.solve(eps=EPS, warm_start=None, time_limit=60.0)
         cut = session.solve(eps=1e-5, warm_start=first.trajectory, time_limit=60.0)
     assert first.outcome is Outcome.SOLVED
-    assert (cut.outcome, cut.iterations) == (Outcome.ITERATION_LIMIT, 7)
+    assert (cut.outcome, cut.iterations) == (Outcome.ITERATION_LIMIT, 7 + 7), "directly, and half way"
+
+
+def test_a_stage_that_leads_from_a_plan_to_none_goes_half_way_first(monkeypatch):
+    """Three carts from 1e-2 to 1e-7: about 200 iterations directly, 10 and 9 by the geometric mean of the two."""
+    scene = load_scene("three_cart")
+    with load_method("softplus_dc").open(scene) as session:
+        first = session.solve(eps=1e-2, warm_start=None, time_limit=60.0)
+        monkeypatch.setattr(softplus, "_WORK", Work(0.0, 40))
+        found = session.solve(eps=1e-7, warm_start=first.trajectory, time_limit=60.0)
+        assert found.outcome is Outcome.SOLVED
+        assert "eps = 3.16228e-05" in found.message
+        assert 40 < found.iterations < 40 + 2 * 40
+        assert len(found.history["inf_pr"]) >= found.iterations, "all that was tried is told"
+        assert found.residuals["contact_law"] < 1e-6, "at the eps that was asked for"
+    with load_method("softplus_dc").open(scene, {"max_iterations": 45}) as session:
+        first = session.solve(eps=1e-2, warm_start=None, time_limit=60.0)
+        few = session.solve(eps=1e-7, warm_start=first.trajectory, time_limit=60.0)
+        assert few.iterations <= 45, "no more iterations than the stage may have"
+    with load_method("softplus_dc").open(scene) as session:
+        stranger = session.solve(eps=1e-7, warm_start=first.trajectory, time_limit=60.0)
+        assert stranger.iterations <= 40, "of a plan that is not of this session no eps is known"
 
 
 def test_a_relaxed_stage_without_a_plan_ends_the_chain_from_that_start(monkeypatch):
