@@ -15,7 +15,6 @@ from itertools import product
 
 import numpy as np
 import sympy as sp
-from scipy.integrate import solve_ivp
 
 from models.contacts import DampingLaw
 from models.dynamics import Dynamics, derive
@@ -233,6 +232,8 @@ def _motion_by(method: Method, equations: Equations, pieces: Sequence[Piece], ti
     nominal = np.tile([coordinate.nominal for coordinate in scene.coordinates], 2)
     result = np.full((len(times), x.size), np.nan)
     result[times <= t] = x
+
+    from scipy.integrate import solve_ivp  # 0.3 CPU s to import, which a replay of a plan would pay for nothing
 
     def rate(at: float, y: np.ndarray, u: np.ndarray, modes: Modes) -> np.ndarray:
         nonlocal left

@@ -15,7 +15,6 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from scipy.linalg import expm
 
 from models.trajectory import Trajectory
 from validate.isolation import Limits, run_isolated
@@ -89,6 +88,8 @@ def linearised(
         raise TrackingError(f"FMU {package.path}: the plan cannot be tracked, because a directional derivative is not a finite number.")
     square = np.zeros((len(h), pair.shape[2], pair.shape[2]))
     square[:, :nx] = h[:, None, None] * pair
+    from scipy.linalg import expm
+
     whole = expm(square)
     return whole[:, :nx, :nx], whole[:, :nx, nx:]
 
