@@ -2,9 +2,9 @@
 
     python -m tests.planted --seed 1 --draws 50 -j 2          # every room; --room judge for one; --list says what would be planted
 
-A seed draws the same defects from the same code: a file line by line, so that every line that can be wrong counts once, then a mistake on that line. What does not
-import is drawn again. First come the tests that import the file, then all of the room. The tree itself is never changed: each worker has
-a copy of it, which is removed at the end, however that comes.
+A seed draws the same defects from the same code: each line that can be wrong once, then a mistake on that line. What does not import is drawn
+again. First come the tests that import the file, then all of the room; what fails must pass without the defect. The tree itself is never
+changed: each worker has a copy of it, which is removed at the end, however that comes.
 """
 
 from __future__ import annotations
@@ -45,6 +45,9 @@ ROOMS = {
 _LONGEST = 1200.0
 
 
+Place = ast.expr | ast.stmt
+
+
 @dataclass(frozen=True)
 class Defect:
     room: str
@@ -82,6 +85,9 @@ def mistakes(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
                 yield kind, ast.BinOp(left, other(), right)
             if isinstance(op, (ast.Add, ast.Sub)):
                 yield "dropped term", left
+        case ast.AugAssign(target=target, op=op, value=value) if type(op) in _OPPOSITE:
+            kind, other = _OPPOSITE[type(op)]
+            yield kind, ast.AugAssign(target, other(), value)
         case ast.UnaryOp(op=ast.USub(), operand=operand):
             yield "sign", operand
         case ast.UnaryOp(op=ast.Not(), operand=operand):
@@ -141,13 +147,13 @@ def _places(tree: ast.Module) -> Iterator[ast.AST]:
             todo += [item for item in (value if isinstance(value, list) else [value]) if isinstance(item, ast.AST)]
 
 
-def candidates(text: str) -> dict[int, list[tuple[str, ast.expr, str]]]:
-    """Line -> its possible mistakes: (kind, the expression that is replaced, the text in its place)."""
-    found: dict[int, list[tuple[str, ast.expr, str]]] = defaultdict(list)
+def candidates(text: str) -> dict[int, list[tuple[str, Place, str]]]:
+    """Line -> its possible mistakes: (kind, what is replaced, the text in its place)."""
+    found: dict[int, list[tuple[str, Place, str]]] = defaultdict(list)
     for node in _places(ast.parse(text)):
         for kind, other in mistakes(node):
             place = node.test if isinstance(node, ast.If | ast.IfExp) else node
-            assert isinstance(place, ast.expr)
+            assert isinstance(place, Place)
             written = ast.unparse(ast.fix_missing_locations(other))
             if written != ast.unparse(place):
                 found[place.lineno].append(
@@ -156,8 +162,8 @@ def candidates(text: str) -> dict[int, list[tuple[str, ast.expr, str]]]:
     return found
 
 
-def replaced(text: str, place: ast.expr, written: str) -> str:
-    """The text with another expression in its place; columns of the tree count bytes."""
+def replaced(text: str, place: Place, written: str) -> str:
+    """The text with another in this place; columns of the tree count bytes."""
     lines = text.encode().splitlines(keepends=True)
     assert place.end_lineno is not None
     assert place.end_col_offset is not None
@@ -212,20 +218,30 @@ def tried(defect: Defect, copy: Path) -> Result | None:
     """What the tests say of a defect, planted in a copy of the tree; None if it does not import."""
     began, place = monotonic(), copy / defect.path
     sound = place.read_text(encoding="utf-8")
+    module = defect.path.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+    found: list[str] = []
     place.write_text(defect.source, encoding="utf-8")
     try:
-        module = defect.path.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
         if _run(copy, ["-c", f"import {module}"])[0] != 0:
             return None
-        found = ""
         for files in tests_of(defect):
             if files and not found:
-                code, said = _run(copy, ["-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", *files])
-                failed = re.search(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE)
-                found = "" if code == 0 else failed.group(1) if failed else said.strip().splitlines()[-1]
-        return Result(defect, found, monotonic() - began)
+                code, said = _run(copy, [*_PYTEST, *files])
+                found = [] if code == 0 else re.findall(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE) or [_last_line(said)]
     finally:
         place.write_text(sound, encoding="utf-8")
+    if found and "::" in found[0]:
+        code, said = _run(copy, [*_PYTEST, found[0]])
+        if code != 0:
+            raise SystemExit(f"{found[0]} fails without any defect too; mend it first: {_last_line(said)}")
+    return Result(defect, "".join(found[:1]), monotonic() - began)
+
+
+_PYTEST = ("-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist")
+
+
+def _last_line(text: str) -> str:
+    return (text.strip().splitlines() or ["(no output)"])[-1]
 
 
 def _run(copy: Path, words: list[str]) -> tuple[int, str]:

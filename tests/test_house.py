@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -65,3 +66,15 @@ def test_no_file_is_a_drawer():
             if path.stem in {"util", "utils", "helpers", "misc"}:
                 long.append(f"{path.relative_to(ROOT)}: a drawer")
     assert not long, long
+
+
+def test_a_test_that_hangs_is_stopped_and_named(tmp_path: Path):
+    (tmp_path / "test_one.py").write_text("import time\n\ndef test_sleeps():\n    time.sleep(3600.0)\n", encoding="utf-8")
+    words = ["pytest", "-c", ROOT / "pyproject.toml", "--rootdir", tmp_path, "-p", "no:cacheprovider", tmp_path]
+    done = subprocess.run(
+        [sys.executable, "-m", *words, "-o", "faulthandler_timeout=1"], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert 'test_one.py", line 4 in test_sleeps' in done.stderr
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["pytest"]["ini_options"]
+    assert 0 < settings["faulthandler_timeout"] <= 1200
