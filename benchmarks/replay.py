@@ -32,8 +32,9 @@ from validate.replay import Replay, replay
 from validate.replay.everyday import simulate
 from validate.replay.exchange import ExchangeModel
 from validate.replay.inputs import HeldInputs
-from validate.replay.package import Package, find_variables, read_package, unpacked
+from validate.replay.package import Package, read_package, unpacked
 from validate.replay.reference import Run, integrate
+from validate.replay.scene_variables import find_variables
 from validate.replay.wiring import Variables
 
 _DEFAULT = ("three_cart", "bouncing_mass", "two_body_collision")

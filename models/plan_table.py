@@ -11,6 +11,7 @@ import difflib
 import math
 import numbers
 import re
+import sys
 import unicodedata
 from decimal import Decimal
 from pathlib import Path
@@ -177,7 +178,7 @@ def real_numbers(what: str, values: Any) -> np.ndarray:
         given = np.asanyarray(values)
     except (TypeError, ValueError) as error:
         raise TrajectoryError(f"plan: {what} must be numbers, in rows of equal length ({error}).") from error
-    if np.ma.is_masked(given):
+    if "numpy.ma" in sys.modules and np.ma.is_masked(given):  # without that module nothing is; its import takes 10 ms
         raise TrajectoryError(f"plan: {what} has masked values, which are no numbers; fill them, or leave the column out.")
     if given.dtype.kind in _MIXED:
         return np.array([_real(what, cell) for cell in given.flat], dtype=float).reshape(given.shape)

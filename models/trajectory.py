@@ -21,14 +21,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from models.errors import TrajectoryError
 from models.plan_table import ArrayTable, PlanTable, real_numbers
-from models.scene import Scene
 from models.schemes import Scheme
+
+if TYPE_CHECKING:
+    from models.scene import Scene
 
 
 class Hold(Enum):

@@ -24,8 +24,9 @@ from models.scene import Scene
 from models.trajectory import Trajectory
 from validate.replay.exchange import ExchangeModel
 from validate.replay.inputs import HeldInputs
-from validate.replay.package import find_variables, read_package, unpacked
+from validate.replay.package import read_package, unpacked
 from validate.replay.reference import integrate
+from validate.replay.scene_variables import find_variables
 
 MACRO_STEPS = (1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5)
 # Bodies integrate ten times as finely as they meet, by a fourth-order method: what is wrong then comes from the coupling alone.

@@ -21,7 +21,8 @@ from models.scene import Scene
 from validate.replay import replay
 from validate.replay.everyday import simulate
 from validate.replay.inputs import HeldInputs
-from validate.replay.package import find_variables, read_package, unpacked
+from validate.replay.package import read_package, unpacked
+from validate.replay.scene_variables import find_variables
 
 
 def yardstick(size: Size, folder: Path) -> Work:

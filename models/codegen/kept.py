@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from functools import lru_cache
-from importlib import metadata
 from pathlib import Path
 
 import sympy as sp
@@ -23,6 +22,8 @@ _MODELS = Path(__file__).parents[1]
 _GENERATORS = ("codegen/*.py", "contact*.py", "dynamics.py", "fmu/sensitivity.py", "fmu/structure.py", "fmu/variables.py")
 # And of a text that is computed from its values.
 _COMPUTED = ("fmu/experiment.py", "fmu/reference.py", "scene*.py")
+# And of an FMU: all but the scenes, whose text is in the key.
+_ALL = ("*.py", "codegen/*.*", "fmu/**/*.*")
 _LIBRARIES = ("numpy", "scipy")
 
 
@@ -37,15 +38,26 @@ def kept_text(scene: Scene, name: str, make: Callable[[], str], *, whole: bool =
         path.write_text(make(), encoding="utf-8")
 
     if whole:
-        content = [*(metadata.version(library) for library in _LIBRARIES), _generators((*_GENERATORS, *_COMPUTED)), scene_text(scene)]
+        content = [*_versions(), _generators((*_GENERATORS, *_COMPUTED)), scene_text(scene)]
     else:
         content = [_generators(), equations_text(scene)]
     key = "\n".join([name, sp.__version__, *content])
     return cached(key, f".{name}", write).read_text(encoding="utf-8")
 
 
-@lru_cache(maxsize=2)
+def generators(*, whole: bool = False) -> str:
+    """What decides an FMU beside its scene, compiler and headers: the code of the models and of SymPy; whole: and what computes numbers for it."""
+    return "\n".join([sp.__version__, *(_versions() if whole else ()), _generators(_ALL)])
+
+
+def _versions() -> list[str]:
+    from importlib import metadata  # 10 ms to import
+
+    return [metadata.version(library) for library in _LIBRARIES]
+
+
+@lru_cache(maxsize=3)
 def _generators(patterns: tuple[str, ...] = _GENERATORS) -> str:
     """Digest of the code that writes the text."""
-    paths = sorted(path for pattern in patterns for path in _MODELS.glob(pattern))
+    paths = sorted(path for pattern in patterns for path in _MODELS.glob(pattern) if path.suffix != ".pyc")
     return hashlib.sha256(b"\0".join(path.read_bytes() for path in paths)).hexdigest()

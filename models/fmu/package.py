@@ -17,20 +17,20 @@ from models.codegen.compiler import Compiler, compile_shared
 from models.codegen.damping import damping_source, for_scene
 from models.codegen.emit import model_source
 from models.codegen.friction import friction_source
+from models.codegen.kept import generators
 from models.fmu.archive import pack
-from models.fmu.description import describe, model_identifier
+from models.fmu.description import describe, model_identifier, source_epoch
 from models.fmu.experiment import experiment_texts
 from models.fmu.platforms import Platform, find_platforms, platform_compiler
 from models.fmu.rendering import render
 from models.fmu.sensitivity import sensitivity_source
 from models.fmu.standards import Standard, find_standard, standard_headers
 from models.scene import Scene
+from models.scene_text import scene_text
 
 _HERE = Path(__file__).parent
 _SHELL = _HERE / "shell"
 _ICON = _HERE / "icon"
-# What makes the reference results, which are computed only when an FMU is packed.
-_EXPERIMENT = ("experiment.py", "reference.py")
 
 
 def build_fmu(scene: Scene, version: str = "2.0", platforms: Sequence[str] = (), results: bool = True) -> Path:
@@ -44,19 +44,18 @@ def build_fmu(scene: Scene, version: str = "2.0", platforms: Sequence[str] = (),
     scene = scene.continuous()
     identifier = model_identifier(scene)
     compilers = {platform: platform_compiler(platform) for platform in find_platforms(platforms)}
-    files = fmu_texts(scene, standard)
     made_by = [f"{platform.name} {' '.join(platform.flags)} {compiler.describe()}" for platform, compiler in compilers.items()]
-    made_by += [(_HERE / name).read_text(encoding="utf-8") for name in _EXPERIMENT]
-    made_by += [] if results else ["without reference results"]
-    key = "\n".join([*made_by, *(f"{name}\0{text}" for name, text in sorted(files.items()))])
+    made_by += [f"FMI {version}, {'with' if results else 'without'} reference results, dated {source_epoch()}"]
+    made_by += [generators(whole=results), *standard_headers(standard).values(), scene_text(scene)]
 
     def build(path: Path) -> None:
+        files = fmu_texts(scene, standard)
         content = {name: text.encode() for name, text in (files | experiment_texts(scene, results)).items()}
         pack(
             path, content | _icons(standard) | _binaries(files, standard, identifier, compilers, path.parent), first="modelDescription.xml"
         )
 
-    return cached(key, f".{identifier}.fmu", build)
+    return cached("\n".join(made_by), f".{identifier}.fmu", build)
 
 
 def fmu_texts(scene: Scene, standard: Standard) -> dict[str, str]:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import jinja2
+if TYPE_CHECKING:
+    import jinja2
 
 _FOLDER = Path(__file__).parent / "templates"
 
@@ -18,16 +20,21 @@ def number(value: float) -> str:
     return repr(float(value))
 
 
-_ENGINE = jinja2.Environment(
-    loader=jinja2.FileSystemLoader(_FOLDER),
-    undefined=jinja2.StrictUndefined,
-    autoescape=lambda name: name is not None and name.endswith((".xml.j2", ".html.j2")),
-    keep_trailing_newline=True,
-)
-_ENGINE.filters["number"] = number
-_ENGINE.filters["isfinite"] = math.isfinite
+@lru_cache(maxsize=1)
+def _engine() -> jinja2.Environment:
+    import jinja2  # only where an FMU is built, not where it is found
+
+    engine = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_FOLDER),
+        undefined=jinja2.StrictUndefined,
+        autoescape=lambda name: name is not None and name.endswith((".xml.j2", ".html.j2")),
+        keep_trailing_newline=True,
+    )
+    engine.filters["number"] = number
+    engine.filters["isfinite"] = math.isfinite
+    return engine
 
 
 def render(template: str, **context: Any) -> str:
     """The text of `templates/<template>`; raises jinja2.UndefinedError if the template names something not given."""
-    return _ENGINE.get_template(template).render(**context)
+    return _engine().get_template(template).render(**context)

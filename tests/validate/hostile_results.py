@@ -28,8 +28,7 @@ def _replayed() -> Any:
     """(scene, a replay of it)"""
     from models.catalog import load_scene
     from validate.replay.feedback import Effort
-    from validate.replay.growth import Growth
-    from validate.replay.result import Difference, Event, Replay, ReplayError, ReplayOutcome
+    from validate.replay.result import Difference, Event, Growth, Replay, ReplayError, ReplayOutcome
 
     scene, times = load_scene("three_cart").with_task(steps=6), 7
     arrays: dict[str, Any] = {name: np.zeros((times, 3)) for name in ("q", "v")}

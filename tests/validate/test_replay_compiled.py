@@ -20,9 +20,10 @@ from validate.replay.everyday import simulate
 from validate.replay.exchange import ExchangeModel
 from validate.replay.feedback import Feedback
 from validate.replay.inputs import HeldInputs
-from validate.replay.package import Package, find_variables, read_package, unpacked
+from validate.replay.package import Package, read_package, unpacked
 from validate.replay.reference import Integration, Run, integrate
 from validate.replay.result import ReplayOutcome
+from validate.replay.scene_variables import find_variables
 from validate.replay.tracking import design_feedback
 from validate.replay.wiring import Variables
 

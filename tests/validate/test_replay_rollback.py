@@ -19,9 +19,10 @@ from validate.replay.everyday import simulate
 from validate.replay.inputs import HeldInputs
 from validate.replay.map_schema import read_map
 from validate.replay.mapping import wire
-from validate.replay.package import FmuError, find_variables, read_package, unpacked
+from validate.replay.package import FmuError, read_package, unpacked
 from validate.replay.rollback import offers_rollback
 from validate.replay.run import replay_foreign
+from validate.replay.scene_variables import find_variables
 
 CS = '<CoSimulation modelIdentifier="cart" canHandleVariableCommunicationStepSize="true" canGetAndSetFMUstate="true"/>'
 ONCE = CS.replace("/>", ' canBeInstantiatedOnlyOncePerProcess="true"/>')

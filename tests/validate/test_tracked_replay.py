@@ -21,8 +21,8 @@ from models.trajectory_netcdf import read_gains, read_netcdf, write_netcdf
 from validate.cli.group import run
 from validate.judge import judge_trajectory
 from validate.replay import Replay, replay
-from validate.replay.growth import Growth
 from validate.replay.netcdf import read_replay, write_replay
+from validate.replay.result import Growth
 from validate.replay.tracking import design_feedback
 from validate.score import Question, Verdict, score
 

@@ -13,8 +13,6 @@ number explains a verdict, and decides none.
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -23,6 +21,7 @@ from models.codegen.kernel import Kernel, KernelError
 from models.contact_law import ContactLaw
 from models.scene import Scene
 from models.trajectory import Trajectory
+from validate.replay.result import Growth
 from validate.replay.subject import Subject
 
 # Blocks in which a plan is cut: growth within one is told by the next product, and fifty keep the cost below that of one replay.
@@ -30,21 +29,6 @@ _BLOCKS = 50
 
 # Parts of a plan's step, tried until twice in a row the growth is the same up to this factor.
 _PARTS, _AGREE = (1, 8, 64, 512), 3.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Growth:
-    """amplification: see the module docstring; begin, end [s]: between which it is reached; duration [s]: of the plan."""
-
-    amplification: float
-    begin: float
-    end: float
-    duration: float
-
-    @property
-    def rate(self) -> float:
-        """[1/s] with amplification = exp(rate * duration)."""
-        return math.log(max(self.amplification, 1e-300)) / self.duration
 
 
 def nominals(subject: Subject) -> np.ndarray:

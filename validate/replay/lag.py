@@ -18,8 +18,9 @@ from validate.replay.everyday import base_step
 from validate.replay.feedback import Feedback
 from validate.replay.job import Settings, run_job
 from validate.replay.outputs import Outputs
-from validate.replay.package import Package, find_variables
+from validate.replay.package import Package
 from validate.replay.result import Difference, Replay, ReplayOutcome
+from validate.replay.scene_variables import find_variables
 from validate.replay.wiring import Variables
 
 # Relaxation times in the longest internal step of the everyday replay. Runge-Kutta 4 is stable below 2.78, and keeps q + tau v whatever its step: at 2 the

@@ -20,8 +20,9 @@ from models.trajectory import Trajectory
 from validate.isolation import Limits, run_isolated
 from validate.replay.exchange import ExchangeModel
 from validate.replay.feedback import Feedback
-from validate.replay.growth import Growth, largest_growth, nominals
+from validate.replay.growth import largest_growth, nominals
 from validate.replay.package import Package, read_package, unpacked
+from validate.replay.result import Growth
 from validate.replay.subject import ForeignModel
 from validate.replay.tracking import TrackingError, feedback_from
 from validate.replay.wiring import Variables

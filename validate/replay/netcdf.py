@@ -21,8 +21,7 @@ from models.errors import TrajectoryError
 from models.netcdf import Column, numbers, read_columns, write_columns
 from models.scene import Scene
 from validate.replay.feedback import Effort
-from validate.replay.growth import Growth
-from validate.replay.result import Difference, Event, Replay, ReplayError, ReplayOutcome
+from validate.replay.result import Difference, Event, Growth, Replay, ReplayError, ReplayOutcome
 from validate.replay.subject import Subject
 
 _CONTENT = "touchstone replay"

@@ -10,7 +10,6 @@ from typing import Any, Literal
 import numpy as np
 
 from validate.replay.feedback import Effort, Feedback
-from validate.replay.growth import Growth
 
 # What tells the error of the everyday replay's step.
 StepSource = Literal[
@@ -34,6 +33,21 @@ class ReplayOutcome(Enum):
     CRASHED = "The FMU crashed."
     ABORTED = "The FMU aborted the process."
     NO_RESULT = "The FMU ended the process, which left no result."
+
+
+@dataclass(frozen=True, kw_only=True)
+class Growth:
+    """amplification: see validate.replay.growth; begin, end [s]: between which it is reached; duration [s]: of the plan."""
+
+    amplification: float
+    begin: float
+    end: float
+    duration: float
+
+    @property
+    def rate(self) -> float:
+        """[1/s] with amplification = exp(rate * duration)."""
+        return math.log(max(self.amplification, 1e-300)) / self.duration
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,9 +21,10 @@ from validate.replay.lag import fine_enough, twice_the_lag, with_lag_error
 from validate.replay.linearise import design_foreign
 from validate.replay.outputs import Outputs
 from validate.replay.overlooked import overlooked, with_max_step, with_steps_of
-from validate.replay.package import Package, find_variables, read_package, unpacked
+from validate.replay.package import Package, read_package, unpacked
 from validate.replay.reference import Run
 from validate.replay.result import Difference, Event, Replay, ReplayError, ReplayOutcome
+from validate.replay.scene_variables import find_variables
 from validate.replay.subject import ForeignModel, Subject
 from validate.replay.tracking import TrackingError, design_feedback
 from validate.replay.wiring import Variables

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from validate.replay.feedback import Effort
-from validate.replay.growth import Growth
+from validate.replay.result import Growth
 from validate.score.evidence import Evidence
 from validate.score.result import LeavesBounds, Question, Unmeasured
 from validate.score.table import TABLE, Entry

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from models.catalog import load_scene
-from models.codegen import emit_model
 from models.codegen.cache import cached
 from models.codegen.compiler import FLAGS, compile_shared, find_compiler
+from models.codegen.emit import emit_model
 from models.codegen.kernel import load_kernel
 from models.errors import MachineError
 
@@ -40,7 +40,7 @@ def test_every_scene_compiles_without_a_warning(reference: str, tmp_path: Path):
 def test_equal_scenes_give_equal_bytes_in_any_process():
     """Another process has other hashes, and sets in another order."""
     here = "".join(emit_model(load_scene(reference)) for reference in REFERENCES)
-    code = "from models.catalog import load_scene; from models.codegen import emit_model\n"
+    code = "from models.catalog import load_scene; from models.codegen.emit import emit_model\n"
     code += f"for reference in {REFERENCES!r}: print(emit_model(load_scene(reference)), end='')"
     done = _python(code, PYTHONHASHSEED="1")
     assert done.stdout == here, done.stderr
