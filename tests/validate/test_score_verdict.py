@@ -10,8 +10,6 @@ import pytest
 from models.catalog import load_scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
-from validate.replay.error_estimate import estimate
-from validate.replay.result import Difference
 from validate.score import Metric, Question, Verdict, metric_names
 from validate.score.cause import Told, explain
 from validate.score.feedback import feedback_entries
@@ -313,27 +311,3 @@ def test_what_holds_with_feedback_says_what_the_inputs_alone_do_and_what_it_took
 
 def test_what_is_waived_stands_in_every_sentence():
     assert told(STRAY, waived=("defect: its time step is another's",)).endswith(" Waived: defect.")
-
-
-def _difference(position: float) -> Difference:
-    return Difference(position=position, state=10 * position, gap=2 * position)
-
-
-def test_the_estimate_is_the_tolerance_difference_where_the_everyday_replay_agrees():
-    error = estimate(tolerance=_difference(1e-9), step=_difference(1e-6), everyday=_difference(1.2e-6), has_reference=True)
-    assert error.estimate == _difference(1e-9)
-
-
-def test_an_everyday_replay_that_disagrees_beyond_its_own_error_becomes_the_estimate():
-    """Both tolerances may share a mistake (an event that neither saw); an independent method shows it."""
-    error = estimate(tolerance=_difference(1e-9), step=_difference(1e-8), everyday=_difference(1e-4), has_reference=True)
-    assert error.estimate == _difference(1e-4)
-
-
-def test_the_estimate_without_one_of_the_two_methods():
-    alone = estimate(tolerance=_difference(1e-9), step=None, everyday=None, has_reference=True)
-    assert alone.estimate == _difference(1e-9)
-    everyday = estimate(tolerance=None, step=_difference(1e-6), everyday=None, has_reference=False)
-    assert everyday.estimate == _difference(1e-6)
-    failed = estimate(tolerance=None, step=_difference(1e-6), everyday=None, has_reference=True)
-    assert failed.estimate is None

@@ -1,0 +1,70 @@
+"""The key of a cell: another one for every option, eps, order and scene, the same for the same."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import Field, fields, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from formulations.catalog import load_method, method_names
+from formulations.method import Leg, Pipeline
+from validate.campaign import Settings, select
+
+
+def key(*legs: Leg, scene: str = "wall_pendulum", name: str = "same", title: str = "one title") -> str:
+    entries, _ = select(
+        Settings(out=Path("nowhere"), scenes=(scene,), expression="same", pipelines=(Pipeline(name=name, title=title, legs=legs),))
+    )
+    (entry,) = entries
+    return entry.cell.key
+
+
+def others(item: Field[Any]) -> list[object]:
+    """Values of an option that are not its default: all others of a choice, the nearest numbers (two away where they may have to be even)."""
+    default, bounds = item.default, (item.metadata["lower"], item.metadata["upper"])
+    if item.metadata["choices"]:
+        return [choice for choice in item.metadata["choices"] if choice != default]
+    if default is None:
+        return [bound for bound in bounds if math.isfinite(bound)]
+    near = (
+        [default - 2, default + 2] if isinstance(default, int) else [math.nextafter(default, -math.inf), math.nextafter(default, math.inf)]
+    )
+    return [value for value in near if bounds[0] <= value <= bounds[1]]
+
+
+@pytest.mark.parametrize("name", method_names())
+def test_every_option_of_every_method_has_a_key_of_its_own(name: str):
+    method = load_method(name)
+    asked = Leg(method=name, schedule=(1e-2 if method.needs_eps else None,))
+    options = fields(method.options)
+    changed = [{item.name: value} for item in options for value in others(item)]
+    assert {name for variant in changed for name in variant} == {item.name for item in options}, "each option in turn"
+    keys = [key(replace(asked, options=variant)) for variant in changed]
+    assert len({key(asked), *keys}) == 1 + len(changed)
+    by_stage = [key(replace(asked, stage_options=(variant,))) for variant in changed]
+    assert by_stage == keys, "it is what a stage is given that counts, not how"
+    assert key(replace(asked, options={item.name: item.default for item in options})) == key(asked)
+
+
+SOFT = Leg(method="softplus_dc", schedule=(1e-3, 1e-5))
+STRICT = Leg(method="strict_lcp")
+
+
+def test_whatever_is_asked_otherwise_has_another_key():
+    variants = {
+        "as it is": key(SOFT, STRICT),
+        "another eps": key(replace(SOFT, schedule=(1e-3, math.nextafter(1e-5, 1.0))), STRICT),
+        "the same eps in another order": key(replace(SOFT, schedule=(1e-5, 1e-3)), STRICT),
+        "a stage less": key(replace(SOFT, schedule=(1e-3,)), STRICT),
+        "a method less": key(SOFT),
+        "the methods the other way round": key(STRICT, SOFT),
+        "an option of one stage": key(replace(SOFT, stage_options=({"max_iterations": 7},)), STRICT),
+        "an option of the other stage": key(replace(SOFT, stage_options=({}, {"max_iterations": 7})), STRICT),
+        "another scene": key(SOFT, STRICT, scene="three_cart"),
+        "another name": key(SOFT, STRICT, name="same_otherwise"),
+    }
+    assert len(set(variants.values())) == len(variants)
+    assert key(SOFT, STRICT) == variants["as it is"]

@@ -1,0 +1,101 @@
+"""results.csv: a row in which every value is another, read back column by column; rows without a replay, without a run, without a value."""
+
+from __future__ import annotations
+
+import csv
+import io
+from typing import Any
+
+import pytest
+
+from reports.examination_record import ExaminationRecord
+from reports.record import MetricRecord, ReplayRecord, RunRecord, SecondsRecord, StageRecord
+from tests.reports import record_factory as factory
+from validate.results import COLUMNS, examinations_text, results_text, rows
+
+METRICS = (
+    "terminal_error", "physics", "physics_scaled", "defect", "discrete_terminal_error", "replay_terminal_error", "replay_terminal_position_error",
+    "replay_terminal_velocity_error", "replay_error", "max_penetration", "ghost_impulse", "missed_impulse", "energy_residual",
+    "tracked_replay_terminal_error", "tracked_replay_error", "feedback_effort", "feedback_share",
+)  # fmt: skip
+
+
+def metric(name: str, value: float | None) -> MetricRecord:
+    return MetricRecord(
+        name=name, value=value, unit="m", meaning="what it means", limit=1000.0 + (value or 0.0), error=2000.0, reason="a test", ok=None
+    )
+
+
+def stage(**changes: Any) -> StageRecord:
+    values: dict[str, Any] = {
+        "index": 6, "method": "relaxed_lcp", "method_title": "another title", "kind": "direct", "eps": 1e-4, "outcome": "stalled", "advice": "advice",
+        "message": "a message", "cost": 490.1234567890123, "iterations": 77, "solver": "Ipopt",
+        "seconds": SecondsRecord(
+            build=0.5, translate=0.0625, evaluate=1.125, linear_algebra=2.25, solve=3.375, stage=4.5, stage_cpu=5.5, total=6.75, replay=7.875
+        ),
+        "metrics": tuple(metric(name, 0.1 + number) for number, name in enumerate(METRICS)), "verdict": "holds with feedback", "why": "because",
+        "replay": ReplayRecord(
+            error_estimate=0.01, tolerance_difference=0.02, step_difference=0.03, everyday_difference=0.04, events=9, seconds_reference=8.0,
+            seconds_everyday=9.0, judged="feedback", growth_rate=11.5,
+        ),
+    }  # fmt: skip
+    return StageRecord(**(values | changes))
+
+
+def run_of(template: RunRecord, *stages: StageRecord) -> RunRecord:
+    return template.model_copy(update={"pipeline": "relaxed+strict", "stages": stages})
+
+
+@pytest.fixture(scope="module")
+def template() -> RunRecord:
+    return factory.runs()[0]
+
+
+def read(text: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+def test_every_value_stands_in_its_own_column(template: RunRecord):
+    (found,) = read(results_text([run_of(template, stage())]))
+    assert tuple(found) == COLUMNS
+    assert found == {
+        "scene": "three_cart", "pipeline": "relaxed+strict", "stage": "7", "method": "relaxed_lcp", "eps": "0.0001", "outcome": "stalled",
+        "cost": "490.1234567890123", "verdict": "holds with feedback", "iterations": "77", "build_s": "0.5625", "solve_s": "3.375", "stage_s": "4.5",
+        "total_s": "6.75", "replay_s": "7.875", "judged": "feedback", "growth_rate": "11.5",
+        **{name: repr(0.1 + number) for number, name in enumerate(METRICS)},
+    }  # fmt: skip
+    assert len(set(found.values())) == len(COLUMNS), "or an exchange would not show"
+
+
+def test_what_is_not_known_is_empty(template: RunRecord):
+    refused = stage(
+        index=0, outcome="refused", cost=None, eps=None, iterations=0, seconds=SecondsRecord(), metrics=(metric("defect", None),), verdict="not applicable",
+        replay=None,
+    )  # fmt: skip
+    first, second = read(results_text([run_of(template, refused, stage(index=1))]))
+    known = {
+        "scene": "three_cart",
+        "pipeline": "relaxed+strict",
+        "stage": "1",
+        "method": "relaxed_lcp",
+        "outcome": "refused",
+        "verdict": "not applicable",
+    }
+    assert {name: value for name, value in first.items() if value} == known
+    assert second["stage"] == "2"
+    assert rows([run_of(template, refused)])[0]["iterations"] is None
+
+
+def test_an_examination_is_told_by_what_it_found_or_by_why_it_did_not():
+    one = ExaminationRecord(
+        key="k", kind="fmu", name="three_cart, FMI 2.0", scene="three_cart", outcome="passed", passed=True, found="41 passed", message="unsaid",
+        wall_seconds=1.5, cpu_seconds=2.5, expected="a sound FMU passes", provenance=factory.provenance(),
+    )  # fmt: skip
+    other = one.model_copy(update={"name": "other", "outcome": "crashed", "passed": False, "found": "", "message": "signal 11"})
+    found = read(examinations_text([one, other]))
+    assert found[0] == {
+        "kind": "fmu", "name": "three_cart, FMI 2.0", "scene": "three_cart", "outcome": "passed", "passed": "True", "message": "41 passed",
+        "wall_s": "1.5", "cpu_s": "2.5",
+    }  # fmt: skip
+    assert (found[1]["message"], found[1]["passed"]) == ("signal 11", "False")
+    assert examinations_text([]) == ""

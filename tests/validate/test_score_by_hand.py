@@ -1,0 +1,317 @@
+"""Every metric of the score by exact numbers worked out by hand, and once more in a mirror.
+
+A body of two coordinates of different units and sizes rests far from its contacts: every metric is zero. Then one thing is off at a time, by a number
+that can be followed by hand, on either side.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import sympy as sp
+
+from models.contacts import Friction
+from models.scene import Contact, Coordinate, Input, Scene, Task
+from models.scene_annotations import goal_limits
+from models.schemes import Scheme
+from models.trajectory import Hold, Trajectory, uniform_grid
+from validate.replay import Difference, Replay, ReplayError, ReplayOutcome
+from validate.score import score
+from validate.score.result import Metric
+
+STEPS, H = 4, 0.125
+NODES, ROWS = STEPS + 1, 2 * STEPS + 1
+M, J = 2.0, 0.5
+SIDES = pytest.mark.parametrize("side", [1.0, -1.0], ids=["as it is", "in a mirror"])
+
+
+def scene_of(side: float) -> Scene:
+    """x [m] over a floor of 100 N/m, an angle a [rad] with a stop of 40 N/m at 1 rad on a lever of 0.5 m, and friction on a lever of 0.25 m."""
+    x, a, v, w, f, m = sp.symbols("x a v w f m", real=True)
+    bounds = [(-3.0, 5.0), (-1.0, 0.5)]
+    force, torque = bounds if side > 0 else [(-high, -low) for low, high in bounds]
+    speed = (-2.0, 1.5) if side > 0 else (-1.5, 2.0)
+    return Scene(
+        name="by_hand",
+        title="A body on a floor with an arm against a stop",
+        source="worked out by hand",
+        coordinates=(
+            Coordinate(symbol=x, velocity=v, unit="m", nominal=0.5, velocity_lower=speed[0], velocity_upper=speed[1]),
+            Coordinate(symbol=a, velocity=w, unit="rad", nominal=2.0),
+        ),
+        inputs=(
+            Input(symbol=f, unit="N", lower=force[0], upper=force[1]),
+            Input(symbol=m, unit="N m", lower=torque[0], upper=torque[1]),
+        ),
+        parameters=(),
+        kinetic_energy=M * v**2 / 2 + J * w**2 / 2,
+        potential_energy=sp.Integer(0),
+        forces=(f, m),
+        contacts=(
+            Contact(
+                name="floor",
+                bodies=("body", "floor"),
+                penetration=-side * x,
+                stiffness=100.0,
+                nominal=0.05,
+                depth=0.4,
+                depth_reason="its thickness",
+            ),
+            Contact(
+                name="stop",
+                bodies=("arm", "stop"),
+                penetration=(side * a - 1.0) / 2,
+                stiffness=40.0,
+                nominal=0.1,
+                depth=0.2,
+                depth_reason="its thickness",
+            ),
+        ),
+        frictions=(Friction(name="rub", slip=w / 4, coefficient=sp.Rational(3, 10), contact="floor", nominal=0.2),),
+        task=Task(
+            start=(side * 1.0, side * 0.4, 0.0, 0.0),
+            goal=(side * 1.0, side * 0.4, 0.0, 0.0),
+            running_cost=f**2 + 3 * m**2 + x**2,
+            final_cost=7 * a**2 + v**2,
+            step=H,
+            steps=STEPS,
+        ),
+        limits=goal_limits(position=0.01, velocity=0.02, reason="a hundredth, and twice that a second"),
+    )
+
+
+def still(rows: int, side: float) -> np.ndarray:
+    return np.tile([side * 1.0, side * 0.4], (rows, 1))
+
+
+class Case:
+    """A plan and its replay at rest, to be changed in place."""
+
+    def __init__(self, side: float) -> None:
+        self.side, self.scene = side, scene_of(side)
+        self.plan: dict[str, Any] = {
+            "t": uniform_grid(H, STEPS), "q": still(NODES, side), "v": np.zeros((NODES, 2)), "u": np.zeros((STEPS, 2)),
+            "lam": np.zeros((STEPS, 3)), "scheme": Scheme.SEMI_IMPLICIT_EULER,
+        }  # fmt: skip
+        gap = np.tile([1.0, 0.3], (ROWS, 1))
+        nothing = np.zeros(ROWS)
+        self.replay: dict[str, Any] = {
+            "scene": "by_hand", "outcome": ReplayOutcome.OK, "message": "", "method": "reference", "t": uniform_grid(H / 2, 2 * STEPS),
+            "q": still(ROWS, side), "v": np.zeros((ROWS, 2)), "lam": np.zeros((ROWS, 2)), "gap": gap, "friction": np.zeros((ROWS, 1)),
+            "knots": np.arange(0, ROWS, 2), "kinetic_energy": nothing.copy(), "potential_energy": nothing.copy(), "contact_energy": nothing.copy(),
+            "input_work": nothing.copy(), "dissipated_work": nothing.copy(), "contact_impulse": np.zeros((ROWS, 2)), "events": (),
+            "event_budget": 100, "error": ReplayError(estimate=Difference(position=0.0, state=0.0, gap=0.0)), "seconds_reference": 0.0,
+            "seconds_everyday": 0.0, "fmu": "none",
+        }  # fmt: skip
+
+    def metric(self, name: str) -> Metric:
+        replay = Replay(**{key: value.copy() if isinstance(value, np.ndarray) else value for key, value in self.replay.items()})
+        found = score(self.scene, Trajectory(**self.plan), replay).metric(name)
+        assert found is not None, name
+        return found
+
+
+def test_at_rest_every_metric_is_nothing():
+    """But the costs: 1 m squared at the start of four steps, and seven times 0.4 rad squared."""
+    case = Case(1.0)
+    found = score(case.scene, Trajectory(**case.plan), Replay(**case.replay))
+    costs = {metric.name: metric.value for metric in found.metrics if "cost" in metric.name}
+    assert costs == pytest.approx({"cost": 4.0 + 7 * 0.16, "replay_cost": 4.0 + 7 * 0.16})
+    rest = {metric.name: metric.value for metric in found.metrics if "cost" not in metric.name and metric.value is not None}
+    assert len(rest) > 20
+    assert rest == pytest.approx(dict.fromkeys(rest, 0.0), abs=1e-15)
+
+
+# What is off, by how much it is found to be, in which unit, and the limit that this is held against.
+Change = Callable[[Case], None]
+FOUND: list[tuple[str, str, float, str, float | None, Change]] = []
+
+
+def off(what: str, name: str, value: float, unit: str, limit: float | None = None) -> Callable[[Change], Change]:
+    def noted(change: Change) -> Change:
+        FOUND.append((what, name, value, unit, limit, change))
+        return change
+
+    return noted
+
+
+# What changes its sign in a mirror: of the forces of the plan only friction, in their last column.
+_MIRRORED, FRICTION = ("q", "v", "u", "friction"), 2
+
+
+def put(group: str, place: Any, value: float | np.ndarray) -> Change:
+    """Adds to an array of the plan, or of `replay.`: the values are those of the body as it is."""
+
+    def change(case: Case) -> None:
+        of_replay, _, name = group.rpartition(".")
+        turns = name in _MIRRORED or (group == "lam" and place[1] == FRICTION)
+        (case.replay if of_replay else case.plan)[name][place] += value * (case.side if turns else 1.0)
+
+    return change
+
+
+def both(*changes: Change) -> Change:
+    def change(case: Case) -> None:
+        for one in changes:
+            one(case)
+
+    return change
+
+
+def undeclared(case: Case) -> None:
+    case.plan["scheme"] = None
+
+
+for sign in (1.0, -1.0):
+    # 0.3 of 2 rad is less than 0.2 of 0.5 m; the task asks for no way, so the nominals are the scale.
+    off("start, angle", "start_error", 0.3, "rad", 2e-6)(put("q", (0, 1), sign * 0.3))
+    off("start, both", "start_error", 0.2, "m", 0.5e-6)(both(put("q", (0, 0), sign * 0.2), put("q", (0, 1), 0.3)))
+    off("start, speed", "start_error", 0.7, "rad/s", 2e-6)(put("v", (0, 1), sign * 0.7))
+    off("end, position", "terminal_position_error", 0.5, "m, rad", 0.01)(
+        both(put("q", (-1, 0), sign * 0.3), put("q", (-1, 1), -sign * 0.4))
+    )
+    off("end, velocity", "terminal_velocity_error", 1.3, "m/s, rad/s", 0.02)(
+        both(put("v", (-1, 0), sign * 0.5), put("v", (-1, 1), sign * 1.2))
+    )
+    off("end, both", "terminal_error", 1.3, "m, rad, m/s, rad/s")(both(put("q", (-1, 1), sign * 0.5), put("v", (-1, 0), sign * 1.2)))
+    # f^2 + 3 m^2 of one step each, and the rest of before; v^2 of the last node.
+    off("cost", "cost", 4.0 + 7 * 0.16 + 4.0 + 3 * 0.04 + 0.25, "1")(
+        both(put("u", (1, 0), sign * 2.0), put("u", (3, 1), -sign * 0.2), put("v", (-1, 0), sign * 0.5))
+    )
+    # Of x and v only: the applied inputs are the plan's. 1.2^2 or 0.8^2 in place of 1 at the second node.
+    off("replayed cost", "replay_cost", 3.0 + (1 + sign * 0.2) ** 2 + 7 * 0.16 + 0.36, "1")(
+        both(put("replay.q", (2, 0), sign * 0.2), put("replay.v", (-1, 0), sign * 0.6))
+    )
+    off("inputs", "bound_violation", 0.5, "N", 8e-6)(put("u", (2, 0), 5.5 if sign > 0 else -3.5))
+    # A quarter N m of 1.5 N m is more than one N of 8 N.
+    off("inputs, both", "bound_violation", 0.25, "N m", 1.5e-6)(
+        both(put("u", (0, 0), 6.0 if sign > 0 else -4.0), put("u", (3, 1), 0.75 if sign > 0 else -1.25))
+    )
+    off("speed", "velocity_bound_violation", 0.25, "m/s", 3.5e-6)(put("v", (3, 0), 1.75 if sign > 0 else -2.25))
+    off("speed at the end", "velocity_bound_violation", 0.0, "m/s", 3.5e-6)(put("v", (4, 0), 1.75 if sign > 0 else -2.25))
+    off("replayed speed", "replay_velocity_bound_violation", 0.25, "m/s", 0.5e-2)(put("replay.v", (5, 0), 1.75 if sign > 0 else -2.25))
+    # 0.5 of 2 rad is more than 0.1 of 0.5 m.
+    off("motion", "replay_error", 0.5, "rad", 2e-2)(both(put("replay.q", (4, 1), sign * 0.5), put("replay.q", (6, 0), sign * 0.1)))
+    off("motion between nodes", "replay_error", 0.0, "m", 0.5e-2)(put("replay.q", (3, 1), sign * 0.5))
+    off("when", "replay_error_time", 3 * H, "s")(put("replay.q", (6, 0), sign * 0.1))
+    off("replayed end", "replay_terminal_position_error", 0.5, "m, rad")(
+        both(put("replay.q", (-1, 0), -sign * 0.3), put("replay.q", (-1, 1), sign * 0.4))
+    )
+    off("replayed end, velocity", "replay_terminal_velocity_error", 1.3, "m/s, rad/s")(
+        both(put("replay.v", (-1, 0), sign * 0.5), put("replay.v", (-1, 1), -sign * 1.2))
+    )
+    off("replayed end, both", "replay_terminal_error", 1.3, "m, rad, m/s, rad/s")(
+        both(put("replay.q", (-1, 1), sign * 0.5), put("replay.v", (-1, 0), sign * 1.2))
+    )
+    # A velocity too much at one node: v[t+1] - v[t] - h a misses by it twice, q by h times it.
+    off("step", "defect", 0.06, "m/s", 0.5e-6)(put("v", (3, 0), sign * 0.06))
+    off("step, position", "defect", 0.04, "m", 0.5e-6)(put("q", (2, 0), sign * 0.04))
+    # What is far: 3 N for one step give v 3 h / M, and x 3 h^2 / M a step after it.
+    off("law", "law_error", 3 * 3 * H**2 / M, "m, rad")(put("u", (1, 0), sign * 3.0))
+    off("own end", "discrete_terminal_error", math.hypot(3 * 3 * H**2 / M, 3 * H / M), "m, rad, m/s, rad/s")(put("u", (1, 0), sign * 3.0))
+    off("own end, position", "discrete_terminal_position_error", 3 * 0.4 * H**2 / J, "m, rad")(put("u", (1, 1), sign * 0.4))
+    off("own end, velocity", "discrete_terminal_velocity_error", 0.4 * H / J, "m/s, rad/s")(put("u", (1, 1), sign * 0.4))
+    off("grid", "grid_error", 0.2, "m, rad")(put("replay.q", (6, 1), sign * 0.2))
+    off("friction beyond its cone", "friction_violation", 0.7, "N", 1e-4 * 0.3 * 2.0)(
+        both(put("lam", (1, 0), 2.0), put("lam", (1, FRICTION), sign * 1.3))
+    )
+    # 0.6 N are due against a slip of 0.8 / 4 m/s; 0.1 N are there, or 0.1 N push on.
+    off("friction that holds too little", "friction_dissipation_error", (0.6 - sign * 0.1) * 0.2, "W", 1e-4 * 0.6 * 0.2)(
+        both(put("lam", (1, 0), 2.0), put("lam", (1, FRICTION), -sign * 0.1), put("v", (2, 1), 0.8))
+    )
+    off("friction of the replay", "friction_impulse_error", 0.9 * H, "N s")(put("lam", (2, FRICTION), sign * 0.9))
+    # Over the two pieces around a row, as a trapezoid.
+    off("friction of the plan", "friction_impulse_error", 0.5 * H / 2, "N s")(put("replay.friction", (3, 0), sign * 0.5))
+    off("energy", "energy_residual", 0.25, "J")(put("replay.kinetic_energy", 5, sign * 0.25))
+    off("energy, work", "energy_residual", 0.5, "J")(put("replay.input_work", 5, sign * 0.5))
+    off("energy, losses", "energy_residual", 0.5, "J")(put("replay.dissipated_work", 5, sign * 0.5))
+    off("energy, contact", "energy_residual", 0.5, "J")(put("replay.contact_energy", 5, sign * 0.5))
+    off("duration", "duration_error", 0.02, "s", H / 2)(both(put("t", 4, sign * 0.02), put("replay.t", 8, sign * 0.02)))
+
+# What has one sign only.
+off("force at a distance", "physics", 2.0 * (2.0 + 100 * 1.0), "N^2")(put("lam", (1, 0), 2.0))
+off("force at a distance", "physics", 2.0 * (2.0 + 40 * 0.3), "N^2")(put("lam", (1, 1), 2.0))
+off("force at a distance", "physics_scaled", H * 204.0 / 5.0**2, "s", 2e-6 * 0.5 * 2)(put("lam", (1, 0), 2.0))
+off("force at a distance", "physics_scaled", H * 28.0 / 4.0**2, "s")(put("lam", (1, 1), 2.0))
+off("force at a distance", "contact_law_error", 2.0 * H, "N s")(both(put("lam", (1, 0), 2.0), undeclared))
+off("force at a distance", "ghost_impulse", 2.0 * H + 3.0 * H, "N s", 0.01 * 5.0 * H)(
+    both(put("lam", (1, 0), 2.0), put("lam", (3, 1), 3.0))
+)
+off("force that pulls", "force_sign_violation", 0.5, "N", 2e-6)(both(put("lam", (1, 1), -0.5), put("lam", (2, 0), 2.0)))
+off("force not planned", "missed_impulse", 4.0 * 4 * H, "N s", 0.01 * 4.0 * 4 * H)(
+    both(put("replay.lam", (slice(None), 1), 4.0), put("replay.contact_impulse", (slice(None), 1), 4.0 * H / 2 * np.arange(ROWS)))
+)
+off("energy, of what is there", "energy_residual_relative", 0.5 / 2.0, "1", 1e-6)(
+    both(put("replay.kinetic_energy", slice(None), 2.0), put("replay.contact_energy", 4, 0.5))
+)
+
+
+@SIDES
+@pytest.mark.parametrize(("what", "name", "value", "unit", "limit", "change"), FOUND, ids=[f"{n} of {w}" for w, n, *_ in FOUND])
+def test_what_is_off_is_found_by_exactly_that(
+    what: str, name: str, value: float, unit: str, limit: float | None, change: Change, side: float
+):
+    case = Case(side)
+    change(case)
+    found = case.metric(name)
+    assert found.value == pytest.approx(value, rel=1e-9, abs=1e-12), what
+    assert found.unit == unit
+    if limit is not None:
+        assert found.limit == pytest.approx(limit, rel=1e-6), "but for the rounding of what is only just in touch"
+        assert found.ok is (value < limit)
+
+
+@SIDES
+def test_the_deepest_penetration_is_that_against_its_depth(side: float):
+    """0.3 of 0.4 m of the floor is less than 0.18 of 0.2 m of the stop."""
+    case = Case(side)
+    for row, (x, a) in {3: (-0.3, 0.4), 6: (1.0, 1.36)}.items():
+        case.replay["q"][row] = side * x, side * a
+        case.replay["gap"][row] = x, (1.0 - a) / 2
+    found = case.metric("max_penetration")
+    assert (found.value, found.limit) == (pytest.approx(0.18), pytest.approx(0.2))
+    assert found.ok is True
+
+
+@SIDES
+def test_the_replays_own_error_is_that_of_each_metric(side: float):
+    """Positions, states and gaps have errors of their own; of two positions the norm is off by at most sqrt(2) times one."""
+    case = Case(side)
+    case.replay["error"] = ReplayError(estimate=Difference(position=1e-3, state=2e-2, gap=3e-3))
+    case.replay["lam"][1:3, 0] = 5.0
+    errors = {
+        "replay_error": 1e-3,
+        "replay_terminal_position_error": 1e-3 * math.sqrt(2.0),
+        "replay_terminal_velocity_error": 2e-2,
+        "replay_terminal_error": 2e-2,
+        "replay_velocity_bound_violation": 2e-2,
+        "max_penetration": 3e-3,
+        "grid_error": 1e-3,
+        # The stiffest contact for as long as either touches: three pieces of H / 2.
+        "ghost_impulse": 100.0 * 3e-3 * 1.5 * H,
+        "missed_impulse": 100.0 * 3e-3 * 1.5 * H,
+        # x^2 of four nodes, 7 a^2 and v^2 of the last one, each off by 0.02.
+        "replay_cost": 4 * (1.02**2 - 1.0) + 7 * (0.42**2 - 0.16) + 0.02**2,
+    }
+    assert {name: case.metric(name).error for name in errors} == pytest.approx(errors)
+
+
+@SIDES
+def test_inputs_that_are_lines_are_bounded_at_the_end_too(side: float):
+    case = Case(side)
+    case.plan |= {"u_end": np.array([side * 5.5, 0.0]), "hold": Hold.LINEAR, "scheme": None}
+    assert case.metric("bound_violation").value == pytest.approx(0.5)
+    case.plan |= {"u_end": None, "hold": Hold.ZERO_ORDER}
+    assert case.metric("bound_violation").value == 0.0
+
+
+def test_a_goal_nearer_than_the_nominal_is_the_scale_of_the_start():
+    case = Case(1.0)
+    case.scene = replace(case.scene, task=replace(case.scene.task, goal=(1.25, 0.4, 0.0, 0.0)))
+    put("q", (0, 0), 0.3)(case)
+    assert case.metric("start_error").limit == pytest.approx(0.25e-6)
