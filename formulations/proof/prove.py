@@ -139,7 +139,7 @@ class _Prover:
     def _branch(self, bounds: PairBounds, seconds: float) -> float:
         """SCIP on what the bounds leave open; the bound."""
         if bounds.is_empty:
-            return bounds.ceiling
+            return self._of_nothing_left(bounds)
         if bounds.decided.all():  # one choice of modes is left: its optimum is the answer
             closed = bounds.lower >= 0.0
             self.adopt(closed)
@@ -159,8 +159,15 @@ class _Prover:
             closed = [[(model.variable_closed[t, c].value or 0.0) > 0.5 for c in model.set_contacts] for t in model.set_steps]
             self.adopt(np.array(closed))
         if "infeasible" in result.termination_condition.name.lower():
-            return bounds.ceiling
+            return self._of_nothing_left(bounds)
         return min(float(result.objective_bound), bounds.ceiling)
+
+    def _of_nothing_left(self, bounds: PairBounds) -> float:
+        """The bound where a solver says that no plan costs less than the ceiling: no proof if it has thereby lost the plan that is known."""
+        if np.isfinite(self._cost):
+            self._trouble = " A solver found no plan at all where there is one, which is its rounding."
+            return -np.inf
+        return bounds.ceiling
 
     def _proof(self, bounds: PairBounds, bound: float) -> Proof:
         status = ProofStatus.BOUND

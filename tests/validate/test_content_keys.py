@@ -29,6 +29,8 @@ def others(item: Field[Any]) -> list[object]:
         return [choice for choice in item.metadata["choices"] if choice != default]
     if default is None:
         return [bound for bound in bounds if math.isfinite(bound)]
+    if isinstance(default, tuple):
+        return [default[:-1], (*default[:-1], math.nextafter(default[-1], math.inf))]
     near = (
         [default - 2, default + 2] if isinstance(default, int) else [math.nextafter(default, -math.inf), math.nextafter(default, math.inf)]
     )

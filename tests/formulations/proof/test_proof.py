@@ -127,6 +127,38 @@ def test_a_plan_that_cheats_does_not_count():
     assert prove(SHORT, incumbent=lie, time_limit=300.0).cost == pytest.approx(cheapest_of_all_modes(SHORT), rel=1e-9)
 
 
+# 38 decisions of which bounds alone leave most open, with a gap of 0.38 after four seconds.
+LONG = CARTS.with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.3, 2.9, 3.5, 0.0, 0.0, 0.0), steps=20, step=0.1)
+
+
+def test_a_proof_that_is_cut_off_by_time_is_none():
+    """Although the plan that it knows is, as far as anybody knows, the best."""
+    with load_method("mpcc").open(LONG) as session:
+        known = session.solve(eps=None, warm_start=None, time_limit=60.0)
+    assert known.cost is not None
+    proof = prove(LONG, incumbent=known.trajectory, time_limit=3.0)
+    assert proof.status is ProofStatus.BOUND
+    assert proof.cost is not None
+    assert proof.cost <= known.cost * (1.0 + 1e-9)
+    assert proof.bound < 0.99 * known.cost, "the bound is SCIP's, not that of the ceiling under which it searched"
+    assert "Not proved in the time given" in proof.sentence
+    with load_method("global").open(LONG) as session:
+        told = session.solve(eps=None, warm_start=known.trajectory, time_limit=3.0)
+    assert told.outcome is Outcome.TIME_LIMIT
+    assert told.bound is None or (told.bound.proved, told.bound.decisions, told.bound.value < 0.99 * known.cost) == (False, 38, True)
+
+
+@pytest.mark.parametrize("seconds", [1e-3, 0.03, 0.3, 1.0, 3.0])
+def test_no_bound_is_above_the_optimum_whenever_it_is_cut_off(seconds: float):
+    known = PENDULUM.answers[0].value
+    proof = prove(PENDULUM, incumbent=rolled(PENDULUM, np.zeros((20, 1))), time_limit=seconds)
+    assert proof.bound <= known * (1.0 + 1e-9)
+    assert proof.cost is None or proof.cost >= known * (1.0 - 1e-9)
+    proved = proof.cost is not None and proof.cost <= known * (1.0 + 2 * GAP)
+    assert proof.status is not ProofStatus.INFEASIBLE
+    assert proved or proof.status is not ProofStatus.OPTIMAL
+
+
 def test_no_plan_at_all_is_proved_too():
     proof = prove(ASKED.with_task(goal=(-0.5, None)), time_limit=60.0)
     assert proof.status is ProofStatus.INFEASIBLE
