@@ -78,6 +78,15 @@ def test_noise_comes_in_pairs_of_the_size_asked_for():
     assert len(np.unique(w[0, :, 0])) == 5
 
 
+def test_another_seed_is_other_noise_and_another_plan():
+    drawn = [noise(CARTS, deviation=0.1, unbounded=1.0, samples=4, pieces=5, seed=seed) for seed in (0, 0, 1, 2)]
+    assert np.array_equal(drawn[0], drawn[1])
+    assert not any(np.isclose(drawn[0], other).any(axis=(1, 2)).any() for other in drawn[2:])
+    costs = [_solve(APART, "randomised_smoothing", 0.3, seed=seed).cost for seed in (0, 0, 1, 2)]
+    assert costs[0] == costs[1]
+    assert len(set(costs)) == 3
+
+
 def test_the_averaged_gradient_is_the_finite_difference_of_the_averaged_loss():
     kernel = load_kernel(CARTS.with_task(steps=60, start=(2.0, 2.52, 3.04, 0.0, 0.0, 0.0)))
     drawn = noise(kernel.scene, deviation=0.2, unbounded=1.0, samples=8, pieces=3, seed=1)

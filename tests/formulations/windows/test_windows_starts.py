@@ -85,6 +85,19 @@ def test_starts_run_apart_are_those_run_together() -> None:
     assert several().starts == ()
 
 
+def test_another_seed_is_another_random_start() -> None:
+    drawn = [random_plan(SMALL, load_kernel(SMALL), seed) for seed in ((0, 3), (0, 3), (1, 3), (0, 4))]
+    inputs = [plan.u for plan in drawn if plan is not None]
+    assert len(inputs) == 4
+    assert np.array_equal(inputs[0], inputs[1])
+    assert not any(np.isclose(inputs[0], other).any() for other in inputs[2:])
+    # The same best plan, by other ways: the sixth start is the first random one.
+    ways = [several(starts=1, first_start=first, seed=seed).iterations for first, seed in ((5, 0), (5, 0), (5, 1), (5, 2), (6, 0), (7, 0))]
+    assert ways[0] == ways[1]
+    assert len(set(ways[1:4])) > 1, "the seed decides"
+    assert len({ways[0], *ways[4:]}) > 1, "and so does the number of the start"
+
+
 def test_windows_of_a_start_are_named_by_contact() -> None:
     solution = several(starts=2)
     plan = solution.trajectory
