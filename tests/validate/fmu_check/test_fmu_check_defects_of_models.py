@@ -24,6 +24,18 @@ _DEFECTS = (
         ((_EQUATIONS, "case KIND_FORCE: return d->lam[i];", "case KIND_FORCE: return i ? d->lam[i] : 1.01 * d->lam[i];"),),
     ),
     (
+        "one entry is a little more than a thousandth too large, in contact only",
+        "directional derivatives",
+        "d lam_left",
+        ((_EQUATIONS, "case KIND_FORCE: return d->lam[i];", "case KIND_FORCE: return i ? d->lam[i] : 1.0012 * d->lam[i];"),),
+    ),
+    (
+        "derivatives of accelerations are a little more than a thousandth too large",
+        "directional derivatives",
+        "finite differences give",
+        ((_EQUATIONS, "case KIND_VELOCITY_RATE: return d->a[i];", "case KIND_VELOCITY_RATE: return 1.0012 * d->a[i];"),),
+    ),
+    (
         "the column of the inputs is zero",
         "directional derivatives",
         "/ d u1",
@@ -40,6 +52,38 @@ _DEFECTS = (
         "Model Exchange equals Co-Simulation",
         "more than steps and tolerances explain",
         ((_INTEGRATOR, "u[i] = inputs->value[i]", "u[i] = 1.01 * inputs->value[i]"),),
+    ),
+    (
+        "Co-Simulation has another gain by a thousandth",
+        "Model Exchange equals Co-Simulation",
+        "more than steps and tolerances explain",
+        ((_INTEGRATOR, "u[i] = inputs->value[i]", "u[i] = 1.001 * inputs->value[i]"),),
+    ),
+    (
+        "a start value is another one in the XML by a ten-thousandth",
+        "start values are the XML's",
+        "c is 2 in the binary, 2.0002",
+        ((_XML, 'unit="N s/m" start="2.0"', 'unit="N s/m" start="2.0002"'),),
+    ),
+    (
+        "a nominal is another one in the XML by a ten-thousandth",
+        "nominals are the XML's",
+        "state 0 has the nominal 1",
+        ((_XML, 'start="2.0" nominal="1.0"', 'start="2.0" nominal="1.0001"'),),
+    ),
+    (
+        "FMI 3: an adjoint is a ten-thousandth too large",
+        "adjoint derivatives",
+        "the adjoint of",
+        ((_EQUATIONS, "case KIND_GAP: bar->phi[i] -= weight; break;", "case KIND_GAP: bar->phi[i] -= 1.0001 * weight; break;"),),
+        "3.0",
+    ),
+    (
+        "FMI 3: an indicator is not its variable by a ten-thousandth",
+        "event indicators announce events",
+        "event indicator 0",
+        ((_EQUATIONS, "indicators[i] = -m->phi[i];", "indicators[i] = -1.0001 * m->phi[i];"),),
+        "3.0",
     ),
     (
         "a start value is another one in the XML",
