@@ -1,4 +1,4 @@
-"""Every metric of the score by exact numbers worked out by hand, and once more in a mirror.
+"""Every metric of the score by exact numbers worked out by hand, once more in a mirror, and once more in other units.
 
 A body of two coordinates of different units and sizes rests far from its contacts: every metric is zero. Then one thing is off at a time, by a number
 that can be followed by hand, on either side.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -30,18 +30,42 @@ M, J = 2.0, 0.5
 SIDES = pytest.mark.parametrize("side", [1.0, -1.0], ids=["as it is", "in a mirror"])
 
 
-def scene_of(side: float) -> Scene:
+@dataclass(frozen=True)
+class Sizes:
+    """How many of our units one of the body's is: what is 1 m there is `length` m here."""
+
+    length: float = 1.0
+    mass: float = 1.0
+    time: float = 1.0
+
+    @property
+    def force(self) -> float:
+        return self.mass * self.length / self.time**2
+
+    def of(self, unit: str) -> float:
+        """How much larger a number with this unit is here."""
+        work = self.force * self.length
+        powers = {"m": self.length, "s": self.time, "N": self.force, "J": work, "W": work / self.time, "N^2": self.force**2}
+        over, _, under = unit.partition("/")
+        return math.prod(powers.get(name, 1.0) for name in over.split()) / math.prod(powers.get(name, 1.0) for name in under.split())
+
+
+AS_IT_IS = Sizes()
+
+
+def scene_of(side: float, sizes: Sizes = AS_IT_IS) -> Scene:
     """x [m] over a floor of 100 N/m, an angle a [rad] with a stop of 40 N/m at 1 rad on a lever of 0.5 m, and friction on a lever of 0.25 m."""
     x, a, v, w, f, m = sp.symbols("x a v w f m", real=True)
-    bounds = [(-3.0, 5.0), (-1.0, 0.5)]
+    L, F, T = sizes.length, sizes.force, sizes.time
+    bounds = [(-3.0 * F, 5.0 * F), (-1.0 * F * L, 0.5 * F * L)]
     force, torque = bounds if side > 0 else [(-high, -low) for low, high in bounds]
-    speed = (-2.0, 1.5) if side > 0 else (-1.5, 2.0)
+    speed = [value * L / T for value in ((-2.0, 1.5) if side > 0 else (-1.5, 2.0))]
     return Scene(
         name="by_hand",
         title="A body on a floor with an arm against a stop",
         source="worked out by hand",
         coordinates=(
-            Coordinate(symbol=x, velocity=v, unit="m", nominal=0.5, velocity_lower=speed[0], velocity_upper=speed[1]),
+            Coordinate(symbol=x, velocity=v, unit="m", nominal=0.5 * L, velocity_lower=speed[0], velocity_upper=speed[1]),
             Coordinate(symbol=a, velocity=w, unit="rad", nominal=2.0),
         ),
         inputs=(
@@ -49,7 +73,7 @@ def scene_of(side: float) -> Scene:
             Input(symbol=m, unit="N m", lower=torque[0], upper=torque[1]),
         ),
         parameters=(),
-        kinetic_energy=M * v**2 / 2 + J * w**2 / 2,
+        kinetic_energy=sizes.mass * (M * v**2 + J * L**2 * w**2) / 2,
         potential_energy=sp.Integer(0),
         forces=(f, m),
         contacts=(
@@ -57,52 +81,53 @@ def scene_of(side: float) -> Scene:
                 name="floor",
                 bodies=("body", "floor"),
                 penetration=-side * x,
-                stiffness=100.0,
-                nominal=0.05,
-                depth=0.4,
+                stiffness=100.0 * F / L,
+                nominal=0.05 * L,
+                depth=0.4 * L,
                 depth_reason="its thickness",
             ),
             Contact(
                 name="stop",
                 bodies=("arm", "stop"),
-                penetration=(side * a - 1.0) / 2,
-                stiffness=40.0,
-                nominal=0.1,
-                depth=0.2,
+                penetration=L * (side * a - 1.0) / 2,
+                stiffness=40.0 * F / L,
+                nominal=0.1 * L,
+                depth=0.2 * L,
                 depth_reason="its thickness",
             ),
         ),
-        frictions=(Friction(name="rub", slip=w / 4, coefficient=sp.Rational(3, 10), contact="floor", nominal=0.2),),
+        frictions=(Friction(name="rub", slip=L * w / 4, coefficient=sp.Rational(3, 10), contact="floor", nominal=0.2 * L / T),),
         task=Task(
-            start=(side * 1.0, side * 0.4, 0.0, 0.0),
-            goal=(side * 1.0, side * 0.4, 0.0, 0.0),
+            start=(side * L, side * 0.4, 0.0, 0.0),
+            goal=(side * L, side * 0.4, 0.0, 0.0),
             running_cost=f**2 + 3 * m**2 + x**2,
             final_cost=7 * a**2 + v**2,
-            step=H,
+            step=H * T,
             steps=STEPS,
         ),
         limits=goal_limits(position=0.01, velocity=0.02, reason="a hundredth, and twice that a second"),
     )
 
 
-def still(rows: int, side: float) -> np.ndarray:
-    return np.tile([side * 1.0, side * 0.4], (rows, 1))
+def still(rows: int, side: float, length: float) -> np.ndarray:
+    return np.tile([side * length, side * 0.4], (rows, 1))
 
 
 class Case:
     """A plan and its replay at rest, to be changed in place."""
 
-    def __init__(self, side: float) -> None:
-        self.side, self.scene = side, scene_of(side)
+    def __init__(self, side: float, sizes: Sizes = AS_IT_IS) -> None:
+        self.side, self.sizes, self.scene = side, sizes, scene_of(side, sizes)
+        L, T = sizes.length, sizes.time
         self.plan: dict[str, Any] = {
-            "t": uniform_grid(H, STEPS), "q": still(NODES, side), "v": np.zeros((NODES, 2)), "u": np.zeros((STEPS, 2)),
+            "t": uniform_grid(H * T, STEPS), "q": still(NODES, side, L), "v": np.zeros((NODES, 2)), "u": np.zeros((STEPS, 2)),
             "lam": np.zeros((STEPS, 3)), "scheme": Scheme.SEMI_IMPLICIT_EULER,
         }  # fmt: skip
-        gap = np.tile([1.0, 0.3], (ROWS, 1))
+        gap = np.tile([1.0 * L, 0.3 * L], (ROWS, 1))
         nothing = np.zeros(ROWS)
         self.replay: dict[str, Any] = {
-            "scene": "by_hand", "outcome": ReplayOutcome.OK, "message": "", "method": "reference", "t": uniform_grid(H / 2, 2 * STEPS),
-            "q": still(ROWS, side), "v": np.zeros((ROWS, 2)), "lam": np.zeros((ROWS, 2)), "gap": gap, "friction": np.zeros((ROWS, 1)),
+            "scene": "by_hand", "outcome": ReplayOutcome.OK, "message": "", "method": "reference", "t": uniform_grid(H * T / 2, 2 * STEPS),
+            "q": still(ROWS, side, L), "v": np.zeros((ROWS, 2)), "lam": np.zeros((ROWS, 2)), "gap": gap, "friction": np.zeros((ROWS, 1)),
             "knots": np.arange(0, ROWS, 2), "kinetic_energy": nothing.copy(), "potential_energy": nothing.copy(), "contact_energy": nothing.copy(),
             "input_work": nothing.copy(), "dissipated_work": nothing.copy(), "contact_impulse": np.zeros((ROWS, 2)), "events": (),
             "event_budget": 100, "error": ReplayError(estimate=Difference(position=0.0, state=0.0, gap=0.0)), "seconds_reference": 0.0,
@@ -142,6 +167,11 @@ def off(what: str, name: str, value: float, unit: str, limit: float | None = Non
 
 # What changes its sign in a mirror: of the forces of the plan only friction, in their last column.
 _MIRRORED, FRICTION = ("q", "v", "u", "friction"), 2
+# The unit of each array, or of its columns.
+_UNITS = {
+    "t": "s", "q": ("m", "rad"), "v": ("m/s", "rad/s"), "u": ("N", "N m"), "lam": "N", "gap": "m", "friction": "N", "contact_impulse": "N s",
+    "kinetic_energy": "J", "contact_energy": "J", "input_work": "J", "dissipated_work": "J",
+}  # fmt: skip
 
 
 def put(group: str, place: Any, value: float | np.ndarray) -> Change:
@@ -150,7 +180,8 @@ def put(group: str, place: Any, value: float | np.ndarray) -> Change:
     def change(case: Case) -> None:
         of_replay, _, name = group.rpartition(".")
         turns = name in _MIRRORED or (group == "lam" and place[1] == FRICTION)
-        (case.replay if of_replay else case.plan)[name][place] += value * (case.side if turns else 1.0)
+        unit = _UNITS[name] if isinstance(_UNITS[name], str) else _UNITS[name][place[1]]
+        (case.replay if of_replay else case.plan)[name][place] += value * case.sizes.of(unit) * (case.side if turns else 1.0)
 
     return change
 
@@ -264,6 +295,32 @@ def test_what_is_off_is_found_by_exactly_that(
     if limit is not None:
         assert found.limit == pytest.approx(limit, rel=1e-6), "but for the rounding of what is only just in touch"
         assert found.ok is (value < limit)
+
+
+# Of one unit; a cost adds what it likes.
+SCALED = [item for item in FOUND if "," not in item[3] and "cost" not in item[1]]
+# What counts as a large velocity is the nominal of its position in a second, whatever the task's time is.
+PER_SECOND = ("start_error", "replay_velocity_bound_violation", "defect")
+# No round numbers: these would look printed.
+OTHERS = (
+    Sizes(length=math.pi),
+    Sizes(mass=math.e),
+    Sizes(time=math.sqrt(50.0)),
+    Sizes(length=0.1 * math.e, mass=0.05 * math.pi, time=math.sqrt(3.0)),
+)
+
+
+@pytest.mark.parametrize("sizes", OTHERS, ids=["length", "mass", "time", "all"])
+@pytest.mark.parametrize(("what", "name", "value", "unit", "limit", "change"), SCALED, ids=[f"{n} of {w}" for w, n, *_ in SCALED])
+def test_in_other_units_it_is_the_same(what: str, name: str, value: float, unit: str, limit: float | None, change: Change, sizes: Sizes):
+    """A number in N s grows as a newton second does, and its limit with it: nothing is held against a number of another dimension."""
+    case = Case(1.0, sizes)
+    change(case)
+    found = case.metric(name)
+    assert found.value == pytest.approx(value * sizes.of(unit), rel=1e-9, abs=1e-12 * sizes.of(unit)), what
+    if limit is not None and value > 0.0:
+        seconds = sizes.time if name in PER_SECOND and unit.endswith("/s") else 1.0
+        assert found.limit == pytest.approx(limit * sizes.of(unit) * seconds, rel=1e-5), "but for the last digits of what is given"
 
 
 @SIDES
