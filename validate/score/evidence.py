@@ -81,8 +81,8 @@ class Evidence:
         held, nodes = self.held_inputs, self.trajectory.t
         steps = np.clip(np.searchsorted(nodes, times + 1e-9 * step, side="right") - 1, 0, len(u) - 1)
         inputs = u[steps] + held.slopes[steps] * np.maximum(times - nodes[steps], 0.0)[:, None]
-        moved = _at_times(times, *_without_repeats(t, q, v))
-        return self.kernel.cost(*(np.vstack([part, last[-1:]]) for part, last in zip(moved, (q, v), strict=True)), inputs)
+        moved_q, moved_v = _at_times(times, *_without_repeats(t, q, v))
+        return self.kernel.cost(np.vstack([moved_q, q[-1:]]), np.vstack([moved_v, v[-1:]]), inputs)
 
     @cached_property
     def phi(self) -> np.ndarray:
