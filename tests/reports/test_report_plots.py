@@ -64,6 +64,39 @@ def test_a_path_reads_back_as_the_values_drawn():
         assert height == pytest.approx(plot.py(math.sin(t)), abs=0.25)
 
 
+def test_on_logarithmic_axes_a_line_goes_through_its_points_and_decades_are_equally_far():
+    """440 by 240 pixels: x from 54 to 426 over six decades, y from 202 up to 26 over eight, by hand."""
+    plot = Plot("slope", Axis("step", "s", 1e-3, 1e3, log=True), Axis("error", "m", 1e-6, 1e2, log=True))
+    xs, ys = [1e-3, 1e-1, 1.0, 1e2, 1e3], [1e-6, 1e2, 1e-2, 1e0, 1e-4]
+    plot.line("e", "c0", xs, ys)
+    for x, y in zip(xs, ys, strict=True):
+        plot.point(x, y, "c0", "circle", "a tip")
+    markup = plot.markup()
+    by_hand = [(54.0, 202.0), (178.0, 26.0), (240.0, 114.0), (364.0, 70.0), (426.0, 158.0)]
+    path = re.search(r'data-n="e" d="M([^"]+)"', markup)
+    assert path is not None
+    assert [tuple(map(float, pair.split(","))) for pair in path[1].split("L")] == [pytest.approx(place, abs=0.11) for place in by_hand]
+    circles = re.findall(r'<circle cx="([^"]+)" cy="([^"]+)"', markup)
+    assert [tuple(map(float, place)) for place in circles] == [pytest.approx(place, abs=0.06) for place in by_hand]
+    plot.level(1e-2, "limit")
+    assert 'd="M54,114.0H426"' in plot.markup()
+    assert [value for value, _ in Axis("step", "s", 0.5e-3, 2e3, log=True).ticks(most=7)] == pytest.approx(
+        [1e-3, 1e-2, 1e-1, 1.0, 10.0, 100.0, 1000.0]
+    )
+
+
+@pytest.mark.parametrize("log", [False, True])
+def test_what_lies_outside_is_at_its_own_side(log: bool):
+    axis = Axis("q", "m", 1.0, 100.0, log=log)
+    assert axis.fraction(1.0) == 0.0
+    assert axis.fraction(100.0) == 1.0
+    assert axis.fraction(10.0) == pytest.approx(0.5 if log else 1.0 / 11.0)
+    assert axis.fraction(1e9) == 1.5
+    assert axis.fraction(1e-9 if log else -1e9) == -0.5
+    values = [1e-9, 1.0, 3.0, 10.0, 55.0, 100.0, 1e9]
+    assert axis.pixels(values, 20.0, 120.0) == pytest.approx([20.0 + 100.0 * axis.fraction(value) for value in values])
+
+
 def test_labels_keep_clear_of_each_other():
     plot = Plot("labels", Axis.fitted("x", "", [0, 1]), Axis.fitted("y", "", [0, 1]))
     placed = [plot.label(0.5, 0.5, "the same place") for _ in range(12)]
