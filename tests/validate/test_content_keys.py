@@ -11,6 +11,7 @@ import pytest
 
 from formulations.catalog import load_method, method_names
 from formulations.method import Leg, Pipeline
+from validate import provenance
 from validate.campaign import Settings, select
 
 
@@ -70,3 +71,17 @@ def test_whatever_is_asked_otherwise_has_another_key():
     }
     assert len(set(variants.values())) == len(variants)
     assert key(SOFT, STRICT) == variants["as it is"]
+
+
+def test_another_linear_solver_or_library_has_another_key(monkeypatch: pytest.MonkeyPatch):
+    ours = key(STRICT)
+    monkeypatch.setenv("TOUCHSTONE_LINEAR_SOLVER", "mumps")
+    theirs = key(STRICT)
+    monkeypatch.setenv("TOUCHSTONE_LINEAR_SOLVER", "another")
+    assert len({ours, theirs, key(STRICT)}) == 3
+    monkeypatch.delenv("TOUCHSTONE_LINEAR_SOLVER")
+    assert key(STRICT) == ours
+    versions = provenance.library_versions()
+    for name in versions:
+        monkeypatch.setattr(provenance, "library_versions", lambda name=name: {**versions, name: "another"})
+        assert key(STRICT) != ours, name
