@@ -287,6 +287,10 @@ class RunRecord(_Model):
     provenance: ProvenanceRecord
     log_tail: str = ""
 
+    @property
+    def title(self) -> str:
+        return f"{self.scene.name} x {self.pipeline}" + (f" ({self.part} of {self.parts})" if self.parts > 1 else "")
+
 
 class ViolationPoint(_Model):
     """Fig. 2 of the paper: worst-case violation D = max over phi of lam*(lam - k*phi) of a relaxation at eps [N^2]."""

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 from pathlib import Path
+
+import pytest
 
 from reports.record import MetricRecord
 from reports.tracked_record import TrackedRecord
+from validate.store import Store
+from validate.stored import stored_names, title_of
 
 _FACTORY = importlib.util.spec_from_file_location("record_factory_of_show", Path(__file__).parents[1] / "reports" / "record_factory.py")
 assert _FACTORY is not None
@@ -44,3 +49,32 @@ def test_a_run_that_holds_with_feedback_shows_both_ends(cli, tmp_path: Path):
     ):
         assert told in lines, told
     assert done.returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("cell", "named"),
+    [
+        ({"scene_name": "three_cart", "pipeline": {"name": "mpcc", "part": [2, 4]}}, "three_cart x mpcc (2 of 4)"),
+        ({"scene_name": "three_cart", "pipeline": {"name": "mpcc", "part": None}}, "three_cart x mpcc"),
+        ({"kind": "FMU", "name": "three_cart, FMI 2.0"}, "FMU: three_cart, FMI 2.0"),
+        # Damaged: its record tells.
+        ({"scene_name": "three_cart", "pipeline": {"name": "mpcc", "part": 3}}, "three_cart x strict"),
+        ({"scene_name": "three_cart", "pipeline": "mpcc"}, "three_cart x strict"),
+        ({"pipeline": {"name": "mpcc", "part": None}}, "three_cart x strict"),
+        ({}, "three_cart x strict"),
+        ([1, 2], "three_cart x strict"),
+    ],
+)
+def test_a_run_is_called_what_was_asked_for_and_only_else_what_its_record_says(cell: object, named: str, tmp_path: Path):
+    run = factory.run("strict", None, "strict_lcp")
+    store = Store(factory.store(tmp_path / "all", [run]))
+    (store.runs / run.key / "cell.json").write_text(json.dumps({"cell": cell}), encoding="utf-8")
+    assert stored_names(store, [run.key, "no-such-key"]) == {run.key: named}
+
+
+def test_the_record_and_what_was_asked_for_agree_on_the_name():
+    run = factory.run("strict", None, "strict_lcp")
+    assert run.title == title_of({"scene_name": "three_cart", "pipeline": {"name": "strict", "part": None}})
+    assert run.model_copy(update={"part": 2, "parts": 4}).title == title_of(
+        {"scene_name": "three_cart", "pipeline": {"name": "strict", "part": [2, 4]}}
+    )

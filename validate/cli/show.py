@@ -61,7 +61,7 @@ def _found(run: str, folder: Path) -> tuple[Path, RunRecord | ExaminationRecord]
     """The campaign's folder and the record. Raises CampaignError."""
     from validate.chosen import CampaignError
     from validate.store import RECORD, Store
-    from validate.stored import stored_campaign
+    from validate.stored import campaign_of, stored_names
 
     path = Path(run)
     if path.name == RECORD and len(path.parts) > 1:
@@ -73,14 +73,14 @@ def _found(run: str, folder: Path) -> tuple[Path, RunRecord | ExaminationRecord]
                 f"{run}: this folder holds no record that this version reads (it is damaged, or of another schema); give a folder below DIR/runs."
             )
         return path.parent.parent, record
-    _, records = stored_campaign(folder)
-    names = {record.key: _name(record) for record in records}
+    store = Store(folder)
+    names = stored_names(store, campaign_of(folder).keys)
     for fits in (
-        lambda record: len(run) >= 4 and record.key.startswith(run),
-        lambda record: names[record.key] == run,
-        lambda record: run.lower() in names[record.key].lower(),
+        lambda key: len(run) >= 4 and key.startswith(run),
+        lambda key: names[key] == run,
+        lambda key: run.lower() in names[key].lower(),
     ):
-        found = [record for record in records if fits(record)]
+        found = [record for key in names if fits(key) if (record := store.read(key)) is not None]
         if len(found) == 1:
             return folder, found[0]
         if found:
@@ -100,16 +100,8 @@ def _hint(run: str, names: list[str], folder: Path) -> str:
     )
 
 
-def _name(record: RunRecord | ExaminationRecord) -> str:
-    from reports.examination_record import ExaminationRecord
-
-    if isinstance(record, ExaminationRecord):
-        return record.title
-    return f"{record.scene.name} x {record.pipeline}" + (f" ({record.part} of {record.parts})" if record.parts > 1 else "")
-
-
 def _tell_run(record: RunRecord) -> None:
-    click.echo(one_line(f"{_name(record)}: {record.outcome}, {record.verdict}"))
+    click.echo(one_line(f"{record.title}: {record.outcome}, {record.verdict}"))
     click.echo(one_line(f"{record.scene.title}; {record.pipeline_title}"))
     if record.message:
         click.echo(one_line(record.message))
