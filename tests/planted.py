@@ -42,7 +42,7 @@ ROOMS = {
     "report": (("reports/**/*.py",), ("tests/reports/test_*.py",)),
 }  # fmt: skip
 # Longest that the tests of one defect may take [s]; past it they hang, which is an answer too.
-_LONGEST = 1200.0
+_LONGEST, _HANGS = 1200.0, "it hangs"
 
 
 Place = ast.expr | ast.stmt
@@ -74,6 +74,8 @@ _OPPOSITE: dict[type[ast.AST], tuple[str, type[ast.AST]]] = {
     ast.In: ("comparison", ast.NotIn), ast.NotIn: ("comparison", ast.In), ast.And: ("condition", ast.Or), ast.Or: ("condition", ast.And),
 }  # fmt: skip
 _TWINS = {"max": "min", "min": "max", "any": "all", "all": "any", "maximum": "minimum", "minimum": "maximum"}
+# Their arguments may change places.
+_COMMUTE = {*_TWINS, "hypot", "array_equal", "gcd"}
 
 
 def mistakes(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
@@ -109,7 +111,7 @@ def mistakes(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
             yield "index", ast.Subscript(value, ast.Constant(index - 1) if index == 1 else ast.UnaryOp(ast.USub(), ast.Constant(index - 1)))
         case ast.Call(func=func, args=args, keywords=keywords):
             name = func.id if isinstance(func, ast.Name) else func.attr if isinstance(func, ast.Attribute) else ""
-            if len(args) > 1 and not any(isinstance(item, ast.Starred) for item in args[:2]):
+            if name not in _COMMUTE and len(args) > 1 and not any(isinstance(item, ast.Starred) for item in args[:2]):
                 yield "arguments swapped", ast.Call(func, [args[1], args[0], *args[2:]], keywords)
             for values in _neighbours([item.value for item in keywords]):
                 given = [ast.keyword(item.arg, value) for item, value in zip(keywords, values, strict=True)]
@@ -194,17 +196,17 @@ def drawn(rooms: list[str], seed: int) -> Iterator[Defect]:
             yield Defect(room, name, line, kind, before, written, replaced(texts[path], place, written))
 
 
-def tests_of(defect: Defect) -> tuple[list[str], list[str]]:
+def tests_of(defect: Defect, tree: Path) -> tuple[list[str], list[str]]:
     """Test files of the room: those that import the file or the package it is in, and the others."""
-    every = sorted({path for pattern in ROOMS[defect.room][1] for path in ROOT.glob(pattern) if path.name.startswith("test_")})
+    every = sorted({path for pattern in ROOMS[defect.room][1] for path in tree.glob(pattern) if path.name.startswith("test_")})
     module = defect.path.removesuffix(".py").replace("/", ".")
     package = module.rpartition(".")[0]
     imports = re.compile(
         rf"^\s*(from|import) ({re.escape(module)}|{re.escape(package)} import .*\b{module.rpartition('.')[2]}\b)", re.MULTILINE
     )
     near = [path for path in every if imports.search(path.read_text(encoding="utf-8"))]
-    names = [path.relative_to(ROOT).as_posix() for path in near]
-    return names, [name for name in (path.relative_to(ROOT).as_posix() for path in every) if name not in names]
+    names = [path.relative_to(tree).as_posix() for path in near]
+    return names, [name for name in (path.relative_to(tree).as_posix() for path in every) if name not in names]
 
 
 @dataclass(frozen=True)
@@ -224,14 +226,14 @@ def tried(defect: Defect, copy: Path) -> Result | None:
     try:
         if _run(copy, ["-c", f"import {module}"])[0] != 0:
             return None
-        for files in tests_of(defect):
+        for files in tests_of(defect, copy):
             if files and not found:
                 code, said = _run(copy, [*_PYTEST, *files])
                 found = [] if code == 0 else re.findall(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE) or [_last_line(said)]
     finally:
         place.write_text(sound, encoding="utf-8")
-    if found and "::" in found[0]:
-        code, said = _run(copy, [*_PYTEST, found[0]])
+    if found and not found[0].startswith(_HANGS):
+        code, said = _run(copy, [*_PYTEST, found[0], *([] if "::" in found[0] else ["--collect-only"])])
         if code != 0:
             raise SystemExit(f"{found[0]} fails without any defect too; mend it first: {_last_line(said)}")
     return Result(defect, "".join(found[:1]), monotonic() - began)
@@ -257,7 +259,7 @@ def _run(copy: Path, words: list[str]) -> tuple[int, str]:
             [sys.executable, *words], cwd=copy, env=environment, capture_output=True, text=True, timeout=_LONGEST, check=False
         )
     except subprocess.TimeoutExpired:
-        return 1, f"it hangs: {_LONGEST:g} s"
+        return 1, f"{_HANGS}: {_LONGEST:g} s"
     return done.returncode, done.stdout + done.stderr
 
 
