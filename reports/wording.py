@@ -89,14 +89,14 @@ def number(value: float | None, digits: int = 4) -> str:
     mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
     mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
     mantissa = mantissa.replace("-", "−")
-    return power(int(exponent)) if mantissa == "1" else f"{mantissa}×{power(int(exponent))}"
+    return mantissa[:-1] + power(int(exponent)) if mantissa in ("1", "−1") else f"{mantissa}×{power(int(exponent))}"
 
 
 def cost(value: float | None) -> str:
     """Costs with two decimals, as the paper prints them; of those that no table has room for, a power of ten."""
     if value is None or not math.isfinite(value):
         return DASH
-    return number(value) if abs(value) >= _LARGE else _grouped(f"{value:.2f}")
+    return number(value) if abs(value) >= _LARGE else _grouped(f"{value:z.2f}")
 
 
 def error(value: float | None) -> str:

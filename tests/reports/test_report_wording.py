@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from reports.render import render
-from reports.wording import prose
+from reports.wording import cost, error, number, prose
 
 _SUPERSCRIPT = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
@@ -46,6 +46,28 @@ def test_no_digit_is_lost_or_made_up(value: float, places: int):
     assert float(back) == float(told) or math.isclose(float(back), float(told), rel_tol=1e-15)
     assert "e+" not in written
     assert "e-" not in written
+
+
+def read(text: str) -> float:
+    """A number as a page writes it."""
+    plain = text.replace("−", "-").replace("\u202f", "").translate(_SUPERSCRIPT)
+    mantissa, times, exponent = plain.partition("×10")
+    if times:
+        return float(f"{mantissa}e{exponent}")
+    power = re.fullmatch(r"(-?)10(-?\d+)", plain) if any(letter in text for letter in "⁻⁰¹²³⁴⁵⁶⁷⁸⁹") else None
+    return float(f"{power[1]}1e{power[2]}") if power else float(plain)
+
+
+# Of each writer the relative and the absolute rounding.
+WRITERS = [(number, 5.1e-4, 0.0), (cost, 5.1e-4, 0.0051), (error, 0.051, 0.0)]
+
+
+@pytest.mark.parametrize(("writer", "relative", "absolute"), WRITERS, ids=["number", "cost", "error"])
+@given(value=st.floats(1e-14, 1e14) | st.sampled_from([1.0, 9.9996, 99.95, 999.95, 9999.5, 12345.678, 123456.7, 999999.0, 1e6, 1e-3]))
+def test_a_number_reads_back_and_its_negative_is_the_same_with_a_minus(writer, relative: float, absolute: float, value: float):
+    told = writer(value)
+    assert read(told) == pytest.approx(value, rel=relative, abs=absolute)
+    assert writer(-value) == (f"−{told}" if read(told) else told)
 
 
 def test_why_there_is_no_plan_is_told_once_a_stage(factory, tmp_path):
