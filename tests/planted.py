@@ -229,7 +229,11 @@ def tried(defect: Defect, copy: Path) -> Result | None:
         for files in tests_of(defect, copy):
             if files and not found:
                 code, said = _run(copy, [*_PYTEST, *files])
-                found = [] if code == 0 else re.findall(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE) or [_last_line(said)]
+                found = (
+                    []
+                    if code == 0
+                    else re.findall(r"^(?:FAILED|ERROR) ([^\s\[]+\[.*?\](?= - |$)|\S+)", said, re.MULTILINE) or [_last_line(said)]
+                )
     finally:
         place.write_text(sound, encoding="utf-8")
     if found and not found[0].startswith(_HANGS):
