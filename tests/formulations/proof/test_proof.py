@@ -17,6 +17,7 @@ from formulations.proof import PairBounds, ProofStatus, build_miqp, pair_bounds,
 from formulations.proof.bounds import physical_bounds
 from formulations.proof.energy import energy_bound
 from formulations.proof.prove import GAP, is_exact
+from formulations.proof.relaxation import _lowered
 from formulations.solution import Outcome
 from formulations.transcription.contact_laws import ModelError
 from formulations.windows.linear_scene import linear_scene
@@ -61,6 +62,25 @@ def test_the_proved_optimum_is_the_best_of_all_modes(scene: Scene):
     assert proof.plan is not None
     assert is_exact(scene, proof.plan)
     assert proof.pairs == (scene.task.steps - 1) * scene.nc
+
+
+def test_seconds_are_those_of_opening_and_of_the_proof():
+    with load_method("global").open(SHORT) as session:
+        first, second = (session.solve(eps=None, warm_start=None, time_limit=60.0).seconds for _ in range(2))
+    assert first is not None
+    assert second is not None
+    assert first.build > 0.0
+    assert second.build == 0.0, "opened once"
+    for found in (first, second):
+        assert found.wall == found.build + found.linear_algebra
+        assert found.cpu > 0.0
+
+
+@pytest.mark.parametrize(
+    ("bound", "lowered"), [(2000.0, 1999.998), (-2000.0, -2000.002), (0.5, 0.499999), (-0.5, -0.500001), (-np.inf, -np.inf)]
+)
+def test_a_bound_is_lowered_by_its_size_before_it_is_believed(bound: float, lowered: float):
+    assert _lowered(bound) == pytest.approx(lowered, rel=1e-12)
 
 
 def test_the_pendulum_against_its_wall_is_proved():
