@@ -13,6 +13,7 @@ from formulations.catalog import load_method, method_names
 from formulations.method import Leg, Pipeline
 from validate import provenance
 from validate.campaign import Settings, select
+from validate.examination import Examination
 
 
 def key(*legs: Leg, scene: str = "wall_pendulum", name: str = "same", title: str = "one title") -> str:
@@ -85,3 +86,35 @@ def test_another_linear_solver_or_library_has_another_key(monkeypatch: pytest.Mo
     for name in versions:
         monkeypatch.setattr(provenance, "library_versions", lambda name=name: {**versions, name: "another"})
         assert key(STRICT) != ours, name
+
+
+def _sources_with(changed: str) -> dict[str, str]:
+    return {**SOURCES, changed: "another digest"}
+
+
+SOURCES = provenance._source_digests()
+# A file of ours, and whether it decides: a cell of strict_lcp, an examination of nothing but models/fmu, one that names no sources, which has all.
+DECIDES = {
+    "models/fmu/package.py": (True, True, True),
+    "models/dynamics.py": (True, False, True),
+    "formulations/methods/strict_lcp.py": (True, False, False),
+    "formulations/methods/mpcc.py": (False, False, False),
+    "models/scenes/three_cart.py": (False, False, False),
+    "validate/examination.py": (False, True, True),
+    "validate/score/measures.py": (True, False, True),
+    "reports/record.py": (True, True, True),
+}
+
+
+@pytest.mark.parametrize("changed", DECIDES)
+def test_a_key_is_of_the_sources_that_decide_and_of_no_others(changed: str, monkeypatch: pytest.MonkeyPatch):
+    assert changed in SOURCES, "or nothing would be changed"
+    one = Examination(kind="k", name="n", expected="e", function="f", sources=("models/fmu",))
+    whole = replace(one, sources=())
+
+    def keys() -> tuple[str, ...]:
+        return key(STRICT), provenance.examination_key(one), provenance.examination_key(whole)
+
+    before = keys()
+    monkeypatch.setattr(provenance, "_source_digests", lambda: _sources_with(changed))
+    assert tuple(now != then for now, then in zip(keys(), before, strict=True)) == DECIDES[changed]
