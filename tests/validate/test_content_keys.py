@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+import platform
 from dataclasses import Field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -118,3 +120,19 @@ def test_a_key_is_of_the_sources_that_decide_and_of_no_others(changed: str, monk
     before = keys()
     monkeypatch.setattr(provenance, "_source_digests", lambda: _sources_with(changed))
     assert tuple(now != then for now, then in zip(keys(), before, strict=True)) == DECIDES[changed]
+
+
+def test_a_record_says_where_it_came_from():
+    told = provenance.gather("python -m validate all")
+    assert told.platform == platform.platform()
+    assert told.python.split() == [platform.python_implementation(), platform.python_version()]
+    assert told.cores == len(os.sched_getaffinity(0))
+    assert told.threads == 1
+    assert told.command == "python -m validate all"
+    assert told.packages == {name: version for name, version in provenance.library_versions().items() if name != "python"}
+    information = Path("/proc/cpuinfo")
+    if information.exists():
+        models = {
+            line.partition(":")[2].strip() for line in information.read_text(encoding="utf-8").splitlines() if line.startswith("model name")
+        }
+        assert not models or any(model in told.cpu for model in models)

@@ -97,20 +97,29 @@ def test_the_pendulum_against_its_wall_is_proved():
     assert solution.bound.decisions == 19
 
 
-def test_no_exact_plan_leaves_the_bounds():
+# The same with a cost whose optimum is nowhere near nought: it has a linear part and a constant.
+_u, _theta, _omega = (
+    next(item for item in PENDULUM.task.running_cost.free_symbols if item.name == name) for name in ("u", "theta", "omega")
+)
+AWAY = PENDULUM.with_task(running_cost=(_theta - 1) ** 2 + (_omega + 2) ** 2 + (_u - 3) ** 2)
+
+
+@pytest.mark.parametrize("scene", [PENDULUM, AWAY], ids=["as it is", "with a linear cost"])
+def test_no_exact_plan_leaves_the_bounds(scene: Scene):
     """Random inputs: whatever costs no more than the ceiling keeps every bound, else the big-M would cut it off."""
-    linear, random = linear_scene(PENDULUM), np.random.default_rng(0)
-    plans = [rolled(PENDULUM, random.uniform(-1.5, 1.5, 1) + random.uniform(-0.7, 0.7, (20, 1))) for _ in range(300)]
-    costs = [load_kernel(PENDULUM).cost(plan.q, plan.v, plan.u) for plan in plans]
+    linear, random = linear_scene(scene), np.random.default_rng(0)
+    plans = [rolled(scene, random.uniform(-1.5, 1.5, 1) + random.uniform(-0.7, 0.7, (20, 1))) for _ in range(300)]
+    costs = [load_kernel(scene).cost(plan.q, plan.v, plan.u) for plan in plans]
     ceiling = float(np.median(costs))
-    bounds = pair_bounds(PENDULUM, linear, ceiling)
+    bounds = pair_bounds(scene, linear, ceiling)
     kept = [plan for plan, cost in zip(plans, costs, strict=True) if cost <= ceiling]
-    phi = np.stack([load_kernel(PENDULUM).penetration(plan.q[:-1]) for plan in kept])
+    phi = np.stack([load_kernel(scene).penetration(plan.q[:-1]) for plan in kept])
     assert len(kept) >= 100
+    assert not bounds.is_empty
     assert (phi >= bounds.lower - 1e-12).all()
     assert (phi <= bounds.upper + 1e-12).all()
-    dearer = np.stack([load_kernel(PENDULUM).penetration(plan.q[:-1]) for plan in plans])
-    assert (dearer > bounds.upper).any(), "the ceiling was meant to cut something off"
+    dearer = np.stack([load_kernel(scene).penetration(plan.q[:-1]) for plan in plans])
+    assert ((dearer > bounds.upper) | (dearer < bounds.lower)).any(), "the ceiling was meant to cut something off"
 
 
 def test_cheap_plans_have_little_energy():
