@@ -38,7 +38,7 @@ ROOMS = {
     "certificate": (("formulations/mpec/certificate/*.py",), ("tests/formulations/mpec/**/test_*.py", "tests/formulations/test_methods_mpcc.py")),
     "proof": (("formulations/proof/*.py",), ("tests/formulations/proof/*.py", "tests/formulations/test_*global*.py", "tests/formulations/test_*proof*.py")),
     "store": (("validate/stor*.py", "validate/disk.py", "validate/provenance.py", "validate/selection.py"),
-              ("tests/validate/test_c*.py", "tests/validate/test_store*.py", "tests/validate/test_rerunning.py", "tests/validate/test_local*.py", "tests/validate/test_pro*.py")),
+              ("tests/validate/test_c*.py", "tests/validate/test_s[ht]*.py", "tests/validate/test_rerunning.py", "tests/validate/test_local*.py", "tests/validate/test_pro*.py")),
     "report": (("reports/**/*.py",), ("tests/reports/test_*.py",)),
 }  # fmt: skip
 # Longest that the tests of one defect may take [s]; past it they hang, which is an answer too.

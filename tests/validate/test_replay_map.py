@@ -105,6 +105,14 @@ def test_bounds_are_those_of_the_fmu_where_the_map_has_none(wired: Wire):
     assert (turned.lower, turned.upper) == (-1000.0, 3.0)
 
 
+@pytest.mark.parametrize("sign", ["", "-"])
+def test_a_typical_size_is_that_of_the_fmu_in_the_plans_unit_whichever_way_it_points(wired: Wire, sign: str):
+    (first, *_) = wired(FULL_MAP)[0].model.coordinates
+    position = next(line for line in FULL_MAP.splitlines() if line.startswith("x = "))
+    turned = wired(FULL_MAP.replace(position, position.replace("scale = ", f"scale = {sign}")))[0].model.coordinates[0]
+    assert turned.nominal == first.nominal > 0.0
+
+
 def test_what_cannot_be_asked_says_how_to_make_it_askable(wired: Wire):
     told = "\n".join(wired(BARE, "t,F\n0,1\n1,\n")[0].model.not_asked)
     for words in (
