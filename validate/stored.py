@@ -30,7 +30,7 @@ def stored_campaign(folder: Path) -> tuple[CampaignRecord, tuple[RunRecord | Exa
 
 
 def title_of(cell: Mapping[str, Any]) -> str:
-    """What a cell is called, of what was asked for. Raises KeyError, TypeError or ValueError where that is damaged."""
+    """What a cell is called, of what was asked for. Raises LookupError or TypeError where that is damaged."""
     if "pipeline" not in cell:
         return f"{cell['kind']}: {cell['name']}"
     pipeline = cell["pipeline"]
@@ -45,7 +45,7 @@ def stored_names(store: Store, keys: Iterable[str]) -> dict[str, str]:
     for key in keys:
         try:
             names[key] = title_of(store.request(key))
-        except (KeyError, TypeError, ValueError):  # damaged, or of nothing that is known
+        except (LookupError, TypeError):  # damaged, or of nothing that is known
             record = store.read(key)
             if record is not None:
                 names[key] = record.title

@@ -59,6 +59,7 @@ def test_a_run_that_holds_with_feedback_shows_both_ends(cli, tmp_path: Path):
         ({"kind": "FMU", "name": "three_cart, FMI 2.0"}, "FMU: three_cart, FMI 2.0"),
         # Damaged: its record tells.
         ({"scene_name": "three_cart", "pipeline": {"name": "mpcc", "part": 3}}, "three_cart x strict"),
+        ({"scene_name": "three_cart", "pipeline": {"name": "mpcc", "part": [3]}}, "three_cart x strict"),
         ({"scene_name": "three_cart", "pipeline": "mpcc"}, "three_cart x strict"),
         ({"pipeline": {"name": "mpcc", "part": None}}, "three_cart x strict"),
         ({}, "three_cart x strict"),
