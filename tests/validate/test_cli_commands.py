@@ -254,3 +254,30 @@ def test_a_campaign_of_refusals_claims_nothing(cli, tmp_path):
     assert done.returncode == 0
     assert "no method applies to its scene" in done.stdout
     assert "holds" not in done.stdout
+
+
+@pytest.mark.parametrize("code", [0, 3])
+def test_exit_handlers_run_before_the_process_ends(code: int, cli_environment):
+    """The process ends without taking its modules apart; what a command registered runs, what it wrote arrives, its exit code stays."""
+    script = f"""
+import atexit, sys
+from validate import __main__
+from validate.cli import group
+
+def command(*_):
+    atexit.register(print, "handled", end="")
+    print("written", end=" ")
+    return {code}
+
+group.run = command
+__main__.main()
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=cli_environment, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (code, "written handled", "")
+
+
+def test_an_exception_nobody_caught_ends_as_python_ends(cli_environment):
+    script = "from validate import __main__; from validate.cli import group; group.run = None; __main__.main()"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=cli_environment, check=False)
+    assert done.returncode == 1
+    assert "TypeError" in done.stderr
