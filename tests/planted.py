@@ -229,11 +229,7 @@ def tried(defect: Defect, copy: Path) -> Result | None:
         for files in tests_of(defect, copy):
             if files and not found:
                 code, said = _run(copy, [*_PYTEST, *files])
-                found = (
-                    []
-                    if code == 0
-                    else re.findall(r"^(?:FAILED|ERROR) ([^\s\[]+\[.*?\](?= - |$)|\S+)", said, re.MULTILINE) or [_last_line(said)]
-                )
+                found = [] if code == 0 else who_failed(said, copy)
     finally:
         place.write_text(sound, encoding="utf-8")
     if found and not found[0].startswith(_HANGS):
@@ -241,6 +237,13 @@ def tried(defect: Defect, copy: Path) -> Result | None:
         if code != 0:
             raise SystemExit(f"{found[0]} fails without any defect too; mend it first: {_last_line(said)}")
     return Result(defect, "".join(found[:1]), monotonic() - began)
+
+
+def who_failed(said: str, copy: Path) -> list[str]:
+    """The tests that pytest names as failed; where its process died instead, the one that its dump of the stack says it was in."""
+    failed = re.findall(r"^(?:FAILED|ERROR) ([^\s\[]+\[.*?\](?= - |$)|\S+)", said, re.MULTILINE)
+    inside = re.findall(rf'^  File "{re.escape(str(copy))}/(tests/\S+\.py)", line \d+ in (test_\w+)$', said, re.MULTILINE)
+    return failed or ["::".join(place) for place in inside[:1]] or [_last_line(said)]
 
 
 _PYTEST = ("-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist")

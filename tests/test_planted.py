@@ -70,15 +70,22 @@ def test_every_room_has_files_and_tests():
 
 @pytest.mark.parametrize(
     ("source", "says"),
-    [("def f(:\n", None), ("import no_such_module\n", None), ("X = 2\n", "tests/test_x.py::test_x[a name, of - words]"), ("X = 1\n", "")],
+    [
+        ("def f(:\n", None),
+        ("import no_such_module\n", None),
+        ("X = 2\n", "tests/test_x.py::test_x[a name, of - words]"),
+        ("X = 3\n", "tests/test_x.py::test_x"),
+        ("X = 1\n", ""),
+    ],
 )
-def test_what_does_not_import_is_drawn_again_and_the_file_is_as_before(
+def test_what_fails_is_named_what_does_not_import_is_drawn_again_and_the_file_is_as_before(
     source: str, says: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     (tmp_path / "tests").mkdir()
     (tmp_path / "own.py").write_text("X = 1\n", encoding="utf-8")
     (tmp_path / "tests" / "test_x.py").write_text(
-        'import pytest\nfrom own import X\n\n@pytest.mark.parametrize("y", [1], ids=["a name, of - words"])\ndef test_x(y):\n    assert X == y\n',
+        'import os, pytest\nfrom own import X\n\n@pytest.mark.parametrize("y", [1], ids=["a name, of - words"])\ndef test_x(y):\n'
+        "    if X == 3:\n        os.abort()\n    assert X == y\n",
         encoding="utf-8",
     )
     monkeypatch.setattr("tests.planted.ROOT", tmp_path)
