@@ -19,7 +19,7 @@ import click
 from benchmarks.checkout import find_modules_in, module_at
 from benchmarks.measure import run_child
 from benchmarks.options import COUNT, SEED, json_option
-from validate.disk import write_durably
+from validate.store.disk import write_durably
 
 CHUNK = 250
 MEMORY = 6 * 1024**3  # [bytes] of address space: a reader that takes more has been made to

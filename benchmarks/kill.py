@@ -14,7 +14,7 @@ import click
 
 from benchmarks.checkout import find_modules_in
 from benchmarks.options import COUNT, json_option, seed_option
-from validate.disk import write_durably
+from validate.store.disk import write_durably
 
 
 @click.command()

@@ -116,7 +116,7 @@ def _peak() -> float:
 
 def sample(function: str, size: Size, folder: Path, *, seconds: float, what: str, once: bool = False) -> Sample:
     """Measure a function `module:name` in a child; seconds: of the clock, that it may take; what: how it is called if it fails."""
-    from validate.isolation import Limits, run_isolated
+    from validate.execution.isolated import Limits, run_isolated
 
     request = {"function": function, "n": size.n, "steps": size.steps, "once": once, "folder": str(folder)}
     done = run_isolated("benchmarks.measure:measure", request, limits=Limits(seconds=seconds, memory=_MEMORY), what=what)

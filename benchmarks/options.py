@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from validate.cli.numbers import FiniteRange
+from validate.cli.options import FiniteRange
 
 FOLDER = Path("runs/benchmarks")
 COUNT, SEED, POSITIVE = click.IntRange(min=1), click.IntRange(min=0), FiniteRange(min=0.0, min_open=True)
@@ -31,7 +31,7 @@ def program(context: click.Context, parameter: click.Parameter, name: str | None
 
 
 def _campaign(context: click.Context, parameter: click.Parameter, folder: Path) -> Path:
-    from validate.stored import campaign_of
+    from validate.store.stored import campaign_of
 
     campaign_of(folder)  # which says why there is none
     return folder

@@ -34,7 +34,7 @@ from models.fmu import build_fmu
 from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory
-from validate.replay import replay
+from validate.judge.replay.run import replay
 
 EULER, FINEST = Scheme.SEMI_IMPLICIT_EULER.value, Scheme.RADAU_IIA_3.value
 COLLOCATIONS = (Scheme.IMPLICIT_MIDPOINT.value, Scheme.RADAU_IIA_2.value, FINEST)

@@ -22,7 +22,7 @@ from benchmarks.options import COUNT, campaign_argument, json_option
 from models.catalog import load_scene, scene_names
 from models.errors import TouchstoneError
 from models.trajectory_netcdf import read_netcdf
-from validate.disk import write_durably
+from validate.store.disk import write_durably
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +60,7 @@ def stages(folder: Path, scenes: tuple[str, ...]) -> Iterator[tuple[dict[str, An
 
 def judged(scene: str, file: Path) -> tuple[str, str, dict[str, Any]]:
     """Verdict, sentence and metrics (value, limit, ok) of today."""
-    from validate.judge import judge
+    from validate.judge.judgement import judge
 
     loaded = load_scene(scene)
     try:

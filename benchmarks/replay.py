@@ -27,15 +27,14 @@ from models.fmu.kinds import INTEGRATORS
 from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
-from validate.isolation import Limits
-from validate.replay import Replay, replay
-from validate.replay.everyday import simulate
-from validate.replay.exchange import ExchangeModel
-from validate.replay.inputs import HeldInputs
-from validate.replay.package import Package, read_package, unpacked
-from validate.replay.reference import Run, integrate
-from validate.replay.scene_variables import find_variables
-from validate.replay.wiring import Variables
+from validate.execution.isolated import Limits
+from validate.fmi.package import Package, read_package, unpacked
+from validate.judge.replay import Replay
+from validate.judge.replay.everyday import simulate
+from validate.judge.replay.reference import ExchangeModel, Run, integrate
+from validate.judge.replay.run import replay
+from validate.judge.replay.subject import find_variables
+from validate.judge.replay.wiring import HeldInputs, Variables
 
 _DEFAULT = ("three_cart", "bouncing_mass", "two_body_collision")
 _TRUTH = 1e-14

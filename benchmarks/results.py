@@ -16,12 +16,12 @@ import click
 from benchmarks.records import AnyRecord, BenchRecord, Table, TableRecord
 from reports.load import ReportError, Unreadable, read_record
 from validate.cli.table import table
-from validate.disk import make_folder, write_durably
+from validate.store.disk import make_folder, write_durably
 
 
 def typed() -> str:
     """The command that runs, as it was typed."""
-    from validate.provenance import command_line
+    from validate.store.provenance import command_line
 
     context = click.get_current_context(silent=True)
     return command_line((context and context.find_root().obj) or (), "benchmarks")
@@ -29,7 +29,7 @@ def typed() -> str:
 
 def store(out: Path, name: str, record: Mapping[str, Any]) -> Path:
     """Write a record to DIR/NAME.json, whole or not at all. Raises MachineError."""
-    from validate.provenance import gather
+    from validate.store.provenance import gather
 
     found = BenchRecord.model_validate({"provenance": gather(typed()), **record})
     make_folder(out)

@@ -32,7 +32,7 @@ from models.scene_annotations import goal_limits
 from models.scenes.two_discs import MASS, RIGID_OPTIMUM, RIGID_OPTIMUM_WALL, two_discs
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
-from validate.replay import replay
+from validate.judge.replay.run import replay
 
 _SWEEP = ((500, 480), (2000, 480), (5000, 960), (20000, 1920), (100000, 3840), (200000, 5760), (400000, 7680), (1000000, 11520))
 # Constant forces tried in each direction at the softest contact, and how many of the throws are gone on with.

@@ -20,7 +20,7 @@ import click
 from benchmarks.measure import Size, Work, sample, slope
 from benchmarks.options import POSITIVE, out_option
 from benchmarks.results import store
-from validate.disk import temporary_folder
+from validate.store.disk import temporary_folder
 
 SIZES = tuple(
     Size(*size)
@@ -86,7 +86,7 @@ def gd_iteration(size: Size, folder: Path) -> Work:
 def replay(size: Size, folder: Path) -> Work:
     from benchmarks.suite.carts import pushed_plan, scene_of
     from models.fmu import build_fmu
-    from validate.replay import replay as replayed
+    from validate.judge.replay.run import replay as replayed
 
     scene, plan = scene_of(size), pushed_plan(size)
     small = Size(size.n, 20)

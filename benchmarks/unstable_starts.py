@@ -25,8 +25,9 @@ from models.catalog import load_scene
 from models.fmu import build_fmu
 from models.scene import Scene
 from models.trajectory import Trajectory
-from validate.replay import Replay, replay
-from validate.score import Score, score
+from validate.judge.replay import Replay
+from validate.judge.replay.run import replay
+from validate.judge.score import Score, score
 
 SCENE, PIPELINE = "cart_pole_walls", "softplus_dc+strict"
 PLACE, ANGLE = 0.3, 0.4  # [m], [rad]

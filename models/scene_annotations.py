@@ -17,7 +17,7 @@ _SHAPES = {"box": (2,), "disc": (1,), "line": (1,), "wall": (1, 2)}
 class Limit:
     """The largest value of a metric of the score with which a plan still holds, and the reason for that number.
 
-    value: in the metric's unit; None waives the limit that the metric has by default (validate.score.table), which takes a reason too.
+    value: in the metric's unit; None waives the limit that the metric has by default (validate.judge.score.table), which takes a reason too.
     """
 
     metric: str = ""
@@ -55,7 +55,7 @@ def goal_limits(*, position: float | None = None, velocity: float | None = None,
 class Answer:
     """A known answer of the scene: what it is, its value, tolerance and source.
 
-    measure: what to hold against it in the replay of the free motion, by a name that the score knows (validate.score.closed_forms); empty: nothing.
+    measure: what to hold against it in the replay of the free motion, by a name that the score knows (validate.judge.score.equations); empty: nothing.
     """
 
     quantity: str

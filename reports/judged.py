@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from reports.record import MetricRecord, SceneRecord, StageRecord, TraceRecord
 from reports.wording import error, unit
 
-# As validate.score has them: metrics of the replay with feedback, and of what the feedback took.
+# As validate.judge.score has them: metrics of the replay with feedback, and of what the feedback took.
 TRACKED, FEEDBACK = "tracked_", "feedback_"
 _JUDGE, SHOWN = "Is the judge well?", "Shown, not judged"
 

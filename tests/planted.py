@@ -30,14 +30,14 @@ from time import monotonic
 ROOT = Path(__file__).resolve().parents[1]
 # Room -> the files in which mistakes are made, and the tests that answer for them.
 ROOMS = {
-    "judge": (("validate/score/*.py", "validate/replay/**/*.py", "validate/judg*.py", "validate/violation.py"),
+    "judge": (("validate/judge/**/*.py", "validate/fmi/*.py", "validate/tasks/judging.py", "validate/tasks/paper.py"),
               ("tests/validate/test_score*.py", "tests/validate/test_replay*.py", "tests/validate/test_tracked*.py", "tests/validate/test_judge.py",
                "tests/validate/test_exact*.py", "tests/validate/replay/*.py", "tests/validate/test_verdict*.py", "tests/validate/test_campaign_violation.py")),
-    "record": (("validate/*record*.py", "validate/traces.py", "validate/results.py", "reports/*record*.py"),
+    "record": (("validate/tasks/*record*.py", "validate/store/results.py", "reports/*record*.py"),
                ("tests/validate/test_results*.py", "tests/validate/test_campaign*.py", "tests/validate/test_same*.py", "tests/reports/test_report_[!b]*.py")),
     "certificate": (("formulations/mpec/certificate/*.py",), ("tests/formulations/mpec/**/test_*.py", "tests/formulations/test_methods_mpcc.py")),
     "proof": (("formulations/proof/*.py",), ("tests/formulations/proof/*.py", "tests/formulations/test_*global*.py", "tests/formulations/test_*proof*.py")),
-    "store": (("validate/stor*.py", "validate/disk.py", "validate/provenance.py", "validate/selection.py"),
+    "store": (("validate/store/[!r]*.py", "validate/plan/selection.py"),
               ("tests/validate/test_c*.py", "tests/validate/test_s[ht]*.py", "tests/validate/test_rerunning.py", "tests/validate/test_local*.py", "tests/validate/test_pro*.py")),
     "report": (("reports/**/*.py",), ("tests/reports/test_*.py",)),
 }  # fmt: skip

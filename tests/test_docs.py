@@ -74,9 +74,8 @@ def test_an_equation_has_its_function(place: str):
 
 
 def test_the_rule_lists_every_metric_beside_its_question():
-    from validate.score.feedback import FEEDBACK
-    from validate.score.result import Question
-    from validate.score.table import TABLE
+    from validate.judge.score.table import FEEDBACK, TABLE
+    from validate.judge.score.verdict import Question
 
     rows = re.findall(r"^\| ([1-6-]) \| [^|]*\| ([^|]*)\|", TEXTS["verdict"], re.MULTILINE)
     told = {name: number for number, names in rows for name in re.findall(r"`(\w+)`", names)}

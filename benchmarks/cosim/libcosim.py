@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.measure import run_child
-from validate.disk import disk_error, temporary_folder
+from validate.store.disk import disk_error, temporary_folder
 
 FIXED, ECCO = "fixed", "ecco"
 # ECCO may shorten its step to this share of the longest one.
@@ -63,7 +63,7 @@ def run_libcosim(
 
 def _job(scene: Any, start: np.ndarray, u: np.ndarray, h: float, times: np.ndarray, inner_step: float, algorithm: str) -> dict[str, Any]:
     from models.fmu.coupled import build_part, split
-    from validate.replay.package import read_package
+    from validate.fmi.package import read_package
 
     parts = split(scene)
     names = [item.name for item in scene.coordinates] + [item.velocity_name for item in scene.coordinates]

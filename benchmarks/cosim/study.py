@@ -22,11 +22,10 @@ from models.dynamics import derive
 from models.fmu import build_fmu
 from models.scene import Scene
 from models.trajectory import Trajectory
-from validate.replay.exchange import ExchangeModel
-from validate.replay.inputs import HeldInputs
-from validate.replay.package import read_package, unpacked
-from validate.replay.reference import integrate
-from validate.replay.scene_variables import find_variables
+from validate.fmi.package import read_package, unpacked
+from validate.judge.replay.reference import ExchangeModel, integrate
+from validate.judge.replay.subject import find_variables
+from validate.judge.replay.wiring import HeldInputs
 
 MACRO_STEPS = (1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5)
 # Bodies integrate ten times as finely as they meet, by a fourth-order method: what is wrong then comes from the coupling alone.

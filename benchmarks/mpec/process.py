@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.measure import Size, Work, cpu_seconds, run_child
-from validate.disk import temporary_folder
+from validate.store.disk import temporary_folder
 
 # CPU seconds after which a peer of the suite is stopped; its last point then stands.
 _LIMIT = 120.0

@@ -91,7 +91,7 @@ def command(
     from benchmarks.suite.cases import FULL_SIZES, QUICK_SIZES
     from benchmarks.suite.compare import compare
     from benchmarks.suite.run import QUICK_REPEATS, REPEATS, Settings, failures, plan, run_suite
-    from validate.disk import make_folder
+    from validate.store.disk import make_folder
 
     before = None if earlier is None else read_suite(earlier)
     settings = Settings(

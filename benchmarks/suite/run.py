@@ -12,8 +12,8 @@ from benchmarks.records import SuiteRecord, SuiteRow
 from benchmarks.suite.cases import CASES, FULL_SIZES, OURS, YARDSTICK, Case
 from benchmarks.suite.figures import figures
 from models.errors import TouchstoneError
-from validate.disk import temporary_folder
-from validate.selection import matches
+from validate.plan.selection import matches
+from validate.store.disk import temporary_folder
 
 REPEATS, QUICK_REPEATS = 5, 2
 _NO_SIZE = Size(0, 0)
@@ -77,7 +77,7 @@ def plan(settings: Settings, cases: Sequence[Case] = CASES) -> tuple[list[Job], 
 
 def run_suite(settings: Settings, narrate: Callable[[str], None] = lambda sentence: None, cases: Sequence[Case] = CASES) -> SuiteRecord:
     """Measure, and work out the figures. Raises BenchError, SelectionError, MachineError."""
-    from validate.provenance import gather
+    from validate.store.provenance import gather
 
     jobs, left_out = plan(settings, cases)
     before = _load()

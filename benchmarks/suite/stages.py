@@ -18,11 +18,11 @@ from benchmarks.suite.carts import INPUT_WEIGHT, SOFTPLUS_EPS, push, pushed_plan
 from models.codegen.kernel import load_kernel
 from models.fmu import build_fmu
 from models.scene import Scene
-from validate.replay import replay
-from validate.replay.everyday import simulate
-from validate.replay.inputs import HeldInputs
-from validate.replay.package import read_package, unpacked
-from validate.replay.scene_variables import find_variables
+from validate.fmi.package import read_package, unpacked
+from validate.judge.replay.everyday import simulate
+from validate.judge.replay.run import replay
+from validate.judge.replay.subject import find_variables
+from validate.judge.replay.wiring import HeldInputs
 
 
 def yardstick(size: Size, folder: Path) -> Work:

@@ -16,7 +16,7 @@ from benchmarks.options import COUNT, json_option, program, seed_option
 from benchmarks.verdicts import exact, search, wrong
 from benchmarks.verdicts.plans import SKIPPED, Case, NoPlanError, Plan, Said, judged_in_time, scene_of
 from models.errors import TouchstoneError
-from validate.disk import write_durably
+from validate.store.disk import write_durably
 
 GROUPS = ("exact", "wrong", "search")
 SCENES = (

@@ -129,8 +129,8 @@ class Said:
 
 
 def judged(scene: Scene | str, plan: Path | Any) -> Said:
-    """What validate.judge says; a refusal is an answer, any other error is none and goes on."""
-    from validate.judge import judge
+    """What validate.judge.judgement says; a refusal is an answer, any other error is none and goes on."""
+    from validate.judge.judgement import judge
 
     try:
         verdict = judge(scene, plan)

@@ -142,7 +142,7 @@ class Kernel:
         return self._p
 
     def bound_functions(self) -> BoundFunctions:
-        """The C functions themselves, for callers that keep their own buffers and addresses (validate.replay.growth)."""
+        """The C functions themselves, for callers that keep their own buffers and addresses (validate.judge.replay.tracking)."""
         return BoundFunctions(self._library.kernel_rollout, self._library.kernel_adjoint)
 
     def batch_functions(self, steps: int, step: float, law: ContactLaw, eps: float | None) -> BatchFunctions:

@@ -9,7 +9,7 @@ import pytest
 from benchmarks.records import SuiteRecord, SuiteRow, spread
 from benchmarks.suite.cases import YARDSTICK
 from benchmarks.suite.compare import Kind, compare
-from validate.provenance import gather
+from validate.store.provenance import gather
 
 STEADY = (1.00, 1.02, 0.99, 1.01, 0.98)
 

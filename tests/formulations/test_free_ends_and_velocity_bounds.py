@@ -16,7 +16,7 @@ from models.errors import SceneError
 from models.goal import distance, goal_state, miss
 from models.scene import Scene
 from models.scene_annotations import goal_limits
-from validate.score import score
+from validate.judge.score import score
 
 SCENE = load_scene("wall_pendulum")
 # Of a goal is asked how near is near enough.

@@ -16,7 +16,7 @@ from models.errors import SceneError
 from models.fmu import build_fmu
 from models.scene import Scene
 from models.trajectory import Trajectory
-from validate.judge import judge
+from validate.judge.judgement import judge
 
 
 def judged(scene: Scene) -> Any:

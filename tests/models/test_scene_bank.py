@@ -25,7 +25,7 @@ from models.scene import Scene
 from models.scenes.cart_chain import cart_chain
 from models.scenes.two_discs import RIGID_HIT, RIGID_HIT_WALL, RIGID_OPTIMUM, RIGID_OPTIMUM_WALL, rigid_cost, rigid_hit_cost, two_discs
 from models.trajectory import Trajectory, uniform_grid
-from validate.replay import replay
+from validate.judge.replay.run import replay
 
 NAMES = (
     "acrobot_limits",

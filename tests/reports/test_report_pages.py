@@ -12,7 +12,7 @@ from reports.pages import front, table1, tightening
 from reports.pages.section import Report
 from reports.paper import TABLE_1
 from reports.rows import lacking
-from validate.selection import matches
+from validate.plan.selection import matches
 
 
 def report_of(factory, folder, runs) -> Report:

@@ -11,8 +11,7 @@ import pytest
 from models.catalog import load_scene
 from models.trajectory import Trajectory
 from reports.pages.player import film
-from validate.scene_record import scene_record
-from validate.traces import plan_trace
+from validate.tasks.scene_record import plan_trace, scene_record
 
 _UP, _DOWN = round(math.pi / 2, 6), -round(math.pi / 2, 6)
 _BACK = round(math.pi, 6)

@@ -20,8 +20,8 @@ from formulations.options import Options, option
 from formulations.solution import Outcome, Solution
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
-from validate.score.result import Question
-from validate.tools import Tools
+from validate.judge.score.verdict import Question
+from validate.tasks.plugins import Tools
 
 
 @dataclass(frozen=True, kw_only=True)

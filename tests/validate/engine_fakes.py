@@ -15,7 +15,7 @@ from pathlib import Path
 from campaign_fakes import TOOLS, FakeMethod
 
 from formulations.method import Leg, Pipeline
-from validate.isolation.environment import PARENT_VARIABLE
+from validate.execution.process import PARENT_VARIABLE
 
 
 def _counted(name: str) -> int:

@@ -16,7 +16,7 @@ import campaign_fakes
 from models.errors import TouchstoneError
 from models.scene_text import scene_text
 from reports.record import MetricRecord
-from validate.examination import Course, Examination, Found, SceneReference
+from validate.tasks.examination import Course, Examination, Found, SceneReference
 
 
 def _hang() -> None:
@@ -56,7 +56,7 @@ def _offered(scenes: Sequence[SceneReference]) -> list[Examination]:
             function="examination_fakes:ask",
             arguments={"says": says},
             content=scene_text(scene.scene) if scene else "",
-            sources=("validate/examination.py",),
+            sources=("validate/tasks/examination.py",),
             scene=scene.scene.name if scene else None,
             quick=quick,
             words=("asked",),

@@ -54,8 +54,8 @@ def spoilt_folder(rng: random.Random, folder: Path) -> Path:
 def _entry() -> Any:
     from formulations.method import Leg, Pipeline
     from models.catalog import load_scene
-    from validate.cell import Cell
-    from validate.chosen import Entry
+    from validate.plan.runs import Entry
+    from validate.tasks.run import Cell
 
     pipeline = Pipeline(name="p", title="p", legs=(Leg(method="m"),))
     cell = Cell(key=KEY, scene="three_cart", scene_name="s", pipeline=pipeline, tools="", time_limit=9.0)
@@ -64,12 +64,12 @@ def _entry() -> Any:
 
 def resume(path: Path) -> None:
     from reports.load import load
-    from validate.chosen import Settings, reasons, with_stored
-    from validate.compare import compare
-    from validate.standing_report import campaign_text, standing_report
-    from validate.store import Store
-    from validate.stored import CAMPAIGN, earlier_schema, only_last_failed
-    from validate.time_steps import time_steps
+    from validate.plan.runs import Settings, reasons, with_stored
+    from validate.plan.warnings import time_steps
+    from validate.store.compare import compare
+    from validate.store.standing_report import campaign_text, standing_report
+    from validate.store.store import Store
+    from validate.store.stored import CAMPAIGN, earlier_schema, only_last_failed
 
     store, settings = Store(path), Settings(out=path)
     store.prepare()
@@ -110,7 +110,7 @@ def spoilt_stages(rng: random.Random, folder: Path) -> Path:
 
 
 def take_stages(path: Path) -> None:
-    from validate.shared_stages import Beginning, take_over
+    from validate.tasks.shared_stages import Beginning, take_over
 
     cell = path / "runs" / ".partial-x"
     cell.mkdir(parents=True, exist_ok=True)
@@ -127,7 +127,7 @@ def spoilt_scheduler(rng: random.Random, folder: Path) -> Path:
 
 
 def read_scheduler(path: Path) -> None:
-    from validate.engine import check_engine
+    from validate.execution.engine import check_engine
 
     check_engine(f"dask:{path}")
 

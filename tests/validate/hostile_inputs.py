@@ -84,7 +84,7 @@ def tried(reader: Reader, rng: random.Random, folder: Path) -> str:
 
 
 def _toml(data: dict[str, Any]) -> str:
-    from validate.toml_text import toml_text, toml_value
+    from validate.plan.toml_text import toml_text, toml_value
 
     plain = {key: "" if value is None else value for key, value in data.items()}
     return "\n".join(f"{toml_text(str(key))} = {toml_value(value)}" for key, value in plain.items())
@@ -157,9 +157,9 @@ def _map(rng: random.Random, folder: Path) -> Path:
 
 def _read_map(path: Path) -> None:
     from models.plan_table import PlanTable
-    from validate.replay.map_schema import read_map
-    from validate.replay.mapping import wire
-    from validate.replay.package import read_package
+    from validate.fmi.package import read_package
+    from validate.judge.replay.map_schema import read_map
+    from validate.judge.replay.mapping import wire
 
     given = read_map(path)
     wire(read_package(path.with_name("cart.fmu")), PlanTable(path.with_name("plan.csv")), given, None, "map")
@@ -171,7 +171,7 @@ def _campaign(rng: random.Random, folder: Path) -> Path:
 
 
 def _read_campaign(path: Path) -> None:
-    from validate.config import read_campaign
+    from validate.plan import read_campaign
 
     read_campaign(path)
 
@@ -222,8 +222,8 @@ def _fmu(rng: random.Random, folder: Path) -> Path:
 def _read_fmu(path: Path) -> None:
     import shutil
 
-    from validate.isolation import problems, unpack
-    from validate.replay.package import read_package
+    from validate.fmi.intake import problems, unpack
+    from validate.fmi.package import read_package
 
     problems(path)
     package = read_package(path)
@@ -260,7 +260,7 @@ def _netcdf(rng: random.Random, folder: Path) -> Path:
 
 def _read_netcdf(path: Path) -> None:
     from models.trajectory_netcdf import read_gains, read_netcdf
-    from validate.replay.netcdf import read_replay
+    from validate.judge.replay.netcdf import read_replay
 
     refused = []
     for read in (read_netcdf, read_gains, read_replay):

@@ -61,9 +61,9 @@ def read_record(path: Path) -> None:
 
     from reports.load import load
     from validate.cli.show import command
-    from validate.results import results_text
-    from validate.store import Store
-    from validate.stored import stored_campaign
+    from validate.store.results import results_text
+    from validate.store.store import Store
+    from validate.store.stored import stored_campaign
 
     load(path)
     list(Store(path).requests())

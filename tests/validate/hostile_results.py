@@ -27,8 +27,8 @@ def _spoilt_json(rng: random.Random, data: Any) -> bytes:
 def _replayed() -> Any:
     """(scene, a replay of it)"""
     from models.catalog import load_scene
-    from validate.replay.feedback import Effort
-    from validate.replay.result import Difference, Event, Growth, Replay, ReplayError, ReplayOutcome
+    from validate.judge.replay.result import Difference, Event, Growth, Replay, ReplayError, ReplayOutcome
+    from validate.judge.replay.wiring import Effort
 
     scene, times = load_scene("three_cart").with_task(steps=6), 7
     arrays: dict[str, Any] = {name: np.zeros((times, 3)) for name in ("q", "v")}
@@ -60,7 +60,7 @@ def _replayed() -> Any:
 def spoilt_replay(rng: random.Random, folder: Path) -> Path:
     """Its bytes are spoilt, or the facts that stand beside its columns, or which columns there are."""
     from models.netcdf import read_columns, write_columns
-    from validate.replay.netcdf import write_replay
+    from validate.judge.replay.netcdf import write_replay
 
     good, path = folder / "replay.nc", folder / "hostile.nc"
     if not good.exists():
@@ -78,7 +78,7 @@ def spoilt_replay(rng: random.Random, folder: Path) -> Path:
 
 
 def read_spoilt_replay(path: Path) -> None:
-    from validate.replay.netcdf import read_replay
+    from validate.judge.replay.netcdf import read_replay
 
     replay = read_replay(path, _replayed()[0])
     assert replay.growth is None or replay.growth.rate is not None
@@ -136,7 +136,7 @@ def spoilt_library(rng: random.Random, folder: Path) -> Path:
 
 
 def read_spoilt_library(path: Path) -> None:
-    from validate.fmu_check.elf import NotElf, read_library
+    from validate.fmu_check.archive import NotElf, read_library
 
     try:
         read_library(path.read_bytes())
@@ -155,8 +155,8 @@ def spoilt_provisional(rng: random.Random, folder: Path) -> Path:
 
 
 def recover(path: Path) -> None:
-    from validate.provisional import recovered
-    from validate.worker import Lost
+    from validate.execution.worker import Lost
+    from validate.tasks.provisional import recovered
 
     lost = Lost(outcome=("crashed", "time_limit")[len(str(path)) % 2], message="it is a test.", wall=1.0, cpu=1.0, log="")
     if recovered(path, KEY, lost) is None:
@@ -165,7 +165,7 @@ def recover(path: Path) -> None:
 
 def spoilt_answer(rng: random.Random, folder: Path) -> Path:
     """What an isolated call left: foreign code runs in the same process, and may write there, too."""
-    from validate.isolation.run import ANSWER, TAKEN
+    from validate.execution.isolated import ANSWER, TAKEN
 
     np.savez(folder / TAKEN, allow_pickle=False, t=np.arange(3.0), q=np.zeros((3, 2)))
     if rng.random() < 0.5:
@@ -176,7 +176,7 @@ def spoilt_answer(rng: random.Random, folder: Path) -> Path:
 
 
 def read_answer(path: Path) -> None:
-    from validate.isolation.run import left_by
+    from validate.execution.isolated import left_by
 
     answer, arrays = left_by(path)
     if not answer or not {"value", "sentence"} <= answer.keys() or any(not isinstance(array, np.ndarray) for array in arrays.values()):

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from models.errors import MachineError, UnknownNameError
-from validate.isolation import Ending, Limits, ModelFault, run_isolated
+from validate.execution.isolated import Ending, Limits, ModelFault, run_isolated
 
 SLEEPER = [sys.executable, "-S", "-c", "import time; time.sleep(600)"]
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
-from validate.reaper import TOKEN_VARIABLE
+from validate.execution.reaper import TOKEN_VARIABLE
 
 HERE = Path(__file__).parent
 # Cells that end well, badly, slowly, in a crash that is run anew by every resumption, and with processes left over; most of them share stages.

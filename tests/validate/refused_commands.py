@@ -24,12 +24,11 @@ from typing import IO, Any
 import campaign_fakes
 
 from models.catalog import load_scene
-from validate import worker
 from validate.cli import group
-from validate.fork_server import MODULES
-from validate.isolation.environment import child_environment
-from validate.isolation.process import ChildProcess
-from validate.tools import DEFAULT
+from validate.execution import worker
+from validate.execution.fork_server import MODULES
+from validate.execution.process import ChildProcess, child_environment
+from validate.tasks.plugins import DEFAULT
 
 TOOLS = replace(campaign_fakes.TOOLS, write_report=DEFAULT.write_report)
 
@@ -69,8 +68,8 @@ def _serve() -> None:
         *MODULES,
         "reports.render",
         "reports.split",
-        "validate.campaign",
-        "validate.violation",
+        "validate.execution.campaign",
+        "validate.tasks.paper",
         "validate.cli.all",
         "validate.cli.fmu",
     ):

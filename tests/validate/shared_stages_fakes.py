@@ -20,7 +20,7 @@ from formulations.method import Kind, Leg, Pipeline, Session
 from formulations.solution import Outcome, Solution
 from models.scene import Scene
 from models.trajectory import Trajectory
-from validate.isolation.environment import PARENT_VARIABLE
+from validate.execution.process import PARENT_VARIABLE
 
 
 def _counted(name: str, outcome: Outcome = Outcome.SOLVED):

@@ -12,8 +12,8 @@ from models.trajectory import write_csv
 from models.trajectory_netcdf import read_netcdf
 from reports.record import RunRecord
 from reports.shelf import PLACE, Shelf
-from validate import child
-from validate.tools import Tools
+from validate.execution import child
+from validate.tasks.plugins import Tools
 
 CHOICE = ("all", "--scene", "three_cart", "-k", "softplus_gd+relu_gd")
 
@@ -85,7 +85,7 @@ def test_telling_that_fails_spoils_no_cell(tmp_path, monkeypatch):
     def refuses(folder, text):
         raise RuntimeError(f"{folder} {text}")
 
-    monkeypatch.setattr("validate.tools.load_tools", lambda _: Tools(tell=refuses))
+    monkeypatch.setattr("validate.tasks.plugins.load_tools", lambda _: Tools(tell=refuses))
     child._tell("any:TOOLS", tmp_path / "runs" / "partial", b"{}")
     with pytest.raises(RuntimeError, match=str(tmp_path)):
         Tools(tell=refuses).tell(tmp_path, b"{}")

@@ -9,9 +9,9 @@ import pytest
 
 from formulations.pipeline import find_pipeline, stage_plan
 from models.catalog import load_scene
-from validate.chosen import Settings, select
-from validate.config import Campaign, CampaignFile, ConfigError, read_campaign
-from validate.variant import Variant, state_names, varied
+from validate.plan import Campaign, CampaignFile, ConfigError, read_campaign
+from validate.plan.runs import Settings, select
+from validate.tasks.variant import Variant, state_names, varied
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "docs" / "campaigns").glob("*.toml"))
 

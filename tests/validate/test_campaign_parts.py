@@ -15,11 +15,11 @@ from formulations.solution import Attempt, FrontPoint, Outcome, Solution
 from models.catalog import load_scene, scene_names
 from models.codegen.kernel import load_kernel
 from models.trajectory import Trajectory, uniform_grid
-from validate.campaign import Settings, select
-from validate.chosen import Entry, Examined
-from validate.evidence_records import certificate_record, front_records, start_records
-from validate.sweeps import FRONT, write_sweeps
-from validate.sweeps import STARTS as STARTS_FILE
+from validate.execution.campaign import Settings, select
+from validate.plan.runs import Entry, Examined
+from validate.store.results import FRONT, write_sweeps
+from validate.store.results import STARTS as STARTS_FILE
+from validate.tasks.records import certificate_record, front_records, start_records
 
 SCENE = load_scene("three_cart").with_task(steps=20)
 

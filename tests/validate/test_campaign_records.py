@@ -13,12 +13,11 @@ from models.catalog import load_scene
 from models.scene_text import scene_text
 from models.trajectory import Trajectory, uniform_grid
 from reports.mathml import safe_mathml
-from validate import provenance
-from validate.isolation.environment import ROOT
-from validate.provenance import content_key, source_digests
-from validate.records import _history, _plain, finite
-from validate.scene_record import presentation, scene_record
-from validate.traces import plan_trace, thin
+from validate.execution.process import ROOT
+from validate.store import provenance
+from validate.store.provenance import content_key, source_digests
+from validate.tasks.records import _history, _plain, finite
+from validate.tasks.scene_record import plan_trace, presentation, scene_record, thin
 
 SCENE = load_scene("three_cart")
 
@@ -106,7 +105,7 @@ def test_a_scene_text_sees_assumptions_and_every_field():
 def test_sources_of_other_methods_and_scenes_do_not_count():
     digests = source_digests(["softplus_gd"])
     assert "models/dynamics.py" in digests
-    assert "validate/cell.py" in digests
+    assert "validate/tasks/run.py" in digests
     assert [name for name in digests if name.startswith(("models/scenes/", "validate/cli/"))] == []
     assert [name for name in digests if name.startswith("formulations/methods/")] == ["formulations/methods/softplus_gd.py"]
 

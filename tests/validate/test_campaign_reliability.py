@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 from killed_campaigns import HERE, finished, kill_and_resume, processes, start, unfinished, untimed
 
-from validate import campaign
-from validate.campaign import Settings, run_campaign
 from validate.cli.narrator import PlainNarrator
+from validate.execution import campaign
+from validate.execution.campaign import Settings, run_campaign
 
 # Most of them share their beginning; two of them crash, and are run again whenever the campaign is.
 CELLS = "soft or only_good"

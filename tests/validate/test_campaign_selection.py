@@ -2,7 +2,7 @@
 
 import pytest
 
-from validate.selection import SelectionError, matches
+from validate.plan.selection import SelectionError, matches
 
 NAMES = ("three_cart", "softplus_dc+strict", "softplus_dc", "strict_lcp")
 

@@ -10,16 +10,16 @@ import pytest
 
 from models.errors import MachineError
 from reports.record import RunRecord
-from validate.campaign import Settings, select, with_stored
-from validate.chosen import reasons
-from validate.disk import disk_error, write_durably
-from validate.provenance import gather
-from validate.provisional import recovered, set_aside
-from validate.records import run_record, unfinished_stage
-from validate.results import COLUMNS, results_text
-from validate.scene_record import scene_record
-from validate.store import Store, StoreError
-from validate.worker import Lost
+from validate.execution.campaign import Settings, select, with_stored
+from validate.execution.worker import Lost
+from validate.plan.runs import reasons
+from validate.store.disk import disk_error, write_durably
+from validate.store.provenance import gather
+from validate.store.results import COLUMNS, results_text
+from validate.store.store import Store, StoreError
+from validate.tasks.provisional import recovered, set_aside
+from validate.tasks.records import run_record, unfinished_stage
+from validate.tasks.scene_record import scene_record
 
 
 @pytest.fixture(scope="module")

@@ -14,10 +14,10 @@ from killed_campaigns import HERE, processes, unfinished, untimed
 from standing_cluster import come
 
 from reports.record import RunRecord
-from validate.campaign import Settings, run_campaign
 from validate.cli.narrator import PlainNarrator
-from validate.interrupts import interrupts_wait
-from validate.store import Store
+from validate.execution.campaign import Settings, run_campaign
+from validate.execution.process import interrupts_wait
+from validate.store.store import Store
 
 FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")
 KEPT = {"cell.json", "log.txt", "record.json", "files.json"}

@@ -18,12 +18,12 @@ import pytest
 from models.codegen.compiler import find_compiler
 from models.errors import MachineError
 from reports.record import RunRecord
-from validate.campaign import Settings, select
-from validate.fork_server import MODULES, ForkServer
-from validate.isolation.process import Watchdog
-from validate.provenance import gather
-from validate.store import Store
-from validate.worker import Worker
+from validate.execution.campaign import Settings, select
+from validate.execution.fork_server import MODULES, ForkServer
+from validate.execution.process import Watchdog
+from validate.execution.worker import Worker
+from validate.store.provenance import gather
+from validate.store.store import Store
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="LD_PRELOAD and fork servers are for Linux")
 HERE = Path(__file__).parent

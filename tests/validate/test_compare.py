@@ -13,7 +13,7 @@ import pytest
 
 from reports.load import load
 from reports.record import RunRecord
-from validate.compare import Comparison, Kind, compare
+from validate.store.compare import Comparison, Kind, compare
 
 _FACTORY = importlib.util.spec_from_file_location("record_factory_of_compare", Path(__file__).parents[1] / "reports" / "record_factory.py")
 assert _FACTORY is not None

@@ -13,9 +13,9 @@ import pytest
 
 from formulations.catalog import load_method, method_names
 from formulations.method import Leg, Pipeline
-from validate import provenance
-from validate.campaign import Settings, select
-from validate.examination import Examination
+from validate.execution.campaign import Settings, select
+from validate.store import provenance
+from validate.tasks.examination import Examination
 
 
 def key(*legs: Leg, scene: str = "wall_pendulum", name: str = "same", title: str = "one title") -> str:
@@ -102,8 +102,8 @@ DECIDES = {
     "formulations/methods/strict_lcp.py": (True, False, False),
     "formulations/methods/mpcc.py": (False, False, False),
     "models/scenes/three_cart.py": (False, False, False),
-    "validate/examination.py": (False, True, True),
-    "validate/score/measures.py": (True, False, True),
+    "validate/tasks/examination.py": (False, True, True),
+    "validate/judge/score/measures.py": (True, False, True),
     "reports/record.py": (True, True, True),
 }
 

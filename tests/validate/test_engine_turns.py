@@ -15,14 +15,13 @@ from typing import Any
 import pytest
 
 from models.errors import MachineError
-from validate.campaign import Settings, select
-from validate.chosen import Entry
-from validate.dask_cluster import local_cluster
-from validate.dask_engine import DaskEngine
-from validate.engine import LocalEngine, Site
-from validate.provenance import gather
-from validate.store import Store
-from validate.worker import Lost
+from validate.execution.campaign import Settings, select
+from validate.execution.dask import DaskEngine, local_cluster
+from validate.execution.engine import LocalEngine, Site
+from validate.execution.worker import Lost
+from validate.plan.runs import Entry
+from validate.store.provenance import gather
+from validate.store.store import Store
 
 NEEDS_DASK = pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="distributed is not installed (the extra `dask`)")
 

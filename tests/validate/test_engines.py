@@ -14,7 +14,7 @@ from standing_cluster import come, standing_cluster
 
 from models.errors import MachineError
 from reports.record import RunRecord
-from validate.engine import EngineError, check_engine
+from validate.execution.engine import EngineError, check_engine
 
 FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")
 # Chains that share their beginning, cells that end well, give up, raise and die.
@@ -115,8 +115,8 @@ def test_a_crash_is_tried_again_and_ends_the_campaign_at_once_where_wanted(cli, 
 
 @NEEDS_DASK
 def test_a_worker_that_sees_another_folder_or_has_other_sources_says_so(tmp_path, monkeypatch):
-    from validate import dask_cell
-    from validate.provenance import fingerprint
+    from validate.execution import dask as dask_cell
+    from validate.store.provenance import fingerprint
 
     monkeypatch.setattr(dask_cell, "_wanted", lambda: lambda: True)
     monkeypatch.setattr(dask_cell, "_PATIENCE", 0.0)

@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 from models.contacts import DampingLaw
 from models.scene import Contact, Coordinate, Friction, Input, Parameter, Scene, Task, goal_limits
-from validate.judge import judge
+from validate.judge.judgement import judge
 
 q, v, u = sp.symbols("q v u", real=True)
 m, c, k, d = sp.symbols("m c k d", positive=True)

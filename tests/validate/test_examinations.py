@@ -12,10 +12,10 @@ import pytest
 from models.catalog import load_scene
 from models.scene_text import scene_text
 from reports.examination_record import ExaminationRecord
-from validate.campaign import CampaignError, Settings, select
-from validate.examination import Examination, SceneReference
-from validate.provenance import examination_key
-from validate.tools import DEFAULT
+from validate.execution.campaign import CampaignError, Settings, select
+from validate.store.provenance import examination_key
+from validate.tasks.examination import Examination, SceneReference
+from validate.tasks.plugins import DEFAULT
 
 FAKES = ("--tools", "examination_fakes:TOOLS", "--scene", "three_cart")
 
@@ -123,7 +123,7 @@ def test_equal_content_has_equal_keys_and_other_content_another():
         _examination(name="m"),
         _examination(arguments={"a": 2}),
         _examination(content=scene_text(load_scene("three_cart"))),
-        _examination(sources=("validate/replay/",)),
+        _examination(sources=("validate/judge/replay/",)),
         _examination(sources=()),
         _examination(function="f:h"),
     ]

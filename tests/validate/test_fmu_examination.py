@@ -13,9 +13,9 @@ import pytest
 import models.fmu
 from models.catalog import load_scene, scene_names
 from reports.examination_record import StoredRecord
-from validate.campaign import Settings, select
-from validate.examination import Course
-from validate.fmu_examination import VERSIONS, examine
+from validate.execution.campaign import Settings, select
+from validate.tasks.examination import Course
+from validate.tasks.fmu_examination import VERSIONS, examine
 
 
 def test_every_scene_in_every_version_is_examined_and_quick_says_what_it_leaves_out():

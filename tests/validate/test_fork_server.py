@@ -14,9 +14,9 @@ from pathlib import Path
 
 import pytest
 
-from validate import fork_server as module
-from validate import reaper
-from validate.fork_server import ForkServer, ForkServerError, fork_server
+from validate.execution import fork_server as module
+from validate.execution import reaper
+from validate.execution.fork_server import ForkServer, ForkServerError, fork_server
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="fork servers are for Linux")
 
@@ -24,10 +24,10 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="fork servers ar
 _CELL = """
 import json, os, resource, signal, subprocess, sys, tempfile, time
 from pathlib import Path
-from validate.reaper import TOKEN_VARIABLE
+from validate.execution.reaper import TOKEN_VARIABLE
 
 def main(folder):
-    from validate.isolation.guards import die_with_parent, limit_resources
+    from validate.execution.isolated_child import die_with_parent, limit_resources
     die_with_parent()
     limit_resources(file_bytes=12345)
     told = {
@@ -152,7 +152,7 @@ def test_children_die_with_the_server_and_the_server_with_us(tmp_path, monkeypat
     (package / "told_cell.py").write_text(_CELL)
     monkeypatch.setenv("PYTHONPATH", str(package))
     monkeypatch.delenv(reaper.TOKEN_VARIABLE, raising=False)
-    server = ForkServer(modules=("validate.child", "told_cell"), cell="told_cell:main")
+    server = ForkServer(modules=("validate.execution.child", "told_cell"), cell="told_cell:main")
     child, _, token = _start(server, tmp_path, "family")
     os.kill(server.pid, signal.SIGKILL)
     _wait(child)

@@ -15,9 +15,8 @@ import numpy as np
 import pytest
 
 from models.errors import MachineError
-from validate.isolation import Ending, Limits, run_isolated
-from validate.isolation.run import FOLDER_PREFIX
-from validate.reaper import TOKEN_VARIABLE
+from validate.execution.isolated import FOLDER_PREFIX, Ending, Limits, run_isolated
+from validate.execution.reaper import TOKEN_VARIABLE
 
 HERE = Path(__file__).parent
 
@@ -156,7 +155,7 @@ def test_an_outer_limit_ends_the_inner_run_too(tmp_path: Path, own_place: Path):
 @pytest.mark.parametrize("name", ["starts_and_hangs", "nested"])
 def test_nothing_is_left_when_the_parent_is_killed(name: str, tmp_path: Path, own_place: Path):
     marker = tmp_path / "marker"
-    code = f"from validate.isolation import run_isolated; run_isolated('isolated_functions:{name}', {str(marker)!r})"
+    code = f"from validate.execution.isolated import run_isolated; run_isolated('isolated_functions:{name}', {str(marker)!r})"
     parent = subprocess.Popen([sys.executable, "-c", code], env={**os.environ, "TMPDIR": str(own_place)}, cwd=HERE.parents[1])
     deadline = time.monotonic() + 120
     while not (marker.exists() and marker.read_text() == "inner"):

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from models.codegen.compiler import find_compiler
-from validate.isolation import Ending, Limits, run_isolated
+from validate.execution.isolated import Ending, Limits, run_isolated
 
 HERE = Path(__file__).parent
 _SLEEP = 600 + os.getpid()  # seconds of a daemon: by these it is known as ours, not that of a test in another process

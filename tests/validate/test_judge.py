@@ -19,9 +19,9 @@ from models.schemes import Scheme
 from models.trajectory import Hold, Trajectory, column_names, uniform_grid, write_csv
 from models.trajectory_netcdf import write_netcdf
 from validate.cli.replay import exit_code
-from validate.judge import as_trajectory, judge
-from validate.replay.inputs import HeldInputs
-from validate.score import Question, Verdict
+from validate.judge.judgement import as_trajectory, judge
+from validate.judge.replay.wiring import HeldInputs
+from validate.judge.score import Question, Verdict
 
 STEPS, H = 50, 0.02
 START = (2.0, 2.55, 3.1, 0.3, 0.0, -0.3)

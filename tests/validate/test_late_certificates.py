@@ -11,16 +11,16 @@ from types import SimpleNamespace
 import pytest
 
 from reports.record import RunRecord
-from validate import worker as module
-from validate.cell import Cell, run_cell
-from validate.dask_cell import _lost
-from validate.fork_server import ForkServer
-from validate.isolation.process import shared_watchdog
-from validate.provenance import gather
-from validate.provisional import recovered
-from validate.results import rows
-from validate.store import Store
-from validate.worker import Lost, Worker
+from validate.execution import worker as module
+from validate.execution.dask import _lost
+from validate.execution.fork_server import ForkServer
+from validate.execution.process import shared_watchdog
+from validate.execution.worker import Lost, Worker
+from validate.store.provenance import gather
+from validate.store.results import rows
+from validate.store.store import Store
+from validate.tasks.provisional import recovered
+from validate.tasks.run import Cell, run_cell
 
 HERE = Path(__file__).parent
 

@@ -7,8 +7,8 @@ import pytest
 from formulations.catalog import load_method
 from formulations.solution import Solution
 from models.catalog import load_scene
-from validate.judge import judge
-from validate.score import Question, Score, Verdict
+from validate.judge.judgement import judge
+from validate.judge.score import Question, Score, Verdict
 
 
 @pytest.fixture(scope="module")

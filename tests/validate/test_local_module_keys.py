@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from validate.campaign import Settings, run_campaign
-from validate.chosen import select, with_stored
 from validate.cli.narrator import PlainNarrator
-from validate.store import Store
+from validate.execution.campaign import Settings, run_campaign
+from validate.plan.runs import select, with_stored
+from validate.store.store import Store
 
 HERE = Path(__file__).parent
 SCENE = """

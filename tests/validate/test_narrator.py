@@ -12,7 +12,7 @@ import rich.console
 from models.errors import MachineError
 from validate.cli import narrator
 from validate.cli.table import use_colour
-from validate.disk import write_durably
+from validate.store.disk import write_durably
 
 
 class _Busy:

@@ -11,8 +11,8 @@ from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.errors import TrajectoryError
 from models.trajectory import Trajectory, uniform_grid
-from validate.open_session import OpenSession
-from validate.records import planned_stages
+from validate.tasks.open_session import OpenSession
+from validate.tasks.records import planned_stages
 
 
 def run(answer):

@@ -6,8 +6,8 @@ from formulations.catalog import load_method
 from formulations.pipeline import PIPELINES, QUICK, find_pipeline, pipeline_from_json, pipeline_names, pipeline_to_json, stage_plan
 from models.errors import UnknownNameError
 from reports.paper import TABLE_1
-from validate.records import planned_stages
-from validate.table_one import paper_row, table_rows
+from validate.tasks.paper import paper_row, table_rows
+from validate.tasks.records import planned_stages
 
 SHOOTING = ("lbfgs", "softplus_dc+lbfgs", "randomised_smoothing", "multiple_shooting")
 OURS = ("gd_converged", *SHOOTING, "mpcc", "collocation", "mpcc_multistart", "mpcc_front", "free_motion", "global")

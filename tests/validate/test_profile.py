@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from validate.profile import START, Profile
+from validate.tasks.profile import START, Profile
 
 
 def test_laps_leave_nothing_out():

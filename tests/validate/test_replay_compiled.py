@@ -15,17 +15,14 @@ from models.codegen.kernel import load_kernel
 from models.errors import MachineError
 from models.fmu import build_fmu
 from models.trajectory import Hold, Trajectory, uniform_grid
-from validate.replay.compiled import integration, library
-from validate.replay.everyday import simulate
-from validate.replay.exchange import ExchangeModel
-from validate.replay.feedback import Feedback
-from validate.replay.inputs import HeldInputs
-from validate.replay.package import Package, read_package, unpacked
-from validate.replay.reference import Integration, Run, integrate
-from validate.replay.result import ReplayOutcome
-from validate.replay.scene_variables import find_variables
-from validate.replay.tracking import design_feedback
-from validate.replay.wiring import Variables
+from validate.fmi.package import Package, read_package, unpacked
+from validate.judge.replay.compiled import integration, library
+from validate.judge.replay.everyday import simulate
+from validate.judge.replay.reference import ExchangeModel, Integration, Run, integrate
+from validate.judge.replay.result import ReplayOutcome
+from validate.judge.replay.subject import find_variables
+from validate.judge.replay.tracking import design_feedback
+from validate.judge.replay.wiring import Feedback, HeldInputs, Variables
 
 STEPS = 60
 
@@ -116,7 +113,7 @@ def test_the_loops_in_c_are_those_that_run(carts: tuple[Package, Variables], mon
 
     plan = pushed("three_cart")
     monkeypatch.setattr(Integration, "advance", broken)
-    monkeypatch.setattr("validate.replay.fmi.Instance.do_step", broken)
+    monkeypatch.setattr("validate.fmi.instance.Instance.do_step", broken)
     assert reference(*carts, plan.start, HeldInputs(plan), compiled=True).outcome is ReplayOutcome.OK
     assert simulate(*carts, plan.start, HeldInputs(plan), 20, rolls_back=True).outcome is ReplayOutcome.OK
     with pytest.raises(AssertionError, match="a loop of Python"):

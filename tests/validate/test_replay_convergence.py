@@ -12,7 +12,8 @@ from models.catalog import load_scene
 from models.fmu import build_fmu
 from models.scene import Scene
 from models.trajectory import Hold, Trajectory
-from validate.replay import Replay, ReplayOutcome, replay
+from validate.judge.replay import Replay, ReplayOutcome
+from validate.judge.replay.run import replay
 
 # Carts 1 and 3 run into the middle one; apart they never meet.
 COLLIDING = (2.0, 2.52, 3.05, 0.5, 0.0, -0.5)

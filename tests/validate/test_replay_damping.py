@@ -15,9 +15,10 @@ from models.fmu import build_fmu
 from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
-from validate.replay import Replay, replay
-from validate.scene_record import scene_record
-from validate.score import Metric, Verdict, score
+from validate.judge.replay import Replay
+from validate.judge.replay.run import replay
+from validate.judge.score import Metric, Verdict, score
+from validate.tasks.scene_record import scene_record
 
 SCENE = load_scene("damped_collision")
 M1, M2, MU, K = 1.0, 3.0, 0.75, 2000.0

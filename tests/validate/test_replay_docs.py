@@ -11,11 +11,11 @@ import pytest
 from foreign_fmu import build_foreign
 
 from models.plan_table import PlanTable
-from validate.isolation import Limits
-from validate.replay.map_schema import read_map
-from validate.replay.mapping import wire
-from validate.replay.package import read_package
-from validate.replay.run import replay_foreign
+from validate.execution.isolated import Limits
+from validate.fmi.package import read_package
+from validate.judge.replay.map_schema import read_map
+from validate.judge.replay.mapping import wire
+from validate.judge.replay.run import replay_foreign
 
 TEXT = (Path(__file__).parents[2] / "docs" / "replay.md").read_text(encoding="utf-8")
 PLANS = dict(re.findall(r"<!-- plan: (\w+) -->\n```python\n(.*?)```", TEXT, flags=re.DOTALL))
@@ -48,7 +48,7 @@ def test_the_drake_snippet_is_python():
 
 
 def test_the_map_names_every_section():
-    from validate.replay.map_schema import MapFile
+    from validate.judge.replay.map_schema import MapFile
 
     sections = set(tomllib.loads(MAP))
     assert sections | {"internal_step"} == set(MapFile.model_fields)

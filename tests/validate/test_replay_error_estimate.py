@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from validate.replay import Difference
-from validate.replay.error_estimate import difference, estimate, heeds_step, larger, local_errors, step_ratio
+from validate.judge.replay import Difference
+from validate.judge.replay.error_estimate import difference, estimate, heeds_step, larger, local_errors, step_ratio
 
 SIGNS = pytest.mark.parametrize("sign", [1.0, -1.0])
 

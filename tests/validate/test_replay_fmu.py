@@ -15,8 +15,9 @@ from models.fmu import build_fmu
 from models.scene import Contact, Coordinate, Input, Parameter, Scene, Task
 from models.scene_annotations import goal_limits
 from models.trajectory import Hold, Trajectory, uniform_grid
-from validate.replay import Replay, ReplayOutcome, replay
-from validate.replay.package import FmuError
+from validate.fmi.package import FmuError
+from validate.judge.replay import Replay, ReplayOutcome
+from validate.judge.replay.run import replay
 
 SCENES = Path(__file__).parents[1] / "scenes"
 # Absolute error of a reference replay [m, m/s]: the looser tolerance is 1e-11 relative a step, over some thousand steps.

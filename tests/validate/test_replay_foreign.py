@@ -15,9 +15,10 @@ from models.codegen.kernel import load_kernel
 from models.fmu import build_fmu
 from models.scene import Scene
 from models.trajectory import Hold, Trajectory, uniform_grid
-from validate.replay import Replay, ReplayOutcome, replay
-from validate.replay.package import FmuError
-from validate.score import score
+from validate.fmi.package import FmuError
+from validate.judge.replay import Replay, ReplayOutcome
+from validate.judge.replay.run import replay
+from validate.judge.score import score
 
 STEPS = 60
 

@@ -16,13 +16,14 @@ import pytest
 from foreign_fmu import COSIMULATION, EXCHANGE, FULL_MAP, build_foreign, foreign_plan, write_plan
 
 from models.plan_table import PlanTable
-from validate.isolation import IntakeError, Limits
-from validate.reaper import TOKEN_VARIABLE
-from validate.replay import Replay, ReplayOutcome
-from validate.replay.map_schema import read_map
-from validate.replay.mapping import wire
-from validate.replay.package import read_package
-from validate.replay.run import replay_foreign
+from validate.execution.isolated import Limits
+from validate.execution.reaper import TOKEN_VARIABLE
+from validate.fmi.intake import IntakeError
+from validate.fmi.package import read_package
+from validate.judge.replay import Replay, ReplayOutcome
+from validate.judge.replay.map_schema import read_map
+from validate.judge.replay.mapping import wire
+from validate.judge.replay.run import replay_foreign
 
 ROOT = Path(__file__).parents[2]
 

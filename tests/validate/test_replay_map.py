@@ -17,14 +17,14 @@ from models.errors import TouchstoneError
 from models.netcdf import read_columns
 from models.plan_table import PlanTable
 from models.trajectory import Hold, Trajectory
-from validate.isolation import Limits
-from validate.replay import Replay
-from validate.replay.equal_names import hint
-from validate.replay.map_schema import read_map
-from validate.replay.mapping import wire
-from validate.replay.netcdf import write_replay
-from validate.replay.package import read_package
-from validate.replay.run import Foreign, replay_foreign
+from validate.execution.isolated import Limits
+from validate.fmi.package import read_package
+from validate.judge.replay import Replay
+from validate.judge.replay.equal_names import hint
+from validate.judge.replay.map_schema import read_map
+from validate.judge.replay.mapping import wire
+from validate.judge.replay.netcdf import write_replay
+from validate.judge.replay.run import Foreign, replay_foreign
 
 Wire = Callable[..., tuple[Foreign, Trajectory]]
 # Free flight: no contact, and nothing of the goal or the limits of FULL_MAP.

@@ -18,8 +18,9 @@ from models.fmu import build_fmu
 from models.scene import Scene
 from models.trajectory import Hold, Trajectory, uniform_grid
 from models.trajectory_netcdf import read_netcdf, write_netcdf
-from validate.replay import Replay, replay
-from validate.replay.netcdf import read_replay, write_replay
+from validate.judge.replay import Replay
+from validate.judge.replay.netcdf import read_replay, write_replay
+from validate.judge.replay.run import replay
 
 STEPS = 40
 

@@ -12,9 +12,9 @@ from models.fmu import build_fmu
 from models.scene import Coordinate, Input, Limit, Parameter, Scene, Task
 from models.trajectory import Hold, Trajectory, read_csv, write_csv
 from models.trajectory_netcdf import read_netcdf, write_netcdf
-from validate.isolation import Limits
-from validate.replay import replay
-from validate.replay.inputs import HeldInputs
+from validate.execution.isolated import Limits
+from validate.judge.replay.run import replay
+from validate.judge.replay.wiring import HeldInputs
 
 MASS = 2.0
 T = np.array([0.0, 0.1, 0.3, 0.5])

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from models.trajectory import Hold, Trajectory, uniform_grid
-from validate.replay.inputs import HeldInputs
-from validate.replay.reference import PARTS, integrate
-from validate.replay.result import ReplayOutcome
+from validate.judge.replay.reference import PARTS, integrate
+from validate.judge.replay.result import ReplayOutcome
+from validate.judge.replay.wiring import HeldInputs
 
 RTOL = 1e-12
 

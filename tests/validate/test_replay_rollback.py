@@ -13,16 +13,16 @@ from models.catalog import load_scene
 from models.fmu import build_fmu
 from models.plan_table import PlanTable
 from models.trajectory import Trajectory, uniform_grid
-from validate.isolation import Limits
-from validate.replay import Replay, ReplayOutcome, replay
-from validate.replay.everyday import simulate
-from validate.replay.inputs import HeldInputs
-from validate.replay.map_schema import read_map
-from validate.replay.mapping import wire
-from validate.replay.package import FmuError, read_package, unpacked
-from validate.replay.rollback import offers_rollback
-from validate.replay.run import replay_foreign
-from validate.replay.scene_variables import find_variables
+from validate.execution.isolated import Limits
+from validate.fmi.package import FmuError, read_package, unpacked
+from validate.judge.replay import Replay, ReplayOutcome
+from validate.judge.replay.compiled.stepping import offers_rollback
+from validate.judge.replay.everyday import simulate
+from validate.judge.replay.map_schema import read_map
+from validate.judge.replay.mapping import wire
+from validate.judge.replay.run import replay, replay_foreign
+from validate.judge.replay.subject import find_variables
+from validate.judge.replay.wiring import HeldInputs
 
 CS = '<CoSimulation modelIdentifier="cart" canHandleVariableCommunicationStepSize="true" canGetAndSetFMUstate="true"/>'
 ONCE = CS.replace("/>", ' canBeInstantiatedOnlyOncePerProcess="true"/>')

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from validate.campaign import Settings, run_campaign, select, with_stored
-from validate.chosen import reasons
 from validate.cli.narrator import PlainNarrator
-from validate.provenance import command_line
-from validate.selection import matches
-from validate.store import Store
+from validate.execution.campaign import Settings, run_campaign, select, with_stored
+from validate.plan.runs import reasons
+from validate.plan.selection import matches
+from validate.store.provenance import command_line
+from validate.store.store import Store
 
 HERE = Path(__file__).parent
 FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")

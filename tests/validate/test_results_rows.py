@@ -11,7 +11,7 @@ import pytest
 from reports.examination_record import ExaminationRecord
 from reports.record import MetricRecord, ReplayRecord, RunRecord, SecondsRecord, StageRecord
 from tests.reports import record_factory as factory
-from validate.results import COLUMNS, examinations_text, results_text, rows
+from validate.store.results import COLUMNS, examinations_text, results_text, rows
 
 METRICS = (
     "terminal_error", "physics", "physics_scaled", "defect", "discrete_terminal_error", "replay_terminal_error", "replay_terminal_position_error",

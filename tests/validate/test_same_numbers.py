@@ -17,9 +17,9 @@ from standing_cluster import come
 from models.catalog import load_scene
 from models.trajectory_netcdf import read_netcdf
 from reports.record import RunRecord
-from validate import campaign
-from validate.campaign import Settings, run_campaign
 from validate.cli.narrator import PlainNarrator
+from validate.execution import campaign
+from validate.execution.campaign import Settings, run_campaign
 
 # Three chains that begin with the same stages, and one that shares nothing.
 SCENE, CELLS = "wall_pendulum", "softplus_dc or collocation"

@@ -13,7 +13,7 @@ from models.catalog import load_scene, scene_names
 from models.scene import Input, Limit, Parameter
 from models.trajectory import Trajectory, write_csv
 from validate.cli.group import run
-from validate.scene_doubts import doubts, scene_doubts
+from validate.plan.warnings import doubts, scene_doubts
 
 WRONG_SIGN = """import json
 from dataclasses import replace

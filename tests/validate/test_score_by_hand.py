@@ -20,9 +20,9 @@ from models.scene import Contact, Coordinate, Input, Scene, Task
 from models.scene_annotations import goal_limits
 from models.schemes import Scheme
 from models.trajectory import Hold, Trajectory, uniform_grid
-from validate.replay import Difference, Replay, ReplayError, ReplayOutcome
-from validate.score import score
-from validate.score.result import Metric
+from validate.judge.replay import Difference, Replay, ReplayError, ReplayOutcome
+from validate.judge.score import score
+from validate.judge.score.verdict import Metric
 
 STEPS, H = 4, 0.125
 NODES, ROWS = STEPS + 1, 2 * STEPS + 1

@@ -11,9 +11,9 @@ from models.errors import SceneError
 from models.fmu import build_fmu
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
-from validate.replay import replay
-from validate.score import Verdict, score
-from validate.score.closed_forms import MEASURES
+from validate.judge.replay.run import replay
+from validate.judge.score import Verdict, score
+from validate.judge.score.equations import MEASURES
 
 
 def judged(scene: Scene):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from validate.score import equations as eq
-from validate.score.printing import half_unit
+from validate.judge.score import equations as eq
+from validate.judge.score.printing import half_unit
 
 
 def test_physics_and_its_scale():

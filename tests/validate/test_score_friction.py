@@ -13,11 +13,11 @@ from models.fmu import build_fmu
 from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory, read_csv, uniform_grid, write_csv
-from validate.replay import replay
-from validate.replay.netcdf import read_replay, write_replay
-from validate.replay.result import Replay
-from validate.score import Question, Score, score
-from validate.traces import plan_trace, replay_trace
+from validate.judge.replay.netcdf import read_replay, write_replay
+from validate.judge.replay.result import Replay
+from validate.judge.replay.run import replay
+from validate.judge.score import Question, Score, score
+from validate.tasks.scene_record import plan_trace, replay_trace
 
 STEPS = 100
 

@@ -14,9 +14,10 @@ from models.fmu import build_fmu
 from models.scene import Limit, Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
-from validate.replay import Difference, Replay, ReplayError, replay
-from validate.score import Question, Score, Verdict, check_limits, score
-from validate.score.table import TABLE
+from validate.judge.replay import Difference, Replay, ReplayError
+from validate.judge.replay.run import replay
+from validate.judge.score import Question, Score, Verdict, check_limits, score
+from validate.judge.score.table import TABLE
 
 OWN = Scheme.SEMI_IMPLICIT_EULER
 

@@ -14,9 +14,9 @@ from models.fmu import build_fmu
 from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
-from validate.replay import replay
-from validate.score import Question, Score, Verdict, score
-from validate.score.table import TABLE
+from validate.judge.replay.run import replay
+from validate.judge.score import Question, Score, Verdict, score
+from validate.judge.score.table import TABLE
 
 STEPS = 500
 

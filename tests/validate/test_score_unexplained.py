@@ -16,10 +16,10 @@ from models.codegen.kernel import load_kernel
 from models.fmu import build_fmu
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
-from validate.judge import judge
-from validate.replay import replay
-from validate.score.evidence import Evidence
-from validate.score.unexplained import LIMIT, unexplained_force
+from validate.judge.judgement import judge
+from validate.judge.replay.run import replay
+from validate.judge.score.evidence import Evidence
+from validate.judge.score.unexplained import LIMIT, unexplained_force
 
 # Carts of 1 kg with c = 2 N s/m and contacts of 30 N/m; 0.5 m long.
 K, C, LENGTH, SECONDS = 30.0, 2.0, 0.5, 1.0

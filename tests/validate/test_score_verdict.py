@@ -10,11 +10,10 @@ import pytest
 from models.catalog import load_scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
-from validate.score import Metric, Question, Verdict, metric_names
-from validate.score.cause import Told, explain
-from validate.score.feedback import feedback_entries
-from validate.score.table import TABLE
-from validate.score.verdict import (
+from validate.judge.score import Metric, Question, Verdict, metric_names
+from validate.judge.score.cause import Told, explain
+from validate.judge.score.table import TABLE, feedback_entries
+from validate.judge.score.verdict import (
     EFFORT,
     SHARE,
     answers,

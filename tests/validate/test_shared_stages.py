@@ -17,10 +17,10 @@ from formulations.pipeline import find_pipeline
 from models.catalog import load_scene
 from models.trajectory_netcdf import read_netcdf
 from reports.record import RunRecord
-from validate.engine import LocalEngine
-from validate.records import planned_stages
-from validate.shared_stages import Beginning, beginnings, common, must_wait, restarts, take_over
-from validate.store import Store
+from validate.execution.engine import LocalEngine
+from validate.store.store import Store
+from validate.tasks.records import planned_stages
+from validate.tasks.shared_stages import Beginning, beginnings, common, must_wait, restarts, take_over
 
 FAKES = ("--scene", "three_cart", "--tools", "shared_stages_fakes:SHARING")
 # How often each method runs when everything is shared: relaxing is left to its own in `shorter`, and nothing is kept of what a clock ended.

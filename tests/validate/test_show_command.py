@@ -10,8 +10,8 @@ import pytest
 
 from reports.record import MetricRecord
 from reports.tracked_record import TrackedRecord
-from validate.store import Store
-from validate.stored import stored_names, title_of
+from validate.store.store import Store
+from validate.store.stored import stored_names, title_of
 
 _FACTORY = importlib.util.spec_from_file_location("record_factory_of_show", Path(__file__).parents[1] / "reports" / "record_factory.py")
 assert _FACTORY is not None

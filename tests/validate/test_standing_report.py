@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from validate import standing_report as module
-from validate.standing_report import campaign_text, standing_report
+from validate.store import standing_report as module
+from validate.store.standing_report import campaign_text, standing_report
 
 CAMPAIGN = {"keys": ["a", "b"], "quick": False, "command": "first", "started": "1", "provenance": {"cpu": "x"}}
 

@@ -17,15 +17,15 @@ import pytest
 
 from models.errors import MachineError
 from reports.record import RunRecord
-from validate import disk as disk_module
-from validate import store as store_module
-from validate.campaign import Settings, run_campaign, select
 from validate.cli.narrator import PlainNarrator
-from validate.disk import write_durably
-from validate.provenance import gather
-from validate.records import run_record, unfinished_stage
-from validate.scene_record import scene_record
-from validate.store import RECORD, Store
+from validate.execution.campaign import Settings, run_campaign, select
+from validate.store import disk as disk_module
+from validate.store import store as store_module
+from validate.store.disk import write_durably
+from validate.store.provenance import gather
+from validate.store.store import RECORD, Store
+from validate.tasks.records import run_record, unfinished_stage
+from validate.tasks.scene_record import scene_record
 
 FAKES = {"tools": "campaign_fakes:TOOLS", "scenes": ("three_cart",), "expression": "only_good or only_refuses"}
 _ASKED = ("rename", "replace", "fsync", "mkdir", "open", "unlink")

@@ -12,13 +12,12 @@ from scipy.linalg import expm
 from models.catalog import load_scene
 from models.fmu import build_fmu
 from models.plan_table import PlanTable
-from validate.isolation import Limits
-from validate.replay.linearise import linearised
-from validate.replay.map_schema import read_map
-from validate.replay.mapping import wire
-from validate.replay.package import read_package
-from validate.replay.run import replay_foreign
-from validate.replay.tracking import TrackingError
+from validate.execution.isolated import Limits
+from validate.fmi.package import read_package
+from validate.judge.replay.map_schema import read_map
+from validate.judge.replay.mapping import wire
+from validate.judge.replay.run import replay_foreign
+from validate.judge.replay.tracking import TrackingError, linearised
 
 STEPS, H = 50, 0.05
 # Degrees and newton metres to what the FMU has: so that every scale and offset counts.

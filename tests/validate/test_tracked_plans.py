@@ -18,11 +18,12 @@ from models.scene import Limit, Scene
 from models.trajectory import Trajectory, write_csv
 from models.trajectory_netcdf import read_gains
 from validate.cli.group import run
-from validate.judge import judge
-from validate.records import Judged, Planned, stage_record
-from validate.replay import Replay, replay
-from validate.results import COLUMNS, _row
-from validate.score import Score, Verdict, score
+from validate.judge.judgement import judge
+from validate.judge.replay import Replay
+from validate.judge.replay.run import replay
+from validate.judge.score import Score, Verdict, score
+from validate.store.results import COLUMNS, _row
+from validate.tasks.records import Judged, Planned, stage_record
 
 
 @pytest.fixture(scope="module")

@@ -19,12 +19,13 @@ from models.scene_annotations import goal_limits
 from models.trajectory import Hold, Trajectory, uniform_grid, write_csv
 from models.trajectory_netcdf import read_gains, read_netcdf, write_netcdf
 from validate.cli.group import run
-from validate.judge import judge_trajectory
-from validate.replay import Replay, replay
-from validate.replay.netcdf import read_replay, write_replay
-from validate.replay.result import Growth
-from validate.replay.tracking import design_feedback
-from validate.score import Question, Verdict, score
+from validate.judge.judgement import judge_trajectory
+from validate.judge.replay import Replay
+from validate.judge.replay.netcdf import read_replay, write_replay
+from validate.judge.replay.result import Growth
+from validate.judge.replay.run import replay
+from validate.judge.replay.tracking import design_feedback
+from validate.judge.score import Question, Verdict, score
 
 STEPS, H = 50, 0.05
 
@@ -85,7 +86,7 @@ def test_the_closed_loop_is_the_product_of_its_matrices(scene: Scene, still: Tra
 
 
 def test_the_motion_is_linearised_exactly_but_for_the_kernels_small_steps(scene: Scene, still: Trajectory, exact):
-    from validate.replay.growth import flow_derivative
+    from validate.judge.replay.tracking import flow_derivative
 
     A, B = exact
     found = flow_derivative(load_kernel(scene), np.zeros(2), np.zeros((10, 1)), H / 10)
@@ -153,7 +154,7 @@ def test_twice_is_the_same(scene: Scene, still: Trajectory, caught: Replay):
 
 
 def test_a_child_process_replays_the_same(scene: Scene, still: Trajectory, caught: Replay):
-    from validate.isolation import Limits
+    from validate.execution.isolated import Limits
 
     other = replay(scene, build_fmu(scene), still, limits=Limits(seconds=100.0), track=True)
     assert other.tracked is not None

@@ -15,9 +15,16 @@ from models.contacts import Contact
 from models.scene import Coordinate, Input, Parameter, Scene, Task
 from models.scene_annotations import goal_limits
 from models.trajectory import Trajectory, uniform_grid
-from validate.replay.feedback import Feedback, measure_effort
-from validate.replay.growth import flow_derivative, largest_growth, measure_growth
-from validate.replay.tracking import TrackingError, design_feedback, input_scale, lqr_gains
+from validate.judge.replay.tracking import (
+    TrackingError,
+    design_feedback,
+    flow_derivative,
+    input_scale,
+    largest_growth,
+    lqr_gains,
+    measure_growth,
+)
+from validate.judge.replay.wiring import Feedback, measure_effort
 
 
 def test_far_from_the_end_the_gains_are_those_of_the_algebraic_riccati_equation():

@@ -57,8 +57,8 @@ def command(arguments: tuple[str, ...], as_json: bool, **options: Any) -> int:
     results.csv (one row a stage), examinations.csv (one row an examination, such as the check of a scene's FMU), violation.csv,
     starts.csv (one row a start), front.csv (one row a terminal tolerance), campaign.json and, for each cell, runs/<key>.
     """
-    from validate.chosen import Settings
     from validate.cli.running import run_and_tell
-    from validate.provenance import command_line
+    from validate.plan.runs import Settings
+    from validate.store.provenance import command_line
 
     return run_and_tell(Settings(command=command_line(arguments), **options), arguments, as_json)

@@ -1,6 +1,6 @@
 """The options by which a campaign is chosen and run: those of `all`, of `plan`, which says what `all` would do, and of `run`, where a file chooses.
 
-Each is a parameter named like the field of validate.chosen.Settings that it fills.
+Each is a parameter named like the field of validate.plan.runs.Settings that it fills.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import Any, TypeVar
 
 import click
 
-from validate.cli.completion import scenes
-from validate.tools import DEFAULT_TOOLS
+from validate.cli.options import scenes
+from validate.tasks.plugins import DEFAULT_TOOLS
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -67,7 +67,10 @@ _SELECTING = (
         help="Cells at a time. With more than one, times are less comparable.  [default: 1; on a standing Dask cluster, as many as it takes]",
     ),
     click.option(
-        "--tools", default=DEFAULT_TOOLS, metavar="MODULE:NAME", help="Methods, pipelines and judge from elsewhere (see validate/tools.py)."
+        "--tools",
+        default=DEFAULT_TOOLS,
+        metavar="MODULE:NAME",
+        help="Methods, pipelines and judge from elsewhere (see validate/tasks/plugins.py).",
     ),
 )
 _ENDING = (

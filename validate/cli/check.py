@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from validate.cli.numbers import FiniteRange
+from validate.cli.options import FiniteRange
 from validate.cli.table import one_line, use_colour
 
 if TYPE_CHECKING:

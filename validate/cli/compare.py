@@ -40,7 +40,7 @@ _WORDS = {
 @click.option("--json", "as_json", is_flag=True, help="The differences as JSON on stdout.")
 def command(before: Path, after: Path, as_json: bool) -> int:
     """What differs between the campaigns in the folders A (before) and B (after), regressions first."""
-    from validate.compare import compare
+    from validate.store.compare import compare
 
     comparison = compare(_loaded(before), _loaded(after))
     code = 1 if comparison.regressions else 0

@@ -21,9 +21,9 @@ def tell_doubts(scenes: Iterable[Scene], *, steps: bool = False) -> None:
 
 
 def doubts_of(scenes: Iterable[Scene], *, steps: bool = False) -> list[str]:
-    """A sentence a doubt (validate.scene_doubts), each scene once. steps: also of a time step that is unstable in contact, for which scenes that are not
+    """A sentence a doubt (validate.plan.warnings), each scene once. steps: also of a time step that is unstable in contact, for which scenes that are not
     the bank's are compiled."""
-    from validate.scene_doubts import doubts
+    from validate.plan.warnings import doubts
 
     each = list({scene.name: scene for scene in scenes}.values())
     return [*doubts(each), *(_unstable(each) if steps else ())]

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import click
 
-from validate.cli.completion import scenes
 from validate.cli.doubts import tell_doubts
+from validate.cli.options import scenes
 
 
 @click.command(
@@ -44,7 +44,7 @@ def command(scene: str, output: Path, version: str, platforms: tuple[str, ...], 
     """Export a scene as an FMU: Co-Simulation and Model Exchange in one file."""
     from models.catalog import load_scene
     from models.fmu import build_fmu
-    from validate.disk import disk_error, make_folder, write_durably
+    from validate.store.disk import disk_error, make_folder, write_durably
 
     if coupled and (version != "2" or platforms):
         raise click.UsageError("--coupled writes FMI 2.0 for this machine; leave out --fmi and --platform.")

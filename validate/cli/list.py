@@ -27,7 +27,7 @@ def command(as_json: bool) -> int:
     from formulations.catalog import method_names
     from formulations.pipeline import PIPELINES, QUICK
     from models.catalog import scene_names, scene_path
-    from validate.hardcases.catalog import case_names, describe_case
+    from validate.stress.case import case_names, describe_case
 
     cases = [describe_case(name) for name in case_names()]
     methods = Path(__file__).resolve().parents[2] / "formulations" / "methods"

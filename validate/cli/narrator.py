@@ -16,7 +16,7 @@ from validate.cli.table import one_line
 if TYPE_CHECKING:
     from reports.examination_record import ExaminationRecord
     from reports.record import RunRecord
-    from validate.engine import Running
+    from validate.execution.engine import Running
 
 
 # Width of the bar [characters]: what runs needs the room.

@@ -13,7 +13,7 @@ from validate.cli.doubts import tell_doubts
 from validate.cli.table import one_line, table
 
 if TYPE_CHECKING:
-    from validate.chosen import Settings
+    from validate.plan.runs import Settings
 
 _EPILOG = """\b
 Examples:
@@ -34,16 +34,16 @@ def command(as_json: bool, **options: Any) -> int:
 
     Nothing is run or written.
     """
-    from validate.chosen import Settings
+    from validate.plan.runs import Settings
 
     return tell_plan(Settings(**options), as_json)
 
 
 def tell_plan(settings: Settings, as_json: bool) -> int:
     """Print it. Raises TouchstoneError."""
-    from validate.chosen import Entry, reasons, select, with_stored
-    from validate.store import Store
-    from validate.stored import earlier_schema, only_last_failed
+    from validate.plan.runs import Entry, reasons, select, with_stored
+    from validate.store.store import Store
+    from validate.store.stored import earlier_schema, only_last_failed
 
     entries, left_out = select(settings)
     scenes = {entry.scene.name: entry.scene for entry in entries if isinstance(entry, Entry)}

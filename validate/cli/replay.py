@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from validate.cli.completion import scenes
-from validate.cli.numbers import FiniteRange
+from validate.cli.options import FiniteRange, scenes
 from validate.cli.table import one_line, short, table, use_colour
 
 if TYPE_CHECKING:
-    from validate.judge import Judgement
-    from validate.replay.result import Replay
-    from validate.score import Metric, Verdict
+    from validate.judge.judgement import Judgement
+    from validate.judge.replay.result import Replay
+    from validate.judge.score import Metric, Verdict
 
 
 @click.command(
@@ -85,7 +84,7 @@ def command(
     PLAN.csv has one row a node: t and the inputs by name, and positions, velocities, contact forces if the plan says them:
     what it does not say is not asked. docs/replay.md describes plan and map, docs/verdict.md what is asked.
     """
-    from validate.isolation import Limits
+    from validate.execution.isolated import Limits
 
     if (scene is None) == (fmu is None):
         raise click.UsageError("give either --scene or --fmu.")
@@ -118,7 +117,7 @@ def _of_scene(scene: str, plan: Path, hold: str | None, limits: Any, track: bool
     from models.fmu import build_fmu
     from models.trajectory import read_csv
     from validate.cli.doubts import doubts_of
-    from validate.judge import judge_trajectory
+    from validate.judge.judgement import judge_trajectory
 
     loaded = load_scene(scene)
     trajectory = read_csv(plan, loaded, hold)
@@ -130,12 +129,12 @@ def _of_scene(scene: str, plan: Path, hold: str | None, limits: Any, track: bool
 
 def _of_fmu(fmu: Path, plan: Path, map_path: Path | None, hold: str | None, limits: Any, track: bool) -> tuple[Judgement, list[str]]:
     from models.plan_table import PlanTable
-    from validate.judge import judge_on_fmu
-    from validate.replay.equal_names import hint
-    from validate.replay.map_schema import MapError, read_map
-    from validate.replay.mapping import wire
-    from validate.replay.package import read_package
-    from validate.score import metric_names
+    from validate.fmi.package import read_package
+    from validate.judge.judgement import judge_on_fmu
+    from validate.judge.replay.equal_names import hint
+    from validate.judge.replay.map_schema import MapError, read_map
+    from validate.judge.replay.mapping import wire
+    from validate.judge.score import metric_names
 
     given = read_map(map_path) if map_path is not None else None
     for name in given.limits if given is not None else ():
@@ -185,8 +184,8 @@ def _facts(replay: Replay) -> dict[str, Any]:
 def _write(out: Path, told: dict[str, Any], judgement: Judgement) -> None:
     from models.scene import Scene
     from models.trajectory_netcdf import write_netcdf
-    from validate.disk import make_folder, write_durably
-    from validate.replay.netcdf import write_replay
+    from validate.judge.replay.netcdf import write_replay
+    from validate.store.disk import make_folder, write_durably
 
     replay, subject, plan = judgement.replay, judgement.scene, judgement.plan
     make_folder(out)
@@ -202,7 +201,7 @@ def _write(out: Path, told: dict[str, Any], judgement: Judgement) -> None:
 
 
 def _print(judgement: Judgement) -> None:
-    from validate.score.verdict import TRACKED
+    from validate.judge.score.verdict import TRACKED
 
     result, replay = judgement.score, judgement.replay
     followed = replay is not None and replay.tracked is not None

@@ -25,9 +25,9 @@ Exit codes: 0 rebuilt; 2 a folder that is no campaign; 3 it cannot be written.
 def command(folder: Path, split: bool, as_json: bool) -> int:
     """Rebuild results.csv, examinations.csv, violation.csv and report.html of the campaign in DIR (runs/all) from its records; no solver is needed."""
     from reports.kept import kept
-    from validate.isolation.environment import ROOT
-    from validate.results import write_or_remove
-    from validate.tools import DEFAULT
+    from validate.execution.process import ROOT
+    from validate.store.results import write_or_remove
+    from validate.tasks.plugins import DEFAULT
 
     sources = [*sorted((ROOT / "validate").glob("*.py")), Path(__file__)]
     told = json.loads(kept(folder, "results", lambda: json.dumps(_tables(folder)), sources=sources))
@@ -51,10 +51,10 @@ def _tables(folder: Path) -> dict[str, Any]:
     """What is told beside the report: the texts of the tables, their rows, and how many cells are missing. Raises CampaignError."""
     from reports.load import ReportError, Stored
     from reports.render import outlined
-    from validate.campaign import EXAMINATIONS, RESULTS, VIOLATION
-    from validate.results import examination_rows, examinations_text, results_text, rows
-    from validate.stored import campaign_of
-    from validate.violation import violation_text
+    from validate.execution.campaign import EXAMINATIONS, RESULTS, VIOLATION
+    from validate.store.results import examination_rows, examinations_text, results_text, rows
+    from validate.store.stored import campaign_of
+    from validate.tasks.paper import violation_text
 
     try:
         stored = outlined(folder)  # a pipeline that ran in parts is one row, as in the campaign's own table

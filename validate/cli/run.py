@@ -47,7 +47,7 @@ def command(
     **options: Any,
 ) -> int:
     """Run a campaign of your own: scenes by name or file, with changed and swept numbers, pipelines, eps schedules and seeds."""
-    from validate.config import CampaignFile, read_campaign
+    from validate.plan import CampaignFile, read_campaign
 
     if schema:
         data = {"$schema": "https://json-schema.org/draft/2020-12/schema", **CampaignFile.model_json_schema()}
@@ -55,10 +55,10 @@ def command(
         return 0
     if file is None:
         raise click.UsageError("give a campaign file, such as docs/campaigns/stiffness.toml.")
-    from validate.chosen import Settings
     from validate.cli.plan import tell_plan
     from validate.cli.running import run_and_tell
-    from validate.provenance import command_line
+    from validate.plan.runs import Settings
+    from validate.store.provenance import command_line
 
     campaign = read_campaign(file, tools)
     settings = Settings(out=out or Path("runs") / file.stem, tools=tools, command=command_line(arguments), **options, **campaign.settings())

@@ -13,8 +13,8 @@ from models.errors import MachineError
 from validate.cli.table import use_colour
 
 if TYPE_CHECKING:
-    from validate.campaign import Outcome
-    from validate.chosen import Settings
+    from validate.execution.campaign import Outcome
+    from validate.plan.runs import Settings
 
 # Words of a command that the same command, typed again to go on, does without.
 _ONCE = frozenset({"--fresh", "--lf", "-x"})
@@ -22,9 +22,9 @@ _ONCE = frozenset({"--fresh", "--lf", "-x"})
 
 def run_and_tell(settings: Settings, arguments: Sequence[str], as_json: bool) -> int:
     """Run it, progress on stderr, results on stdout; the exit code. arguments: the words of the command. Raises TouchstoneError."""
-    from validate.campaign import run_campaign
     from validate.cli.narrator import narrator
-    from validate.provenance import command_line
+    from validate.execution.campaign import run_campaign
+    from validate.store.provenance import command_line
 
     # A closed terminal and a polite kill end like Ctrl-C: children stopped, finished cells kept. What nohup ignores stays ignored.
     for number in (signal.SIGTERM, signal.SIGHUP):
@@ -78,7 +78,7 @@ def _print_table(outcome: Outcome, settings: Settings, resume: str) -> None:
 
 
 def _print_json(outcome: Outcome, settings: Settings) -> None:
-    from validate.results import examination_rows, rows
+    from validate.store.results import examination_rows, rows
 
     data = {
         "results": rows(outcome.records),

@@ -70,7 +70,7 @@ _NUMBERS = ("stage", "eps", "cost", "terminal error", "replayed", "physics", "se
 
 def results_table(records: Sequence[RunRecord]) -> str:
     """What of results.csv a terminal has room for; `replayed` is the terminal error after the replay that is judged."""
-    from validate.results import rows
+    from validate.store.results import rows
 
     content = rows(records)
     for row in content:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 
-from validate.isolation import Isolated, Limits, run_isolated
+from validate.execution.isolated import Isolated, Limits, run_isolated
 
 # A folder with less room than this [bytes] does not hold a campaign with its FMUs and trajectories.
 _ROOM = 500 * 1024**2

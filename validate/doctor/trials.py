@@ -110,7 +110,7 @@ def fmu(request: Any, arrays: Any) -> str:
     from models.fmu import build_fmu
     from models.schemes import Scheme
     from models.trajectory import Trajectory, uniform_grid
-    from validate.replay import replay
+    from validate.judge.replay.run import replay
 
     scene = load_scene("bouncing_mass")
     scene = scene.with_task(steps=5)

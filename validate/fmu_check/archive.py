@@ -1,16 +1,108 @@
-"""The file: what the intake has to say, how it is packed, and the binary for this machine."""
+"""What a shared library of Linux exports and needs, read from the file without loading it.
+
+Layout: System V Application Binary Interface, chapters 4 and 5 (sections, symbol table, dynamic section).
+
+The file: what the intake has to say, how it is packed, and the binary for this machine.
+
+The model description: valid by schema and rules, and free of contradictions that no schema sees.
+"""
 
 from __future__ import annotations
 
+import math
 import platform
+import re
+import struct
 import sys
 import zipfile
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from validate.fmu_check.elf import NotElf, read_library
+from validate.fmi.intake import platform_folder, problems
 from validate.fmu_check.result import Finding, Scope, check, failed, listed, not_offered, passed
-from validate.fmu_check.subject import Subject
-from validate.isolation.intake import platform_folder, problems
+from validate.fmu_check.subject import Subject, Variable
+
+_HEADER = 52  # bytes of the shorter header, that of 32 bits
+_CLASSES = {1: 32, 2: 64}
+_MACHINES = {3: "x86", 62: "x86_64", 183: "aarch64"}
+_DYNAMIC_SECTION, _SYMBOL_SECTION = 6, 11
+_NEEDED, _UNDEFINED = 1, 0
+_FUNCTION_KINDS = (2, 10)  # STT_FUNC, STT_GNU_IFUNC
+
+
+class NotElf(ValueError):  # noqa: N818 - says what the file is not
+    """The bytes are no ELF file that can be read."""
+
+
+@dataclass(frozen=True)
+class Library:
+    """exported: names of functions; needed: other libraries; glibc: the newest version of the GNU C library it asks for ("" if none)."""
+
+    bits: int
+    machine: str
+    exported: frozenset[str]
+    needed: tuple[str, ...]
+    glibc: str
+
+
+def read_library(data: bytes) -> Library:
+    """Raises NotElf."""
+    if data[:4] != b"\x7fELF" or len(data) < _HEADER:
+        raise NotElf("it does not begin like an ELF file")
+    bits = _CLASSES.get(data[4], 0)
+    order = {1: "<", 2: ">"}.get(data[5], "")
+    if not bits or not order:
+        raise NotElf("its class or byte order is unknown")
+    try:
+        return _read(data, bits, order)
+    except (struct.error, IndexError, ValueError, OverflowError) as error:
+        raise NotElf(f"its tables cannot be read ({error})") from error
+
+
+def _read(data: bytes, bits: int, order: str) -> Library:
+    wide = bits == 64
+    (machine,) = struct.unpack_from(f"{order}H", data, 18)
+    (table,) = struct.unpack_from(f"{order}{'Q' if wide else 'I'}", data, 40 if wide else 32)
+    size, count, _ = struct.unpack_from(f"{order}HHH", data, 58 if wide else 46)
+    header = f"{order}IIQQQQIIQQ" if wide else f"{order}IIIIIIIIII"
+    sections = [struct.unpack_from(header, data, table + number * size) for number in range(count)]
+    if sum(section[5] for section in sections if section[1] in (_DYNAMIC_SECTION, _SYMBOL_SECTION)) > len(data):
+        raise NotElf("its tables are larger than the file")
+    exported: set[str] = set()
+    needed: list[str] = []
+    texts = b""
+    for _, kind, _, _, offset, length, link, _, _, entry in sections:
+        if kind not in (_DYNAMIC_SECTION, _SYMBOL_SECTION):
+            continue
+        strings = data[sections[link][4] : sections[link][4] + sections[link][5]]
+        texts = strings
+        for at in range(offset, offset + length, entry):
+            if kind == _SYMBOL_SECTION:
+                name, info, section = _symbol(data, at, order, wide)
+                if section != _UNDEFINED and info & 0xF in _FUNCTION_KINDS and info >> 4:
+                    exported.add(_text(strings, name))
+            else:
+                tag, value = struct.unpack_from(f"{order}{'QQ' if wide else 'II'}", data, at)
+                if tag == _NEEDED:
+                    needed.append(_text(strings, value))
+    versions = [tuple(map(int, item.split(b"."))) for item in re.findall(rb"\0GLIBC_([0-9.]+)(?=\0)", texts)]
+    glibc = ".".join(map(str, max(versions))) if versions else ""
+    return Library(bits, _MACHINES.get(machine, f"machine {machine}"), frozenset(exported), tuple(needed), glibc)
+
+
+def _symbol(data: bytes, at: int, order: str, wide: bool) -> tuple[int, int, int]:
+    """(name, info, section index) of a row of the symbol table."""
+    if wide:
+        name, info, _, section = struct.unpack_from(f"{order}IBBH", data, at)
+    else:
+        name, _, _, info, _, section = struct.unpack_from(f"{order}IIIBBH", data, at)
+    return name, info, section
+
+
+def _text(strings: bytes, at: int) -> str:
+    return strings[at : strings.index(b"\0", at)].decode("utf-8")
+
 
 # Of the intake's checks: those about the archive as such.
 ARCHIVE_CHECKS = ("size", "ratio", "entries", "names", "links", "duplicates", "encryption", "xml")
@@ -70,3 +162,74 @@ def _required(subject: Subject, kind: str) -> set[str]:
 
     interface = {(2, "ME"): FMU2Model, (2, "CS"): FMU2Slave, (3, "ME"): FMU3Model, (3, "CS"): FMU3Slave}[subject.major, kind]
     return {name for name in dir(interface) if name.startswith(f"fmi{subject.major}") and name[4:5].isupper()}
+
+
+@check("description is valid", "modelDescription.xml obeys its schema and the rules of FMI (FMPy's validation)", Scope.FILE)
+def valid(path: Path) -> Finding:
+    """Looks at the unpacked folder; comes before the description is read without validation."""
+    from fmpy.validation import validate_fmu
+
+    problems = [" ".join(str(problem).split()).rstrip(".") for problem in validate_fmu(str(path))]
+    if problems:
+        return failed(f"{listed(problems)}.")
+    return passed("0 problems.")
+
+
+@check(
+    "variables are consistent",
+    "starts lie within ranges, ranges are not empty, nominals positive, units of derivatives those of states per second",
+    Scope.FILE,
+)
+def consistent(subject: Subject) -> Finding:
+    wrong = [problem for item in subject.variables for problem in _of_variable(item)]
+    wrong += _of_aliases(subject)
+    wrong += _of_derivatives(subject)
+    if not subject.description.guid:
+        wrong.append("the GUID or instantiation token is empty")
+    if wrong:
+        return failed(f"{listed(wrong)}.")
+    return passed(f"{len(subject.variables)} variables.")
+
+
+def _of_variable(item: Variable) -> list[str]:
+    wrong = []
+    if item.lower > item.upper:
+        wrong.append(f"{item.name} has the empty range {item.lower:g} .. {item.upper:g}")
+    elif item.start is not None and ((item.start < item.lower) | (item.start > item.upper)).any():
+        wrong.append(f"{item.name} starts at {item.start[0]:g}, outside its range {item.lower:g} .. {item.upper:g}")
+    if item.start is not None and not all(map(math.isfinite, item.start)):
+        wrong.append(f"{item.name} starts at {item.start[0]:g}")
+    if item.nominal is not None and not (item.nominal > 0.0 and math.isfinite(item.nominal)):
+        wrong.append(f"{item.name} has the nominal {item.nominal:g}; it must be positive")
+    return wrong
+
+
+def _of_aliases(subject: Subject) -> list[str]:
+    """Variables that share a value must share its start."""
+    first: dict[tuple[int, str], Variable] = {}
+    wrong = []
+    for item in subject.variables:
+        other = first.setdefault((item.reference, item.type), item)
+        if other.start is not None and item.start is not None and not (other.start == item.start).all():
+            wrong.append(f"{other.name} and {item.name} have one value reference, {item.reference}, but different starts")
+    return wrong
+
+
+def _of_derivatives(subject: Subject) -> list[str]:
+    """A derivative's unit must be that of its state per second, where both are defined by base units."""
+    units = {unit.name: unit.baseUnit for unit in subject.description.unitDefinitions if unit.baseUnit is not None}
+    wrong = []
+    for item in subject.description.modelVariables:
+        if item.derivative is None or not hasattr(item.derivative, "name"):
+            continue
+        rate, state = subject.by_name.get(item.name), subject.by_name.get(item.derivative.name)
+        if rate is None or state is None or rate.unit not in units or state.unit not in units:
+            continue
+        if _exponents(units[rate.unit]) != _exponents(units[state.unit], seconds=-1):
+            wrong.append(f"{rate.name} has the unit {rate.unit}, but is the derivative of {state.name} in {state.unit}")
+    return wrong
+
+
+def _exponents(base: Any, seconds: int = 0) -> tuple[int, ...]:
+    """Exponents of the base units; an angle counts as a number, as many models mix the two."""
+    return tuple(int(getattr(base, name)) + (seconds if name == "s" else 0) for name in ("kg", "m", "s", "A", "K", "mol", "cd"))

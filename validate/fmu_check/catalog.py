@@ -2,26 +2,14 @@
 
 from __future__ import annotations
 
-from validate.fmu_check import (
-    agreement,
-    archive,
-    communication,
-    derivatives,
-    description,
-    exchange,
-    repetition,
-    states,
-    timing,
-    values,
-    within_step,
-)
+from validate.fmu_check import archive, communication, derivatives, exchange, states, values
 from validate.fmu_check.result import Check
 
 # Of the file alone; the others need its description, and most of them run its code.
-STATIC: tuple[Check, ...] = (archive.archive, description.valid)
+STATIC: tuple[Check, ...] = (archive.archive, archive.valid)
 # If this one fails for a type, those after it are not run.
-FIRST = timing.lives
-READING: tuple[Check, ...] = (description.consistent, archive.exports)
+FIRST = communication.lives
+READING: tuple[Check, ...] = (archive.consistent, archive.exports)
 BEHAVIOUR: tuple[Check, ...] = (
     FIRST,
     values.readable,
@@ -29,16 +17,16 @@ BEHAVIOUR: tuple[Check, ...] = (
     values.obeyed,
     values.finite,
     values.get_order,
-    timing.keeps_time,
-    timing.stop_time,
+    communication.keeps_time,
+    communication.stop_time,
     communication.event_mode,
     communication.early_return,
-    within_step.intermediate_update,
-    within_step.input_derivatives,
-    repetition.repeats,
-    repetition.resets,
-    repetition.independent,
-    repetition.leaks,
+    communication.intermediate_update,
+    communication.input_derivatives,
+    states.repeats,
+    states.resets,
+    states.independent,
+    states.leaks,
     states.restores,
     states.serialises,
     exchange.arrays,
@@ -47,6 +35,6 @@ BEHAVIOUR: tuple[Check, ...] = (
     derivatives.directional,
     derivatives.adjoint,
     derivatives.dependencies,
-    agreement.agree,
+    exchange.agree,
 )
 NAMES = tuple(item.name for item in (*STATIC, *READING, *BEHAVIOUR))

@@ -1,14 +1,207 @@
-"""Derivatives that the FMU offers against finite differences, and what it says depends on what."""
+"""Jacobians of an FMU by finite differences that know their own error.
+
+Central differences with steps h, h/4, ... (Ridders, Accurate computation of F'(x), Adv. Eng. Software 4, 1982): two neighbours are extrapolated, and the
+pair that changes least is taken. What the two one-sided differences do not agree on, however small the step, is a kink: no derivative is there.
+
+Points at which an FMU is a function of its states and inputs: where derivatives and dependencies are looked at.
+
+Derivatives that the FMU offers against finite differences, and what it says depends on what.
+"""
 
 from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
-from validate.fmu_check.differences import Column, agrees, column, resolved, rounding_of
-from validate.fmu_check.linearisation import Point, initial_point, points
+from validate.fmu_check.instance import Instance, new_instance
+from validate.fmu_check.motion import Record, run
 from validate.fmu_check.result import Finding, Scope, check, failed, listed, not_offered, passed
 from validate.fmu_check.subject import Subject, Variable
+
+# Steps: from this share of the variable's size, each a quarter of the one before.
+_LARGEST, _COUNT = 1e-2, 9
+# Rounding of one evaluation, in units of the last place of its value.
+_ULPS = 16.0
+# Derivatives that an FMU computes by differences itself are this far off, and are none the worse for their users; wrong ones are farther.
+_SHARE = 1e-3
+_EPS = float(np.finfo(float).eps)
+
+
+@dataclass(frozen=True)
+class Column:
+    """d(unknowns)/d(one known): value, error estimate and where there is no derivative, each (unknowns,)."""
+
+    value: np.ndarray
+    error: np.ndarray
+    kink: np.ndarray
+
+
+def column(evaluate: Callable[[np.ndarray], np.ndarray], x: np.ndarray, place: int, size: float, largest: float = _LARGEST) -> Column:
+    """The column of entry `place` of x at x; size: the typical magnitude of that entry."""
+    middle = evaluate(x)
+    central, forward, backward, noise = [], [], [], []
+    for number in range(_COUNT):
+        step = max(size, abs(x[place])) * largest / 4.0**number
+        above, below = x.copy(), x.copy()
+        above[place] += step
+        below[place] -= step
+        up, down = evaluate(above), evaluate(below)
+        right, left = above[place] - x[place], x[place] - below[place]
+        central.append((up - down) / (right + left))
+        forward.append((up - middle) / right)
+        backward.append((middle - down) / left)
+        noise.append(_ULPS * _EPS * np.maximum(np.maximum(np.abs(up), np.abs(down)), np.abs(middle)) / step)
+    d, rounding = np.array(central), np.array(noise)
+    extrapolated = (16.0 * d[1:] - d[:-1]) / 15.0
+    error = np.abs(extrapolated[1:] - extrapolated[:-1]) + 2.0 * rounding[2:]
+    error = np.where(np.isfinite(error), error, np.inf)
+    best = np.argmin(error, axis=0)
+    columns = np.arange(d.shape[1])
+    gap = np.abs(np.array(forward) - np.array(backward))
+    # A smooth function's one-sided differences approach each other as the step; four times smaller, four times nearer.
+    here, before = gap[best + 2, columns], gap[best + 1, columns]
+    kink = (here > 0.5 * before) & (here > 10.0 * rounding[best + 2, columns])
+    return Column(extrapolated[best + 1, columns], error[best, columns], kink)
+
+
+def rounding_of(claimed: np.ndarray) -> float:
+    """What large terms that cancel leave of an entry that is zero: some units in the last place of the largest entry."""
+    return _ULPS * _EPS * float(np.abs(claimed[np.isfinite(claimed)]).max(initial=0.0))
+
+
+def agrees(claimed: np.ndarray, found: Column) -> np.ndarray:
+    """(unknowns,) whether a claimed column is within the error of the one found; True where nothing can be said."""
+    allowed = 10.0 * found.error + _SHARE * np.maximum(np.abs(claimed), np.abs(found.value)) + rounding_of(claimed)
+    return (np.abs(claimed - found.value) <= allowed) | found.kink | ~np.isfinite(found.error)
+
+
+def resolved(claimed: np.ndarray, found: Column) -> np.ndarray:
+    """(unknowns,) whether an error of a thousandth of the entry would show."""
+    size = np.maximum(np.abs(claimed), np.abs(found.value))
+    return ~found.kink & ((found.error <= 1e-3 * size) | (np.abs(claimed - found.value) <= found.error))
+
+
+# Where in a run points are taken, and after how many of its first events.
+AFTER_EVENTS = 4
+SHARES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9)
+# Of a large FMU, columns are drawn.
+MOST_KNOWNS = 60
+
+
+@dataclass
+class Point:
+    """An instance at a point: `evaluate` maps the knowns (their entries in order) to the unknowns, and leaves the instance at the point after back()."""
+
+    where: str
+    instance: Instance
+    knowns: list[Variable]
+    unknowns: list[Variable]
+    x: np.ndarray
+    time: float
+    state_entries: int
+
+    def evaluate(self, x: np.ndarray) -> np.ndarray:
+        if self.state_entries:
+            self.instance.move(self.time, x[: self.state_entries])
+        given = [item for item in self.knowns if item not in self._states]
+        if given:
+            self.instance.set(given, x[self.state_entries :])
+        return self.instance.get(self.unknowns)
+
+    def back(self) -> None:
+        self.evaluate(self.x)
+
+    @property
+    def _states(self) -> list[Variable]:
+        return self.instance.subject.states if self.state_entries else []
+
+    def sizes(self) -> np.ndarray:
+        return np.concatenate([np.full(item.size, item.scale) for item in self.knowns])
+
+    def entries(self) -> list[tuple[int, Variable]]:
+        """(place in x, known) of the entries to look at: all, or some of a large FMU."""
+        every = [item for item in self.knowns for _ in range(item.size)]
+        places = range(len(every))
+        if len(every) > MOST_KNOWNS:
+            places = sorted(np.random.default_rng(3).choice(len(every), MOST_KNOWNS, replace=False).tolist())
+        return [(place, every[place]) for place in places]
+
+    def names(self) -> list[str]:
+        """Of the unknowns' entries."""
+        return [item.name for item in self.unknowns for _ in range(item.size)]
+
+
+def points(subject: Subject, kind: str) -> Iterator[Point]:
+    """Points along a run: unknowns are derivatives and outputs, knowns are states and continuous inputs (Co-Simulation: inputs, outputs)."""
+    steps = subject.long_steps(kind)
+    exchange = kind == "ME"
+    outputs = [item for item in subject.outputs if item.is_float]
+    states = (
+        subject.states
+        if exchange and sum(item.size for item in subject.states) == int(subject.description.numberOfContinuousStates)
+        else []
+    )
+    knowns = [*states, *subject.continuous_inputs]
+    unknowns = [*(subject.derivatives if exchange else []), *outputs]
+    if not knowns or not unknowns:
+        return
+    count = sum(item.size for item in states)
+    places = _places(subject, kind, steps)
+    with new_instance(subject, kind) as instance:
+        instance.begin()
+        for before, place in itertools.pairwise([0, *places]):
+            if place > before:
+                run(instance, before, place, observe="end")
+            x = np.concatenate([instance.states() if count else np.empty(0), instance.get(subject.continuous_inputs)])
+            point = Point(f"at t = {subject.time(place):.6g} s", instance, knowns, unknowns, x, subject.time(place), count)
+            yield point
+            point.back()
+
+
+def _places(subject: Subject, kind: str, steps: int) -> list[int]:
+    """Steps at whose ends to look: spread over the run, and just after the first events, where other equations hold."""
+    places = {int(share * steps) for share in SHARES}
+    if kind == "ME":
+        record = Record()
+        with new_instance(subject, kind, "events") as instance:
+            run(instance.begin(), 0, steps, observe="end", record=record)
+        ends = [math.ceil((time - subject.start_time) / subject.step) for time, crossed, _ in record.events if crossed]
+        # Where events crowd, a run that starts afresh at each point could not follow.
+        last = math.floor((min(record.crowded, subject.time(steps)) - subject.start_time) / subject.step) - 1
+        places = {place for place in places | set(list(dict.fromkeys(ends))[:AFTER_EVENTS]) if place <= max(last, 0)}
+    return sorted(places)
+
+
+def initial_point(subject: Subject, kind: str) -> Point | None:
+    """In Initialization Mode: unknowns are those of the ModelStructure, knowns all that has an exact start; None if there are none or it is refused."""
+    unknowns = [item for item in subject.of(subject.description.initialUnknowns) if item.is_float]
+    knowns = [
+        item
+        for item in subject.variables
+        if item.is_float
+        and item.start is not None
+        and item.variability != "constant"
+        and (item.initial == "exact" or item.causality == "input")
+    ]
+    if not knowns or not unknowns:
+        return None
+    instance = new_instance(subject, kind, "initial")
+    instance.setup(subject.start_time, None)
+    # A little off the starts, where symmetric models have kinks and zeros.
+    instance.set_all(subject.varied_parameters())
+    instance.enter_initialisation(subject.start_time, None)
+    point = Point("in Initialization Mode", instance, knowns, unknowns, instance.get(knowns), subject.start_time, 0)
+    try:
+        point.back()
+    except FMICallException:
+        return None
+    return point
+
 
 # A second opinion, with other steps, before a derivative is called wrong.
 _OTHER_STEPS = 3.7e-3

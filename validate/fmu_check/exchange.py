@@ -1,10 +1,20 @@
-"""Model Exchange: states, derivatives and nominals are those of the description, and event indicators announce events."""
+"""Model Exchange: states, derivatives and nominals are those of the description, and event indicators announce events.
+
+Model Exchange equals Co-Simulation as the step shrinks.
+
+Model Exchange is integrated by CVODE with two tolerances, Co-Simulation with the steps h, h/2 and h/4, all with the same piecewise constant inputs. The
+difference must be explained: by the error of either, as the halved step and the other tolerance show it, or by the FMU's tolerance. Co-Simulation
+that does not heed the communication step (it has an internal one) is measured against explicit Euler with its smallest step on the same equations:
+the plainest integrator of order one.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from validate.fmu_check.instance import Instance, new_instance
+from validate.fmu_check.instance import Instance, Misbehaviour, new_instance
 from validate.fmu_check.motion import Crowded, Exchange, run
 from validate.fmu_check.result import Finding, Scope, check, failed, not_offered, passed
 from validate.fmu_check.subject import HOLD, Subject, Variable
@@ -130,3 +140,160 @@ def indicators(subject: Subject, kind: str) -> Finding:
     return passed(
         f"{count} indicators; {state_events} state events and {len(mover.record.events) - state_events} others by t = {mover.time:.4g} s."
     )
+
+
+_RTOLS = (1e-7, 1e-9)
+_PARTS = (1, 2, 4)
+# A difference is explained by errors up to this many times their estimates.
+_SAFETY = 4.0
+# Below this share of a value's size nothing is told apart, whatever tolerance the FMU proposes.
+_FINEST = 1e-6
+
+
+@dataclass(frozen=True)
+class _Traces:
+    """(steps + 1, outputs) each: the reference and its own error, and Co-Simulation by the number of parts of a step.
+
+    awake: in how many of the most parts of a step Co-Simulation moves; fewer if its own step is longer.
+    """
+
+    reference: np.ndarray
+    error: np.ndarray
+    parts: dict[int, np.ndarray]
+    awake: int
+    events: int
+
+
+@check("Model Exchange equals Co-Simulation", "as the step shrinks, or within the FMU's tolerance", Scope.FILE)
+def agree(subject: Subject) -> Finding:
+    if subject.types != ("ME", "CS"):
+        return not_offered(f"the FMU offers {' and '.join(subject.types)} only.")
+    compared = [
+        item for item in subject.observed if item.is_float and item.variability == "continuous" and item.causality in ("output", "local")
+    ]
+    if not compared:
+        return not_offered("there are no continuous outputs or locals to compare.")
+    steps = min(subject.long_steps(kind) for kind in subject.types)
+    fine, events = _exchange(subject, compared, steps, _RTOLS[1])
+    coarse, _ = _exchange(subject, compared, len(fine) - 1, _RTOLS[0])
+    length = min(len(fine), len(coarse))
+    parts, awake = {}, 1
+    for number in _PARTS if subject.can("CS", "canHandleVariableCommunicationStepSize") else _PARTS[:1]:
+        parts[number], awake = _cosimulation(subject, compared, length - 1, number)
+    return _judge(subject, compared, _Traces(fine[:length], np.abs(fine[:length] - coarse[:length]), parts, awake, events))
+
+
+def _judge(subject: Subject, compared: list[Variable], traces: _Traces) -> Finding:
+    names = [item.name for item in compared for _ in range(item.size)]
+    floor = np.concatenate([np.full(item.size, item.scale) for item in compared])
+    size = np.maximum(np.abs(traces.reference).max(axis=0), 1e-3 * floor)
+    finest = traces.parts[max(traces.parts)]
+    apart = np.abs(finest - traces.reference)
+    shrink = np.abs(finest - traces.parts[max(traces.parts) // 2]) if len(traces.parts) > 1 else np.zeros_like(apart)
+    allowed = max(subject.tolerance, _FINEST) * size + _SAFETY * (_running(shrink) + _running(traces.error))
+    shares = {number: float((np.abs(rows - traces.reference) / size).max()) for number, rows in traces.parts.items()}
+    told = ", ".join(f"{share:.2g} with h{f'/{number}' if number > 1 else ''}" for number, share in shares.items())
+    where = f"{len(names)} values over {len(finest) - 1} steps of h = {subject.step:g} s, {traces.events} events; largest difference {told} of the value's size"
+    unexplained = ~(apart <= allowed)
+    if not unexplained.any():
+        return passed(f"{where}.")
+    euler = _euler(subject, compared, len(finest) - 1, traces.awake)
+    if euler is not None:
+        # What happens at an event may come a step later.
+        yardstick = _SAFETY * _running(np.abs(euler - traces.reference)[: len(apart)])
+        ahead = np.vstack([yardstick[1:], yardstick[-1:]])
+        if not (unexplained & ~(apart <= allowed + ahead)).any():
+            return passed(
+                f"{where}: no more than explicit Euler has with the smallest of these steps, but it does not shrink with the step, so less cannot be told."
+            )
+        unexplained &= ~(apart <= allowed + ahead)
+    row, column = np.argwhere(unexplained)[0]
+    return failed(
+        f"{names[column]} differs at t = {subject.time(row):.6g} s: {finest[row, column]:.8g} by Co-Simulation, "
+        f"{traces.reference[row, column]:.8g} by Model Exchange, more than steps and tolerances explain ({allowed[row, column]:.1g}); {where}."
+    )
+
+
+def _running(rows: np.ndarray) -> np.ndarray:
+    """The largest so far: an error that was there may come back."""
+    return np.maximum.accumulate(np.where(np.isfinite(rows), rows, np.inf), axis=0)
+
+
+def _start(instance: Instance, subject: Subject) -> None:
+    instance.begin(during=_inputs(subject, 0))
+
+
+def _inputs(subject: Subject, step: int) -> dict[Variable, np.ndarray]:
+    values = subject.inputs_at(step)
+    ends = np.cumsum([item.size for item in subject.continuous_inputs])
+    return dict(zip(subject.continuous_inputs, np.split(values, ends[:-1]), strict=True)) if len(ends) else {}
+
+
+def _exchange(subject: Subject, compared: list[Variable], steps: int, rtol: float) -> tuple[np.ndarray, int]:
+    """By CVODE; shorter if events crowd. Adams where it does, BDF where the model is stiff."""
+    try:
+        return _integrate(subject, compared, steps, rtol, "Adams")
+    except Misbehaviour:
+        return _integrate(subject, compared, steps, rtol, "BDF")
+
+
+def _integrate(subject: Subject, compared: list[Variable], steps: int, rtol: float, method: str) -> tuple[np.ndarray, int]:
+    with new_instance(subject, "ME", "reference") as instance:
+        _start(instance, subject)
+        mover = Exchange(instance, rtol, method)
+        mover.renew(subject.start_time)
+        rows = [instance.get(compared)]
+        for step in range(steps):
+            if step and step % HOLD == 0 and subject.continuous_inputs:
+                mover.jump(subject.time(step), subject.inputs_at(step))
+            try:
+                mover.advance(subject.time(step + 1))
+            except Crowded:
+                break
+            rows.append(instance.get(compared))
+        return np.array(rows), sum(bool(event[1]) for event in mover.record.events)
+
+
+def _cosimulation(subject: Subject, compared: list[Variable], steps: int, parts: int) -> tuple[np.ndarray, int]:
+    """Values after each step, and in how many of its parts (at most, over all steps) they moved."""
+    with new_instance(subject, "CS", f"parts {parts}") as instance:
+        _start(instance, subject)
+        rows = [instance.get(compared)]
+        length = subject.step / parts
+        awake = 1
+        for step in range(steps):
+            if step and step % HOLD == 0:
+                instance.set_all(_inputs(subject, step))
+            moved, before = 0, rows[-1]
+            for part in range(parts):
+                instance.do_step(subject.time(step) + part * length, length)
+                after = instance.get(compared)
+                moved += not np.array_equal(before, after)
+                before = after
+            awake = max(awake, moved)
+            rows.append(before)
+        return np.array(rows), awake
+
+
+def _euler(subject: Subject, compared: list[Variable], steps: int, parts: int) -> np.ndarray | None:
+    """Explicit Euler with a part of the communication step, events looked for at its ends; None if it diverges into errors."""
+    from fmpy.fmi1 import FMICallException
+
+    length = subject.step / parts
+    with new_instance(subject, "ME", "euler") as instance:
+        _start(instance, subject)
+        rows = [instance.get(compared)]
+        for step in range(steps):
+            if step and step % HOLD == 0 and subject.continuous_inputs:
+                instance.fmu.enterEventMode()
+                instance.set_all(_inputs(subject, step))
+                instance.settle()
+            try:
+                for part in range(1, parts + 1):
+                    x = instance.states() + length * instance.rates() if instance.state_count else np.empty(0)
+                    instance.move(subject.time(step) + part * length, x)
+                    instance.event()
+                rows.append(instance.get(compared))
+            except (FMICallException, Misbehaviour):
+                return None
+        return np.array(rows)

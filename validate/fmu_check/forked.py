@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from validate.isolation.process import exit_in_words
+from validate.execution.process import exit_in_words
 
 # Pause between two looks where the system cannot tell us the end of a process [s].
 _LOOK = 0.005

@@ -1,4 +1,6 @@
-"""One instance of an FMU, the same for FMI 2.0 and 3.0, Model Exchange and Co-Simulation, on FMPy's low-level classes.
+"""What keeps a check from going on: the FMU's fault, this machine's, or the FMU's right to end a simulation.
+
+One instance of an FMU, the same for FMI 2.0 and 3.0, Model Exchange and Co-Simulation, on FMPy's low-level classes.
 
 Every FMI call that returns more than a warning raises FMPy's FMICallException; `said` keeps what the FMU logged.
 """
@@ -17,8 +19,24 @@ from typing import Any
 
 import numpy as np
 
-from validate.fmu_check.faults import Ended, Lacking, Misbehaviour
 from validate.fmu_check.subject import Subject, Variable
+
+
+class Misbehaviour(Exception):  # noqa: N818 - a finding about the FMU, not an error of ours
+    """The FMU did something that leaves the check nothing to do but to fail, with this sentence."""
+
+
+class Lacking(Exception):  # noqa: N818 - says what this machine does not have
+    """The FMU's code needs something of the machine that is not there."""
+
+
+class Ended(Exception):  # noqa: N818 - what a sound FMU may do
+    """The FMU asked for the end of the simulation: a run cannot reach `time` [s]. It is run again, and shorter."""
+
+    def __init__(self, time: float) -> None:
+        super().__init__(f"it asked to end the simulation at t = {time:.6g} s")
+        self.time = time
+
 
 # Rounds of one event iteration before it is called endless.
 _EVENT_ROUNDS = 100
@@ -290,9 +308,9 @@ class Instance:
 def new_instance(subject: Subject, kind: str, name: str = "check", options: Mapping[str, Any] | None = None) -> Instance:
     """An instance of type "ME" or "CS"; options: more arguments of FMPy's instantiate(). Raises Misbehaviour if the binary cannot be loaded or refuses."""
     if subject.major == 2:
-        from validate.fmu_check.instance_fmi2 import Instance2
+        from validate.fmu_check.instance_versions import Instance2
 
         return Instance2(subject, kind, name, options)
-    from validate.fmu_check.instance_fmi3 import Instance3
+    from validate.fmu_check.instance_versions import Instance3
 
     return Instance3(subject, kind, name, options)

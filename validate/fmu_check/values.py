@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
-from validate.fmu_check.comparison import compare
-from validate.fmu_check.faults import Misbehaviour
-from validate.fmu_check.instance import Instance, new_instance
-from validate.fmu_check.motion import run
+from validate.fmu_check.instance import Instance, Misbehaviour, new_instance
+from validate.fmu_check.motion import compare, run
 from validate.fmu_check.result import Finding, Scope, check, failed, listed, not_offered, passed
 from validate.fmu_check.subject import Subject, Variable
 

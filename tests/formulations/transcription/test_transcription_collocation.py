@@ -20,8 +20,8 @@ from models.errors import TrajectoryError
 from models.fmu import build_fmu
 from models.schemes import Scheme, tableau
 from models.trajectory import Trajectory
-from validate.replay import replay
-from validate.score import score
+from validate.judge.replay.run import replay
+from validate.judge.score import score
 
 OSCILLATOR = load_scene(str(Path(__file__).parents[2] / "scenes" / "oscillator.py"))
 CARTS = load_scene("three_cart")

@@ -15,9 +15,8 @@ from models.errors import UnknownNameError
 from reports.examination_record import ExaminationRecord
 from reports.record import ProvenanceRecord
 from reports.rule import failures
-from validate.hardcases.case import Finding, HardCase, Series, at_least, at_most, none_of, told
-from validate.hardcases.catalog import FOLDER, case_names, describe_case, load_case
-from validate.hardcases.examine import examinations, found_of
+from validate.stress.case import FOLDER, Finding, HardCase, Series, at_least, at_most, case_names, describe_case, load_case, none_of, told
+from validate.stress.tasks import examinations, found_of
 
 NAMES = case_names()
 # What is made shorter here; a campaign runs all of it.
@@ -74,7 +73,7 @@ def record_of(name: str, finding: Finding) -> ExaminationRecord:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_case_passes_and_its_record_is_whole(name: str, monkeypatch):
-    module = importlib.import_module(f"validate.hardcases.cases.{name}")
+    module = importlib.import_module(f"validate.stress.cases.{name}")
     for constant, value in CHEAP.get(name, {}).items():
         monkeypatch.setattr(module, constant, value)
     finding = load_case(name).measure()
@@ -149,7 +148,7 @@ def test_a_case_without_a_judged_figure_has_not_passed():
 
 
 def test_numbers_that_are_none_get_into_no_record():
-    from validate.hardcases.case import Chart
+    from validate.stress.case import Chart
 
     chart = Chart(title="t", x=("x", ""), y=("y", ""), series=(Series(name="s", x=[1.0, 2.0, 3.0], y=[1.0, math.nan, math.inf]),))
     finding = Finding(happened="two\nlines", figures=(at_most("error", math.nan, 1.0, reason="r"),), charts=(chart,))

@@ -13,7 +13,7 @@ from formulations.solution import Outcome
 from models.codegen.kernel import Kernel
 from models.contact_law import ContactLaw
 from models.trajectory import Trajectory
-from validate.hardcases.cases import (
+from validate.stress.cases import (
     h01_stiffness,
     h02_restitution,
     h04_grazing,

@@ -12,7 +12,7 @@ from formulations.solution import Outcome
 from models.catalog import load_scene
 from models.codegen.kernel import Kernel
 from models.trajectory import Hold
-from validate.hardcases.cases import (
+from validate.stress.cases import (
     h03_mass_ratio,
     h06_zeno,
     h07_unstable,

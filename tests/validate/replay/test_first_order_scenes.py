@@ -29,8 +29,9 @@ from models.scene import Parameter, Scene
 from models.scenes.push_box import mean_distance
 from models.stability import step_stability
 from models.trajectory import Trajectory
-from validate.replay import Replay, replay
-from validate.replay.growth import flow_derivative
+from validate.judge.replay import Replay
+from validate.judge.replay.run import replay
+from validate.judge.replay.tracking import flow_derivative
 
 A, B, D, BETA, K, MU = 0.5, 0.25, 10.0, 20.0, 150.0, 0.5
 DRAG = D * np.array([1.0, 1.0, mean_distance(A, B) ** 2, 1.0, 1.0])

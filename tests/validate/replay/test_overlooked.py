@@ -8,9 +8,9 @@ from models.catalog import load_scene
 from models.fmu import build_fmu
 from models.scene import Contact, Coordinate, Input, Parameter, Scene, Task, goal_limits
 from models.trajectory import Trajectory
-from validate.judge import judge
-from validate.replay import replay
-from validate.replay.overlooked import lowest_between
+from validate.judge.judgement import judge
+from validate.judge.replay.error_estimate import lowest_between
+from validate.judge.replay.run import replay
 
 SPEED, PLACE = 10.0, 1.091
 

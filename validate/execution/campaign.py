@@ -1,0 +1,218 @@
+"""A campaign: which cells, which of them are stored, the others run, and everything written that is told of them.
+
+    outcome = run_campaign(Settings(out=Path("runs/all"), quick=True), narrator)
+    outcome.exit_code, outcome.records, outcome.report
+
+Cells are content-addressed: a stored one is used again, unless it crashed, or ran out of a shorter time limit than it would have now.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+from validate.execution.engine import Running, Site, check_engine, open_engine
+from validate.execution.process import interrupts_wait
+from validate.plan.runs import CampaignError, Entry, Examined, Settings, select, with_stored
+from validate.store.disk import write_durably
+from validate.store.results import write_examinations, write_results, write_sweeps
+from validate.store.standing_report import campaign_text, of_content, standing_report
+from validate.store.store import Store
+from validate.store.stored import CAMPAIGN, earlier_schema, only_last_failed, stored_campaign
+from validate.tasks.plugins import DEFAULT_TOOLS, load_tools
+from validate.tasks.shared_stages import beginnings_of, forget, must_wait, wanted_of
+
+if TYPE_CHECKING:
+    from reports.examination_record import ExaminationRecord
+    from reports.record import CampaignRecord, ProvenanceRecord, RunRecord, ViolationPoint
+    from reports.time_step_record import TimeStepRecord
+
+__all__ = ["CampaignError", "Narrator", "Outcome", "Settings", "run_campaign", "select", "stored_campaign", "with_stored"]
+
+TITLE = "Plans through contact, replayed and scored"
+RESULTS, EXAMINATIONS, VIOLATION = "results.csv", "examinations.csv", "violation.csv"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a campaign. findings: what the replay found that fails nothing (reports.rule); report: None where it was not written."""
+
+    records: tuple[RunRecord, ...]
+    examinations: tuple[ExaminationRecord, ...]
+    failures: tuple[str, ...]
+    findings: tuple[str, ...]
+    left_out: tuple[str, ...]
+    report: Path | None
+
+    @property
+    def exit_code(self) -> int:
+        return 1 if self.failures else 0
+
+
+class Narrator(Protocol):
+    """Who is told how it goes (validate.cli.narrator)."""
+
+    def begins(self, total: int, stored: int, anew: int) -> None: ...
+    def warns(self, sentence: str) -> None: ...
+    def runs(self, workers: Sequence[Running]) -> None: ...
+    def finished(self, record: RunRecord | ExaminationRecord) -> None: ...
+    def ends(self) -> None: ...
+
+
+def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
+    """Run what is not stored and write campaign.json, results.csv, examinations.csv, violation.csv, starts.csv, front.csv and the report.
+
+    Raises TouchstoneError for what the user can mend; KeyboardInterrupt passes through when children are stopped and what finished is written.
+    """
+    from models.codegen.compiler import find_compiler
+    from reports.collected import collected
+    from reports.examination_record import divided
+    from reports.rule import fails, failures, findings
+    from validate.plan.warnings import doubts
+    from validate.store.provenance import gather
+    from validate.tasks.paper import write_violation
+
+    check_engine(settings.engine)
+    entries, left_out = select(settings)
+    find_compiler()  # the compiled time step and the FMU need one: better said now than by every cell
+    store = Store(settings.out)
+    store.prepare()
+    entries = with_stored(entries, store, settings)
+    if settings.last_failed:
+        entries = only_last_failed(entries, store)
+    for name, text in settings.files.items():
+        write_durably(settings.out / name, text)
+    provenance = gather(settings.command)
+    violation = _violation(entries)
+    steps = _time_steps(entries, settings.out)
+    records = {entry.cell.key: entry.stored for entry in entries if entry.stored is not None}
+
+    def campaign() -> CampaignRecord:
+        from reports.record import CampaignRecord
+
+        return CampaignRecord(
+            title=settings.title or TITLE,
+            command=settings.command,
+            started=provenance.started,
+            quick=settings.quick,
+            left_out=left_out,
+            keys=tuple(entry.cell.key for entry in entries),
+            violation=violation,
+            time_steps=steps,
+            provenance=provenance,
+        )
+
+    def write() -> tuple[tuple[RunRecord, ...], tuple[ExaminationRecord, ...]]:
+        done, examinations = divided(records[entry.cell.key] for entry in entries if entry.cell.key in records)
+        text = campaign().model_dump_json(indent=1)
+        if ran or not before or of_content(text) != before:  # else it says as before when and how these results were made
+            write_durably(settings.out / CAMPAIGN, text)
+        told = collected(done)
+        write_results(settings.out / RESULTS, told)
+        write_examinations(settings.out / EXAMINATIONS, examinations)
+        write_violation(settings.out / VIOLATION, violation)
+        write_sweeps(settings.out, told)
+        return told, examinations
+
+    before, ran, earlier = campaign_text(settings.out), len(records) < len(entries), earlier_schema(settings.out)
+    waiting = [entry.cell.key for entry in entries if entry.stored is None]
+    anew = store.due(waiting) if settings.fresh or settings.last_failed else [key for key in waiting if store.is_due(key)]
+    if ran:  # before the first cell ends: what is stored can be told of while the others run, and if they never end
+        write_durably(settings.out / CAMPAIGN, campaign().model_dump_json(indent=1))
+    narrator.begins(len(entries), len(records), len(anew))
+    for sentence in (
+        *filter(None, [earlier]),
+        *(item.warning for item in steps if item.warning),
+        *doubts(entry.scene for entry in entries if isinstance(entry, Entry)),
+    ):
+        narrator.warns(sentence)
+    try:
+        with closing(_run([entry for entry in entries if entry.stored is None], store, provenance, settings, narrator)) as finished:
+            for record in finished:
+                records[record.key] = record
+                narrator.finished(record)
+                if settings.stop_early and fails(record):
+                    store.spare(key for key in anew if key not in records)
+                    break
+    finally:
+        with interrupts_wait():
+            for record in _untold([entry.cell.key for entry in entries if entry.cell.key not in records], store, provenance):
+                records[record.key] = record
+                narrator.finished(record)
+            narrator.ends()
+            done, examinations = write()
+    stands = standing_report(settings.out, before) if settings.tools == DEFAULT_TOOLS and not ran else None
+    report = stands or load_tools(settings.tools).write_report(settings.out)
+    return Outcome(
+        records=done,
+        examinations=examinations,
+        failures=failures(done, examinations),
+        findings=findings(done),
+        left_out=left_out,
+        report=report,
+    )
+
+
+def _untold(keys: Sequence[str], store: Store, provenance: ProvenanceRecord) -> Iterator[RunRecord | ExaminationRecord]:
+    """What this campaign stored and nobody was told of: it was stopped at that moment."""
+    for record in filter(None, map(store.read, keys)):
+        if record.provenance.started == provenance.started:
+            yield record
+
+
+def _violation(entries: Sequence[Entry | Examined]) -> tuple[ViolationPoint, ...]:
+    """What relaxations do to contact physics, on the first scene that has contacts; nothing where no scene is planned for."""
+    from validate.tasks.paper import measure
+
+    scenes = [entry.scene for entry in entries if isinstance(entry, Entry)]
+    return tuple(measure(next((scene for scene in scenes if scene.nc), scenes[0]))) if scenes else ()
+
+
+def _time_steps(entries: Sequence[Entry | Examined], out: Path) -> tuple[TimeStepRecord, ...]:
+    """Whether the step of each scene is stable in contact; what an earlier campaign of this folder said is used again."""
+    from validate.plan.warnings import time_steps
+
+    scenes = {entry.scene.name: entry.scene for entry in entries if isinstance(entry, Entry)}
+    return time_steps(scenes.values(), out / CAMPAIGN)
+
+
+def _run(
+    entries: Sequence[Entry | Examined],
+    store: Store,
+    provenance: ProvenanceRecord,
+    settings: Settings,
+    narrator: Narrator,
+) -> Generator[RunRecord | ExaminationRecord, None, None]:
+    if not entries:
+        return
+    if settings.fresh:
+        forget((entry.cell for entry in entries), store)
+    by_key = {entry.cell.key: entry for entry in entries}
+    crashes: Counter[str] = Counter()
+
+    def again(record: RunRecord | ExaminationRecord) -> bool:
+        if record.outcome != "crashed" or crashes[record.key] >= settings.retries:
+            return False
+        crashes[record.key] += 1
+        narrator.warns(f"{by_key[record.key].cell.title} crashed and will be tried again: {record.message}")
+        return True
+
+    site = Site(
+        store=store,
+        provenance=provenance,
+        lost=lambda cell: by_key[cell.key].lost(provenance),
+        watch=narrator.runs,
+        must_wait=lambda cell, running: must_wait(wanted_of(cell), [beginnings_of(other) for other in running], store, cell.time_limit),
+        again=again,
+        warn=narrator.warns,
+    )
+    with (
+        open_engine(settings.engine, settings.jobs, site, len(entries)) as engine,
+        closing(engine.run([entry.cell for entry in entries])) as finished,
+    ):
+        for _, record in finished:
+            yield record

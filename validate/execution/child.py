@@ -1,0 +1,102 @@
+"""The child process of one cell: `python -m validate.execution.child FOLDER`, or a fork of validate.execution.fork_server. FOLDER/cell.json says what to run; FOLDER/record.json is the answer.
+
+The record is written last and whole, so that its presence alone says that the cell came to its end. The process
+dies with its parent, leaves no core file, and does not run anybody's exit handlers: a library that crashes while it is unloaded cannot spoil a
+finished cell.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NoReturn
+
+from validate.execution.isolated_child import die_with_parent, limit_resources
+from validate.tasks.profile import Profile
+
+# A cell that wrote MACHINE ends with this; the file, not the code, is what counts.
+_EXIT_MACHINE = 3
+# No file of a cell comes near this size; a log that runs away stops here instead of at the end of the disk.
+_LARGEST_FILE = 2 * 1024**3
+
+
+def main(folder: Path) -> int:
+    """Run the cell of a folder; the process's exit code."""
+    profile = Profile.since_process_start()
+    began = time.monotonic()
+    die_with_parent()
+    limit_resources(file_bytes=_LARGEST_FILE)
+    import random
+
+    import numpy as np
+
+    from models.errors import MachineError
+    from reports.record import ProvenanceRecord
+    from validate.store.disk import disk_error, disk_refuses, write_durably
+    from validate.store.provenance import SEED
+    from validate.store.store import RECORD, REQUEST
+    from validate.tasks.examination import Examination, run_examination
+    from validate.tasks.run import Cell, run_cell
+
+    random.seed(SEED)
+    np.random.seed(SEED)
+    request = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
+    try:
+        wanted, provenance = request["cell"], ProvenanceRecord.model_validate(request["provenance"])
+        if "examination" in wanted:
+            record = run_examination(Examination.from_json(wanted), provenance, folder, began)
+        else:
+            profile.lap("imports")
+            record = run_cell(Cell.from_json(wanted), provenance, folder, began, profile)
+        text = record.model_dump_json(indent=1)
+        write_durably(folder / RECORD, text)
+    except MachineError as error:
+        return _machine(folder, error)
+    except OSError as error:
+        if not disk_refuses(error):
+            raise
+        return _machine(folder, disk_error(folder, error))
+    if "tools" in wanted:
+        _tell(wanted["tools"], folder, text.encode())
+    return 0
+
+
+def _tell(tools: str, folder: Path, text: bytes) -> None:
+    """Have drawn what the report needs of this cell, now that its record stands and its seconds are counted."""
+    from validate.store.store import Store
+    from validate.tasks.plugins import load_tools
+
+    with contextlib.suppress(Exception):  # whatever it is, it comes again when the report is written, and is said there
+        load_tools(tools).tell(Store.of_partial(folder).folder, text)
+
+
+def _machine(folder: Path, error: Exception) -> int:
+    """Say why this machine cannot. A disk may refuse even that: whoever reads it sees whether the line is whole."""
+    from validate.store.store import MACHINE
+
+    with contextlib.suppress(OSError):
+        (folder / MACHINE).write_text(f"{error}\n", encoding="utf-8")
+    return _EXIT_MACHINE
+
+
+def run(cell: Callable[[Path], int], folder: Path) -> NoReturn:
+    """Run the cell of a folder and end this process; cell: `main`, or what a test has in its place."""
+    try:
+        code = cell(folder)
+    except BaseException:  # noqa: BLE001 - whatever it was, it goes to the log, and the parent makes a row of it
+        import traceback
+
+        traceback.print_exc()
+        code = 1
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
+
+
+if __name__ == "__main__":
+    run(main, Path(sys.argv[1]))

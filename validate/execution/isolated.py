@@ -1,0 +1,247 @@
+"""How an isolated run can end: a closed list.
+
+run_isolated(): one function call in a child process, with limits, its end put into words, nothing left of it afterwards.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import tempfile
+import time
+import uuid
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from models.errors import MachineError
+from validate.execution.process import ChildProcess, Ended, exit_in_words, shared_watchdog
+from validate.store.disk import no_temporary_folder, raise_if_disk_ended
+
+if TYPE_CHECKING:
+    import numpy as np
+
+
+class Ending(Enum):
+    """The value is the sentence's beginning; `Isolated.sentence` says the rest."""
+
+    OK = "it came to its end"
+    ERROR = "it refused"  # a TouchstoneError of the function: a sentence for the user
+    MACHINE = "this machine cannot"  # a MachineError of the function
+    EXCEPTION = "it ended with an exception of Python"
+    FATAL = "the FMU reported a fatal status"
+    NOT_A_NUMBER = "the FMU gave a value that is not a finite number"
+    TIME_LIMIT = "it was ended at its time limit"
+    MEMORY_LIMIT = "it was ended at its memory limit"
+    SIGNAL = "it crashed"
+    ABORT = "it aborted"
+    NO_RESULT = "its process ended without a result"
+
+
+class ModelFault(Exception):  # noqa: N818 - a finding about the model, not an error of ours
+    """Raised by an isolated function to end with a finding about the model (FATAL, NOT_A_NUMBER) and its sentence."""
+
+    def __init__(self, ending: Ending, sentence: str) -> None:
+        super().__init__(sentence)
+        self.ending = ending
+
+
+REQUEST, ANSWER, OUTPUT, TEMPORARY = "request.json", "answer.json", "output.txt", "tmp"
+GIVEN, TAKEN, REFUSED = "given.npz", "answer.npz", "memory-refused"
+# The reaper removes folders of this name, and no others.
+FOLDER_PREFIX = ".partial-isolated-"
+# Written to see whether there is room [bytes].
+_ROOM, _ROOM_BYTES = "room", 2**16
+# How often the memory of the child is looked at [s], and from which share of its limit on a crash is put down to it.
+_LOOK, _NEAR = 0.02, 0.8
+# What C++ says last where nobody catches a refused allocation, and how far from the end of the output it is looked for [bytes].
+_BAD_ALLOC, _LAST_WORDS = "std::bad_alloc", 4000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """seconds: of the clock (twice that of CPU); memory: address space, Python's own 0.3 GB included; file: any one file it writes,
+    what it prints included; output: bytes of what it printed that are kept (the last ones)."""
+
+    seconds: float = 300.0
+    memory: int = 4 * 1024**3
+    file: int = 512 * 1024**2
+    output: int = 20_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Isolated:
+    """How the call ended. value, arrays: what the function gave, only if ok; sentence: why not, else empty.
+
+    output: the last bytes of what it printed; strays: processes it left behind, ended by us; cpu, wall [s]; memory: the largest seen [bytes].
+    """
+
+    ending: Ending
+    sentence: str
+    value: Any = None
+    arrays: Mapping[str, np.ndarray] = field(default_factory=dict)
+    output: str = ""
+    code: int = 0
+    strays: int = 0
+    cpu: float = 0.0
+    wall: float = 0.0
+    memory: int = 0
+
+    @property
+    def ok(self) -> bool:
+        return self.ending is Ending.OK
+
+
+def run_isolated(
+    function: str, request: Any, arrays: Mapping[str, np.ndarray] | None = None, *, limits: Limits | None = None, what: str = "the run"
+) -> Isolated:
+    """Call `module:name` in a child process as name(request, arrays) -> value or (value, arrays).
+
+    request, value: what JSON holds (NaN is refused); arrays: float or integer numpy arrays by name. what: the subject of the sentence.
+    Raises MachineError if the temporary folder cannot be written; everything the child does is the answer's `ending`.
+    """
+    limits = limits or Limits()
+    token = uuid.uuid4().hex
+    try:
+        folder = Path(tempfile.mkdtemp(prefix=FOLDER_PREFIX)).resolve()
+    except OSError as error:
+        raise no_temporary_folder(error) from error
+    dog = shared_watchdog()
+    dog.tell("start", token, str(folder))
+    try:
+        _write_request(folder, function, request, arrays, limits)
+        return _run(folder, token, limits, what)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        dog.tell("stop", token)
+
+
+def _write_request(folder: Path, function: str, request: Any, arrays: Mapping[str, np.ndarray] | None, limits: Limits) -> None:
+    text = json.dumps(
+        {"function": function, "request": request, "memory": limits.memory, "seconds": limits.seconds, "file": limits.file}, allow_nan=False
+    )
+    try:
+        (folder / TEMPORARY).mkdir()
+        (folder / REQUEST).write_text(text, encoding="utf-8")
+        if arrays:
+            import numpy as np
+
+            np.savez(folder / GIVEN, allow_pickle=False, **arrays)
+    except OSError as error:
+        raise _refused_by_disk(folder, error) from error
+
+
+def _refused_by_disk(folder: Path, error: OSError) -> MachineError:
+    return MachineError(f"cannot write {folder} ({error.strerror}); make room or set TMPDIR.")
+
+
+def _see_room(folder: Path) -> None:
+    """Raises MachineError where the folder takes no more: what the child would have left then, nobody knows."""
+    try:
+        with open(folder / _ROOM, "wb") as file:
+            file.write(bytes(_ROOM_BYTES))
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        raise_if_disk_ended(folder, error)
+
+
+def _run(folder: Path, token: str, limits: Limits, what: str) -> Isolated:
+    began = time.monotonic()
+    peak, over_time = 0, False
+    try:
+        output = open(folder / OUTPUT, "wb")  # noqa: SIM115 - closed below, once the child has it
+    except OSError as error:
+        raise _refused_by_disk(folder, error) from error
+    with output:
+        child = ChildProcess("validate.execution.isolated_child", [str(folder)], token=token, temporary=folder / TEMPORARY, output=output)
+    try:
+        while not child.wait(min(_LOOK, began + limits.seconds - time.monotonic())):
+            peak = max(peak, child.address_space())
+            child.look()
+            if time.monotonic() - began > limits.seconds:
+                over_time = True
+                break
+    finally:
+        ended = child.end()
+    peak = max(peak, ended.memory)
+    answer, arrays = left_by(folder)
+    if not answer:
+        _see_room(folder)
+    refused = (folder / REFUSED).exists() or (ended.code == -signal.SIGABRT and _BAD_ALLOC in _tail(folder / OUTPUT, _LAST_WORDS))
+    ending, sentence = _classify(answer, ended, over_time, peak, limits, what, refused)
+    return Isolated(
+        ending=ending,
+        sentence=sentence,
+        value=answer.get("value") if ending is Ending.OK else None,
+        arrays=arrays,
+        output=_tail(folder / OUTPUT, limits.output),
+        code=ended.code,
+        strays=ended.strays,
+        cpu=ended.cpu,
+        wall=time.monotonic() - began,
+        memory=peak,
+    )
+
+
+def left_by(folder: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """The child's answer and its arrays; empty if it left none that are whole. Foreign code ran beside ours, and may have written there."""
+    answer = _answer(folder)
+    if answer.get("ending") != Ending.OK.name:
+        return answer, {}
+    try:
+        return answer, _arrays(folder)
+    except Exception:  # noqa: BLE001 - of any type: numpy, zipfile and zlib have many
+        return {}, {}
+
+
+def _answer(folder: Path) -> dict[str, Any]:
+    try:
+        answer = json.loads((folder / ANSWER).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    if not isinstance(answer, dict) or not isinstance(answer.get("ending"), str) or answer["ending"] not in Ending.__members__:
+        return {}
+    return {"value": None, "sentence": "", **answer}
+
+
+def _classify(
+    answer: dict[str, Any], ended: Ended, over_time: bool, peak: int, limits: Limits, what: str, refused: bool
+) -> tuple[Ending, str]:
+    ending = Ending[answer["ending"]] if answer else None
+    if ending is Ending.OK:
+        return ending, ""
+    if ending in (Ending.ERROR, Ending.MACHINE):
+        return ending, str(answer["sentence"])
+    if ending is Ending.MEMORY_LIMIT or (not over_time and (refused or peak >= _NEAR * limits.memory)):
+        return Ending.MEMORY_LIMIT, f"{what}: {Ending.MEMORY_LIMIT.value} of {limits.memory / 1024**3:.3g} GiB."
+    if ending is not None:
+        return ending, f"{what}: {ending.value}: {str(answer['sentence']).rstrip('.')}."
+    if over_time or ended.code == -getattr(signal, "SIGXCPU", 0):
+        return Ending.TIME_LIMIT, f"{what}: {Ending.TIME_LIMIT.value} of {limits.seconds:g} s."
+    if ended.code == -signal.SIGABRT:
+        return Ending.ABORT, f"{what}: {Ending.ABORT.value} (SIGABRT)."
+    if ended.code < 0:
+        return Ending.SIGNAL, f"{what}: {Ending.SIGNAL.value} with {exit_in_words(ended.code)}."
+    return Ending.NO_RESULT, f"{what}: {Ending.NO_RESULT.value} ({exit_in_words(ended.code)})."
+
+
+def _arrays(folder: Path) -> dict[str, np.ndarray]:
+    if not (folder / TAKEN).exists():
+        return {}
+    import numpy as np
+
+    with np.load(folder / TAKEN, allow_pickle=False) as stored:
+        return {name: stored[name] for name in stored.files}
+
+
+def _tail(path: Path, size: int) -> str:
+    with contextlib.suppress(OSError), open(path, "rb") as file:
+        file.seek(max(0, os.path.getsize(path) - size))
+        return file.read().decode("utf-8", errors="replace")
+    return ""

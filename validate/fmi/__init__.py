@@ -1,0 +1,1 @@
+"""Anybody's FMU: let in, described, loaded and called."""

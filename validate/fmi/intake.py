@@ -1,0 +1,343 @@
+"""How large an FMU may be that is let in.
+
+What the door reads of an XML text: its root and the interfaces an FMU offers - and no DOCTYPE, whose entities can read files and fill the memory.
+
+The door: what an FMU file must be before anything of it is unpacked or loaded. Every refusal is one sentence.
+
+intake = examine(path)        # raises IntakeError at the first problem
+problems(path)                # all that can be told, for a table
+unpack(intake, folder)        # bounded by the sizes that were examined
+"""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import re
+import stat
+import sys
+import zipfile
+import zlib
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from lzma import LZMAError
+from pathlib import Path, PurePosixPath
+from xml.parsers import expat
+
+from models.errors import MachineError, TouchstoneError
+
+
+@dataclass(frozen=True, kw_only=True)
+class IntakeLimits:
+    """Bytes unpacked altogether; entries; unpacked over packed, from a size on where it matters; bytes of one XML text."""
+
+    unpacked: int = 2 * 1024**3
+    entries: int = 20_000
+    ratio: float = 100.0
+    ratio_matters_from: int = 32 * 1024**2
+    xml: int = 64 * 1024**2
+
+
+_KINDS = ("ModelExchange", "CoSimulation", "ScheduledExecution")
+
+
+class HasDoctype(Exception):  # noqa: N818 - it ends the reading
+    """Raised while reading."""
+
+
+class XmlReader:
+    """The root of an XML text, and refusal of a DOCTYPE."""
+
+    def __init__(self, keep: bool) -> None:
+        self.root: dict[str, str] = {}
+        self.root_name = ""
+        self.kinds: dict[str, str] = {}
+        self._keep = keep
+
+    def read(self, text: bytes) -> None:
+        parser = expat.ParserCreate()
+        parser.StartDoctypeDeclHandler = self._doctype
+        if self._keep:
+            parser.StartElementHandler = self._element
+        parser.Parse(text, True)
+
+    def _doctype(self, *_: object) -> None:
+        raise HasDoctype
+
+    def _element(self, name: str, attributes: dict[str, str]) -> None:
+        if not self.root_name:
+            self.root_name, self.root = name, attributes
+        elif name in _KINDS:
+            self.kinds[name] = attributes.get("modelIdentifier", "")
+
+
+DESCRIPTION = "modelDescription.xml"
+# Texts that are parsed as XML, by us or by FMPy, and are therefore looked into.
+_XML_SUFFIXES = (".xml", ".ssd", ".ssv", ".ssm", ".ssb")
+# What Python raises while it reads a damaged entry.
+_DAMAGED = (NotImplementedError, EOFError, RuntimeError, ValueError, zlib.error, LZMAError)
+_ENDINGS = {"linux": ".so", "darwin": ".dylib", "windows": ".dll"}
+
+
+@dataclass(frozen=True)
+class Problem:
+    """check: a word from a closed list (`CHECKS`); sentence: what is wrong and what was expected."""
+
+    check: str
+    sentence: str
+
+
+CHECKS = (
+    "zip",
+    "size",
+    "ratio",
+    "entries",
+    "names",
+    "links",
+    "duplicates",
+    "encryption",
+    "xml",
+    "description",
+    "version",
+    "kind",
+    "binary",
+)
+
+
+class FmuError(TouchstoneError):
+    """An FMU cannot be opened or does not offer what is needed."""
+
+
+class IntakeError(FmuError):
+    """An FMU file that is not let in; `check` says which check it failed."""
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(problem.sentence)
+        self.check = problem.check
+
+
+@dataclass(frozen=True, kw_only=True)
+class Intake:
+    """A file that was let in. version: as it says, for example 2.0; kinds: interface -> model identifier, those with a binary for this
+    platform; platforms: folders with binaries; digest: SHA-256 of the file; unpacked [bytes]."""
+
+    path: Path
+    digest: str
+    version: str
+    kinds: dict[str, str]
+    platforms: tuple[str, ...]
+    entries: int
+    unpacked: int
+
+
+def examine(path: Path, limits: IntakeLimits | None = None) -> Intake:
+    """See the module docstring. Raises IntakeError with the first problem, MachineError if the file cannot be read."""
+    examination = _Examination(path, limits or IntakeLimits())
+    for problem in examination.problems():
+        raise IntakeError(problem)
+    return examination.intake()
+
+
+def problems(path: Path, limits: IntakeLimits | None = None) -> tuple[Problem, ...]:
+    """All problems that can be told: what makes the rest unreadable comes last."""
+    return tuple(_Examination(path, limits or IntakeLimits()).problems())
+
+
+def unpack(intake: Intake, folder: Path, leave_out: tuple[str, ...] = ()) -> None:
+    """Unpack an examined file, but for entries whose names begin with one of `leave_out`. Raises IntakeError if it is not what was examined, MachineError if the disk refuses."""
+    try:
+        with zipfile.ZipFile(intake.path) as archive:
+            if sum(item.file_size for item in archive.infolist()) != intake.unpacked:
+                raise IntakeError(Problem("zip", f"FMU {intake.path}: the file changed while it was read; try again."))
+            members = [item for item in archive.infolist() if not item.filename.startswith(leave_out)]
+            archive.extractall(folder, members)  # reads no more of an entry than its stated size, which was added up
+    except (zipfile.BadZipFile, *_DAMAGED) as error:
+        raise IntakeError(Problem("zip", f"FMU {intake.path}: it cannot be unpacked ({_first(error)}); it is damaged.")) from error
+    except OSError as error:
+        raise MachineError(
+            f"FMU {intake.path}: it cannot be unpacked to {folder} ({error.strerror or error}); make room or permit it."
+        ) from error
+
+
+class _Examination:
+    def __init__(self, path: Path, limits: IntakeLimits) -> None:
+        self._path, self._limits = path, limits
+        self._items: list[zipfile.ZipInfo] = []
+        self._root: dict[str, str] = {}
+        self._kinds: dict[str, str] = {}
+        self._names: set[str] = set()
+
+    def intake(self) -> Intake:
+        present = {kind: name for kind, name in self._kinds.items() if self._library(name) in self._names}
+        return Intake(
+            path=self._path,
+            digest=_digest(self._path),
+            version=self._root.get("fmiVersion", ""),
+            kinds=present,
+            platforms=self._platforms(),
+            entries=len(self._items),
+            unpacked=sum(item.file_size for item in self._items),
+        )
+
+    def problems(self) -> Iterator[Problem]:
+        """Those that make further reading unsafe end it."""
+        try:
+            if not self._path.exists():
+                yield self._problem("zip", "there is no such file.")
+                return
+            if not self._path.is_file():
+                yield self._problem("zip", "it is a folder; an FMU is a file.")
+                return
+            with zipfile.ZipFile(self._path) as archive:
+                self._items = archive.infolist()
+                unsafe = list(self._of_entries())
+                yield from unsafe
+                if not unsafe:
+                    yield from self._of_content(archive)
+        except zipfile.BadZipFile:
+            yield self._problem("zip", "it is not a zip file, as every FMU is (or it is cut off).")
+        except _DAMAGED as error:
+            yield self._problem("zip", f"it is a zip file that cannot be read ({_first(error)}).")
+        except OSError as error:
+            raise MachineError(f"FMU {self._path}: it cannot be read ({error.strerror or error}).") from error
+
+    def _problem(self, check: str, text: str) -> Problem:
+        return Problem(check, f"FMU {self._path}: {text}")
+
+    def _of_entries(self) -> Iterator[Problem]:
+        limits, items = self._limits, self._items
+        unpacked = sum(item.file_size for item in items)
+        packed = max(1, self._path.stat().st_size)
+        if len(items) > limits.entries:
+            yield self._problem("entries", f"it holds {len(items)} files, more than the {limits.entries} that are let in.")
+        if unpacked > limits.unpacked:
+            yield self._problem("size", f"unpacked it has {_size(unpacked)}, more than the {_size(limits.unpacked)} that are let in.")
+        if unpacked > limits.ratio_matters_from and unpacked > limits.ratio * packed:
+            yield self._problem(
+                "ratio",
+                f"{_size(packed)} unpack to {_size(unpacked)}, {unpacked / packed:.0f} times as much; from {limits.ratio:.0f} times on it is taken for a zip bomb.",
+            )
+        for item in items:
+            yield from self._of_entry(item)
+        names = Counter(item.filename.rstrip("/") for item in items)
+        for name, count in names.items():
+            if count > 1:
+                yield self._problem("duplicates", f"the entry {name!r} is there {count} times.")
+        files = {item.filename for item in items if not item.filename.endswith("/")}
+        for name in files:
+            inside = next((str(parent) for parent in PurePosixPath(name).parents if str(parent) in files), None)
+            if inside is not None:
+                yield self._problem("duplicates", f"the entry {inside!r} is both a file and the folder of {name!r}.")
+
+    def _of_entry(self, item: zipfile.ZipInfo) -> Iterator[Problem]:
+        name = item.orig_filename
+        kind = stat.S_IFMT(item.external_attr >> 16)
+        if "\\" in name:
+            yield self._problem("names", f"the entry {name!r} has a backslash in its name; FMI wants forward slashes.")
+        elif not name or "\0" in name:
+            yield self._problem("names", f"the entry {name!r} has no proper name.")
+        elif name.startswith("/") or re.match(r"[A-Za-z]:", name):
+            yield self._problem("names", f"the entry {name!r} has an absolute path; it would be unpacked outside its folder.")
+        elif ".." in PurePosixPath(name).parts:
+            yield self._problem("names", f"the entry {name!r} leads out of its folder.")
+        if stat.S_ISLNK(kind):
+            yield self._problem("links", f"the entry {name!r} is a symbolic link.")
+        elif kind not in (0, stat.S_IFREG, stat.S_IFDIR):
+            yield self._problem("links", f"the entry {name!r} is neither a file nor a folder.")
+        if item.flag_bits & 0x1:
+            yield self._problem("encryption", f"the entry {name!r} is encrypted.")
+
+    def _of_content(self, archive: zipfile.ZipFile) -> Iterator[Problem]:
+        self._names = {item.filename for item in self._items}
+        dangerous = False
+        for item in self._items:
+            if item.filename.lower().endswith(_XML_SUFFIXES):
+                for problem in self._of_xml(archive, item):
+                    dangerous = True
+                    yield problem
+        if dangerous:
+            return
+        if DESCRIPTION not in self._names:
+            hint = next((name for name in self._names if name.endswith(f"/{DESCRIPTION}")), None)
+            also = f"; there is one at {hint!r}, but it must lie at the top" if hint else ""
+            yield self._problem("description", f"it has no {DESCRIPTION}, so it is no FMU{also}.")
+            return
+        yield from self._of_description()
+
+    def _of_xml(self, archive: zipfile.ZipFile, item: zipfile.ZipInfo) -> Iterator[Problem]:
+        if item.file_size > self._limits.xml:
+            yield self._problem(
+                "size", f"{item.filename} has {_size(item.file_size)}, more than the {_size(self._limits.xml)} that are let in."
+            )
+            return
+        is_description = item.filename == DESCRIPTION
+        reader = XmlReader(is_description)
+        try:
+            reader.read(archive.read(item))
+        except HasDoctype:
+            yield self._problem(
+                "xml", f"{item.filename} has a DOCTYPE, which FMI does not allow (its entities can read files and fill the memory)."
+            )
+        except (expat.ExpatError, LookupError) as error:  # a lookup of an encoding that nobody knows
+            if is_description:
+                yield self._problem("description", f"{DESCRIPTION} is not well-formed XML ({error}).")
+        if is_description:
+            self._root, self._kinds = reader.root, reader.kinds
+            if reader.root_name not in ("", "fmiModelDescription"):
+                yield self._problem("description", f"{DESCRIPTION} begins with <{reader.root_name}> instead of <fmiModelDescription>.")
+
+    def _of_description(self) -> Iterator[Problem]:
+        version = self._root.get("fmiVersion", "")
+        if not _is_two(version) and not _is_three(version):
+            yield self._problem("version", f"it says FMI version {version!r}; 2.0 and 3.0 can be run.")
+            return
+        only_scheduled = self._kinds.pop("ScheduledExecution", None) is not None
+        if not self._kinds:
+            also = ", only Scheduled Execution, which needs a scheduler of its own" if only_scheduled else ""
+            yield self._problem("kind", f"it offers neither Model Exchange nor Co-Simulation{also}.")
+            return
+        if not any(self._library(name) in self._names for name in self._kinds.values()):
+            name = next(iter(self._kinds.values()))
+            has = f"it has {', '.join(self._platforms())}" if self._platforms() else "it has none at all"
+            yield self._problem("binary", f"it has no binary for this machine ({self._library(name)}); {has}.")
+
+    def _library(self, identifier: str) -> str:
+        return f"binaries/{platform_folder(self._root.get('fmiVersion', ''))}/{identifier}{_ENDINGS.get(_system(), '.so')}"
+
+    def _platforms(self) -> tuple[str, ...]:
+        return tuple(sorted({PurePosixPath(name).parts[1] for name in self._names if re.match(r"binaries/[^/]+/.", name)}))
+
+
+def platform_folder(version: str) -> str:
+    """FMI's name of this machine in `binaries/`, which FMI 3 changed."""
+    bits = "64" if sys.maxsize > 2**32 else "32"
+    if _is_three(version):
+        machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(platform.machine().lower(), platform.machine().lower())
+        return f"{machine}-{_system()}"
+    return {"linux": "linux", "darwin": "darwin", "windows": "win"}.get(_system(), _system()) + bits
+
+
+def _system() -> str:
+    return platform.system().lower()
+
+
+def _is_two(version: str) -> bool:
+    return version == "2.0"
+
+
+def _is_three(version: str) -> bool:
+    return re.fullmatch(r"3\.0(\.\d+)?(-[0-9A-Za-z.]+)?", version) is not None
+
+
+def _digest(path: Path) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _size(count: int) -> str:
+    return f"{count / 1024**3:.3g} GB" if count >= 1024**3 else f"{count / 1024**2:.3g} MB"
+
+
+def _first(error: BaseException) -> str:
+    return next(iter(str(error).splitlines()), type(error).__name__)

@@ -1,0 +1,166 @@
+"""Does this plan hold? One call from a plan to its verdict, for a scene or for anybody's FMU.
+
+    from validate.judge.judgement import judge
+
+    verdict = judge("three_cart", "plan.csv")        # a scene by name, file or object; a plan as CSV, NetCDF, arrays by name, DataFrame or Solution
+    print(verdict)                                   # holds: every question asked is answered yes; closest to its limit: ..
+    verdict.holds, verdict.score.value("replay_error"), verdict.replay.t
+
+The inputs alone are replayed first. Where they do not give the motion (question 4) and the plan's own motion is consistent, a second replay follows it with
+limited feedback; where a plan that declares no scheme fails, a third tells whether it was held the other way (validate.judge.score.verdict).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from models.errors import SceneError, TrajectoryError
+from models.schemes import Scheme
+from models.trajectory import Hold, Trajectory
+from validate.execution.isolated import Limits
+from validate.judge.replay import Replay
+from validate.judge.replay.subject import Subject
+from validate.judge.score import Score, score, wants_feedback
+from validate.judge.score.verdict import Question, Verdict
+
+if TYPE_CHECKING:
+    from models.scene import Scene
+    from validate.fmi.package import Package
+    from validate.judge.replay.run import Foreign
+
+
+class HasTrajectory(Protocol):
+    """What a method hands back (formulations.solution.Solution)."""
+
+    @property
+    def trajectory(self) -> Trajectory | None: ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Judgement:
+    """What the judge says of one plan: score.verdict, score.why and every metric; the replay that it speaks of (None without a plan)."""
+
+    scene: Subject
+    plan: Trajectory | None
+    replay: Replay | None
+    score: Score
+
+    @property
+    def verdict(self) -> Verdict:
+        return self.score.verdict
+
+    @property
+    def holds(self) -> bool:
+        """Whether it holds, by its inputs alone or with feedback."""
+        return self.score.verdict.is_good
+
+    def __repr__(self) -> str:
+        return f"{self.score.verdict.value}: {self.score.why}"
+
+
+def judge(
+    scene: Scene | str | Path,
+    plan: Trajectory | HasTrajectory | Mapping[str, Any] | str | Path | Any,
+    *,
+    hold: Hold | str | None = None,
+    scheme: Scheme | str | None = None,
+    feedback: bool = False,
+    limits: Limits | None = None,
+) -> Judgement:
+    """Replay a plan on a scene and judge it.
+
+    Parameters
+    ----------
+    scene : Scene, or its name, or the path of its file
+    plan : Trajectory | Solution | mapping or DataFrame of columns | path of a CSV or NetCDF file
+        Columns are `t` (nodes,), then the scene's names; what is absent is not claimed (docs/replay.md).
+    hold : "zero" or "linear" (or a Hold), the inputs within a step; scheme : the time step it is made of, by name (or a Scheme). Of columns and CSV only, where they do not say so.
+    feedback : replay with feedback too, whether or not the verdict needs it.
+    limits : run the FMU in a child with these limits; None runs it here.
+
+    Raises
+    ------
+    SceneError, TrajectoryError, MachineError : in one sentence.
+    """
+    from models.catalog import load_scene
+    from models.fmu import build_fmu
+    from models.scene import Scene
+
+    subject = load_scene(str(scene)) if isinstance(scene, (str, Path)) else scene
+    if not isinstance(subject, Scene):
+        raise SceneError(f"scene: a {type(subject).__name__} is no scene; give the name of one, the path of its file or a Scene.")
+    trajectory = as_trajectory(plan, subject, hold=hold, scheme=scheme)
+    if trajectory is None:
+        return Judgement(scene=subject, plan=None, replay=None, score=score(subject, None, None))
+    return judge_trajectory(subject, build_fmu(subject, results=False), trajectory, feedback=feedback, limits=limits)
+
+
+def judge_trajectory(scene: Scene, fmu: Path, plan: Trajectory, *, feedback: bool = False, limits: Limits | None = None) -> Judgement:
+    """The same of a Trajectory and the scene's FMU, its times counted from its start. feedback: replay with feedback even where the verdict does not
+    need it."""
+    from validate.judge.replay.run import replay
+
+    plan = plan.from_zero()
+    plan.check_fits(scene)
+
+    def follow(opened: Replay) -> bool:
+        return wants_feedback(score(scene, plan, opened).metrics)
+
+    replayed = replay(scene, fmu, plan, limits=limits, track=True if feedback else follow)
+    result = score(scene, plan, replayed)
+    if _may_be_held_otherwise(plan, result):
+        other = replay(scene, fmu, _held_otherwise(plan), limits=limits)
+        result = score(scene, plan, replayed, other_hold=other)
+    return Judgement(scene=scene, plan=plan, replay=replayed, score=result)
+
+
+def judge_on_fmu(foreign: Foreign, package: Package, plan: Trajectory, *, feedback: bool = False, limits: Limits) -> Judgement:
+    """The same of a plan on somebody's FMU, always in a child."""
+    from validate.judge.replay.run import replay_foreign
+
+    replayed = replay_foreign(foreign, package, plan, limits=limits, track=feedback)
+    result = score(foreign.model, plan, replayed)
+    if _may_be_held_otherwise(plan, result):
+        other = replay_foreign(foreign, package, _held_otherwise(plan), limits=limits)
+        result = score(foreign.model, plan, replayed, other_hold=other)
+    return Judgement(scene=foreign.model, plan=plan, replay=replayed, score=result)
+
+
+def _may_be_held_otherwise(plan: Trajectory, result: Score) -> bool:
+    return (
+        plan.scheme is None and plan.u.shape[1] > 0 and dict(result.questions).get(Question.MOTION) == "no" and not result.verdict.is_good
+    )
+
+
+def _held_otherwise(plan: Trajectory) -> Trajectory:
+    return replace(plan, hold=Hold.LINEAR if plan.hold is Hold.ZERO_ORDER else Hold.ZERO_ORDER)
+
+
+def as_trajectory(plan: Any, scene: Scene, *, hold: Hold | str | None = None, scheme: Scheme | str | None = None) -> Trajectory | None:
+    """A plan in any of the forms that `judge` takes; None of a Solution without one. Raises TrajectoryError."""
+    from models.plan_table import ArrayTable
+    from models.trajectory import read_csv, trajectory_from
+    from models.trajectory_netcdf import read_netcdf
+
+    if hasattr(plan, "trajectory"):
+        plan = plan.trajectory
+        if plan is None:
+            return None
+        if not isinstance(plan, Trajectory):
+            raise TrajectoryError(f"plan: its trajectory is a {type(plan).__name__}, but must be a Trajectory, or None.")
+    is_file = isinstance(plan, (str, Path))
+    says_itself = "Trajectory" if isinstance(plan, Trajectory) else "NetCDF file" if is_file and Path(plan).suffix == ".nc" else ""
+    if says_itself and (hold is not None or scheme is not None):
+        raise TrajectoryError(f"plan: a {says_itself} says its own hold and scheme; change them in it.")
+    if isinstance(plan, Trajectory):
+        return plan
+    if is_file:
+        return read_netcdf(Path(plan), scene) if says_itself else read_csv(Path(plan), scene, hold, scheme)
+    if isinstance(plan, Mapping) or hasattr(plan, "columns"):
+        return trajectory_from(ArrayTable(plan, hold=hold, scheme=scheme), scene)
+    raise TrajectoryError(
+        f"plan: a {type(plan).__name__} is no plan; give the path of a CSV, arrays by column name, a DataFrame, a Trajectory or a Solution."
+    )

@@ -1,0 +1,158 @@
+"""The compiled loops: built once, found in the cache, loaded; and an FMU as they see it.
+
+loops = load()                      # None: no compiler here, and the loops of Python run
+fmu = describe(instance, ...)       # None: the FMU's binary lacks a function that the loop calls
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from enum import IntEnum
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NoReturn
+
+from models.codegen.cache import cached
+from models.codegen.compiler import FLAGS, compile_shared, find_compiler
+from models.errors import MachineError
+from validate.fmi.instance import Instance, References
+from validate.fmi.package import FmuError
+
+_SOURCES = ("fmu_calls.h", "integration.c", "stepping.c")
+_SIZE, _ADDRESS = ctypes.c_int64, ctypes.c_void_p
+
+# The functions of FMI 2.0 and FMI 3.0, in the order of fmu_calls.h; FMI 3.0 has no call for slopes of inputs.
+CALLS = (
+    ("GetReal", "GetFloat64"),
+    ("SetReal", "SetFloat64"),
+    ("SetTime", "SetTime"),
+    ("SetContinuousStates", "SetContinuousStates"),
+    ("GetContinuousStates", "GetContinuousStates"),
+    ("GetDerivatives", "GetContinuousStateDerivatives"),
+    ("GetEventIndicators", "GetEventIndicators"),
+    ("CompletedIntegratorStep", "CompletedIntegratorStep"),
+    ("EnterEventMode", "EnterEventMode"),
+    ("NewDiscreteStates", "UpdateDiscreteStates"),
+    ("EnterContinuousTimeMode", "EnterContinuousTimeMode"),
+    ("DoStep", "DoStep"),
+    ("SetRealInputDerivatives", ""),
+    ("GetFMUstate", "GetFMUState"),
+    ("SetFMUstate", "SetFMUState"),
+)
+
+
+class Reason(IntEnum):
+    """Why a loop came back, in the order of fmu_calls.h."""
+
+    DONE = 0
+    EVENT = 1
+    CALL_REFUSED = 2
+    RATE_NOT_FINITE = 3
+    OUT_OF_BOUNDS = 4
+    SUM_NOT_FINITE = 5
+    OUTPUT_NOT_FINITE = 6
+    SOLVER_FAILED = 7
+    STOP_TIME_REFUSED = 8
+    SETUP_REFUSED = 9
+    WANTS_END = 10
+    NEVER_SETTLES = 11
+    NOT_RESTORED = 12
+    EARLY_RETURN = 13
+
+
+class Fmu(ctypes.Structure):
+    """struct fmu of fmu_calls.h."""
+
+    _fields_ = (
+        ("component", _ADDRESS),
+        ("three", _SIZE),
+        ("states", _SIZE),
+        ("indicators", _SIZE),
+        ("inputs", _SIZE),
+        ("outputs", _SIZE),
+        ("rates", _SIZE),
+        ("input_references", _ADDRESS),
+        ("output_references", _ADDRESS),
+        ("rate_references", _ADDRESS),
+        ("call", _ADDRESS * len(CALLS)),
+        ("fault_call", _SIZE),
+        ("fault_status", _SIZE),
+    )
+
+
+def library_path() -> Path | None:
+    """The compiled loops, built if they are not in the cache; None without a compiler that takes them."""
+    texts = {name: Path(__file__).with_name(name).read_text(encoding="utf-8") for name in _SOURCES}
+    try:
+        compiler = find_compiler()
+        key = "\n".join([compiler.describe(), " ".join(FLAGS), *(f"{name}\n{text}" for name, text in texts.items())])
+        return cached(key, ".so", lambda path: compile_shared(compiler, texts, path))
+    except MachineError:
+        return None
+
+
+_adopted: list[Path] = []
+
+
+def adopt(path: Path) -> None:
+    """Use these loops, built by the process that started this one, in which the FMU's limits hold for a compiler too."""
+    _adopted[:] = [path]
+    load.cache_clear()
+
+
+@lru_cache(maxsize=1)
+def load() -> Any | None:
+    """The loops; None where there are none to be had."""
+    path = _adopted[0] if _adopted else library_path()
+    if path is None:
+        return None
+    try:
+        library = ctypes.CDLL(str(path))
+    except OSError:  # a cache whose folder may not hold programs
+        return None
+    for name, arguments in {
+        "step_through": (_ADDRESS, _SIZE, _SIZE),
+        "integration_renew": (_ADDRESS,),
+        "integration_restart": (_ADDRESS,),
+        "integration_jump": (_ADDRESS,),
+        "integration_advance": (_ADDRESS, _ADDRESS, _SIZE, ctypes.c_double, _ADDRESS, _ADDRESS),
+        "integration_close": (_ADDRESS,),
+    }.items():
+        function = getattr(library, name)
+        function.argtypes, function.restype = arguments, None if name == "integration_close" else _SIZE
+    return library
+
+
+def describe(
+    instance: Instance,
+    needed: Sequence[str],
+    *,
+    inputs: References,
+    outputs: References,
+    rates: References | None = None,
+    states: int = 0,
+    indicators: int = 0,
+) -> Fmu | None:
+    """The FMU for a loop that calls `needed` (FMI 2.0's names); None if it lacks one of them. What is given must live as long as the answer."""
+    fmu = Fmu(component=instance.component, three=instance.is_three, states=states, indicators=indicators)
+    for name, group in (("input", inputs), ("output", outputs), ("rate", rates or References([]))):
+        setattr(fmu, f"{name}s", group.count)
+        setattr(fmu, f"{name}_references", ctypes.addressof(group.array))
+    for place, names in enumerate(CALLS):
+        if names[0] in needed:
+            address = instance.address(names[instance.is_three])
+            if address is None:
+                return None
+            fmu.call[place] = address
+    return fmu
+
+
+def refuse(instance: Instance, fmu: Fmu) -> NoReturn:
+    """Raise CallError for the call that was refused."""
+    instance.refuse(CALLS[fmu.fault_call][instance.is_three], int(fmu.fault_status))
+
+
+def unsettled(instance: Instance, reason: Reason) -> NoReturn:
+    """Raise FmuError for an event that did not end."""
+    raise FmuError(instance.ends_sentence if reason is Reason.WANTS_END else instance.unsettled_sentence)

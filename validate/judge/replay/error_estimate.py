@@ -1,0 +1,289 @@
+"""What an integrator steps over: a gap that closes and opens again between two of its steps leaves no change of sign behind.
+
+    overlooked(scene, replayed)      # None, or a step [s] small enough to see it
+
+Between two recorded points of the replay, with no event among them, the gap is the cubic with the gaps and their rates at both ends; a gap that falls at
+the first and rises at the second has its least value between. Where that is below zero there was contact that the replay does not know of.
+
+What is left of the relaxation time of a scene without inertia (models.quasi_static), told by a run at twice that time.
+
+The motion is off by tau times its speed, and by what its forces make of that: of first order in tau, so that the run at 2 tau is as far from the judged
+one as that is from the first-order model, D v = F.
+
+How wrong a replay may be, from simulations of the same thing, and from steps made twice.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from models.codegen.kernel import Kernel
+from models.collocation import penetration_rates
+from models.scene import Scene
+from models.trajectory import Trajectory
+from validate.execution.isolated import Limits
+from validate.fmi.package import Package
+from validate.judge.replay.everyday import base_step
+from validate.judge.replay.job import Settings, run_job
+from validate.judge.replay.result import Difference, Replay, ReplayError, ReplayOutcome, StepSource
+from validate.judge.replay.subject import Outputs, Subject, find_variables
+from validate.judge.replay.wiring import Feedback, Variables
+
+# Steps within the contact that was overlooked; and steps in all that are taken for it.
+_WITHIN, _MOST = 8, 1_000_000
+_MOST_PARTS = 3000
+
+
+def lowest_between(t: np.ndarray, gap: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(n-1, nc) each: the least value of the cubic between two rows, and where, as a share of the piece; at an end where it falls or rises throughout.
+
+    gap, rate (n, nc) [m, m/s] at t (n,).
+    """
+    h = np.diff(t)[:, None]
+    first, last, slope_first, slope_last = gap[:-1], gap[1:], h * rate[:-1], h * rate[1:]
+    # g(s) = first + b s + c s^2 + d s^3
+    b, c, d = slope_first, 3.0 * (last - first) - 2.0 * slope_first - slope_last, 2.0 * (first - last) + slope_first + slope_last
+    with np.errstate(divide="ignore", invalid="ignore"):
+        root = np.sqrt(c * c - 3.0 * d * b)
+        inner = np.stack([b / -(c + root), b / -(c - root)])  # of g'(s) = b + 2 c s + 3 d s^2, in the form that d = 0 does not harm
+    places = np.clip(
+        np.nan_to_num(np.concatenate([inner, [np.zeros_like(first), np.ones_like(first)]]), nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0
+    )
+    values = first + places * (b + places * (c + places * d))
+    best = values.argmin(axis=0)[None]
+    return np.take_along_axis(values, best, 0)[0], np.take_along_axis(places, best, 0)[0]
+
+
+def overlooked(kernel: Kernel, replayed: Replay) -> float | None:
+    """None, or the step [s] with which a contact that the replay stepped over is seen."""
+    if len(replayed.t) < 2:
+        return None
+    h = np.diff(replayed.t)[:, None]
+    rate = -penetration_rates(kernel, replayed.q, replayed.v)
+    lowest, _ = lowest_between(replayed.t, replayed.gap, rate)
+    dips = (replayed.gap[:-1] > 0.0) & (replayed.gap[1:] > 0.0) & (rate[:-1] < 0.0) & (rate[1:] > 0.0) & (lowest < 0.0) & (h > 0.0)
+    if not dips.any():
+        return None
+    bend = (rate[1:] - rate[:-1])[dips] / np.broadcast_to(h, dips.shape)[dips]
+    return float(np.min(2.0 * np.sqrt(-2.0 * lowest[dips] / bend))) / _WITHIN
+
+
+def with_steps_of(subject: Subject, times: np.ndarray, settings: Settings) -> Settings:
+    """Settings for a plan of nodes `times` [s], however long its steps are: nothing is seen less often than on the task's own grid."""
+    step = float(subject.task.step)  # type: ignore[union-attr] - every subject that is replayed has one
+    longest = math.ceil(float(np.diff(times).max()) / step - 1e-6)
+    parts = min(settings.parts * max(1, longest), _MOST_PARTS)
+    factor = max(1, math.ceil(base_step(times) / step - 1e-6))
+    return replace(settings, parts=parts, fineness=tuple(factor * fineness for fineness in settings.fineness))
+
+
+def with_max_step(scene: Scene, times: np.ndarray, settings: Settings, longest: float) -> Settings | None:
+    """The same with integrator steps of at most `longest` [s], in the everyday replay too; None where that takes more than a million."""
+    if np.ptp(times) / longest > _MOST:
+        return None
+    factor = max(1, math.ceil(base_step(times) / min(settings.fineness, default=1) / longest))
+    return replace(settings, max_step=longest, fineness=tuple(factor * fineness for fineness in settings.fineness))
+
+
+# Relaxation times in the longest internal step of the everyday replay. Runge-Kutta 4 is stable below 2.78, and keeps q + tau v whatever its step: at 2 the
+# plans of push_box are within 1e-9 m of the reference.
+_LAGS_IN_A_STEP = 2.0
+
+
+def fine_enough(scene: Scene, plan: Trajectory, settings: Settings) -> Settings:
+    """Settings whose coarsest everyday run is stable at this relaxation time; as they are for a scene with inertia."""
+    if scene.lag is None or not settings.fineness:
+        return settings
+    wanted = base_step(plan.t) / (_LAGS_IN_A_STEP * scene.lag)
+    factor = max(1, math.ceil(wanted / min(settings.fineness)))
+    # Two runs tell the error of the step; a third, for its order, would take as long as both.
+    return replace(settings, fineness=tuple(factor * fineness for fineness in sorted(settings.fineness)[:2]))
+
+
+def twice_the_lag(package: Package, scene: Scene, names: Mapping[str, str] | None) -> Variables | None:
+    """The FMU's variables with twice the relaxation time; None for a scene with inertia, or an FMU that does not know the time."""
+    if scene.lag is None:
+        return None
+    twice = find_variables(package, scene.continuous(2.0 * scene.lag), names)
+    return None if twice == find_variables(package, scene, names) else twice
+
+
+def with_lag_error(
+    scene: Scene,
+    package: Package,
+    twice: Variables | None,
+    plan: Trajectory,
+    settings: Settings,
+    limits: Limits | None,
+    feedback: Feedback | None,
+    replayed: Replay,
+) -> Replay:
+    """The replay with the lag's error in its own; as it is where there is none to be told (`twice_the_lag`)."""
+    if twice is None or not replayed.ok:
+        return replayed
+    is_reference = replayed.method == "reference"
+    one = replace(
+        settings, tolerances=settings.tolerances[:1] if is_reference else (), fineness=() if is_reference else settings.fineness[-1:]
+    )
+    simulated = run_job(package, twice, plan, plan.start, one, limits, feedback)
+    run = (simulated.reference or simulated.everyday)[-1]
+    if run.outcome is not ReplayOutcome.OK:
+        note = f"What the relaxation time does is not known: with twice as much, {run.message or run.outcome.value}"
+        return replace(replayed, error=replace(replayed.error, estimate=None), message=f"{replayed.message} {note}".lstrip())
+    lag, estimate = difference(Outputs(scene, twice, run, run.knots), _Nodes(replayed)), replayed.error.estimate
+    both = None if lag is None or estimate is None else _sum(estimate, lag)
+    return replace(replayed, error=replace(replayed.error, lag=lag, estimate=both))
+
+
+class _Nodes:
+    """A replay at the plan's nodes."""
+
+    def __init__(self, replay: Replay) -> None:
+        self.q, self.v, self.gap = (array[replay.knots] for array in (replay.q, replay.v, replay.gap))
+
+
+def _sum(one: Difference, other: Difference) -> Difference:
+    return Difference(position=one.position + other.position, state=one.state + other.state, gap=one.gap + other.gap)
+
+
+# The everyday replay is explained by its own step error if it is within this factor of its step halving: to first order the
+# finer run is as far from the truth as the two runs are from each other, and an event within a step makes that vary.
+_EXPLAINED = 3.0
+
+
+class AtNodes(Protocol):
+    """A simulation at the plan's nodes: q, v (nodes, nq), gap (nodes, nc)."""
+
+    q: np.ndarray
+    v: np.ndarray
+    gap: np.ndarray
+
+
+# By whether there is a second run, and a rollback.
+_SOURCES: dict[tuple[bool, bool], StepSource] = {
+    (False, False): "none",
+    (True, False): "second run",
+    (False, True): "rollback",
+    (True, True): "second run and rollback",
+}
+# The same where the author states an accuracy too.
+_STATED: dict[StepSource, StepSource] = {
+    "none": "stated",
+    "second run": "second run, stated",
+    "rollback": "rollback, stated",
+    "second run and rollback": "second run and rollback, stated",
+}
+
+
+def difference(one: AtNodes | None, other: AtNodes | None) -> Difference | None:
+    """Largest difference over the nodes, or None if one of the two did not get to the end."""
+    if one is None or other is None:
+        return None
+    state = np.hypot(np.linalg.norm(one.q - other.q, axis=1), np.linalg.norm(one.v - other.v, axis=1))
+    return Difference(
+        position=float(np.abs(one.q - other.q).max()), state=float(state.max()), gap=float(np.abs(one.gap - other.gap).max(initial=0.0))
+    )
+
+
+# Below this position difference [m or rad] a ratio is one of roundings.
+_ROUNDING = 1e-11
+# Two runs that differ by less than this share of the motion are the same run.
+_SAME = 1e-13
+
+
+def heeds_step(coarse: AtNodes | None, fine: AtNodes | None) -> bool:
+    """Whether half the communication step changes anything. If not, the FMU has a step of its own, and what is wrong with that one does not show."""
+    if coarse is None or fine is None:
+        return True
+    one, other = np.hstack([coarse.q, coarse.v]), np.hstack([fine.q, fine.v])
+    return bool((np.abs(one - other) > _SAME * np.abs(other).max(initial=0.0)).any())
+
+
+def local_errors(fine: AtNodes | None, coarse_steps: AtNodes | None, times: np.ndarray, carried: bool, heeds: bool) -> Difference | None:
+    """What halving each step changed in that step, summed over the steps; None without a rollback, or if half the step changes nothing and it is not
+    known that the FMU `heeds` its step.
+
+    coarse_steps: where each coarse step ended (steps, ...), from the fine run's node (nodes, ...) before it; times (nodes,) [s].
+    carried: an error of velocity goes on as one of position until the end, dq/dt = v. That overstates (bouncing_mass: 12 times the error of the
+    coarser run, three_cart 4 times), the sum alone understates (0.4 to 0.6 times): forces turn an error of velocity round.
+    """
+    if fine is None or coarse_steps is None:
+        return None
+    q, v, gap = (np.abs(getattr(fine, name)[1:] - getattr(coarse_steps, name)) for name in ("q", "v", "gap"))
+    motion = np.abs(np.hstack([fine.q, fine.v]))
+    if not heeds and not (np.hstack([q, v]) > _SAME * motion.max(initial=0.0)).any():
+        return None
+    position, velocity = q.sum(axis=0), v.sum(axis=0)
+    moved = gap.sum(axis=0)
+    if carried and q.shape == v.shape:
+        drift = (times[-1] - times[1:]) @ v
+        position = position + drift
+        moved = moved + 2.0 * drift.max(initial=0.0)  # two bodies may come towards each other
+    return Difference(
+        position=float(position.max(initial=0.0)),
+        state=float(np.hypot(np.linalg.norm(position), np.linalg.norm(velocity))),
+        gap=float(moved.max(initial=0.0)),
+    )
+
+
+def larger(one: Difference | None, other: Difference | None) -> Difference | None:
+    """Entry by entry, or the one there is."""
+    if one is None or other is None:
+        return other if one is None else one
+    return Difference(position=max(one.position, other.position), state=max(one.state, other.state), gap=max(one.gap, other.gap))
+
+
+def _larger_where_stated(measured: Difference, stated: Difference) -> Difference:
+    """Entry by entry; what the runs say where nothing is stated."""
+    return Difference(
+        position=max(measured.position, stated.position) if math.isfinite(stated.position) else measured.position,
+        state=max(measured.state, stated.state) if math.isfinite(stated.state) else measured.state,
+        gap=max(measured.gap, stated.gap) if math.isfinite(stated.gap) else measured.gap,
+    )
+
+
+def step_ratio(before: Difference | None, after: Difference | None) -> float | None:
+    """Position difference of one step halving over that of the next; None where there is none to speak of."""
+    if before is None or after is None or after.position < _ROUNDING:
+        return None
+    return before.position / after.position
+
+
+def estimate(
+    *,
+    tolerance: Difference | None,
+    step: Difference | None,
+    everyday: Difference | None,
+    has_reference: bool,
+    ratio: float | None = None,
+    rollback: Difference | None = None,
+    stated: Difference | None = None,
+) -> ReplayError:
+    """The error of the judged trajectory by the rule that `ReplayError` states."""
+    source = _SOURCES[step is not None, rollback is not None]
+    if not has_reference:
+        measured = larger(step, rollback)
+        if stated is not None:
+            source = _STATED[source]
+            measured = stated if measured is None else _larger_where_stated(measured, stated)
+        return ReplayError(estimate=measured, step=step, step_ratio=ratio, rollback=rollback, step_source=source, stated=stated)
+    # Where the looser reference did not get to the end, the everyday replay - another method - is as far away as the judged run may be wrong.
+    judged = tolerance if tolerance is not None or step is None else larger(everyday, step) if everyday is not None else None
+    if tolerance is not None and step is not None and everyday is not None:
+        judged = Difference(
+            position=_judged(tolerance.position, step.position, everyday.position),
+            state=_judged(tolerance.state, step.state, everyday.state),
+            gap=_judged(tolerance.gap, step.gap, everyday.gap),
+        )
+    return ReplayError(
+        estimate=judged, tolerance=tolerance, step=step, everyday=everyday, step_ratio=ratio, rollback=rollback, step_source=source
+    )
+
+
+def _judged(tolerance: float, step: float, everyday: float) -> float:
+    return tolerance if everyday <= _EXPLAINED * (step + tolerance) else max(tolerance, everyday)

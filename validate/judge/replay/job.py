@@ -1,0 +1,242 @@
+"""The four simulations of a replay as one job: files and numbers in, numbers out. It runs in this process or in a child (validate.execution.isolated).
+
+value, arrays = simulate(request, arrays)              # here
+run_isolated("validate.judge.replay.job:simulate", request, arrays)
+"""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from models.trajectory import Hold, Trajectory
+from validate.execution.isolated import Ending, Limits, run_isolated
+from validate.fmi.package import FmuError, Package, read_package, unpacked
+from validate.judge.replay.compiled.library import adopt, library_path
+from validate.judge.replay.compiled.stepping import RollbackError, offers_rollback
+from validate.judge.replay.everyday import everyday_refusal, require_some_method
+from validate.judge.replay.everyday import simulate as simulate_everyday
+from validate.judge.replay.reference import PARTS, ExchangeModel, Run, integrate
+from validate.judge.replay.result import ReplayOutcome
+from validate.judge.replay.wiring import Feedback, HeldInputs, Variables
+
+# Arrays of a run, and what the names of a feedback's arrays begin with on their way to a child.
+_RECORDED = ("t", "outputs", "accumulated", "knots", "applied", "local")
+_FEEDBACK = "feedback_"
+# Endings that may be the fault of a saved state alone: the job is done once more, without.
+_RETRIED = (Ending.SIGNAL, Ending.ABORT, Ending.NO_RESULT)
+# What an ending of the child means for the replay. The others are mistakes: of the user (a sentence), of the machine, or ours.
+_ENDED = {
+    Ending.TIME_LIMIT: ReplayOutcome.TIME_LIMIT,
+    Ending.MEMORY_LIMIT: ReplayOutcome.MEMORY_LIMIT,
+    Ending.SIGNAL: ReplayOutcome.CRASHED,
+    Ending.ABORT: ReplayOutcome.ABORTED,
+    Ending.NO_RESULT: ReplayOutcome.NO_RESULT,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """tolerances: relative, of the reference, the looser first; fineness: internal steps a plan step of the everyday replay, the coarser first.
+    parts, max_step: of the reference (validate.judge.replay.reference.integrate)."""
+
+    tolerances: tuple[float, ...]
+    fineness: tuple[int, ...]
+    event_budget: int
+    parts: int = PARTS
+    max_step: float = math.inf
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulated:
+    """reference, everyday: one run a tolerance or step, empty where the FMU cannot; refusal: why there is no everyday run;
+    note: what else is to be told; CPU seconds of each."""
+
+    reference: tuple[Run, ...]
+    everyday: tuple[Run, ...]
+    refusal: str | None
+    seconds_reference: float
+    seconds_everyday: float
+    note: str = ""
+
+
+def simulate(
+    request: Mapping[str, Any], arrays: Mapping[str, np.ndarray], package: Package | None = None
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """request: path, variables, hold, tolerances, fineness, event_budget, parts, max_step, rolls_back, loops (the compiled ones, or None);
+    arrays: t (nodes,), u (steps, nu), start (n,), u_end (nu,) where the plan has one, and with feedback its fields. Raises FmuError."""
+    variables = Variables.from_json(request["variables"])
+    empty = np.zeros((len(arrays["t"]), 0))
+    plan = Trajectory(t=arrays["t"], q=empty, v=empty, u=arrays["u"], lam=empty[1:], hold=Hold(request["hold"]), u_end=arrays.get("u_end"))
+    fields = {name.removeprefix(_FEEDBACK): array for name, array in arrays.items() if name.startswith(_FEEDBACK)}
+    inputs, start = HeldInputs(plan, Feedback(**fields) if fields else None), arrays["start"]
+    if request.get("loops") is not None:
+        adopt(Path(request["loops"]))
+    value: dict[str, Any] = {"refusal": None, "runs": [], "note": ""}
+    found: dict[str, np.ndarray] = {}
+
+    def keep(kind: str, run: Run) -> None:
+        number = len(value["runs"])
+        value["runs"].append({"kind": kind, "outcome": run.outcome.name, "message": run.message, "events": run.events})
+        for name in _RECORDED:
+            found[f"{number}_{name}"] = np.array(getattr(run, name))
+
+    with unpacked(package or read_package(Path(request["path"]))) as package:
+        value["refusal"] = refusal = everyday_refusal(package, inputs)
+        require_some_method(package, refusal)
+        began = clock.process_time()
+        for rtol in request["tolerances"] if package.exchange is not None else ():
+            keep("reference", _reference(package, variables, start, inputs, rtol, request))
+        middle = clock.process_time()
+        rolls_back = request["rolls_back"] and offers_rollback(package, variables)
+        for fineness in request["fineness"] if refusal is None else ():
+            if rolls_back and fineness == request["fineness"][-1]:
+                run, value["note"] = _rolled_back(package, variables, start, inputs, fineness)
+            else:
+                run = simulate_everyday(package, variables, start, inputs, fineness)
+            keep("everyday", run)
+        value["seconds"] = [middle - began, clock.process_time() - middle]
+    return value, found
+
+
+def _rolled_back(package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, fineness: int) -> tuple[Run, str]:
+    """The run with rollback - or without, where the FMU cannot after all; and the sentence that says so."""
+    try:
+        run = simulate_everyday(package, variables, start, inputs, fineness, rolls_back=True)
+        if run.outcome is not ReplayOutcome.FMU_FAILED:
+            return run, ""
+        why = run.message.rstrip(".")
+    except RollbackError as error:
+        why = str(error)
+    run = simulate_everyday(package, variables, start, inputs, fineness)
+    return run, f"No step was rolled back: {why}." if run.outcome is ReplayOutcome.OK else ""
+
+
+def _reference(
+    package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, rtol: float, request: Mapping[str, Any]
+) -> Run:
+    model, longest = ExchangeModel(package, variables), request["max_step"]
+    try:
+        return integrate(
+            model, start, inputs, rtol, request["event_budget"], parts=request["parts"], max_step=math.inf if longest is None else longest
+        )
+    finally:
+        model.close()
+
+
+def run_job(
+    package: Package,
+    variables: Variables,
+    plan: Trajectory,
+    start: np.ndarray,
+    settings: Settings,
+    limits: Limits | None,
+    feedback: Feedback | None = None,
+) -> Simulated:
+    """Simulate here (limits None: this process is a child already, or the FMU is ours), or in a child with limits.
+
+    feedback: in the FMU's units, as the plan's inputs are.
+
+    How the FMU ends the child is the outcome of an empty run. Raises FmuError for what is the user's, MachineError for what is the machine's.
+    """
+    request = {
+        "path": str(package.path.resolve()),
+        "variables": variables.to_json(),
+        "hold": plan.hold.value,
+        "tolerances": list(settings.tolerances),
+        "fineness": list(settings.fineness),
+        "event_budget": settings.event_budget,
+        "parts": settings.parts,
+        "max_step": settings.max_step if math.isfinite(settings.max_step) else None,
+        "rolls_back": True,
+    }
+    given = {"t": plan.t, "u": plan.u, "start": start, **({} if plan.u_end is None else {"u_end": plan.u_end})}
+    if feedback is not None:
+        given |= {_FEEDBACK + name: array for name, array in vars(feedback).items()}
+    if limits is None:
+        value, arrays = simulate(request, given, package)
+        return _simulated(value, arrays, "")
+    loops = library_path()  # compiled here, where no limit of the FMU's holds
+    request["loops"] = None if loops is None else str(loops)
+    if not _only_once(package):
+        return _in_child(package, variables, request, given, limits)
+    # One instance a process: every run has a process of its own.
+    single = [{**request, "tolerances": [rtol], "fineness": []} for rtol in settings.tolerances if package.exchange is not None]
+    single += [
+        {**request, "tolerances": [], "fineness": [fineness], "rolls_back": fineness == settings.fineness[-1]}
+        for fineness in settings.fineness
+        if package.cosimulation is not None
+    ]
+    return _together([_in_child(package, variables, one, given, limits) for one in single])
+
+
+def _only_once(package: Package) -> bool:
+    kinds = (package.exchange, package.cosimulation)
+    return any(kind is not None and kind.canBeInstantiatedOnlyOncePerProcess for kind in kinds)
+
+
+def _together(parts: list[Simulated]) -> Simulated:
+    """One job's worth of runs, each from a process of its own."""
+    return Simulated(
+        reference=tuple(run for part in parts for run in part.reference),
+        everyday=tuple(run for part in parts for run in part.everyday),
+        refusal=next((part.refusal for part in parts if part.refusal is not None), None),
+        seconds_reference=sum(part.seconds_reference for part in parts),
+        seconds_everyday=sum(part.seconds_everyday for part in parts),
+        note=" ".join(dict.fromkeys(part.note for part in parts if part.note)),
+    )
+
+
+def _in_child(
+    package: Package, variables: Variables, request: dict[str, Any], given: Mapping[str, np.ndarray], limits: Limits
+) -> Simulated:
+    done = run_isolated("validate.judge.replay.job:simulate", request, given, limits=limits, what=f"FMU {package.path}")
+    retried = ""
+    if done.ending in _RETRIED and request["rolls_back"] and offers_rollback(package, variables):
+        again = run_isolated(
+            "validate.judge.replay.job:simulate", {**request, "rolls_back": False}, given, limits=limits, what=f"FMU {package.path}"
+        )
+        if again.ok:
+            done, retried = again, f"No step was rolled back, as the FMU did not survive it: {done.sentence}"
+    if done.ending in _ENDED:
+        kind = "reference" if request["tolerances"] and package.exchange is not None else "everyday"
+        ended = Run(outcome=_ENDED[done.ending], message=done.sentence)
+        empty: tuple[Run, ...] = ()
+        return Simulated(
+            reference=(ended,) if kind == "reference" else empty,
+            everyday=(ended,) if kind == "everyday" else empty,
+            refusal=None,
+            seconds_reference=done.cpu,
+            seconds_everyday=0.0,
+        )
+    if done.ending is Ending.MACHINE:
+        from models.errors import MachineError
+
+        raise MachineError(done.sentence)
+    if not done.ok:
+        raise FmuError(done.sentence)
+    strays = "" if not done.strays else f"The FMU left {done.strays} process{'es' if done.strays > 1 else ''} behind, which we ended."
+    return _simulated(done.value, done.arrays, " ".join(text for text in (retried, strays) if text))
+
+
+def _simulated(value: Mapping[str, Any], arrays: Mapping[str, np.ndarray], note: str) -> Simulated:
+    runs: dict[str, list[Run]] = {"reference": [], "everyday": []}
+    for number, item in enumerate(value["runs"]):
+        stored = {name: list(arrays[f"{number}_{name}"]) for name in _RECORDED}
+        events = [(float(time), int(index), bool(closes)) for time, index, closes in item["events"]]
+        run = Run(**stored, events=events, outcome=ReplayOutcome[item["outcome"]], message=item["message"])
+        runs[item["kind"]].append(run)
+    return Simulated(
+        reference=tuple(runs["reference"]),
+        everyday=tuple(runs["everyday"]),
+        refusal=value["refusal"],
+        seconds_reference=value["seconds"][0],
+        seconds_everyday=value["seconds"][1],
+        note=" ".join(text for text in (value["note"], note) if text),
+    )

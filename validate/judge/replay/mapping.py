@@ -1,0 +1,499 @@
+"""Map, plan and FMU brought together: MAP.toml (or equal names) -> a ForeignModel, its wiring, and the plan as a Trajectory.
+
+foreign, trajectory = wire(package, PlanTable(path), map_file, hold)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from models.errors import TrajectoryError
+from models.plan_table import PlanTable
+from models.scene_annotations import Limit
+from models.trajectory import Trajectory, declared_hold, declared_scheme, missing_groups, times_and_inputs
+from validate.fmi.package import REAL, Package
+from validate.judge.replay.equal_names import CONTACT_UNITS, QUANTITIES, Dimensions, Named, by_equal_names, hint, may_be_rate
+from validate.judge.replay.map_schema import InputSignal, MapError, MapFile, Signal
+from validate.judge.replay.result import Difference
+from validate.judge.replay.run import Foreign
+from validate.judge.replay.subject import ForeignContact, ForeignCoordinate, ForeignInput, ForeignModel, ForeignTask
+from validate.judge.replay.wiring import INTERNAL_STEP, Variables
+
+# Steps that the task of an FMU counts as.
+_STEPS = 500
+# How far a bound in the map may lie beyond the FMU's own, as a share of it: rounding of a change of units.
+_ROUNDING = 1e-9
+
+
+def wire(package: Package, table: PlanTable, given: MapFile | None, hold: str | None, where: str) -> tuple[Foreign, Trajectory]:
+    """where: what a mistake is said about, "map FILE" or "FMU FILE". Raises MapError, TrajectoryError."""
+    table.check_form()
+    named = Named(package)
+    wiring = _Wiring(package, named, table, given or by_equal_names(named, table), where)
+    return wiring.foreign(), wiring.trajectory(hold)
+
+
+class _Wiring:
+    def __init__(self, package: Package, named: Named, table: PlanTable, given: MapFile, where: str) -> None:
+        self.map, self._table, self._package, self._named, self._where = given, table, package, named, where
+        self._by_name = named.by_name
+        self._dimensions = Dimensions(package.description)
+        self._check_names()
+        self._check_limits()
+        self._velocities = [given.velocities[name] for name in given.positions if name in given.velocities]
+        self._check_columns()
+        self.lacks = self._lacks()
+
+    # Names
+
+    def _fail(self, path: str, text: str) -> MapError:
+        return MapError(f"{self._where}: {path}: {text}")
+
+    def _variable(self, path: str, name: str) -> Any:
+        variable = self._by_name.get(name)
+        if variable is None:
+            raise self._fail(path, f"the FMU has no variable {name!r}{hint(name, self._named.numbers())}.")
+        if name in self._named.twice:
+            raise self._fail(path, f"the FMU has two variables {name!r}, so it is not clear which is meant.")
+        if variable.type not in REAL or getattr(variable, "dimensions", None):
+            raise self._fail(
+                path, f"{name!r} is of type {variable.type}{' (an array)' if variable.type in REAL else ''}, but must be one number."
+            )
+        return variable
+
+    def _reference(self, path: str, name: str) -> int:
+        return int(self._variable(path, name).valueReference)
+
+    def _parameter(self, path: str, name: str, value: float | None = None) -> int:
+        variable = self._variable(path, name)
+        if variable.causality != "parameter":
+            raise self._fail(path, f"{name!r} is no parameter of the FMU, but {variable.causality}.")
+        if value is not None:
+            for sign, name_of, end in ((-1, "least", variable.min), (1, "most", variable.max)):
+                if end is not None and sign * value > sign * float(end):
+                    raise self._fail(path, f"{value:g} is not possible: the FMU allows at {name_of} {float(end):g}.")
+        return int(variable.valueReference)
+
+    def _startable(self, path: str, name: str) -> int:
+        variable = self._variable(path, name)
+        if variable.causality not in ("parameter", "input") and variable.initial not in ("exact", "approx"):
+            raise self._fail(path, f"{name!r} has no start value that can be set: the FMU calculates it.")
+        return int(variable.valueReference)
+
+    def _check_names(self) -> None:
+        given = self.map
+        driven: dict[int, str] = {}
+        for name, signal in given.inputs.items():
+            path = f"inputs.{name}"
+            reference = self._reference(path, signal.variable)
+            if reference in driven:
+                raise self._fail(path, f"{signal.variable!r} is driven by the column {driven[reference]!r} already.")
+            driven[reference] = name
+            if self._variable(path, signal.variable).causality != "input":
+                raise self._fail(path, f"{signal.variable!r} is no input of the FMU.")
+            self._check_unit(path, name, signal)
+        for name in given.velocities:
+            if name not in given.positions:
+                raise self._fail(f"velocities.{name}", f"there is no position of that name{hint(name, given.positions)}.")
+        read: dict[int, str] = {}
+        for section, signals in (("positions", given.positions), ("velocities", given.velocities)):
+            for name, signal in signals.items():
+                path = f"{section}.{name}"
+                self._check_once(read, path, signal.variable)
+                self._check_unit(path, name if section == "positions" else self._velocity_column(name), signal)
+        for name, signal in given.positions.items():
+            self._check_quantity(f"positions.{name}", "position", name, signal)
+        for name, signal in given.velocities.items():
+            self._check_rate(name)
+            self._check_quantity(f"velocities.{name}", "velocity", self._velocity_column(name), signal)
+        forces: dict[int, str] = {}
+        gaps: dict[int, str] = {}
+        for name, entry in given.contacts.items():
+            if entry.force is None and entry.gap is None:
+                raise self._fail(f"contacts.{name}", "it names neither force nor gap.")
+            for what, signal, others in (("force", entry.force, forces), ("gap", entry.gap, gaps)):
+                if signal is not None:
+                    self._check_once(others, f"contacts.{name}.{what}", signal.variable)
+                    self._check_contact_unit(f"contacts.{name}.{what}", what, signal)
+                    self._check_quantity(f"contacts.{name}.{what}", what, "", signal)
+        known = [*given.positions, *(self._velocity_column(name) for name in given.velocities)]
+        for name in given.goal:
+            if name not in known:
+                near = hint(name, known) or f"; there are {', '.join(known)}"
+                raise self._fail(f"goal.{name}", f"there is no position or velocity of that name{near}.")
+
+    def _check_unit(self, path: str, column: str, signal: Signal) -> None:
+        """A unit that the map or the plan's header says, against the FMU's; where they differ, a scale must say how."""
+        variable = self._variable(path, signal.variable)
+        written = self._table.units.get(column)
+        if signal.unit and written and signal.unit != written:
+            raise self._fail(path, f"the plan's column {column!r} is in {written!r}, but the map says {signal.unit!r}.")
+        unit = signal.unit or written
+        if unit and variable.unit and unit != variable.unit and signal.scale == 1.0 and signal.offset == 0.0:
+            raise self._fail(path, f"the plan is in {unit!r}, but {signal.variable!r} is in {variable.unit!r}; give a scale.")
+        self._check_scale(path, signal)
+
+    def _check_scale(self, path: str, signal: Signal) -> None:
+        if signal.scale == 0.0:
+            raise self._fail(path, "scale is 0; it must not be.")
+
+    def _check_quantity(self, path: str, what: str, column: str, signal: Signal) -> None:
+        """No scale makes a length of a mass."""
+        own, said = self._variable(path, signal.variable).unit, self._table.units.get(column)
+        known = {repr(signal.variable): (own, True), "it": (signal.unit, False), f"the plan's {column!r}": (said, False)}
+        for whose, (unit, of_fmu) in known.items():
+            if self._dimensions.contradicts(unit, what, of_fmu):
+                raise self._fail(path, f"{whose} is in {unit!r}, which no scale makes a {what}, in {' or '.join(QUANTITIES[what])}.")
+
+    def _check_once(self, read: dict[int, str], path: str, variable: str) -> None:
+        """A variable is one thing: by its reference, as an FMU may call it by two names."""
+        reference = self._reference(path, variable)
+        if reference in read:
+            raise self._fail(path, f"{variable!r} is {read[reference]} already.")
+        read[reference] = path
+
+    def _check_rate(self, name: str) -> None:
+        """A velocity is in its position's unit per second, where both units are known."""
+        position, velocity = self._unit(name, self.map.positions[name]), self._unit(self._velocity_column(name), self.map.velocities[name])
+        if not may_be_rate(position, velocity):
+            raise self._fail(
+                f"velocities.{name}", f"it is in {velocity!r}, but positions.{name} in {position!r}; it must be in '{position}/s'."
+            )
+
+    def _check_contact_unit(self, path: str, what: str, signal: Signal) -> None:
+        """Forces are in N, gaps in m; where the FMU has another unit, a scale must say how - if only `scale = 1.0`."""
+        known, own = CONTACT_UNITS[what], self._variable(path, signal.variable).unit
+        if signal.unit and signal.unit not in known:
+            raise self._fail(path, f"it is in {signal.unit!r}, but a {what} must be in {known[0]!r}; give a scale.")
+        if own and own not in known and not signal.model_fields_set & {"scale", "offset"}:
+            raise self._fail(path, f"{signal.variable!r} is in {own!r}, but a {what} must be in {known[0]!r}; give a scale.")
+        self._check_scale(path, signal)
+
+    def _check_limits(self) -> None:
+        """A goal needs a limit that says how near is near enough, of its positions and of its velocities."""
+        given = self.map
+        for part, columns in (("position", given.positions), ("velocity", map(self._velocity_column, given.velocities))):
+            metric = f"replay_terminal_{part}_error"
+            asked = next((column for column in columns if column in given.goal), None)
+            if asked is not None and metric not in given.limits:
+                raise self._fail(
+                    f"goal.{asked}",
+                    f"no limit says how near is near enough; add {metric} = {{ value = .., reason = '..' }} to [limits].",
+                )
+
+    def _velocity_column(self, position: str) -> str:
+        return self.map.velocities[position].column or f"v_{position}"
+
+    def _force_column(self, contact: str) -> str:
+        return self.map.contacts[contact].column or f"lam_{contact}"
+
+    def _check_columns(self) -> None:
+        given, table = self.map, self._table
+        self._check_roles()
+        needed = [given.plan.time, *given.inputs]
+        for name in needed:
+            if name not in table.names:
+                raise TrajectoryError(
+                    f"plan {table.path}: the column {name!r} is missing{hint(name, table.names)}; it has {', '.join(table.names)}."
+                )
+        known = {*needed, *given.positions, *map(self._velocity_column, given.velocities), *map(self._force_column, given.contacts)}
+        for name in table.names:
+            if name not in known:
+                raise TrajectoryError(
+                    f"plan {table.path}: the column {name!r} is unknown{hint(name, known)}; {self._where} names {', '.join(sorted(known))}."
+                )
+        if given.plan.time in table.units:
+            table.check_unit(given.plan.time, "s")
+
+    def _check_roles(self) -> None:
+        """A column is one thing."""
+        given, roles = self.map, {self.map.plan.time: "the time (plan.time)"}
+        claims = [(name, f"inputs.{name}", "call one of the two otherwise") for name in given.inputs]
+        claims += [(name, f"positions.{name}", "call one of the two otherwise") for name in given.positions]
+        claims += [(self._velocity_column(name), f"velocities.{name}", "give it another by column = '..'") for name in given.velocities]
+        claims += [(self._force_column(name), f"contacts.{name}", "give it another by column = '..'") for name in given.contacts]
+        for column, path, advice in claims:
+            if column in roles:
+                raise self._fail(path, f"its column {column!r} is that of {roles[column]} already; {advice}.")
+            roles[column] = path
+
+    def _lacks(self) -> Mapping[str, str]:
+        """What cannot be shown, and why."""
+        given, names = self.map, self._table.names
+        contacts = given.contacts.values()
+        lacks = {}
+        driven = {signal.variable for signal in given.inputs.values()}
+        idle = [
+            name
+            for name, variable in self._by_name.items()
+            if variable.causality == "input" and variable.type in REAL and name not in driven
+        ]
+        if idle:
+            lacks["inputs"] = (
+                f"the plan says nothing of inputs of the FMU, which keep their start values: {', '.join(idle[:5])}{' ...' * (len(idle) > 5)}"
+            )
+        if not given.positions:
+            lacks["q"] = "no positions are named"
+        elif not any(name in names for name in given.positions):
+            lacks["plan q"] = "the plan has no positions"
+        if len(self._velocities) < len(given.positions):
+            lacks["v"] = "not every position has a velocity named"
+        if any(entry.gap is None for entry in contacts):
+            lacks["gap"] = "not every contact has a gap named"
+        if any(entry.force is None for entry in contacts):
+            lacks["lam"] = "not every contact has a force named"
+        if not contacts:
+            lacks["contacts"] = "no contacts are named: ghost and missed impulse and penetration cannot be shown"
+        return lacks
+
+    # What comes of it
+
+    def foreign(self) -> Foreign:
+        given, lacks = self.map, self.lacks
+        has_v, has_lam, has_gap = "v" not in lacks, "lam" not in lacks, "gap" not in lacks
+        outputs: list[tuple[str, Signal]] = [(f"positions.{name}", signal) for name, signal in given.positions.items()]
+        count_q = len(outputs)
+        outputs += [(f"velocities.{name}", given.velocities[name]) for name in given.positions if has_v]
+        count_v = len(outputs) - count_q
+        forces = [(f"contacts.{name}.force", entry.force) for name, entry in given.contacts.items() if has_lam and entry.force]
+        gaps = [(f"contacts.{name}.gap", entry.gap) for name, entry in given.contacts.items() if has_gap and entry.gap]
+        outputs += [*forces, *gaps]
+        references = tuple(self._reference(path, signal.variable) for path, signal in outputs)
+        at_lam, at_gap = count_q + count_v, count_q + count_v + len(forces)
+        settings = self._settings()
+        internal = given.internal_step
+        if internal is None and INTERNAL_STEP in self._by_name:
+            internal = INTERNAL_STEP
+        return Foreign(
+            model=self._model(),
+            variables=Variables(
+                q=references[:count_q],
+                v=references[count_q:at_lam],
+                lam=references[at_lam:at_gap],
+                gap=references[at_gap:],
+                u=tuple(self._reference(f"inputs.{name}", signal.variable) for name, signal in given.inputs.items()),
+                energies={},
+                powers={},
+                zero=frozenset(),
+                parameters=tuple((self._parameter(f"parameters.{name}", name, value), value) for name, value in given.parameters.items()),
+                start=tuple(reference for reference, _ in settings),
+                internal_step=None if internal is None else self._parameter("internal_step", internal),
+            ),
+            scale=np.array([signal.scale for _, signal in outputs]),
+            offset=np.array([signal.offset for _, signal in outputs]),
+            input_scale=np.array([signal.scale for signal in given.inputs.values()]),
+            input_offset=np.array([signal.offset for signal in given.inputs.values()]),
+            start=np.array([value for _, value in settings]),
+        )
+
+    def _settings(self) -> list[tuple[int, float]]:
+        """Start variables and their values: those of the map, and positions and velocities of the plan's first row that can be set."""
+        given, found = self.map, {}
+        taken = {self._reference(f"parameters.{name}", name): f"parameters.{name}" for name in given.parameters}
+        taken |= {self._reference(f"inputs.{name}", signal.variable): f"inputs.{name}" for name, signal in given.inputs.items()}
+        for name, value in given.start.items():
+            path = f"start.{name}"
+            self._check_once(taken, path, name)
+            if isinstance(value, str):
+                if value not in self._table.names:
+                    raise self._fail(path, f"the plan has no column {value!r}{hint(value, self._table.names)}.")
+                value = float(self._table.column(value, False)[0])
+            found[self._startable(path, name)] = float(value)
+        signals: list[tuple[str, Signal]] = [
+            *given.positions.items(),
+            *((self._velocity_column(name), signal) for name, signal in given.velocities.items()),
+        ]
+        for column, signal in signals:
+            variable = self._by_name[signal.variable]
+            if column in self._table.names and variable.initial in ("exact", "approx") and variable.start is not None:
+                first = float(self._table.column(column, False)[0])
+                found.setdefault(int(variable.valueReference), (first - signal.offset) / signal.scale)
+        return list(found.items())
+
+    def _model(self) -> ForeignModel:
+        given = self.map
+        coordinates = tuple(
+            ForeignCoordinate(
+                name=name,
+                velocity_name=self._velocity_column(name) if name in given.velocities else f"v_{name}",
+                unit=self._unit(name, signal),
+                velocity_unit=self._unit(self._velocity_column(name), given.velocities[name]) if name in given.velocities else "1/s",
+                nominal=_positive(self._by_name[signal.variable].nominal) * abs(signal.scale),
+            )
+            for name, signal in given.positions.items()
+        )
+        goal = [given.goal.get(item.name) for item in coordinates]
+        goal += [given.goal.get(item.velocity_name) if item.name in given.velocities else None for item in coordinates]
+        times = self._table.column(given.plan.time, False)
+        return ForeignModel(
+            name=Path(self._package.path).stem,
+            coordinates=coordinates,
+            inputs=tuple(self._input(name, signal) for name, signal in given.inputs.items()),
+            contacts=tuple(
+                ForeignContact(
+                    name=name,
+                    force_name=self._force_column(name),
+                    gap_name=f"gap_{name}",
+                    depth=entry.depth,
+                    depth_reason=entry.depth_reason,
+                )
+                for name, entry in given.contacts.items()
+            ),
+            task=ForeignTask(
+                start=self._start(),
+                goal=tuple(goal),
+                step=float(np.diff(times).min(initial=math.inf)) if given.task.duration is None else given.task.duration / _STEPS,
+                duration=given.task.duration,
+            ),
+            limits=self._limits(),
+            lacks=self.lacks,
+            accuracy=self._accuracy(),
+            not_asked=self._not_asked(),
+            notes=self._notes(),
+        )
+
+    def _start(self) -> tuple[float | None, ...]:
+        """(2*nq,) what the map's [start] says of positions and velocities, in the plan's unit; None where the plan starts as it says."""
+        given = self.map
+        numbers = {
+            int(self._by_name[name].valueReference): float(value)
+            for name, value in given.start.items()
+            if not isinstance(value, str) and name in self._by_name
+        }
+
+        def at(signal: Signal | None) -> float | None:
+            value = None if signal is None else numbers.get(int(self._by_name[signal.variable].valueReference))
+            return None if value is None or signal is None else signal.scale * value + signal.offset
+
+        return tuple(at(given.positions[name]) for name in given.positions) + tuple(
+            at(given.velocities.get(name)) for name in given.positions
+        )
+
+    def _limits(self) -> tuple[Limit, ...]:
+        """Those of the map; how near the replay must come to the goal is asked of the plan itself too, where the map has no other word for that."""
+        given = self.map.limits
+        limits = [Limit(metric=name, value=entry.value, reason=entry.reason or "set in the map") for name, entry in given.items()]
+        for part in ("position", "velocity"):
+            replayed = f"replay_terminal_{part}_error"
+            if replayed in given and f"terminal_{part}_error" not in given:
+                entry = given[replayed]
+                limits.append(
+                    Limit(metric=f"terminal_{part}_error", value=entry.value, reason=entry.reason or "as near as its replay must come")
+                )
+        return tuple(limits)
+
+    def _accuracy(self) -> Difference | None:
+        """As a difference of two simulations: the state's is the norm of what each component may be wrong. Infinite is what is not stated."""
+        stated, count = self.map.accuracy, len(self.map.positions)
+        if stated.position is None and stated.velocity is None and stated.gap is None:
+            return None
+        position, velocity, gap = (math.inf if value is None else value for value in (stated.position, stated.velocity, stated.gap))
+        if "v" in self.lacks:
+            velocity = 0.0  # there is none that could be wrong
+        return Difference(position=position, state=math.sqrt(count) * math.hypot(position, velocity) if count else velocity, gap=gap)
+
+    def _not_asked(self) -> tuple[str, ...]:
+        """For what the map or the FMU leaves out; what the plan does not say is the score's to tell."""
+        given, found = self.map, []
+        if given.task.duration is None:
+            found.append("duration_error: the map gives no [task] duration")
+        if any(value is None for value in self._start()[: len(given.positions)]):
+            found.append("start_error: the map's [start] gives no number for every position, so the plan starts where it says")
+        for name, signal in given.inputs.items():
+            bound = self._input(name, signal)
+            ends = [word for word, end in (("lower", bound.lower), ("upper", bound.upper)) if math.isinf(end)]
+            if ends:
+                found.append(
+                    f"bound_violation: input {name} has no {' and no '.join(ends)} bound, neither in the map ([inputs]) nor in the FMU"
+                )
+        if not given.goal:
+            found.append("replay_terminal_position_error, replay_terminal_velocity_error: the map gives no [goal]")
+        if "q" in self.lacks:
+            found.append("replay_error: the map names no [positions]")
+        for name, entry in given.contacts.items():
+            if entry.gap is None:
+                found.append(f"max_penetration: contact {name} has no gap in the map")
+            elif entry.depth is None:
+                found.append(f"max_penetration: contact {name} has no depth in the map (depth = .., where its model ends)")
+        if not given.contacts:
+            found.append("max_penetration, ghost_impulse, missed_impulse: the map names no [contacts]")
+        elif "gap" in self.lacks or "lam" in self.lacks:
+            found.append("ghost_impulse, missed_impulse: not every contact has both force and gap in the map")
+        found.append("contact_law_error, unexplained_force, defect: an FMU keeps its equations to itself; only a scene has them")
+        return tuple(found)
+
+    def _notes(self) -> tuple[str, ...]:
+        scheme = declared_scheme(self._table)
+        if scheme is None:
+            return ()
+        return (
+            f"The plan declares the scheme {scheme.value}, which is of a scene's equations; an FMU keeps its own, so nothing is asked of it.",
+        )
+
+    def _unit(self, column: str, signal: Signal) -> str:
+        own = self._by_name[signal.variable].unit if signal.scale == 1.0 and signal.offset == 0.0 else None
+        return signal.unit or self._table.units.get(column) or own or "1"
+
+    def _input(self, name: str, signal: InputSignal) -> ForeignInput:
+        """Bounds in the plan's unit are those of the map, which may not lie beyond those that the FMU declares; else the latter."""
+        variable = self._by_name[signal.variable]
+        ends = [
+            (-math.inf if variable.min is None else (float(variable.min) - signal.offset) / signal.scale),
+            (math.inf if variable.max is None else (float(variable.max) - signal.offset) / signal.scale),
+        ]
+        lower, upper = min(ends), max(ends)
+        for word, value, sign, end in (("lower", signal.lower, -1.0, lower), ("upper", signal.upper, 1.0, upper)):
+            if value is not None and sign * (value - end) > _ROUNDING * abs(end):
+                raise self._fail(
+                    f"inputs.{name}.{word}", f"{value:g} lies beyond the FMU's own bound, which is {end:g} in the plan's unit."
+                )
+        lower, upper = (lower if signal.lower is None else signal.lower), (upper if signal.upper is None else signal.upper)
+        if lower >= upper:
+            raise self._fail(f"inputs.{name}", f"its lower bound is {lower:g}, its upper bound {upper:g}, in the plan's unit.")
+        return ForeignInput(name=name, unit=self._unit(name, signal), lower=lower, upper=upper)
+
+    def _groups(self) -> dict[str, list[str]]:
+        """Columns of what a plan may leave out. Velocities count where every position has one."""
+        given = self.map
+        velocities = [self._velocity_column(name) for name in given.positions] if "v" not in self.lacks else []
+        return {"q": list(given.positions), "v": velocities, "lam": [self._force_column(name) for name in given.contacts]}
+
+    def _missing(self) -> frozenset[str]:
+        """What the plan does not say; without positions in the map it says none, and no velocities unless every position has one."""
+        groups = self._groups()
+        return missing_groups(self._table, groups) | {group for group in ("q", "v") if not groups[group]}
+
+    def trajectory(self, hold: str | None) -> Trajectory:
+        """The plan; what it does not say is in `missing`, with zeros in its place."""
+        given, table, groups, missing = self.map, self._table, self._groups(), self._missing()
+        who = "--hold" if hold else f"{self._where} (plan.hold)"
+        held = declared_hold(table, hold or given.plan.hold, who)
+        t, u, u_end = times_and_inputs(table, given.plan.time, list(given.inputs), held, self._duration(missing))
+        nodes, steps = len(t), len(t) - 1
+
+        def group(key: str, rows: int) -> np.ndarray:
+            columns = groups[key]
+            if key in missing or not columns:
+                return np.zeros((rows, len(given.contacts if key == "lam" else given.positions)))
+            return np.column_stack([self._table.column(column, rows < nodes) for column in columns])
+
+        try:
+            return Trajectory(
+                t=t, q=group("q", nodes), v=group("v", nodes), u=u, lam=group("lam", steps), hold=held, missing=missing, u_end=u_end
+            )
+        except TrajectoryError as error:
+            raise TrajectoryError(f"{error} (file {table.path})") from error
+
+    def _duration(self, missing: frozenset[str]) -> tuple[float, float] | None:
+        """How long a plan of inputs alone is meant to last, and how near to that is as long: half its own last step."""
+        duration, times = self.map.task.duration, self._table.column(self.map.plan.time, False)
+        return (duration, float(times[-1] - times[-2]) / 2.0) if duration is not None and "q" in missing else None
+
+
+def _positive(value: Any) -> float:
+    return float(value) if value is not None and float(value) > 0 else 1.0

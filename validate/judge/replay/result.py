@@ -1,0 +1,205 @@
+"""What a replay hands back: the true motion under the plan's inputs, and how far it can be trusted."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from enum import Enum
+from typing import Any, Literal
+
+import numpy as np
+
+from validate.judge.replay.wiring import Effort, Feedback
+
+# What tells the error of the everyday replay's step.
+StepSource = Literal[
+    "none", "second run", "rollback", "second run and rollback",
+    "stated", "second run, stated", "rollback, stated", "second run and rollback, stated",
+]  # fmt: skip
+
+
+class ReplayOutcome(Enum):
+    """How a replay ended; the value is a sentence."""
+
+    OK = "The replay reached the end of the plan."
+    DIVERGED = "The state left every bound."
+    NOT_A_NUMBER = "The FMU gave a value that is not a finite number."
+    INTEGRATION_FAILED = "The integrator could not go on within its tolerances."
+    EVENT_BUDGET = "More contact events than the replay allows; the contact chatters."
+    FMU_FAILED = "The FMU refused a call."
+    FATAL = "The FMU reported a fatal status."
+    TIME_LIMIT = "The FMU did not come to an end within the time limit."
+    MEMORY_LIMIT = "The FMU wanted more memory than it may have."
+    CRASHED = "The FMU crashed."
+    ABORTED = "The FMU aborted the process."
+    NO_RESULT = "The FMU ended the process, which left no result."
+
+
+@dataclass(frozen=True, kw_only=True)
+class Growth:
+    """amplification: see validate.judge.replay.tracking; begin, end [s]: between which it is reached; duration [s]: of the plan."""
+
+    amplification: float
+    begin: float
+    end: float
+    duration: float
+
+    @property
+    def rate(self) -> float:
+        """[1/s] with amplification = exp(rate * duration)."""
+        return math.log(max(self.amplification, 1e-300)) / self.duration
+
+
+@dataclass(frozen=True, kw_only=True)
+class Event:
+    """A gap that closed or opened at `time` [s]. `contact`: its name; or the force's name of a friction that began to stick or to slip; or
+    the name of the push of a damped contact that was released (closes, because its push fell below zero) or pressed again; or
+    `indicator_<n>` where the FMU has indicators of its own."""
+
+    time: float
+    contact: str
+    closes: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Difference:
+    """Largest difference of two simulations over the plan's nodes.
+
+    position: of any one coordinate [m or rad]; state: Euclidean norm over positions and velocities; gap: of any one gap [m].
+    """
+
+    position: float
+    state: float
+    gap: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReplayError:
+    """How wrong the judged trajectory may be, and what that is made of (None: could not be measured).
+
+    tolerance: reference at two tolerances; step: everyday replay at two internal steps; everyday: everyday (finer step)
+    against reference. `estimate` is what verdicts use: the tolerance difference, which overstates the error of the tighter
+    run that is judged - unless the everyday replay, an independent method, differs from the reference by more than its own
+    step halving explains; then that difference. Where the looser reference did not get to the end, the larger of `everyday` and `step` counts. Without a reference (the FMU has no Model Exchange) the finer everyday run is
+    judged and its step difference, the error of the coarser run to first order, is the estimate; there is none if half the step changes nothing.
+
+    stated: what the author of an FMU without Model Exchange says its results are good to (the map's [accuracy]), infinite in what is not stated;
+    it is the estimate where no run tells one, and else the larger of the two counts, in what is stated.
+
+    rollback: what halving a step changes within that step, summed over all steps (validate.judge.replay.compiled.stepping; None: the FMU does not restore its state).
+    Without a reference the larger of it and of `step` is the estimate; alone - no coarser run got to the end - it is carried on by its velocities.
+    step_source: which of the two the everyday replay's own error was told by.
+
+    lag: the motion at twice the relaxation time against the one that is judged, of scenes without inertia (models.quasi_static): what is left of it, to first
+    order; in the estimate too.
+
+    step_ratio: how much the everyday replay's position difference shrank when its step was halved once more (Richardson): 2^order where it
+    converges, about 1 or less where it does not; None where the differences are rounding already.
+    """
+
+    estimate: Difference | None
+    tolerance: Difference | None = None
+    step: Difference | None = None
+    everyday: Difference | None = None
+    step_ratio: float | None = None
+    rollback: Difference | None = None
+    step_source: StepSource = "none"
+    lag: Difference | None = None
+    stated: Difference | None = None
+
+    @property
+    def would_decide(self) -> str:
+        """What would make this error smaller or known; empty where there was a reference to compare with."""
+        if self.tolerance is not None or self.everyday is not None:
+            return ""
+        if self.estimate is None:
+            return (
+                "state how good its results are in the map ([accuracy] position = ..), or take an FMU that offers Model Exchange or names its "
+                "internal step (internal_step = ..)"
+            )
+        parts = (("position", self.estimate.position), ("velocity", self.estimate.state), ("gap", self.estimate.gap))
+        unknown = [name for name, value in parts if math.isinf(value)]
+        if unknown:
+            # The norm of the state is unknown where the position is, whatever is stated of the velocity.
+            unknown = [name for name in unknown if name != "velocity" or "position" not in unknown]
+            return f"state [accuracy] {' and '.join(unknown)} in the map too, or take an FMU that offers Model Exchange"
+        if "stated" in self.step_source:
+            return "a better stated accuracy ([accuracy] in the map), if its author can vouch for it, or an FMU that offers Model Exchange"
+        return "a plan with shorter steps, or an FMU that offers Model Exchange"
+
+    def as_json(self) -> dict[str, Any]:
+        """Its numbers by name; what is infinite is null, as JSON knows no such number."""
+        told = asdict(self)
+        for item in told.values():
+            if isinstance(item, dict):
+                item |= {name: value if math.isfinite(value) else None for name, value in item.items()}
+        return told
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Replay:
+    """The plan's inputs applied, from the plan's start, to the true continuous contact dynamics.
+
+    t (n,) [s]: every node of the plan, points between them, and every event; knots (nodes,): rows of t that are plan nodes.
+    q, v (n, nq); lam, gap (n, nc) [N, m] with gap = -penetration; friction (n, nf) [N]; kinetic, potential, contact_energy (n,) [J];
+    input_work, dissipated_work (n,) [J] and contact_impulse (n, nc) [N s], accumulated from the start - None where the FMU has no
+    such output. Every number is finite; a replay that did not get to the end holds what came before (`outcome`, `message`).
+
+    growth: of an error in the open loop (None: not measured). tracked: the replay with feedback around the plan, where there is one; it has feedback
+    (the law, in the plan's units), applied (steps, nu), the inputs at the start of each step that it made, and effort, which an open one has not.
+    """
+
+    scene: str
+    outcome: ReplayOutcome
+    message: str
+    method: str  # "reference" (Model Exchange, CVODE) or "everyday" (Co-Simulation)
+    t: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    lam: np.ndarray
+    gap: np.ndarray
+    friction: np.ndarray
+    knots: np.ndarray
+    kinetic_energy: np.ndarray
+    potential_energy: np.ndarray
+    contact_energy: np.ndarray
+    input_work: np.ndarray | None
+    dissipated_work: np.ndarray | None
+    contact_impulse: np.ndarray | None
+    events: tuple[Event, ...]
+    event_budget: int
+    error: ReplayError
+    seconds_reference: float
+    seconds_everyday: float
+    fmu: str  # SHA-256 of the FMU file
+    growth: Growth | None = None
+    feedback: Feedback | None = None
+    applied: np.ndarray | None = None
+    effort: Effort | None = None
+    tracked: Replay | None = None
+
+    def __post_init__(self) -> None:
+        for value in vars(self).values():
+            if isinstance(value, np.ndarray):
+                if not np.isfinite(value).all():
+                    raise ValueError("a replay holds finite numbers only; what is not finite belongs into its outcome.")
+                value.setflags(write=False)
+
+    @property
+    def ok(self) -> bool:
+        return self.outcome is ReplayOutcome.OK
+
+    @property
+    def would_decide(self) -> str:
+        """What would make this replay's own error smaller or known, for the end of a sentence on an undecided verdict; empty with a reference."""
+        return "" if self.method == "reference" or not self.ok else self.error.would_decide
+
+    @property
+    def end(self) -> np.ndarray:
+        """(2*nq,) state where the replay ended."""
+        return np.concatenate([self.q[-1], self.v[-1]])
+
+    @property
+    def energy(self) -> np.ndarray:
+        """(n,) kinetic + potential + contact energy [J]."""
+        return self.kinetic_energy + self.potential_energy + self.contact_energy

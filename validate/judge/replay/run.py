@@ -1,0 +1,308 @@
+"""replay(): the reference at two tolerances, the everyday replay at two steps, and what their differences say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from models.codegen.kernel import Kernel, load_kernel
+from models.scene import Scene
+from models.trajectory import Trajectory
+from validate.execution.isolated import Limits
+from validate.fmi.package import Package, read_package, unpacked
+from validate.judge.replay.error_estimate import (
+    difference,
+    estimate,
+    fine_enough,
+    heeds_step,
+    local_errors,
+    overlooked,
+    step_ratio,
+    twice_the_lag,
+    with_lag_error,
+    with_max_step,
+    with_steps_of,
+)
+from validate.judge.replay.job import Settings, Simulated, run_job
+from validate.judge.replay.reference import Run
+from validate.judge.replay.result import Difference, Event, Replay, ReplayError, ReplayOutcome
+from validate.judge.replay.subject import ForeignModel, Outputs, Subject, find_variables
+from validate.judge.replay.tracking import TrackingError, design_feedback, design_foreign, measure_growth
+from validate.judge.replay.wiring import Feedback, Variables, measure_effort
+
+# Relative tolerances of the reference. On three_cart the looser is 1.4e-9 m from the truth, the tighter 1e-11 m, at 1.1 times the time.
+LOOSE, TIGHT = 1e-11, 1e-13
+# Internal steps a plan step of the everyday replay: the ratio of the differences tells whether it converges, the last two how far it is.
+FINENESS = (50, 100, 200)
+# How often a replay that steps over a contact is made again, each time with steps that would have seen it.
+_CLOSER_LOOKS = 6
+# Contact events before a replay is stopped as chattering; the plans of the scenes have 2 to 40.
+EVENT_BUDGET = 10_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Foreign:
+    """Somebody's FMU, wired (validate.judge.replay.mapping): what it is called, its references, and how its numbers become the plan's.
+
+    scale, offset (outputs,): plan's value = scale * FMU's + offset, in the order of Variables.outputs; input_scale, input_offset (nu,): FMU's value
+    = scale * plan's + offset; start: values in the FMU's units, in the order of Variables.start; hold as the plan's.
+    """
+
+    model: ForeignModel
+    variables: Variables
+    scale: np.ndarray
+    offset: np.ndarray
+    input_scale: np.ndarray
+    input_offset: np.ndarray
+    start: np.ndarray
+
+
+def replay(
+    scene: Scene,
+    fmu: Path,
+    trajectory: Trajectory,
+    names: Mapping[str, str] | None = None,
+    *,
+    tolerances: tuple[float, float] = (LOOSE, TIGHT),
+    fineness: tuple[int, ...] = FINENESS,
+    event_budget: int = EVENT_BUDGET,
+    limits: Limits | None = None,
+    track: bool | Callable[[Replay], bool] = False,
+) -> Replay:
+    """Apply the plan's inputs from its start to the FMU of the scene, or to anybody's (`names`: scene name -> FMU name).
+
+    limits: run the FMU in a child process of its own; None runs it here, which is for our own FMU in a process that is a child already.
+    track: whether to replay once more with feedback around the plan, or a function that says so of the replay of the inputs alone.
+    Raises IntakeError, FmuError or TrajectoryError if FMU, map and plan do not fit the scene, TrackingError if track is True and cannot be;
+    how the simulation went is `Replay.outcome`.
+    """
+    trajectory.check_fits(scene)
+    scene = scene.continuous()
+    settings = with_steps_of(scene, trajectory.t, Settings(tolerances=tolerances, fineness=fineness, event_budget=event_budget))
+    settings = fine_enough(scene, trajectory, settings)
+    with nullcontext(read_package(fmu)) if limits is not None else unpacked(read_package(fmu)) as package:
+        variables = find_variables(package, scene, names)
+        twice = twice_the_lag(package, scene, names)
+        return _replay_twice(scene, package, variables, twice, trajectory, settings, limits, track)
+
+
+def _replay_twice(
+    scene: Scene,
+    package: Package,
+    variables: Variables,
+    twice: Variables | None,
+    trajectory: Trajectory,
+    settings: Settings,
+    limits: Limits | None,
+    track: bool | Callable[[Replay], bool],
+) -> Replay:
+    """In the open loop, and with feedback where that is asked for."""
+    kernel = load_kernel(scene)
+    growth = measure_growth(kernel, scene, trajectory) if trajectory.has_states else None
+
+    def run(feedback: Feedback | None) -> tuple[Replay, Simulated]:
+        return _seeing_all(scene, kernel, package, variables, trajectory, settings, limits, feedback)
+
+    opened = with_lag_error(scene, package, twice, trajectory, settings, limits, None, replace(run(None)[0], growth=growth))
+    if not (track(opened) if callable(track) else track):
+        return opened
+    try:
+        feedback = design_feedback(kernel, scene, trajectory)
+    except TrackingError as error:
+        if track is True:
+            raise
+        return replace(opened, message=f"{opened.message} No tracked replay: {error}".lstrip())
+    tracked, simulated = run(feedback)
+    tracked = with_lag_error(scene, package, twice, trajectory, settings, limits, feedback, tracked)
+    return replace(opened, tracked=_with_feedback(tracked, feedback, trajectory, _applied(simulated, trajectory)))
+
+
+def _seeing_all(
+    scene: Scene,
+    kernel: Kernel,
+    package: Package,
+    variables: Variables,
+    plan: Trajectory,
+    settings: Settings,
+    limits: Limits | None,
+    feedback: Feedback | None,
+) -> tuple[Replay, Simulated]:
+    """The replay, made again with smaller steps while it steps over contacts; without an error estimate where that does not end."""
+    for _ in range(_CLOSER_LOOKS):
+        simulated = run_job(package, variables, plan, plan.start, settings, limits, feedback)
+        found = _assemble(scene, package, variables, simulated, settings.event_budget)
+        longest = overlooked(kernel, found)
+        if longest is None:
+            return found, simulated
+        finer = with_max_step(scene, plan.t, settings, min(longest, settings.max_step / 2.0))
+        if finer is None:
+            break
+        settings = finer
+    note = "The replay steps over a contact that is shorter than any of its steps."
+    return replace(found, error=replace(found.error, estimate=None), message=f"{found.message} {note}".lstrip()), simulated
+
+
+def _applied(simulated: Simulated, plan: Trajectory) -> np.ndarray:
+    """(steps made, nu) inputs of the run that is judged, as the FMU got them."""
+    return np.array((simulated.reference or simulated.everyday)[-1].applied).reshape(-1, plan.u.shape[1])
+
+
+def _with_feedback(tracked: Replay, feedback: Feedback, plan: Trajectory, applied: np.ndarray) -> Replay:
+    return replace(tracked, feedback=feedback, applied=applied, effort=measure_effort(plan.u, applied, plan.t, feedback))
+
+
+def replay_foreign(
+    foreign: Foreign,
+    package: Package,
+    trajectory: Trajectory,
+    *,
+    limits: Limits,
+    tolerances: tuple[float, float] = (LOOSE, TIGHT),
+    fineness: tuple[int, ...] = FINENESS,
+    event_budget: int = EVENT_BUDGET,
+    track: bool | Callable[[Replay], bool] = False,
+) -> Replay:
+    """The same for an FMU without a scene, always in a child process; track: with feedback too, by the FMU's own directional derivatives.
+
+    Raises TrackingError if track is True and cannot be.
+    """
+    trajectory.check_fits(foreign.model)  # type: ignore[arg-type] - it answers what a scene answers
+    settings = with_steps_of(foreign.model, trajectory.t, Settings(tolerances=tolerances, fineness=fineness, event_budget=event_budget))
+    driven = trajectory.with_inputs_in(foreign.input_scale, foreign.input_offset)
+    simulated = run_job(package, foreign.variables, driven, foreign.start, settings, limits)
+    opened = _assemble(foreign.model, package, foreign.variables, _in_plan_units(foreign, simulated), event_budget)
+    if not (track(opened) if callable(track) else track):
+        return opened
+    try:
+        feedback, growth = design_foreign(foreign.model, package, foreign.variables, trajectory, _units(foreign), foreign.start, limits)
+    except TrackingError as error:
+        if track is True:
+            raise
+        return replace(opened, message=f"{opened.message} No tracked replay: {error}".lstrip())
+    inside = feedback.in_units(*_units(foreign))
+    simulated = run_job(package, foreign.variables, driven, foreign.start, settings, limits, inside)
+    applied = (_applied(simulated, driven) - foreign.input_offset) / foreign.input_scale
+    tracked = _assemble(foreign.model, package, foreign.variables, _in_plan_units(foreign, simulated), event_budget)
+    return replace(opened, growth=growth, tracked=_with_feedback(tracked, feedback, trajectory, applied))
+
+
+def _units(foreign: Foreign) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Scale and offset of the state, and of the inputs."""
+    nx = len(foreign.variables.q) + len(foreign.variables.v)
+    return (foreign.scale[:nx], foreign.offset[:nx]), (foreign.input_scale, foreign.input_offset)
+
+
+def _in_plan_units(foreign: Foreign, simulated: Simulated) -> Simulated:
+    first = len(foreign.variables.q) + len(foreign.variables.v)
+    impulse_scale = foreign.scale[first : first + len(foreign.variables.lam)]
+    for run in (*simulated.reference, *simulated.everyday):
+        run.outputs = [foreign.scale * row + foreign.offset for row in run.outputs]
+        run.local = [foreign.scale * row for row in run.local]
+        run.accumulated = [
+            np.concatenate([impulse_scale * row[: len(impulse_scale)], row[len(impulse_scale) :]]) for row in run.accumulated
+        ]
+    return simulated
+
+
+def _assemble(subject: Subject, package: Package, variables: Variables, simulated: Simulated, event_budget: int) -> Replay:
+    reference, everyday = simulated.reference, simulated.everyday
+    judged = (reference or everyday)[-1]
+    # A run that ended the process has no other beside it: what is compared must be there twice.
+    nodes = [_at_nodes(subject, variables, run) for run in (*reference, *everyday)]
+    loose, tight = nodes[:2] if len(reference) == 2 else (None, None)
+    first, coarse, fine = ([None, None, None, *nodes[len(reference) :]])[-3:]
+    tells = bool(reference) or variables.internal_step is not None or heeds_step(coarse, fine)
+    error = estimate(
+        tolerance=difference(loose, tight),
+        step=difference(coarse, fine) if tells else None,
+        everyday=difference(fine, tight),
+        has_reference=bool(reference),
+        ratio=step_ratio(difference(first, coarse), difference(coarse, fine)),
+        rollback=_local_errors(subject, variables, everyday[-1], fine, carried=coarse is None) if everyday and tells else None,
+        stated=subject.accuracy if isinstance(subject, ForeignModel) else None,
+    )
+    refusal = simulated.refusal
+    if refusal is None and reference:
+        refusal = next((run.message for run in everyday if run.outcome is not ReplayOutcome.OK), None)
+    notes = [judged.message] if judged.message else []
+    if refusal is not None:
+        notes.append(f"No everyday replay: {refusal.rstrip('.')}.")
+    if not reference:
+        notes.append("No reference replay: the FMU offers no Model Exchange.")
+        if not tells:
+            notes.append(
+                "Half the communication step changes nothing: the FMU has a step of its own, and how wrong that is "
+                + ("its author states." if error.stated is not None else "cannot be told.")
+            )
+    elif error.tolerance is not None and isinstance(subject, ForeignModel) and subject.accuracy is not None:
+        notes.append("The stated accuracy counts for nothing: it is of Co-Simulation, and the reference is integrated by Model Exchange.")
+    if isinstance(subject, ForeignModel):
+        notes += subject.notes
+    if simulated.note:
+        notes.append(simulated.note)
+    return _replay(subject, variables, judged, package, simulated, error, " ".join(notes), event_budget)
+
+
+def _local_errors(subject: Subject, variables: Variables, run: Run, fine: Outputs | None, carried: bool) -> Difference | None:
+    if fine is None or len(run.local) != len(run.t) - 1:
+        return None
+    coarse = [after - change for after, change in zip(run.outputs[1:], run.local, strict=True)]
+    return local_errors(
+        fine,
+        Outputs(subject, variables, Run(t=run.t[1:], outputs=coarse)),
+        np.array(run.t),
+        carried,
+        heeds=variables.internal_step is not None or not carried,
+    )
+
+
+def _at_nodes(subject: Subject, variables: Variables, run: Run) -> Outputs | None:
+    return Outputs(subject, variables, run, run.knots) if run.outcome is ReplayOutcome.OK else None
+
+
+def _replay(
+    subject: Subject,
+    variables: Variables,
+    run: Run,
+    package: Package,
+    simulated: Simulated,
+    error: ReplayError,
+    message: str,
+    event_budget: int,
+) -> Replay:
+    out = Outputs(subject, variables, run)
+    names = [contact.name for contact in subject.contacts] + list(subject.force_names[subject.nc :])
+    names += [subject.contacts[index].pressing_name for index in subject.damped] if isinstance(subject, Scene) else []
+    # Indicators are the contacts' gaps, the frictions' reserves and what damped contacts press with, in their order, where the scene made the FMU; elsewhere they have no names.
+    named = isinstance(subject, Scene) and all(index < len(names) for _, index, _ in run.events)
+    return Replay(
+        scene=subject.name,
+        outcome=run.outcome,
+        message=message,
+        method="reference" if simulated.reference else "everyday",
+        t=np.array(run.t, dtype=float),
+        q=out.q,
+        v=out.v,
+        lam=out.lam,
+        gap=out.gap,
+        friction=out.friction,
+        knots=np.array(run.knots, dtype=np.int64),
+        kinetic_energy=out.kinetic,
+        potential_energy=out.potential,
+        contact_energy=out.contact,
+        input_work=out.work("input_power"),
+        dissipated_work=out.work("dissipated_power"),
+        contact_impulse=out.contact_impulse,
+        events=tuple(
+            Event(time=time, contact=names[index] if named else f"indicator_{index}", closes=closes) for time, index, closes in run.events
+        ),
+        event_budget=event_budget,
+        error=error,
+        seconds_reference=simulated.seconds_reference,
+        seconds_everyday=simulated.seconds_everyday,
+        fmu=package.digest,
+    )

@@ -1,0 +1,279 @@
+"""What is replayed: a scene, or somebody's FMU of which only names, units, a goal and limits are known.
+
+A `ForeignModel` answers what replay and score ask a scene, in the same words; what only a scene has - equations, a compiled kernel - it lacks.
+
+The numbers a simulation recorded, taken apart by name; what the FMU does not give is computed from the scene's own equations.
+
+Which variables of an FMU are those of a scene. It needs the scene's equations, so it is apart from `package`, which who runs the FMU reads.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from models.codegen.kernel import Kernel, load_kernel
+from models.dynamics import derive
+from models.scene import Scene
+from models.scene_annotations import Limit
+from validate.fmi.intake import FmuError
+from validate.fmi.package import REAL, Package
+from validate.judge.replay.reference import Run
+from validate.judge.replay.wiring import ENERGIES, INTERNAL_STEP, POWERS, Variables
+
+if TYPE_CHECKING:
+    from validate.judge.replay.result import Difference
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForeignCoordinate:
+    name: str
+    velocity_name: str
+    unit: str = "1"
+    velocity_unit: str = "1/s"
+    nominal: float = 1.0
+    description: str = ""
+    velocity_lower: float = -math.inf
+    velocity_upper: float = math.inf
+    has_velocity_bounds: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForeignInput:
+    name: str
+    unit: str = "1"
+    lower: float = -math.inf
+    upper: float = math.inf
+    description: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForeignContact:
+    name: str
+    force_name: str
+    gap_name: str
+    nominal: float = 1.0
+    description: str = ""
+    depth: float | None = None
+    depth_reason: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForeignTask:
+    """start, goal: (2*nq,) positions, then velocities; None where nothing is asked. step [s]: a task of an FMU has none of its own, and counts as one of
+    500 steps, so that a plan may be a thousandth of its duration off; the plan's shortest where there is no duration. The plan's own would let a plan
+    of two rows last as it likes.
+
+    duration: how long a plan of this task lasts [s], None where the map does not say.
+    """
+
+    start: tuple[float | None, ...]
+    goal: tuple[float | None, ...]
+    step: float
+    duration: float | None = None
+
+    @property
+    def horizon(self) -> float | None:
+        """As a scene's task calls it."""
+        return self.duration
+
+    @property
+    def has_goal(self) -> bool:
+        return any(value is not None for value in self.goal)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForeignModel:
+    """lacks: what cannot be shown, as {"v": "no velocities are named", ...}; keys are v, lam, gap.
+
+    accuracy: how wrong the author says its Co-Simulation may be, infinite in what is not stated; None: nothing is stated. not_asked: a sentence
+    for each question of the verdict that cannot be asked, with what would make it askable; each begins with the metrics it is about. notes: what else is to be told.
+    """
+
+    name: str
+    coordinates: tuple[ForeignCoordinate, ...]
+    inputs: tuple[ForeignInput, ...]
+    contacts: tuple[ForeignContact, ...]
+    task: ForeignTask
+    limits: tuple[Limit, ...] = ()
+    lacks: Mapping[str, str] = field(default_factory=dict)
+    accuracy: Difference | None = None
+    not_asked: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    frictions: tuple[()] = ()
+    answers: tuple[()] = ()
+    damped: tuple[()] = ()
+    nf: int = 0
+
+    @property
+    def nq(self) -> int:
+        return len(self.coordinates)
+
+    @property
+    def nu(self) -> int:
+        return len(self.inputs)
+
+    @property
+    def nc(self) -> int:
+        return len(self.contacts)
+
+    @property
+    def nl(self) -> int:
+        return self.nc
+
+    @property
+    def force_names(self) -> tuple[str, ...]:
+        return tuple(contact.force_name for contact in self.contacts)
+
+    @property
+    def depths(self) -> tuple[float | None, ...]:
+        """(nc,) penetration of each contact at which the model ends [m]; None where the map does not say."""
+        return tuple(contact.depth for contact in self.contacts)
+
+    def limit(self, metric: str) -> Limit | None:
+        """What the map says of the limit on a metric, or None: then the metric's default holds."""
+        return next((limit for limit in self.limits if limit.metric == metric), None)
+
+
+Subject = Scene | ForeignModel
+
+
+class Outputs:
+    """q, v (n, nq), lam, gap (n, nc), friction (n, nf), zero where the FMU does not give it,, kinetic, potential, contact energy (n,) of a run, at all its points or at some rows."""
+
+    def __init__(self, scene: Subject, variables: Variables, run: Run, rows: list[int] | None = None) -> None:
+        self._scene, self._variables = scene, variables
+        known = isinstance(scene, Scene)
+        chosen = slice(None) if rows is None else rows
+        values = np.array(run.outputs).reshape(len(run.t), len(variables.outputs))[chosen]
+        self._count = len(values)
+        references = variables.outputs
+        nq, nc = scene.nq, scene.nc
+        first = nq + len(variables.v)
+        at = first + len(variables.lam)
+        zeros = np.zeros((self._count, nc))  # of a foreign model, for what its `lacks` names
+        self.q = values[:, :nq].copy()
+        self.v = values[:, nq:first].copy() if variables.v or not nq else np.zeros((self._count, nq))
+        self.lam = (
+            values[:, first:at].copy() if variables.lam or not nc else self._kernel.contact_force(self.q, v=self.v) if known else zeros
+        )
+        self.gap = values[:, at : at + nc].copy() if variables.gap or not nc else -self._kernel.penetration(self.q) if known else zeros
+        at += len(variables.gap)
+        self.friction = values[:, at : at + scene.nf].copy() if variables.friction else np.zeros((self._count, scene.nf))
+        first_energy = len(references) - len(variables.energies)
+        given = {name: values[:, first_energy + index].copy() for index, name in enumerate(variables.energies)}
+        self.kinetic, self.potential, self.contact = (self._energy(name, given) for name in ENERGIES)
+        self._accumulated = None
+        if run.accumulated:
+            self._accumulated = np.array(run.accumulated).reshape(len(run.t), len(variables.rates))[chosen]
+
+    @property
+    def contact_impulse(self) -> np.ndarray | None:
+        """(n, nc) since the start; None where it was not integrated."""
+        if self._accumulated is None or len(self._variables.lam) != self._scene.nc:
+            return None
+        return self._accumulated[:, : self._scene.nc].copy()
+
+    def work(self, power: str) -> np.ndarray | None:
+        """(n,) since the start, of one of the powers; None where it was not integrated."""
+        if power in self._variables.zero:
+            return np.zeros(self._count)
+        if self._accumulated is None or power not in self._variables.powers:
+            return None
+        return self._accumulated[:, len(self._variables.lam) + list(self._variables.powers).index(power)].copy()
+
+    def _energy(self, name: str, given: dict[str, np.ndarray]) -> np.ndarray:
+        if name in given:
+            return given[name]
+        if name in self._variables.zero or not isinstance(self._scene, Scene):
+            return np.zeros(self._count)
+        if name == "contact_energy":
+            return (np.maximum(-self.gap, 0.0) ** 2 @ self._kernel.stiffness()) / 2
+        kinetic, potential = self._kernel.energy(self.q, self.v)
+        return np.array(kinetic if name == "kinetic_energy" else potential)
+
+    @cached_property
+    def _kernel(self) -> Kernel:
+        if not isinstance(self._scene, Scene):
+            raise TypeError(f"{self._scene.name} is no scene: it has no equations to compute from.")
+        return load_kernel(self._scene)
+
+
+def find_variables(package: Package, scene: Scene, names: Mapping[str, str] | None = None) -> Variables:
+    """The scene's variables in the FMU; `names` maps names of the scene to names in the FMU where they differ.
+
+    Positions, velocities and inputs must be there; the rest may be missing. Raises FmuError naming the variable.
+    """
+    names = dict(names or {})
+    groups = {
+        "q": tuple(item.name for item in scene.coordinates),
+        "v": tuple(item.velocity_name for item in scene.coordinates),
+        "u": tuple(item.name for item in scene.inputs),
+        "lam": tuple(item.force_name for item in scene.contacts),
+        "gap": tuple(item.gap_name for item in scene.contacts),
+        "friction": tuple(item.force_name for item in scene.frictions),
+    }
+    known = (
+        {name for group in groups.values() for name in group}
+        | {item.name for item in scene.parameters}
+        | {*ENERGIES, *POWERS, INTERNAL_STEP}
+    )
+    for name in names:
+        if name not in known:
+            raise FmuError(
+                f"FMU {package.path}: the map names {name!r}, which scene {scene.name} does not have; it has {', '.join(sorted(known))}."
+            )
+    by_name = {variable.name: variable for variable in package.description.modelVariables}
+
+    def reference(name: str) -> int | None:
+        variable = by_name.get(names.get(name, name))
+        if variable is None and name in names:
+            raise FmuError(f"FMU {package.path}: the map gives {names[name]!r} for {name!r}, but the FMU has no such variable.")
+        if variable is not None and variable.type not in REAL:
+            raise FmuError(f"FMU {package.path}: {variable.name} is of type {variable.type}, but must be {' or '.join(REAL)}.")
+        return None if variable is None else int(variable.valueReference)
+
+    found: dict[str, tuple[int, ...]] = {}
+    for field, group in groups.items():
+        references = [reference(name) for name in group]
+        missing = [name for name, item in zip(group, references, strict=True) if item is None]
+        if missing and field in ("q", "v", "u"):
+            raise FmuError(
+                f"FMU {package.path}: it has no variable {missing[0]!r} of scene {scene.name}; give its name in the FMU by a map."
+            )
+        found[field] = () if missing else tuple(item for item in references if item is not None)
+    for name, item in zip(groups["u"], found["u"], strict=True):
+        if by_name[names.get(name, name)].causality != "input":
+            raise FmuError(f"FMU {package.path}: {names.get(name, name)} (value reference {item}) is no input, but the plan drives {name}.")
+
+    parameters = []
+    for parameter in scene.parameters:
+        item = reference(parameter.name)
+        if item is not None and by_name[names.get(parameter.name, parameter.name)].causality == "parameter":
+            parameters.append((item, parameter.value))
+    structure = derive(scene).structure
+    absent = {
+        "potential_energy": not structure.conservative_forces,
+        "contact_energy": not structure.contacts,
+        "input_power": not structure.inputs,
+        "dissipated_power": not (structure.dissipation or structure.friction or structure.contact_damping),
+    }
+
+    def present(group: tuple[str, ...]) -> Mapping[str, int]:
+        return {name: item for name in group if (item := reference(name)) is not None}
+
+    return Variables(
+        **found,
+        energies=present(ENERGIES),
+        powers=present(POWERS),
+        zero=frozenset(name for name, is_absent in absent.items() if is_absent),
+        parameters=tuple(parameters),
+        start=found["q"] + found["v"],
+        choices=(),
+        internal_step=reference(INTERNAL_STEP),
+    )

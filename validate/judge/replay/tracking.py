@@ -1,0 +1,343 @@
+"""An FMU linearised along a plan by its own directional derivatives: what a tracking feedback needs of an FMU without a scene.
+
+    feedback, growth = design_foreign(model, package, variables, plan, units, start, limits)
+
+At each node the FMU's states are set to the plan's and its events are settled, so that a contact that the plan closes is closed. One step is
+exp(h (F_t + F_{t+1})/2) with F the Jacobian of the rates by states and held inputs: of second order in h, and half a contact where it closes in between.
+
+How much an error grows in the open loop: the largest gain of the state-transition product along a plan.
+
+    growth = measure_growth(load_kernel(scene), scene, plan)
+    growth.amplification        # 1500: an error of the state somewhere on the way is 1500 times larger somewhere later
+
+The plan is cut into at most 50 blocks. Phi of a block is the exact derivative of the plan's own time step (of one that declares no scheme: of
+steps so small that smaller ones tell the same), with the true contact law, from the block's first state on under the plan's inputs; Phi(j, i) is the product of the blocks i .. j - 1. The amplification is the largest 2-norm of
+S^-1 Phi(j, i) S over i < j, with S the scene's nominals: a finite-time Lyapunov growth. Its rate is such that amplification = exp(rate T).
+
+An exact plan lies on edges: a contact just touches, friction just sticks. The derivative there is that of one side, and rounding says of which. So the
+number explains a verdict, and decides none.
+
+Tracking feedback: the time-varying LQR around a plan, held over each step and saturated at the bounds.
+
+    u_t = sat(u_plan_t + K_t (x_plan_t - x(t)))        at the nodes; between them the correction is held, as a robot's computer does
+
+K_t, t = T-1 .. 0, is the discrete Riccati recursion (Anderson and Moore, Optimal Control: Linear Quadratic Methods, 1990, section 2.4)
+
+    K_t = (R + B' P B)^-1 B' P A,     P <- Q + A' P (A - B K_t),     from P = Q_T
+
+with A, B the exact derivatives of the true motion over step t at the plan's state and input: ten small steps of the compiled kernel, so that a contact
+that opens or closes within the step, sticks or slips counts for as long as it does. Where the plan touches, the true law's spring is in A; where it
+does not, there is none, whatever force the plan claims.
+
+Weights, for every scene alike: Q = 1/nominal^2 of each component of the state, R = 1/scale^2 with an input's scale half the width of its bounds (without
+bounds the plan's own largest value), so that an error of the nominal size is worth all of an input. At the end Q_T = T Q, as much as all the steps before
+it, but Q alone for what the goal leaves free.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from models.codegen.kernel import Kernel, KernelError
+from models.contact_law import ContactLaw
+from models.errors import TouchstoneError
+from models.goal import goal_state
+from models.scene import Scene
+from models.trajectory import Trajectory
+from validate.execution.isolated import Limits, run_isolated
+from validate.fmi.package import Package, read_package, unpacked
+from validate.judge.replay.reference import ExchangeModel
+from validate.judge.replay.result import Growth
+from validate.judge.replay.subject import ForeignModel, Subject
+from validate.judge.replay.wiring import Feedback, Variables
+
+
+def tracking_refusal(package: Package, variables: Variables) -> str | None:
+    """None, or why no feedback can be designed for this FMU."""
+    exchange = package.exchange
+    if exchange is None:
+        return "it offers no Model Exchange, whose states feedback needs"
+    if not _provides_derivatives(package):
+        return "it provides no directional derivatives"
+    if not variables.u:
+        return "it has no inputs"
+    states = {int(item.valueReference): item.name for item in _states(package)}
+    mapped = (*variables.q, *variables.v)
+    unmapped = [name for reference, name in states.items() if reference not in mapped]
+    if unmapped:
+        return f"its state {unmapped[0]} is none of the positions and velocities of the map"
+    if len(states) != len(mapped) or len(set(mapped)) != len(mapped):
+        return "positions and velocities of the map are not its states, one for one"
+    return None
+
+
+def design_foreign(
+    model: ForeignModel,
+    package: Package,
+    variables: Variables,
+    plan: Trajectory,
+    units: tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
+    start: np.ndarray,
+    limits: Limits | None,
+) -> tuple[Feedback, Growth | None]:
+    """The feedback around the plan, in its units, and the growth along it. units: scale and offset of the state (plan's = scale * FMU's + offset), and
+    of the inputs (FMU's = scale * plan's + offset). Raises TrackingError."""
+    if "q" in plan.missing:
+        raise TrackingError("plan: it does not say its positions, so there is nothing to track.")
+    (a, b), (c, d) = units
+    A, B = linearised(package, variables, plan.with_inputs_in(c, d), start, (np.hstack([plan.q, plan.v]) - b) / a, limits)
+    A, B = A * (a[:, None] / a[None, :]), B * (a[:, None] * c[None, :])
+    return feedback_from(model, plan, A, B), largest_growth(A, plan.t, nominals(model))
+
+
+def linearised(
+    package: Package, variables: Variables, plan: Trajectory, start: np.ndarray, states: np.ndarray, limits: Limits | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """A (steps, nx, nx), B (steps, nx, nu) in the FMU's units, in the order of variables.q + variables.v; plan: its inputs; start: of Variables.start;
+    states (nodes, nx): the plan's. Raises TrackingError."""
+    refusal = tracking_refusal(package, variables)
+    if refusal is not None:
+        raise TrackingError(f"FMU {package.path}: the plan cannot be tracked, because {refusal}.")
+    request = {"path": str(package.path.resolve()), "variables": variables.to_json()}
+    given = {"t": plan.t, "u": plan.u, "start": start, "states": states}
+    if limits is None:
+        _, found = jacobians(request, given)
+    else:
+        done = run_isolated("validate.judge.replay.tracking:jacobians", request, given, limits=limits, what=f"FMU {package.path}")
+        if not done.ok:
+            raise TrackingError(done.sentence)
+        found = done.arrays
+    nx, h = states.shape[1], np.diff(plan.t)
+    pair = (found["first"] + found["last"]) / 2.0  # (steps, nx, nx + nu): at both ends of each step, with the input of the step
+    if not np.isfinite(pair).all():
+        raise TrackingError(f"FMU {package.path}: the plan cannot be tracked, because a directional derivative is not a finite number.")
+    square = np.zeros((len(h), pair.shape[2], pair.shape[2]))
+    square[:, :nx] = h[:, None, None] * pair
+    from scipy.linalg import expm
+
+    whole = expm(square)
+    return whole[:, :nx, :nx], whole[:, :nx, nx:]
+
+
+def jacobians(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> tuple[None, dict[str, np.ndarray]]:
+    """first, last (steps, nx, nx + nu): derivatives of the rates at both ends of each step. Runs in this process or in a child."""
+    variables = Variables.from_json(request["variables"])
+    t, u, states = arrays["t"], arrays["u"], arrays["states"]
+    found = {name: np.empty((len(u), states.shape[1], states.shape[1] + u.shape[1])) for name in ("first", "last")}
+    with unpacked(read_package(Path(request["path"]))) as package:
+        order = [int(item.valueReference) for item in _states(package)]
+        places = [order.index(reference) for reference in (*variables.q, *variables.v)]
+        rates = [int(item.variable.valueReference) for item in package.description.derivatives]
+        model = ExchangeModel(package, variables)
+        try:
+            model.start(float(t[0]), arrays["start"], u[0])
+            knowns = [*(order[place] for place in places), *variables.u]
+            unknowns = [rates[place] for place in places]
+            for step in range(len(u)):
+                for name, node in (("first", step), ("last", step + 1)):
+                    x = np.empty(len(order))
+                    x[places] = states[node]
+                    model.event(float(t[node]), x, u[step])
+                    found[name][step] = model.jacobian(float(t[node]), x, unknowns, knowns)
+        finally:
+            model.close()
+    return None, found
+
+
+def _provides_derivatives(package: Package) -> bool:
+    """FMPy reads this of FMI 2.0 alone; the text was examined when the FMU was let in."""
+    if not package.is_three:
+        return bool(package.exchange is not None and package.exchange.providesDirectionalDerivative)
+    with zipfile.ZipFile(package.path) as archive:
+        interface = ElementTree.fromstring(archive.read("modelDescription.xml")).find("ModelExchange")
+    return interface is not None and interface.get("providesDirectionalDerivatives") in ("true", "1")
+
+
+def _states(package: Package) -> list[Any]:
+    return [item.variable.derivative for item in package.description.derivatives]
+
+
+# Blocks in which a plan is cut: growth within one is told by the next product, and fifty keep the cost below that of one replay.
+_BLOCKS = 50
+
+# Parts of a plan's step, tried until twice in a row the growth is the same up to this factor.
+_PARTS, _AGREE = (1, 8, 64, 512), 3.0
+
+
+def nominals(subject: Subject) -> np.ndarray:
+    """(2*nq,) typical size of each component of the state; a velocity's is that of its position, per second."""
+    sizes = [item.nominal for item in subject.coordinates]
+    return np.array(sizes + sizes)
+
+
+def measure_growth(kernel: Kernel, scene: Scene, plan: Trajectory) -> Growth | None:
+    """The growth along the plan; None where the true law leads out of every bound within a block, the mass matrix is singular, or, of a plan that
+    declares no scheme, smaller steps keep telling another number: then it is the steps that are unstable."""
+    if plan.scheme is not None:
+        return _growth_in(1, kernel, scene, plan)
+    before = None
+    for parts in _PARTS:
+        found = _growth_in(parts, kernel, scene, plan)
+        if found is not None and before is not None and max(found.amplification, 1.0) / max(before.amplification, 1.0) >= 1.0 / _AGREE:
+            return found
+        before = found
+    return None
+
+
+def _growth_in(parts: int, kernel: Kernel, scene: Scene, plan: Trajectory) -> Growth | None:
+    """With each step of the plan in so many parts."""
+    h = np.diff(plan.t)
+    uniform = bool(np.allclose(h, scene.task.step, rtol=1e-9, atol=0.0)) or plan.has_uniform_grid()
+    edges = _edges(plan.steps) if uniform else np.arange(plan.steps + 1)
+    of_length = {length: FlowDerivative(kernel, length * parts) for length in set(np.diff(edges).tolist())}
+    try:
+        blocks = [
+            of_length[last - first].at(
+                np.concatenate([plan.q[first], plan.v[first]]), np.repeat(plan.u[first:last], parts, axis=0), float(h[first]) / parts
+            )[0]
+            for first, last in pairwise(edges)
+        ]
+    except KernelError:
+        return None
+    return largest_growth(np.array(blocks), plan.t[edges], nominals(scene))
+
+
+def largest_growth(steps: np.ndarray, t: np.ndarray, scale: np.ndarray) -> Growth | None:
+    """Of transition matrices steps (n, nx, nx) from t[i] to t[i + 1] [s], t (n + 1,), taken in at most 50 blocks; scale (nx,). None where they are not
+    finite."""
+    scaled = steps * (scale[None, None, :] / scale[None, :, None])
+    best = (0.0, 0, 0)
+    products = np.empty((0, *steps.shape[1:]))
+    edges = _edges(len(steps))
+    t = t[edges]
+    with np.errstate(over="ignore", invalid="ignore"):
+        for end, (first, last) in enumerate(pairwise(edges), start=1):
+            matrix = np.eye(len(scale))
+            for step in scaled[first:last]:
+                matrix = step @ matrix
+            # Row i: from edge i to edge `end`.
+            products = np.concatenate([matrix @ products, matrix[None]])
+            if not np.isfinite(products).all():
+                return None
+            gains = np.linalg.norm(products, ord=2, axis=(1, 2))
+            begin = int(gains.argmax())
+            best = max(best, (float(gains[begin]), begin, end))
+    amplification, begin, end = best
+    return Growth(amplification=amplification, begin=float(t[begin]), end=float(t[end]), duration=float(t[-1] - t[0]))
+
+
+def _edges(steps: int) -> np.ndarray:
+    """(blocks + 1,) steps at which blocks begin, and the last end."""
+    return np.unique(np.linspace(0, steps, min(steps, _BLOCKS) + 1).round().astype(int))
+
+
+def flow_derivative(kernel: Kernel, state: np.ndarray, u: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of the state after len(u) steps of h [s] under the true law, at `state` (2*nq,) and inputs u (n, nu): (2*nq, 2*nq) with respect
+    to the state, (2*nq, nu) with respect to a change of all the inputs by the same. Raises KernelError where it does not stay finite."""
+    return FlowDerivative(kernel, len(u)).at(state, u, h)
+
+
+class FlowDerivative:
+    """`flow_derivative` for many states and inputs of `steps` steps, in buffers whose addresses are looked up once."""
+
+    def __init__(self, kernel: Kernel, steps: int) -> None:
+        scene = kernel.scene
+        self._scene, self._steps, self._functions = scene, steps, kernel.bound_functions()
+        nq, nodes = scene.nq, (steps + 1, scene.nq)
+        self._start, self._u = np.empty(2 * nq), np.empty((steps, scene.nu))
+        self._u_bar, self._start_bar, self._end_bar = np.empty((steps, scene.nu)), np.empty(2 * nq), np.zeros(2 * nq)
+        self._run = np.empty(nodes), np.empty(nodes), np.empty((steps, scene.nl))
+        self._kernel = kernel
+        start, u, *made = (array.ctypes.data for array in (self._start, self._u, *self._run))
+        self._rollout_of = start, u, *made
+        self._adjoint_of = *made, u, None, None, None, self._end_bar.ctypes.data, 0.0, self._u_bar.ctypes.data
+        self._rows = self._start_bar.ctypes.data
+
+    def at(self, state: np.ndarray, u: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
+        """As `flow_derivative` gives it. Raises KernelError."""
+        scene, nq = self._scene, self._scene.nq
+        self._start[:], self._u[:] = state, u
+        head = (self._steps, h, self._kernel.parameters_of(h).ctypes.data, ContactLaw.RELU.value, 0.0)
+        if self._functions.rollout(*head, *self._rollout_of) < self._steps:
+            raise KernelError(f"scene {scene.name}: the true contact law leads out of every bound from {state.tolist()}.")
+        by_state, by_input = np.empty((2 * nq, 2 * nq)), np.empty((2 * nq, u.shape[1]))
+        for row in range(2 * nq):
+            self._end_bar[row] = 1.0
+            failed = self._functions.adjoint(*head, *self._adjoint_of, self._rows)
+            self._end_bar[row] = 0.0
+            if failed:
+                raise KernelError(f"scene {scene.name}: the mass matrix is not positive definite along the rollout.")
+            by_state[row], by_input[row] = self._start_bar, self._u_bar.sum(axis=0)
+        return by_state, by_input
+
+
+# Small steps in one of the plan's, for A and B.
+_SUBSTEPS = 10
+
+
+class TrackingError(TouchstoneError):
+    """No feedback can track this plan; the text says why."""
+
+
+def design_feedback(kernel: Kernel, scene: Scene, plan: Trajectory) -> Feedback:
+    """The feedback around a plan of a scene. Raises TrackingError."""
+    if scene.nu == 0:
+        raise TrackingError(f"scene {scene.name}: it has no inputs, so there is nothing to feed back to.")
+    h = np.diff(plan.t) / _SUBSTEPS
+    states = np.hstack([plan.q, plan.v])
+    flow = FlowDerivative(kernel, _SUBSTEPS)
+    try:
+        pairs = [
+            flow.at(state, np.broadcast_to(u, (_SUBSTEPS, scene.nu)), float(step))
+            for state, u, step in zip(states, plan.u, h, strict=False)
+        ]
+    except KernelError as error:
+        raise TrackingError(f"plan: the motion cannot be linearised along it ({error}).") from error
+    return feedback_from(scene, plan, np.array([a for a, _ in pairs]), np.array([b for _, b in pairs]))
+
+
+def feedback_from(subject: Subject, plan: Trajectory, A: np.ndarray, B: np.ndarray) -> Feedback:
+    """The feedback for linearised steps A (steps, 2*nq, 2*nq), B (steps, 2*nq, nu). Raises TrackingError."""
+    lower = np.array([item.lower for item in subject.inputs])
+    upper = np.array([item.upper for item in subject.inputs])
+    scale = input_scale(lower, upper, plan.u)
+    weight = 1.0 / nominals(subject) ** 2
+    free = np.isnan(goal_state(subject.task))  # type: ignore[arg-type] - a foreign task has a goal of the same form
+    gains = lqr_gains(A, B, weight, 1.0 / scale**2, np.where(free, weight, plan.steps * weight))
+    return Feedback(gains=gains, reference=np.hstack([plan.q, plan.v]), u=plan.u, lower=lower, upper=upper, scale=scale)
+
+
+def input_scale(lower: np.ndarray, upper: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """(nu,) half the width of each input's bounds; without bounds its largest value in the plan u (steps, nu), or 1 where that is 0."""
+    half = (upper - lower) / 2.0
+    largest = np.abs(u).max(axis=0, initial=0.0)
+    return np.where(np.isfinite(half), half, np.where(largest > 0.0, largest, 1.0))
+
+
+def lqr_gains(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, Q_end: np.ndarray) -> np.ndarray:
+    """K (steps, nu, nx) of the Riccati recursion of the module docstring; Q, Q_end (nx,), R (nu,): diagonals. Raises TrackingError where it overflows or is singular."""
+    steps, nx, nu = B.shape
+    K = np.empty((steps, nu, nx))
+    P = np.diag(Q_end)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for t in range(steps - 1, -1, -1):
+            BP = B[t].T @ P
+            if not np.isfinite(BP).all():
+                raise TrackingError(f"plan: the tracking gains overflow at step {t}; what grows there no input reaches.")
+            try:
+                K[t] = np.linalg.solve(np.diag(R) + BP @ B[t], BP @ A[t])
+            except np.linalg.LinAlgError as error:
+                raise TrackingError(
+                    f"plan: the tracking gains are lost to rounding at step {t}; what grows there swamps the inputs' weight."
+                ) from error
+            closed = A[t] - B[t] @ K[t]
+            # Joseph's form, which keeps P symmetric and positive semidefinite in rounding.
+            P = np.diag(Q) + closed.T @ P @ closed + K[t].T @ (R[:, None] * K[t])
+    return K

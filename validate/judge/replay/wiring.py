@@ -1,0 +1,182 @@
+"""Which variable of an FMU is what in a replay: value references only, so that it travels to a child process as JSON.
+
+The feedback law of a tracked replay, and how much of the inputs it took.
+
+The plan's inputs between its nodes: constant over a step, or a line to the next node's value; with feedback, a constant is added over each step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from models.trajectory import Hold, Trajectory
+
+# The outputs a replay can use beside positions and velocities; what an FMU lacks is computed from the scene or left out.
+ENERGIES = ("kinetic_energy", "potential_energy", "contact_energy")
+POWERS = ("input_power", "dissipated_power")
+INTERNAL_STEP = "internal_step"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variables:
+    """Value references. lam, gap and friction are empty where the FMU lacks one of them; v may be empty for an FMU without a scene.
+
+    energies, powers: those the FMU has, by name; zero: names of energies and powers that the scene does not have at all;
+    parameters: (reference, value) set before the start; start: references of what is set to the plan's start, in the order of the start
+    vector; internal_step: of the Co-Simulation; choices: (reference, value) of whole numbers set before the start.
+    """
+
+    q: tuple[int, ...]
+    v: tuple[int, ...]
+    u: tuple[int, ...]
+    lam: tuple[int, ...]
+    gap: tuple[int, ...]
+    energies: Mapping[str, int]
+    powers: Mapping[str, int]
+    zero: frozenset[str]
+    parameters: tuple[tuple[int, float], ...]
+    start: tuple[int, ...]
+    internal_step: int | None
+    choices: tuple[tuple[int, int], ...] = ()
+    friction: tuple[int, ...] = ()
+
+    @property
+    def outputs(self) -> tuple[int, ...]:
+        """Of all that is read at a point of the replay: q, v, lam, gap, friction, energies."""
+        return self.q + self.v + self.lam + self.gap + self.friction + tuple(self.energies.values())
+
+    @property
+    def rates(self) -> tuple[int, ...]:
+        """Of what is integrated beside the states: contact forces, powers."""
+        return self.lam + tuple(self.powers.values())
+
+    def to_json(self) -> dict[str, Any]:
+        return {**asdict(self), "zero": sorted(self.zero)}
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Variables:
+        lists = {name: tuple(data[name]) for name in ("q", "v", "u", "lam", "gap", "friction", "start")}
+        pairs = tuple((int(reference), float(value)) for reference, value in data["parameters"])
+        choices = tuple((int(reference), int(value)) for reference, value in data["choices"])
+        return cls(**{**data, **lists, "parameters": pairs, "choices": choices, "zero": frozenset(data["zero"])})
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Feedback:
+    """u_t = sat(u_plan_t + K_t (x_plan_t - x(t))) at each node.
+
+    gains K (steps, nu, nx); reference x_plan (nodes, nx) positions, then velocities; u (steps, nu) of the plan; lower, upper (nu,) bounds, may be
+    infinite; scale (nu,): what an input's effort is a share of (half the width of its bounds, or the plan's own largest value).
+    """
+
+    gains: np.ndarray
+    reference: np.ndarray
+    u: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    scale: np.ndarray
+
+    def wanted(self, step: int, state: np.ndarray) -> np.ndarray:
+        """(nu,) the input asked for at the start of a step, before saturation, at state (nx,)."""
+        return self.u[step] + self.gains[step] @ (self.reference[step] - state)
+
+    def at(self, step: int, state: np.ndarray) -> np.ndarray:
+        """(nu,) the input applied from the start of a step on."""
+        return np.minimum(np.maximum(self.wanted(step, state), self.lower), self.upper)  # np.clip takes five times as long
+
+    def in_units(self, output: tuple[np.ndarray, np.ndarray], inputs: tuple[np.ndarray, np.ndarray]) -> Feedback:
+        """The same law in an FMU's units. output: scale, offset (nx,) with plan's value = scale * FMU's + offset; inputs: scale, offset (nu,) with
+        FMU's value = scale * plan's + offset."""
+        (a, b), (c, d) = output, inputs
+        bounds = np.sort([c * self.lower + d, c * self.upper + d], axis=0)
+        return replace(
+            self, gains=c[None, :, None] * self.gains * a, reference=(self.reference - b) / a, u=c * self.u + d,
+            lower=bounds[0], upper=bounds[1], scale=np.abs(c) * self.scale,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effort:
+    """What the feedback added to the plan's inputs.
+
+    rms, peak: root mean square over time and largest value, of each input in its unit; rms_share, peak_share: the largest over the inputs as a share of
+    the input's scale (half the width of its bounds); plan_share: root mean square of all that was added over that of the plan's own inputs, each input in
+    its scale (None: the plan's inputs are all 0, but something was added); saturated: share of the steps in which some input stood at a bound that the plan did not ask for.
+    """
+
+    rms: tuple[float, ...]
+    peak: tuple[float, ...]
+    rms_share: float
+    peak_share: float
+    plan_share: float | None
+    saturated: float
+
+
+def measure_effort(plan_u: np.ndarray, applied: np.ndarray, t: np.ndarray, feedback: Feedback) -> Effort:
+    """Of inputs applied (steps, nu) against the plan's, both at the starts of the steps and in the plan's units; t (nodes,) [s].
+
+    Raises nothing; of a replay that ended early the steps that it made.
+    """
+    steps = len(applied)
+    added, h = np.abs(applied - plan_u[:steps]), np.diff(t)[:steps]
+    if not steps:
+        zero = (0.0,) * plan_u.shape[1]
+        return Effort(rms=zero, peak=zero, rms_share=0.0, peak_share=0.0, plan_share=0.0, saturated=0.0)
+    rms, peak = np.sqrt((h[:, None] * added**2).sum(axis=0) / h.sum()), added.max(axis=0)
+    own = np.sqrt((h[:, None] * plan_u[:steps] ** 2).sum(axis=0) / h.sum())
+    share = float(np.linalg.norm(rms / feedback.scale)), float(np.linalg.norm(own / feedback.scale))
+    at_bound = ((applied <= feedback.lower) | (applied >= feedback.upper)) & (added > 0.0)
+    return Effort(
+        rms=tuple(rms.tolist()),
+        peak=tuple(peak.tolist()),
+        rms_share=float((rms / feedback.scale).max()),
+        peak_share=float((peak / feedback.scale).max()),
+        plan_share=share[0] / share[1] if share[1] > 0.0 else None if share[0] > 0.0 else 0.0,
+        saturated=float(at_bound.any(axis=1).mean()),
+    )
+
+
+class HeldInputs:
+    """u(t) of a plan. values, slopes (steps, nu): at the start of each step, and per second within it.
+
+    breaks (steps,): whether u or its slope jumps where step i begins, so that an integrator must start afresh there. With feedback every step begins
+    with a jump, and `values` are those of the run in progress: `begin` sets them.
+    """
+
+    def __init__(self, trajectory: Trajectory, feedback: Feedback | None = None) -> None:
+        self.times = trajectory.t
+        self.feedback = feedback
+        self.values = trajectory.u if feedback is None else trajectory.u.copy()
+        self.slopes = np.zeros_like(trajectory.u)
+        if trajectory.hold is Hold.LINEAR:
+            h = np.diff(trajectory.t)
+            self.slopes[:-1] = np.diff(trajectory.u, axis=0) / h[:-1, None]
+            if trajectory.u_end is not None:
+                self.slopes[-1] = (trajectory.u_end - trajectory.u[-1]) / h[-1]
+        self.linear = bool(self.slopes.any())
+        jumps = self.slopes[1:] != self.slopes[:-1]
+        if trajectory.hold is Hold.ZERO_ORDER:
+            jumps = trajectory.u[1:] != trajectory.u[:-1]
+        self.breaks = np.concatenate([[True], jumps.any(axis=1)]) if feedback is None else np.full(trajectory.steps, True)
+        steps = np.arange(trajectory.steps)
+        # The first break at or after each step, and the end of the plan.
+        following = np.minimum.accumulate(np.where(self.breaks, steps, trajectory.steps)[::-1])[::-1]
+        self._stops = [*following[1:].tolist(), trajectory.steps]
+
+    def begin(self, step: int, state: np.ndarray | None) -> np.ndarray:
+        """(nu,) the input at the start of a step, with feedback from the state (nx,) there; None: the plan's own start."""
+        if self.feedback is not None:
+            u = self.feedback.at(step, self.feedback.reference[0] if state is None else state)
+            if self.linear:  # the correction is held: it may not lead out of the bounds at the end of the step either
+                change = self.slopes[step] * (self.times[step + 1] - self.times[step])
+                u = np.clip(u, self.feedback.lower - np.minimum(change, 0.0), self.feedback.upper - np.maximum(change, 0.0))
+            self.values[step] = u
+        return self.values[step]
+
+    def stop_after(self, step: int) -> int:
+        """The first node after the start of `step` beyond which no integration may go."""
+        return self._stops[step]

@@ -1,0 +1,261 @@
+"""Score: (Scene, Trajectory, Replay) -> metrics, each with unit, limit and reason, the answers to the judge's questions, and a verdict.
+
+    score(scene, plan, replay(scene, fmu, plan)).why
+    -> "its contact forces are not those of contact: ...; driven by its inputs the motion ends 0.27 m from the goal, ..."
+
+The judge knows no method: it sees a plan and what the plan's inputs do.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from models.errors import SceneError, TrajectoryError
+from models.scene import Scene
+from models.trajectory import Hold, Trajectory
+from validate.judge.replay.result import Replay
+from validate.judge.replay.subject import Subject
+from validate.judge.score.cause import Told, explain
+from validate.judge.score.equations import MEASURES
+from validate.judge.score.evidence import Evidence
+from validate.judge.score.table import GROWTH, TABLE, Entry, Measured, feedback_entries, limit_name
+from validate.judge.score.verdict import (
+    EFFORT,
+    MARGIN,
+    SHARE,
+    Contradicted,
+    LeavesBounds,
+    Metric,
+    Question,
+    Score,
+    Unmeasured,
+    Verdict,
+    answers,
+    answers_with_feedback,
+    compare,
+    verdict_of,
+    verdict_with_feedback,
+    wants_feedback,
+)
+
+__all__ = ["Metric", "Question", "Score", "Verdict", "check_limits", "metric_names", "score", "wants_feedback"]
+
+# What a plan must say for a metric to be asked, in words.
+_NEEDS = {
+    "q": "the plan does not say its positions",
+    "v": "the plan does not say its velocities",
+    "lam": "the plan does not say its contact forces",
+    "friction": "the plan does not say its friction forces",
+    "pressing": "the plan does not say the contact forces that press on its frictions",
+    "scheme": "the plan declares no scheme",
+    "no scheme": "the plan declares a scheme, whose own equations are asked instead",
+    "no defect": "the plan declares a scheme, whose own equations are asked instead",
+}
+
+# What is meant by a limit on a metric that is only shown.
+_INSTEAD = {
+    name: f"limit {name.removesuffix('error')}position_error and {name.removesuffix('error')}velocity_error, each with its reason."
+    for name in ("terminal_error", "replay_terminal_error", "discrete_terminal_error")
+} | {"physics": "limit physics_scaled.", "grid_error": "limit replay_error, which it explains."}
+
+
+def metric_names() -> tuple[str, ...]:
+    """Every metric a scene may set a limit on, in the order of the table; limits on a replay are for the one that is judged."""
+    return (*(entry.name for entry in TABLE), EFFORT, SHARE)
+
+
+def check_limits(scene: Subject, file: Path | None = None) -> None:
+    """Raise SceneError for a limit on a metric, or an answer by a measure, that does not exist. file: the scene's, which the sentence then names."""
+    where = f"scene {scene.name}" if file is None else f"scene file {file}: scene {scene.name}"
+    for answer in scene.answers:
+        if answer.measure and answer.measure not in MEASURES:
+            raise SceneError(
+                f"{where}: answer {answer.quantity!r} is measured by {answer.measure!r}, but the measures are {', '.join(MEASURES)}."
+            )
+    for limit in scene.limits:
+        shown = next((entry for entry in TABLE if entry.name == limit.metric and entry.question is Question.SHOWN), None)
+        if shown is not None:
+            raise SceneError(
+                f"{where}: there is a limit on {limit.metric}, which is shown, not judged; {_INSTEAD.get(limit.metric, 'leave it out.')}"
+            )
+        if limit.metric not in metric_names():
+            close = difflib.get_close_matches(limit.metric, metric_names(), n=1)
+            hint = f"did you mean {close[0]}?" if close else f"the metrics are {', '.join(metric_names())}."
+            raise SceneError(f"{where}: there is a limit on {limit.metric!r}, which is no metric; {hint}")
+
+
+def score(scene: Subject, trajectory: Trajectory | None, replay: Replay | None, other_hold: Replay | None = None) -> Score:
+    """All metrics of a plan, and whether it holds. Without a replay (or one that failed) only a violation can be found.
+
+    other_hold: the replay of the same plan with its inputs held the other way, where that was made because the stated one fails.
+    Raises TrajectoryError if plan, replay and scene do not belong together, SceneError for a limit on a metric that does not exist.
+    """
+    check_limits(scene)
+    if trajectory is None:
+        return Score(metrics=(), verdict=Verdict.NO_PLAN, why="there is no plan to judge.")
+    trajectory.check_fits(scene)  # type: ignore[arg-type] - a foreign model answers what a scene answers
+    if replay is not None:
+        _check_belongs(scene, trajectory, replay)
+    case = Evidence(scene, trajectory, replay)
+    effort = replay.tracked.effort if replay is not None and replay.tracked is not None else None
+    rows = [entry for entry in TABLE if entry.applies(scene)]
+    rows += GROWTH if replay is not None and replay.growth is not None else ()
+    rows += [entry for entry in feedback_entries(effort) if entry.applies(scene)]
+    metrics = tuple(_metric(entry, case) for entry in rows)
+    alone = answers(metrics)
+    verdict, found, judged = verdict_of(alone), alone, "open"
+    if effort is not None and wants_feedback(metrics):
+        followed = answers_with_feedback(metrics)
+        verdict = verdict_with_feedback(verdict, followed)
+        if verdict is Verdict.HOLDS_WITH_FEEDBACK:
+            found, judged = followed, "feedback"
+    verdict = _of_what_is_asked(scene, trajectory, verdict, metrics)
+    waived = tuple(f"{limit.metric}: {limit.reason}" for limit in scene.limits if limit.value is None)
+    told = Told(
+        scene=scene, trajectory=trajectory, replay=replay, metrics={metric.name: metric for metric in metrics}, verdict=verdict,
+        questions=found, waived=waived, other_hold=_passes_otherwise(scene, trajectory, other_hold),
+    )  # fmt: skip
+    return Score(
+        metrics=metrics, verdict=verdict, why=explain(told), judged=judged, waived=waived,
+        questions=tuple(found.items()), not_asked=_not_asked(scene, rows, metrics),
+    )  # fmt: skip
+
+
+# What asks for anything to be reached: the goal by its limits, unless they are waived, and limits on the cost.
+_ASKING = frozenset(f"{of}{what}" for of in ("", "replay_") for what in ("terminal_position_error", "terminal_velocity_error", "cost"))
+
+
+def _of_what_is_asked(scene: Subject, plan: Trajectory, verdict: Verdict, metrics: tuple[Metric, ...]) -> Verdict:
+    """A plan of which nothing is asked has nothing to hold; who claims nothing there is not judged at all."""
+    if not verdict.is_good or any(metric.is_judged for metric in metrics if metric.name in _ASKING):
+        return verdict
+    claims = plan.has_states or (scene.nc > 0 and "lam" not in plan.missing) or (scene.nf > 0 and "friction" not in plan.missing)
+    return Verdict.CONSISTENT if claims else Verdict.NOT_APPLICABLE
+
+
+def _passes_otherwise(scene: Subject, plan: Trajectory, other: Replay | None) -> bool:
+    """Whether question 4 is answered yes with the inputs held the other way."""
+    if other is None or not other.ok:
+        return False
+    held = Hold.LINEAR if plan.hold is Hold.ZERO_ORDER else Hold.ZERO_ORDER
+    case = Evidence(scene, replace(plan, hold=held), other)
+    of_motion = [entry for entry in TABLE if entry.applies(scene) and entry.question is Question.MOTION]
+    return all(metric.ok is True for metric in (_metric(entry, case) for entry in of_motion) if metric.is_judged)
+
+
+def _check_belongs(scene: Subject, trajectory: Trajectory, replay: Replay) -> None:
+    if replay.scene != scene.name:
+        raise TrajectoryError(f"replay: it is of scene {replay.scene}, but the plan is judged as one of {scene.name}.")
+    if replay.ok and (len(replay.knots) != len(trajectory.t) or not (replay.t[replay.knots] == trajectory.t).all()):
+        raise TrajectoryError(
+            f"replay: its {len(replay.knots)} nodes are not the {len(trajectory.t)} of the plan; it is the replay of another plan."
+        )
+
+
+def _why_not_asked(entry: Entry, case: Evidence) -> str:
+    """Why a plan is not asked this; empty: it is."""
+    plan, scene = case.trajectory, case.scene
+    for need in entry.needs:
+        # A scheme can be asked about only with forces; without them the motion is judged as that of a plan that declares none.
+        absent = {
+            "scheme": plan.scheme is None, "no scheme": plan.scheme is not None, "no defect": plan.scheme is not None and not plan.missing,
+            "pressing": "lam" in plan.missing and isinstance(scene, Scene) and any(item.contact is not None for item in scene.frictions),
+        }.get(need, need in plan.missing)  # fmt: skip
+        if (need == "friction" and not scene.nf) or (need == "lam" and not scene.nc):
+            absent = False
+        if absent:
+            return f"{_NEEDS[need]}."
+    return ""
+
+
+def _not_asked(scene: Subject, rows: list[Entry], metrics: tuple[Metric, ...]) -> tuple[str, ...]:
+    """A sentence for each group of metrics that could not be asked."""
+    found: dict[str, list[str]] = {}
+    for entry, metric in zip(rows, metrics, strict=True):
+        if entry.question not in (Question.SHOWN, Question.JUDGE) and metric.value is None and metric.limit is None and metric.reason:
+            found.setdefault(metric.reason, []).append(metric.name)
+    sentences = [f"{', '.join(names)}: {reason}" for reason, names in found.items() if not reason.startswith(_NEEDS["no scheme"])]
+    return (*sentences, *getattr(scene, "not_asked", ()))
+
+
+@dataclass(frozen=True)
+class _Worst:
+    """The component of a metric that decides it."""
+
+    value: float
+    error: float
+    scale: float
+    allowed: float
+    base: float
+    unit: str | None
+
+
+def _worst(measured: Measured | tuple[float, float] | float, limited: bool) -> _Worst:
+    """The largest value where the scene sets a limit; else the one that is largest against its own limit."""
+    if not isinstance(measured, Measured):
+        value, error = measured if isinstance(measured, tuple) else (measured, 0.0)
+        return _Worst(float(value), float(error), 1.0, 0.0, 0.0, None)
+    values = np.asarray(measured.values, dtype=float)
+    errors, scales, allowed = (
+        np.broadcast_to(np.asarray(part, dtype=float), values.shape) for part in (measured.error, measured.scales, measured.allowed)
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = np.nan_to_num((values - allowed) / scales, nan=-np.inf)
+    place = int(np.argmax(values if limited else relative))
+    unit = measured.units[place] if len(measured.units) == len(values) else None
+    return _Worst(float(values[place]), float(errors[place]), float(scales[place]), float(allowed[place]), measured.base, unit)
+
+
+def _metric(entry: Entry, case: Evidence) -> Metric:
+    unit, own = entry.unit(case.scene), case.scene.limit(limit_name(entry.name))
+    empty = Metric(name=entry.name, question=entry.question, value=None, unit=unit, meaning=entry.meaning)
+    absent = _why_not_asked(entry, case)
+    if absent:
+        return replace(empty, reason=absent)
+    limited = entry.question is not Question.SHOWN and (own is not None or entry.default is not None)
+    waived = own is not None and own.value is None
+    # What is told as the limit where nothing could be measured: of a default, how much of what counts as large.
+    stated = own.value if own is not None and own.value is not None else entry.default[0] if entry.default else 0.0
+    try:
+        # The plan's own time step may lead out of every bound, past its stability limit: what comes of it is not finite, and is refused below.
+        with np.errstate(over="ignore", invalid="ignore"):
+            worst = _worst(entry.measure(case), own is not None and own.value is not None)
+        if not math.isfinite(worst.value):
+            raise LeavesBounds("the metric is too large to be a number.")
+    except LeavesBounds as beyond:
+        if not limited or waived:
+            return replace(empty, reason=str(beyond))
+        return replace(empty, reason=str(beyond), limit=stated, ok=False, default=own is None)
+    except Unmeasured as missing:
+        if not limited or waived or not (isinstance(missing, Contradicted) or _can_be_asked(entry, case)):
+            return replace(empty, reason=str(missing))
+        return replace(empty, reason=str(missing), limit=stated, default=own is None)
+    found = replace(empty, value=worst.value, error=worst.error, unit=worst.unit or unit)
+    if waived or not limited:
+        return replace(found, reason=own.reason if own is not None and waived else "")
+    if own is not None and own.value is not None:
+        bound, reason = own.value + worst.allowed, own.reason
+    else:
+        factor, reason = entry.default or (0.0, "")
+        bound = factor * worst.scale + worst.allowed + worst.base
+    if not math.isfinite(bound):
+        return found
+    margin = 1.0 if entry.question is Question.JUDGE else MARGIN
+    return replace(found, limit=bound, reason=reason, ok=compare(worst.value, worst.error, bound, margin), default=own is None)
+
+
+def _can_be_asked(entry: Entry, case: Evidence) -> bool:
+    """Whether a metric that could not be measured leaves a question open: somebody's FMU is not asked what it does not show, nor its plan."""
+    if isinstance(case.scene, Scene):
+        return True
+    try:
+        if entry.of_replay:
+            case.replay  # noqa: B018 - a replay that failed leaves everything open
+    except Unmeasured:
+        return True
+    return False

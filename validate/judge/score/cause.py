@@ -1,0 +1,305 @@
+"""The sentence of a verdict: what decided it, the cause that the metrics show, and what to do.
+
+Causes are told apart by metrics, never by what a method is called: the plan itself misses, inputs beyond bounds, relaxed contact law, coarse grid, unstable
+in the open loop, penetration beyond the model, replay too inexact. What a metric cannot show is not said.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.scene import Scene
+from models.schemes import Scheme, tableau
+from models.trajectory import Hold, Trajectory
+from validate.judge.replay.result import Replay
+from validate.judge.replay.subject import Subject
+from validate.judge.score.verdict import EFFORT, MARGIN, NOT_ASKED, SHARE, TRACKED, Metric, Question, Verdict, is_of_feedback
+
+# What each metric says where it is quoted.
+_PHRASES = {
+    "start_error": "the plan starts {} away from the task's start",
+    "duration_error": "the plan and the task differ in duration by {}",
+    "bound_violation": "the inputs leave their bounds by {}",
+    "velocity_bound_violation": "the plan's velocities leave their bounds by {}",
+    "terminal_position_error": "the plan itself ends {} from the goal",
+    "terminal_velocity_error": "the plan itself ends with {} more or less than the goal's velocity",
+    "cost": "the plan itself costs {}",
+    "contact_law_error": "its contact forces are not those of its own motion: impulse {} outside what the contact law gives",
+    "physics_scaled": "its contact forces are not those of contact: complementarity violation {} (scaled)",
+    "force_sign_violation": "a planned contact force pulls with {}",
+    "friction_violation": "a planned friction force exceeds mu N by {}",
+    "friction_dissipation_error": "it slips without all of mu N holding it back, by {}",
+    "replay_error": "driven by its inputs the motion departs from the plan by {}",
+    "replay_terminal_position_error": "driven by its inputs the motion ends {} from the goal",
+    "replay_terminal_velocity_error": "driven by its inputs the motion ends with {} more or less than the goal's velocity",
+    "replay_cost": "driven by its inputs the motion costs {}",
+    "unexplained_force": "its own motion needs a force that neither inputs nor contact give, {} of the peak contact force",
+    "max_penetration": "the bodies penetrate by {}",
+    "ghost_impulse": "force at a distance: impulse {} that the replay does not have",
+    "missed_impulse": "contact that the plan does not have: impulse {}",
+    "replay_velocity_bound_violation": "driven by its inputs the velocities leave their bounds by {}",
+    "defect": "it does not satisfy its declared scheme (residual {})",
+    "law_error": "with exact contact on its own grid the motion departs from the plan by {}",
+    "discrete_terminal_position_error": "with exact contact on its own grid the motion ends {} from the goal",
+    "discrete_terminal_velocity_error": "with exact contact on its own grid the motion ends with {} more or less than the goal's velocity",
+    "answer_error": "the replay is {} tolerances off a closed form of the scene",
+    "energy_residual": "the replay's energy does not balance by {}",
+    "energy_residual_relative": "the replay's energy does not balance by {} of what is turned over",
+    EFFORT: "the feedback takes {} of half the inputs' range (root mean square)",
+    SHARE: "the feedback takes {} of what the plan's own inputs give (root mean square)",
+}  # fmt: skip
+# From this growth of an error on, the instability of the motion is worth naming as a cause: a step of a good plan is off by a thousandth of what it moves.
+_UNSTABLE = 100.0
+# A step that the order of the scheme predicts is taken a little smaller.
+_SAFETY = 0.8
+_ADVICE_EXACT = "tighten eps, or go on from it with exact contact (`strict`, `mpcc`)"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Told:
+    """What there is to tell of one plan. other_hold: whether question 4 is answered yes with the inputs held the other way."""
+
+    scene: Subject
+    trajectory: Trajectory
+    replay: Replay | None
+    metrics: Mapping[str, Metric]
+    verdict: Verdict
+    questions: Mapping[Question, str]
+    waived: tuple[str, ...] = ()
+    other_hold: bool = False
+
+    def value(self, name: str) -> float | None:
+        """Of a metric; None if it was not measured."""
+        metric = self.metrics.get(name)
+        return None if metric is None else metric.value
+
+    def fails(self, name: str) -> bool:
+        """Whether a metric surely is above its limit."""
+        metric = self.metrics.get(name)
+        return metric is not None and metric.is_judged and metric.ok is False
+
+
+def explain(told: Told) -> str:
+    """One or two sentences; see the module docstring."""
+    sentence = {
+        Verdict.VIOLATES: _violates,
+        Verdict.UNDECIDED: _undecided,
+        Verdict.HOLDS: _holds,
+        Verdict.HOLDS_WITH_FEEDBACK: _holds_with_feedback,
+        Verdict.CONSISTENT: _consistent,
+        Verdict.NOT_APPLICABLE: lambda told: f"inputs alone claim nothing, and {_who_asks(told)} asks for nothing.",
+    }[told.verdict](told)
+    return sentence + (f" Waived: {', '.join(text.partition(':')[0] for text in told.waived)}." if told.waived else "")
+
+
+def _judged(told: Told, ok: bool | None) -> list[Metric]:
+    """Judged metrics of the plan and the replay of its inputs alone, in the order of the questions, that are so."""
+    order = list(Question)
+    found = [metric for metric in told.metrics.values() if metric.is_judged and metric.ok is ok and not is_of_feedback(metric.name)]
+    return sorted(found, key=lambda metric: order.index(metric.question))
+
+
+def _violates(told: Told) -> str:
+    above = [metric for metric in _judged(told, False) if metric.question is not Question.JUDGE]
+    if not above:  # with feedback alone
+        above = [metric for metric in told.metrics.values() if metric.is_judged and metric.ok is False]
+    first = above[0]
+    text, quoted = _quote(first, told) + _cause(first, told), [first.name]
+    consequence = next((metric for metric in above if metric.question is Question.MOTION), None)
+    if first.question in (Question.TASK, Question.FORCES) and consequence is not None:
+        text += f"; {_quote(consequence, told)}"
+        quoted.append(consequence.name)
+    others = [metric.name for metric in above if metric.name not in quoted]
+    if others:
+        text += f"; also above their limits: {', '.join(others)}"
+    text += "."
+    if told.questions.get(Question.MOTION) != "yes" and told.replay is not None and told.replay.tracked is not None:
+        text += _why_feedback_fails(told)
+    return text
+
+
+def _why_feedback_fails(told: Told) -> str:
+    missed = [metric for metric in told.metrics.values() if is_of_feedback(metric.name) and metric.is_judged and metric.ok is False]
+    return f" With feedback too: {_quote(missed[0], told)}." if missed else ""
+
+
+def _undecided(told: Told) -> str:
+    unwell = [
+        metric for metric in told.metrics.values() if metric.question is Question.JUDGE and metric.is_judged and metric.ok is not True
+    ]
+    if unwell:
+        known = f", known to {number(unwell[0].error, unwell[0].unit)}" if unwell[0].ok is None and unwell[0].value is not None else ""
+        return f"the judge is not well, so nothing is said of the plan: {_quote(unwell[0], told)}{known}."
+    unsure = _judged(told, None)
+    if not unsure:
+        alone = _judged(told, False)
+        return f"{_quote(alone[0], told)}; whether feedback would help could not be decided." if alone else "no question could be decided."
+    first = unsure[0]
+    if first.value is None:
+        text = f"{first.name} could not be measured: {first.reason.rstrip('.')}"
+    elif math.isinf(first.error):
+        text = f"{_quote(first, told)}, but the replay has no error estimate"
+    else:
+        text = f"{_quote(first, told)}, but the replay's own error of {number(first.error, first.unit)} is not {MARGIN:g} times below the distance between them"
+    others = [metric.name for metric in unsure[1:]]
+    text += f"; nor decided: {', '.join(others)}." if others else "."
+    needed = "" if told.replay is None or first.value is None else getattr(told.replay.error, "would_decide", "")
+    return f"{text} What would decide it: {needed}" if needed else text
+
+
+def _holds(told: Told) -> str:
+    judged = _judged(told, True)
+    closest = max(judged, key=lambda metric: (metric.value or 0.0) / metric.limit if metric.limit else 0.0, default=None)
+    text = "every question asked is answered yes" if isinstance(told.scene, Scene) else f"holds {_of_what_is_shown(told)}"
+    if closest is None or closest.value is None:
+        return f"{text}."
+    text += f"; closest to its limit: {_quote(closest, told)}"
+    grid = told.value("grid_error")
+    if grid is not None and closest.name.startswith("replay_"):
+        text += f", of which the grid's discretisation error is {number(grid, told.metrics['grid_error'].unit)}"
+    return text + "."
+
+
+def _of_what_is_shown(told: Told) -> str:
+    asked = [str(question.number) for question, word in told.questions.items() if question.number and word != NOT_ASKED]
+    return f"for what this FMU shows (question{'s' if len(asked) > 1 else ''} {', '.join(asked)})"
+
+
+def _who_asks(told: Told) -> str:
+    return "the scene" if isinstance(told.scene, Scene) else "the map"
+
+
+def _consistent(told: Told) -> str:
+    if told.scene.task.has_goal:
+        mend = "no limit on its goal counts for this plan; set one, with a reason"
+    elif isinstance(told.scene, Scene):
+        mend = "give it a goal, or a limit on its cost"
+    else:
+        mend = "give it a [goal] with its limits"
+    shown = "" if isinstance(told.scene, Scene) else f" {_of_what_is_shown(told)}"
+    return f"consistent{shown}; {_who_asks(told)} asks for nothing: {mend}."
+
+
+def _holds_with_feedback(told: Told) -> str:
+    failing = [metric for metric in (*_judged(told, False), *_judged(told, None)) if metric.question is Question.MOTION]
+    text = f"not for the inputs alone: {_quote(failing[0], told)}" if failing else "not for the inputs alone"
+    growth = told.value("amplification")
+    if growth is not None and growth > _UNSTABLE:
+        text += f", unstable in the open loop (amplification {rounded(growth)})"
+    effort, share = told.value(EFFORT), told.value(SHARE)
+    took = [] if effort is None else [f"{percent(effort)} of the half-range"]
+    took += [] if share is None else [f"{percent(share)} of the plan's own inputs"]
+    text += f"; with LQR feedback, RMS effort {' and '.join(took)}, it holds"
+    end = next((told.metrics[name] for name in _ENDS if name in told.metrics and told.metrics[name].value is not None), None)
+    return text + ("." if end is None else f": {_quote(end, told)}.")
+
+
+_ENDS = tuple(f"{TRACKED}{name}" for name in ("replay_terminal_position_error", "replay_terminal_velocity_error", "replay_error"))
+
+
+def _cause(first: Metric, told: Told) -> str:
+    """The cause of what failed first, and the advice."""
+    if first.name == "duration_error" and told.scene.task.horizon is not None:
+        return f" (it lasts {told.trajectory.duration:.6g} s, the task {told.scene.task.horizon:.6g} s)"
+    if first.question is Question.TASK or first.question is Question.GOAL:
+        return ""
+    if first.name == "physics_scaled":
+        return f": a relaxed contact law; {_ADVICE_EXACT}"
+    if first.name == "contact_law_error":
+        return ": a relaxed contact law, or forces of another motion"
+    if first.name == "max_penetration":
+        return _of_depth(told)
+    if first.name == "defect":
+        return "; if another integrator made it, leave the declaration of the scheme out"
+    if first.name in ("law_error", "discrete_terminal_position_error", "discrete_terminal_velocity_error"):
+        if told.questions.get(Question.MOTION) == "yes":  # no relaxed law gives the motion that the true one gives
+            return "; its inputs give its motion all the same: if another integrator made it, leave the declaration of the scheme out"
+        return f": a relaxed contact law; {_ADVICE_EXACT}"
+    if first.question is Question.MOTION:
+        return _of_motion(first, told)
+    grid = told.metrics.get("grid_error")
+    if first.question is Question.POSSIBLE and told.value("grid_order") is not None and grid is not None and grid.value is not None:
+        return f": discretisation error {number(grid.value, grid.unit)}"
+    return ""
+
+
+def _of_depth(told: Told) -> str:
+    if not isinstance(told.scene, Scene) or told.replay is None or not told.replay.ok:
+        return ""
+    share = np.maximum(-told.replay.gap, 0.0).max(axis=0) / np.array([np.inf if depth is None else depth for depth in told.scene.depths])
+    contact = told.scene.contacts[int(share.argmax())]
+    return f": beyond the depth at which the model of contact {contact.name} ({contact.bodies[0]} and {contact.bodies[1]}) ends, {contact.depth_reason}"
+
+
+def _of_motion(first: Metric, told: Told) -> str:
+    """Why the inputs do not give the motion, by what the metrics show."""
+    plan = told.trajectory
+    if told.other_hold:
+        other = "linear" if plan.hold is Hold.ZERO_ORDER else "zero"
+        return f"; with its inputs held the other way it does not: declare `# hold: {other}`"
+    if not plan.has_states or first.value is None:
+        return ""
+    growth = told.value("amplification")
+    unstable = "" if growth is None or growth < _UNSTABLE else f"; unstable in the open loop (amplification {rounded(growth)})"
+    if plan.scheme is None:
+        if told.fails("unexplained_force") and first.name != "unexplained_force":
+            return f": {_PHRASES['unexplained_force'].format(percent(told.value('unexplained_force') or 0.0))}"
+        return unstable
+    grid = told.metrics.get("grid_error")
+    if grid is None or grid.value is None:
+        return unstable
+    law = told.value("law_error") or 0.0
+    if told.fails("defect"):
+        return f": {_quote(told.metrics['defect'], told)}"
+    if law > grid.value:
+        return f": a relaxed contact law ({number(law, grid.unit)} on its own grid already); {_ADVICE_EXACT}"
+    text = f": discretisation error {number(grid.value, grid.unit)}; the contact forces are correct{unstable}"
+    if any(told.fails(name) for name in ("physics_scaled", "contact_law_error", "friction_violation", "friction_dissipation_error")):
+        return f": discretisation error {number(grid.value, grid.unit)}{unstable}"
+    return text + _finer(first, grid.value, told)
+
+
+def _finer(first: Metric, grid: float, told: Told) -> str:
+    """The step that the order of the scheme predicts to be enough: a prediction until a plan on that grid is made."""
+    plan = told.trajectory
+    if first.limit is None or first.limit <= 0.0 or plan.scheme is None or grid <= 0.0:
+        return ""
+    # A kink of the contact force leaves an error of order two, whatever the scheme.
+    order = 1 if plan.scheme is Scheme.SEMI_IMPLICIT_EULER else min(2, tableau(plan.scheme).order)
+    step = plan.duration / plan.steps * min(1.0, _SAFETY * first.limit / max(grid, first.value or 0.0)) ** (1.0 / order)
+    smooth = isinstance(told.scene, Scene) and not told.scene.nf and not told.scene.damped and told.scene.relaxation_index is None
+    other = ", or `collocation`" if order == 1 and smooth else ""  # which takes neither friction nor damped contacts
+    return f". Try h = {step:.2g} s (predicted from the order of the scheme){other}"
+
+
+def _quote(metric: Metric, told: Told) -> str:
+    """`the motion ends 0.3 m from the goal, limit 0.06 m`, or why there is no number."""
+    name = metric.name.removeprefix(TRACKED)
+    if metric.value is None:
+        return f"{metric.name}: {metric.reason.rstrip('.')}"
+    value = percent(metric.value) if name in ("unexplained_force", EFFORT, SHARE) else number(metric.value, metric.unit)
+    limit = percent(metric.limit or 0.0) if name in ("unexplained_force", EFFORT, SHARE) else number(metric.limit or 0.0, metric.unit)
+    phrase = _PHRASES[name].format(value)
+    if name != metric.name:
+        phrase = "with feedback " + phrase.replace("driven by its inputs ", "")
+    return f"{phrase}, limit {limit}" if metric.is_judged else phrase
+
+
+def number(value: float, unit: str) -> str:
+    """Three digits and the unit; a norm over several units has none."""
+    return f"{value:.3g}" if unit == "1" or "," in unit else f"{value:.3g} {unit}"
+
+
+def percent(share: float) -> str:
+    """`24 %`."""
+    return f"{100 * share:.2g} %" if abs(share) < 10 else f"{rounded(100 * share)} %"
+
+
+def rounded(value: float) -> str:
+    """Two digits, without a power of ten up to a million: 5600, 0.34."""
+    text = float(f"{value:.2g}")
+    return f"{text:.0f}" if 10.0 <= text < 1e6 else f"{text:g}"

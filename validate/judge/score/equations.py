@@ -1,0 +1,201 @@
+"""The equations of the score, one function a figure; arrays in, one number out.
+
+Shapes as in Trajectory and Replay: nodes = steps + 1; phi (steps, nc) is the penetration at the *start* of each step,
+where the plan's lam (steps, nc) belongs.
+
+What the replay of a scene can be held against where the scene states it in closed form (models.scene_annotations.Answer.measure).
+
+Each measure gives the value and how wrong the replay may make it. They speak of the first contact of the replay: the first that closes, and
+the time until that one opens again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from models.dynamics import derive
+from validate.judge.replay.result import Event
+from validate.judge.score.evidence import Evidence
+from validate.judge.score.verdict import Unmeasured
+
+
+def physics(lam: np.ndarray, push: np.ndarray) -> float:
+    """Sum over steps and contacts of abs(lam*(lam - push)) [N^2], push (steps, nc) = k*phi without damping: the paper's (10)."""
+    return float(np.abs(lam * (lam - push)).sum())
+
+
+def physics_scaled(lam: np.ndarray, push: np.ndarray, k: np.ndarray, length: np.ndarray, h: np.ndarray) -> float:
+    """Sum over steps and contacts of h*abs(lam*(lam - push))/(k*L)^2 [s]; L (nc,) [m] the contact's nominal penetration, h (steps,) [s]."""
+    return float((h[:, None] * np.abs(lam * (lam - push)) / (k * length) ** 2).sum())
+
+
+def defect(q: np.ndarray, v: np.ndarray, acceleration: np.ndarray, h: np.ndarray) -> np.ndarray:
+    """(2 nq,) largest abs of q[t+1] - q[t] - h v[t+1] and of v[t+1] - v[t] - h a[t], with a from the plan's own lam [m or rad, and per second]."""
+    positions = q[1:] - (q[:-1] + h[:, None] * v[1:])
+    velocities = v[1:] - (v[:-1] + h[:, None] * acceleration)
+    return np.concatenate([np.abs(positions).max(axis=0), np.abs(velocities).max(axis=0)])
+
+
+def contact_law_error(lam: np.ndarray, law: np.ndarray, least: np.ndarray, most: np.ndarray, h: np.ndarray) -> float:
+    """Sum over steps and contacts of h times the distance of lam (steps, nc) from what the true law gives over the step [N s].
+
+    law (nodes, nc): at the step's two ends; least, most (steps, nc): within it, on the true motion from its start.
+    """
+    low, high = np.minimum(np.minimum(law[:-1], law[1:]), least), np.maximum(np.maximum(law[:-1], law[1:]), most)
+    return float((h[:, None] * np.maximum(np.maximum(lam - high, low - lam), 0.0)).sum())
+
+
+def force_window(lam: np.ndarray, step_of: np.ndarray, steps: int, mean: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest (steps, nc) of a replay's forces lam (n, nc) from the step before each of the plan's to the one after; step_of (n-1,) the
+    plan's step of each piece; mean (steps, nc) over each step, where it is known.
+
+    A planned force may be one of the start of its step, of its end, or a mean, and a contact may open or close a step sooner or later than on the
+    plan's grid.
+    """
+    first, last = np.searchsorted(step_of, np.arange(steps)), np.searchsorted(step_of, np.arange(steps), side="right")
+    least = np.array([lam[i : j + 1].min(axis=0) for i, j in zip(first, last, strict=True)]).reshape(steps, lam.shape[1])
+    largest = np.array([lam[i : j + 1].max(axis=0) for i, j in zip(first, last, strict=True)]).reshape(steps, lam.shape[1])
+    if mean is not None:
+        least, largest = np.minimum(least, mean), np.maximum(largest, mean)
+    before, after = [0, *range(steps - 1)], [*range(1, steps), steps - 1]
+    return np.minimum(np.minimum(least[before], least), least[after]), np.maximum(np.maximum(largest[before], largest), largest[after])
+
+
+def distance(state: np.ndarray, goal: np.ndarray) -> float:
+    """Euclidean norm of state - goal, over whatever components are given; a goal of NaN is free."""
+    return float(np.linalg.norm(np.where(np.isnan(goal), 0.0, state - goal)))
+
+
+def outside(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """(n,) largest max(x - upper, lower - x, 0) over the rows of values (rows, n)."""
+    return np.maximum(values - upper, lower - values).max(axis=0, initial=0.0)
+
+
+def largest_difference(one: np.ndarray, other: np.ndarray) -> tuple[float, int]:
+    """Largest abs difference of any one coordinate over the nodes, and the node."""
+    worst = np.abs(one - other).max(axis=1)
+    node = int(worst.argmax())
+    return float(worst[node]), node
+
+
+def ghost_impulse(plan_lam: np.ndarray, largest: np.ndarray, h: np.ndarray) -> float:
+    """Sum over steps and contacts of h max(plan_lam - largest, 0) [N s], `largest` of `force_window`."""
+    return float((h[:, None] * np.maximum(plan_lam - largest, 0.0)).sum())
+
+
+def missed_impulse(plan_lam: np.ndarray, least: np.ndarray, h: np.ndarray) -> float:
+    """Sum over steps and contacts of h max(least - plan_lam, 0) [N s], `least` of `force_window`."""
+    return float((h[:, None] * np.maximum(least - plan_lam, 0.0)).sum())
+
+
+def friction_violation(friction: np.ndarray, limit: np.ndarray) -> float:
+    """max(abs(f) - mu N, 0) over steps and frictions [N]; friction, limit (steps, nf)."""
+    return float(np.maximum(np.abs(friction) - limit, 0.0).max(initial=0.0))
+
+
+def friction_dissipation_error(friction: np.ndarray, least: np.ndarray, most: np.ndarray, slip: np.ndarray) -> np.ndarray:
+    """(nf,) largest abs of mu N abs(s) + f s [W] with the mu N between least and most (steps, nf) that makes it smallest: 0 where it sticks or slips
+    against all of mu N; slip (steps, nf) that of each step's friction."""
+    against = -friction * np.sign(slip)
+    off = np.maximum(np.maximum(least - against, against - most), 0.0)
+    return (off * np.abs(slip)).max(axis=0, initial=0.0)
+
+
+def least_slip(slips: np.ndarray) -> np.ndarray:
+    """(steps, nf) the slip of least magnitude among slips (n, steps, nf) of each step; 0 where it turns round."""
+    low, high = slips.min(axis=0), slips.max(axis=0)
+    return np.where(low * high <= 0.0, 0.0, np.where(np.abs(low) < np.abs(high), low, high))
+
+
+def friction_impulse_error(plan: np.ndarray, step_of: np.ndarray, friction: np.ndarray, duration: np.ndarray) -> float:
+    """Integral over time of abs(f - f_plan) [N s], friction (n, nf) of the replay, by the trapezoid rule on its pieces."""
+    planned = plan[step_of]
+    return float(((np.abs(friction[:-1] - planned) + np.abs(friction[1:] - planned)) / 2 * duration[:, None]).sum())
+
+
+def energy_residual(energy: np.ndarray, input_work: np.ndarray, dissipated_work: np.ndarray) -> float:
+    """max over time of abs(E - E(0) - W_in + W_dissipated) [J]; E with the energy stored in contacts."""
+    return float(np.abs(energy - energy[0] - input_work + dissipated_work).max())
+
+
+def energy_turnover(
+    kinetic: np.ndarray, potential: np.ndarray, contact: np.ndarray, input_work: np.ndarray, dissipated_work: np.ndarray
+) -> float:
+    """The largest energy that is there to be turned over [J]: kinetic, in contacts, range of the potential, work in, work dissipated."""
+    return float(max(kinetic.max(), contact.max(), np.ptp(potential), np.abs(input_work).max(), np.abs(dissipated_work).max()))
+
+
+def _first_contact(case: Evidence) -> tuple[Event, Event]:
+    """The events at which the first contact closes and opens."""
+    events = case.replay.events
+    closing = next((event for event in events if event.closes), None)
+    if closing is None:
+        raise Unmeasured("no contact closes in the replay.")
+    opening = next((event for event in events if not event.closes and event.contact == closing.contact and event.time > closing.time), None)
+    if opening is None:
+        raise Unmeasured(f"contact {closing.contact} does not open again in the replay.")
+    return closing, opening
+
+
+def _gap_rate(case: Evidence, event: Event) -> float:
+    """Rate of the gap of an event's contact at the event [m/s]."""
+    row = int(np.argmin(np.abs(case.replay.t - event.time)))
+    return _rate(case, row, [contact.name for contact in case.scene.contacts].index(event.contact))
+
+
+def _rate(case: Evidence, row: int, contact: int) -> float:
+    dynamics, replay = derive(case.equations), case.replay
+    return float(dynamics.function(dynamics.gap_jacobian, dynamics.q)(replay.q[row])[contact] @ replay.v[row])
+
+
+def _closing_time(case: Evidence) -> tuple[float, float]:
+    closing, _ = _first_contact(case)
+    return closing.time, case.error.gap / abs(_gap_rate(case, closing))
+
+
+def _duration(case: Evidence) -> tuple[float, float]:
+    closing, opening = _first_contact(case)
+    return opening.time - closing.time, sum(case.error.gap / abs(_gap_rate(case, event)) for event in (closing, opening))
+
+
+def _restitution(case: Evidence) -> tuple[float, float]:
+    before, after = (_gap_rate(case, event) for event in _first_contact(case))
+    return -after / before, 2.0 * case.error.state / abs(before)
+
+
+def _depth(case: Evidence) -> tuple[float, float]:
+    """Between the rows of the replay too: the gap there is the cubic with the gaps and their rates at both ends."""
+    t, gap = case.replay.t, case.replay.gap
+    deepest, contact = np.unravel_index(int(np.argmin(gap)), gap.shape)
+    rows = range(max(0, int(deepest) - 1), min(len(t) - 1, int(deepest) + 1))
+    s = np.linspace(0.0, 1.0, 2001)  # the depth is flat where it is largest: half a step there is 1e-7 of the fall since the row before
+    lowest = 0.0
+    for row in rows:
+        h = t[row + 1] - t[row]
+        ends, rates = gap[row : row + 2, contact], [h * _rate(case, at, int(contact)) for at in (row, row + 1)]
+        cubic = (
+            (1 + 2 * s) * (1 - s) ** 2 * ends[0] + s * (1 - s) ** 2 * rates[0] + s**2 * (3 - 2 * s) * ends[1] - s**2 * (1 - s) * rates[1]
+        )
+        lowest = min(lowest, float(cubic.min()))
+    return -lowest, case.error.gap
+
+
+MEASURES: dict[str, Callable[[Evidence], tuple[float, float]]] = {
+    "closing time": _closing_time,
+    "contact time": _duration,
+    "restitution": _restitution,
+    "depth": _depth,
+}
+
+
+def answer_error(case: Evidence) -> tuple[float, float]:
+    """Largest distance of the replay from a measured answer of the scene, in that answer's tolerance, and its own error in the same unit."""
+    distances, errors = [], []
+    for answer in case.scene.answers:
+        if answer.measure:
+            value, error = MEASURES[answer.measure](case)
+            distances.append(abs(value - answer.value) / answer.tolerance)
+            errors.append(error / answer.tolerance)
+    return max(distances), max(errors)

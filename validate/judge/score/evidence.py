@@ -1,0 +1,492 @@
+"""What the metrics are computed from: the plan, its replay, and the plan's inputs under the true contact law on the plan's own grid."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from models import collocation
+from models.codegen.kernel import Kernel, KernelError, load_kernel
+from models.contacts import DampingLaw
+from models.dynamics import derive
+from models.goal import goal_state
+from models.scene import Scene
+from models.schemes import Scheme
+from models.trajectory import Trajectory
+from validate.judge.replay.error_estimate import lowest_between
+from validate.judge.replay.result import Difference, Replay, ReplayOutcome
+from validate.judge.replay.subject import Subject
+from validate.judge.replay.wiring import HeldInputs
+from validate.judge.score import equations
+from validate.judge.score.own_steps import Departures, OwnSteps, Stepper
+from validate.judge.score.printing import half_unit
+from validate.judge.score.verdict import LeavesBounds, Unmeasured
+
+
+class Evidence:
+    """Arrays by the symbols of the equations; each computed once."""
+
+    def __init__(self, scene: Subject, trajectory: Trajectory, replay: Replay | None) -> None:
+        self.scene, self.trajectory, self._replay = scene, trajectory, replay
+        self._own_steps: dict[bytes, OwnSteps] = {}  # by velocities: three metrics ask for the same ones
+
+    @property
+    def equations(self) -> Scene:
+        """The scene, where there is one."""
+        if not isinstance(self.scene, Scene):
+            raise Unmeasured("it needs the equations, which only a scene has; an FMU keeps its own to itself.")
+        return self.scene
+
+    @cached_property
+    def kernel(self) -> Kernel:
+        return load_kernel(self.equations)
+
+    def need(self, *parts: str) -> None:
+        """Raise Unmeasured if the plan does not say, or somebody's FMU does not offer, one of these: q, v, lam, gap."""
+        lacks = {} if isinstance(self.scene, Scene) else self.scene.lacks
+        for part in parts:
+            if part in lacks:
+                raise Unmeasured(f"{lacks[part]}.")
+
+    @property
+    def q(self) -> np.ndarray:
+        """(nodes, nq) positions of the plan, if it says any."""
+        self.need("q")
+        if not self.trajectory.has_states:
+            columns = ", ".join(coordinate.name for coordinate in self.scene.coordinates)
+            raise Unmeasured(f"the plan does not say its positions ({columns}).")
+        return self.trajectory.q
+
+    @cached_property
+    def goal(self) -> np.ndarray:
+        """(2*nq,) positions, then velocities; NaN where the end is free."""
+        return goal_state(self.scene.task)  # type: ignore[arg-type] - a foreign task has a goal of the same form
+
+    @cached_property
+    def h(self) -> np.ndarray:
+        """(steps,) [s]; the nominal step where all steps equal it, so that t = n*h has left no rounding in it."""
+        h = np.diff(self.trajectory.t)
+        step = self.scene.task.step
+        return np.full_like(h, step) if np.allclose(h, step, rtol=1e-9, atol=0.0) else h
+
+    def cost_of(self, t: np.ndarray, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> float:
+        """The task's cost of a motion t (n,), q, v (n, nq) under the plan's inputs u (steps, nu): its running cost at the starts of the task's own steps,
+        whatever grid the plan has, and the final cost. Between the rows positions are cubics."""
+        step = self.scene.task.step
+        if len(t) == len(u) + 1 and (self.h == step).all():
+            return self.kernel.cost(q, v, u)
+        count = max(1, round(self.trajectory.duration / step))
+        times = t[0] + step * np.arange(count)
+        held, nodes = self.held_inputs, self.trajectory.t
+        steps = np.clip(np.searchsorted(nodes, times + 1e-9 * step, side="right") - 1, 0, len(u) - 1)
+        inputs = u[steps] + held.slopes[steps] * np.maximum(times - nodes[steps], 0.0)[:, None]
+        moved_q, moved_v = _at_times(times, *_without_repeats(t, q, v))
+        return self.kernel.cost(np.vstack([moved_q, q[-1:]]), np.vstack([moved_v, v[-1:]]), inputs)
+
+    @cached_property
+    def phi(self) -> np.ndarray:
+        """(steps, nc) penetration at the start of each step of the plan [m]."""
+        return self.kernel.penetration(self.trajectory.q[:-1])
+
+    @cached_property
+    def push(self) -> np.ndarray:
+        """(steps, nc) what the true force is the positive part of at the start of each step [N]: k phi, and with damping more or less."""
+        return self.kernel.contact_push(self.trajectory.q[:-1], self.v[:-1]) if self.equations.damped else self.k * self.phi
+
+    @cached_property
+    def k(self) -> np.ndarray:
+        return self.kernel.stiffness()
+
+    @cached_property
+    def slopes(self) -> tuple[np.ndarray, np.ndarray]:
+        """(nc,) each: the largest derivatives of the replay's contact forces by penetration [N/m] and by its rate [N s/m]."""
+        scene, k = self.equations, self.k
+        if not scene.damped:
+            return k, np.zeros_like(k)
+        d, depth = derive(scene), np.maximum(-self.replay_gap, 0.0)
+        c = d.function(d.damping)().ravel()
+        is_linear = np.array([contact.damping_law is DampingLaw.KELVIN_VOIGT for contact in scene.contacts])
+        share = np.divide(self.replay.lam, k * depth, out=np.zeros_like(depth), where=depth > 0.0).max(axis=0)  # Hunt-Crossley: 1 + d phi'
+        return np.where(is_linear, k, k * np.maximum(share, 1.0)), np.where(is_linear, c, c * k * depth.max(axis=0))
+
+    @cached_property
+    def length(self) -> np.ndarray:
+        """(nc,) L: the scene's nominal penetration of each contact [m]."""
+        return np.array([contact.nominal for contact in self.scene.contacts])
+
+    @property
+    def lam(self) -> np.ndarray:
+        """(steps, nc) contact forces of the plan [N], if it says any."""
+        if "lam" in self.trajectory.missing:
+            raise Unmeasured(f"the plan does not say its contact forces ({', '.join(self.scene.force_names[: self.scene.nc])}).")
+        return self.trajectory.lam[:, : self.scene.nc]
+
+    @property
+    def forces(self) -> np.ndarray:
+        """(steps, nc + nf) contact forces, then friction forces of the plan [N], if it says all of them."""
+        if self.scene.nf and "friction" in self.trajectory.missing:
+            raise Unmeasured(f"the plan does not say its friction forces ({', '.join(self.scene.force_names[self.scene.nc :])}).")
+        if self.scene.nc:
+            self.lam  # noqa: B018 - refused where the plan does not say them
+        return self.trajectory.lam
+
+    @property
+    def planned_impulse(self) -> float:
+        """Sum over steps and contacts of h |lam| [N s]."""
+        return float((self.h[:, None] * np.abs(self.lam)).sum())
+
+    @cached_property
+    def law(self) -> np.ndarray:
+        """(nodes, nc) contact forces of the true law at the plan's nodes [N]."""
+        return self.kernel.contact_force(self.q, v=self.own_velocities if self.equations.damped else None)
+
+    @cached_property
+    def stepper(self) -> Stepper:
+        return Stepper(self.kernel, self.held_inputs, self.trajectory.t, np.diff(self.trajectory.t))
+
+    @cached_property
+    def departures(self) -> Departures:
+        """The velocities that lead from each of the plan's positions to the next."""
+        return self.stepper.departures(self.q, self.start_velocity, np.array([item.nominal for item in self.scene.coordinates]))
+
+    @cached_property
+    def own_velocities(self) -> np.ndarray:
+        """(nodes, nq) velocities of the plan; where it says none, those that its positions take."""
+        if "v" not in self.trajectory.missing:
+            return self.trajectory.v
+        v = self.departures.v
+        return np.vstack([v, self.own_steps(v).ends[-1, self.scene.nq :]])
+
+    def own_steps(self, v: np.ndarray) -> OwnSteps:
+        """The true motion over each step from the plan's positions and velocities v (steps, nq)."""
+        own = self._own_steps.get(v.tobytes())
+        if own is None:
+            mass, start, end = self.masses[1:], self.q[:-1], self.q[1:]
+            typical = np.concatenate([sizes(mass, np.diff(v, axis=0, append=v[-1:])), sizes(mass, (end - start) / self.h[:, None] - v)])
+            nominal = float(sizes(mass, np.array([item.nominal for item in self.scene.coordinates])).max())
+            scale = max(float(typical.max()), 1e-6 * nominal)
+            own = self._own_steps[v.tobytes()] = self.stepper.run(np.hstack([start, v]), lambda dv: sizes(mass, dv), scale)
+        return own
+
+    @cached_property
+    def masses(self) -> np.ndarray:
+        """(nodes, nq, nq) along the plan."""
+        return self.masses_at(self.q)
+
+    def masses_at(self, q: np.ndarray) -> np.ndarray:
+        """(n, nq, nq) at positions q (n, nq)."""
+        d = derive(self.equations)
+        mass = d.function(d.mass_matrix, d.q)
+        return np.array([np.array(mass(row), dtype=float).reshape(len(row), len(row)) for row in q])
+
+    def printing(self, group: str) -> float:
+        """Half a unit of the last printed digit of the plan's t, q, v, u or lam; in the unit of the group."""
+        return self._printing[group]
+
+    @cached_property
+    def _printing(self) -> dict[str, float]:
+        plan, items = self.trajectory, self.scene.coordinates
+        nominal = min((item.nominal for item in items), default=1.0)
+        ranges = [item.upper - item.lower for item in self.scene.inputs]
+        largest = [width if np.isfinite(width) else float(np.abs(plan.u[:, index]).max()) for index, width in enumerate(ranges)]
+        uniform = plan.has_uniform_grid() or bool(np.allclose(np.diff(plan.t), self.scene.task.step, rtol=1e-9, atol=0.0))
+        return {
+            # Of a grid that is no grid to all its digits; a tenth of a step may be lost so.
+            "t": 0.0 if uniform else half_unit(plan.t, 200.0 * float(np.diff(plan.t).min())),
+            "q": half_unit(plan.q, nominal),
+            "v": half_unit(plan.v, nominal),
+            "u": half_unit(plan.u, min(largest, default=0.0)),
+            "lam": half_unit(plan.lam, float(np.abs(plan.lam).max(initial=0.0))),
+        }
+
+    @cached_property
+    def printing_acceleration(self) -> float:
+        """By how much printing may change an acceleration of the plan [m/s^2, rad/s^2]: tried by rounding states, inputs and true forces anew."""
+        plan, size = self.trajectory, {group: self.printing(group) for group in ("q", "v", "u", "lam")}
+        if not any(size.values()):
+            return 0.0
+        random = np.random.default_rng(0)
+
+        def acceleration(scale: float) -> np.ndarray:
+            def moved(group: str, values: np.ndarray) -> np.ndarray:
+                return values + scale * size[group] * random.choice((-1.0, 1.0), size=values.shape)
+
+            q, v, u = moved("q", plan.q[:-1]), moved("v", plan.v[:-1]), moved("u", plan.u)
+            lam = plan.lam.copy()
+            lam[:, : self.scene.nc] = self.kernel.contact_force(q, v=v if self.equations.damped else None)
+            return self._of_steps(self.kernel.acceleration(q, v, u, moved("lam", lam)))
+
+        try:
+            still = acceleration(0.0)
+            return float(max(np.abs(acceleration(1.0) - still).max() for _ in range(3)))
+        except KernelError as error:
+            raise Unmeasured(str(error)) from error
+
+    @cached_property
+    def held_inputs(self) -> HeldInputs:
+        return HeldInputs(self.trajectory)
+
+    @property
+    def start_velocity(self) -> np.ndarray:
+        """(nq,) of the task."""
+        return np.array(self.scene.task.start[self.scene.nq :], dtype=float)
+
+    @property
+    def friction(self) -> np.ndarray:
+        """(steps, nf) friction forces of the plan [N], if it says any."""
+        if "friction" in self.trajectory.missing:
+            raise Unmeasured(f"the plan does not say its friction forces ({', '.join(self.scene.force_names[self.scene.nc :])}).")
+        return self.trajectory.lam[:, self.scene.nc :]
+
+    @cached_property
+    def friction_limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """Least and largest mu N (steps, nf) [N], with the plan's own contact forces where they press; what pulls does not press. At the start of the
+        step; of a plan that declares no scheme at both its ends."""
+        forces, kernel = self.trajectory.lam, self.kernel
+        first = np.maximum(kernel.friction_limit(self.q[:-1], forces), 0.0)
+        if self.trajectory.scheme is not None:
+            return first, first
+        last = np.maximum(kernel.friction_limit(self.q[1:], forces), 0.0)
+        return np.minimum(first, last), np.maximum(first, last)
+
+    @cached_property
+    def slip(self) -> np.ndarray:
+        """(steps, nf) slip speeds [m/s] to which a step's friction force belongs: at its end, with the geometry of its start; of a plan that declares no
+        scheme the least of that and those at both ends."""
+        stepped = self.kernel.slip(self.trajectory.q[:-1], self.v[1:])
+        if self.trajectory.scheme is not None:
+            return stepped
+        at_nodes = self.kernel.slip(self.q, self.v)
+        return equations.least_slip(np.stack([at_nodes[:-1], at_nodes[1:], stepped]))
+
+    @property
+    def v(self) -> np.ndarray:
+        """(nodes, nq) velocities of the plan, if it says any."""
+        if "v" in self.trajectory.missing:
+            columns = ", ".join(coordinate.velocity_name for coordinate in self.scene.coordinates)
+            raise Unmeasured(f"the plan does not say its velocities ({columns}).")
+        return self.trajectory.v
+
+    def _of_steps(self, acceleration: np.ndarray) -> np.ndarray:
+        """(steps, nq) of the plan's own steps, from those of the task's: without inertia a step takes up all of a force, however short it is."""
+        scene = self.equations
+        if scene.relaxation_index is None:
+            return acceleration
+        return acceleration * (scene.parameters[scene.relaxation_index].value / self.h)[:, None]
+
+    @cached_property
+    def acceleration(self) -> np.ndarray:
+        """(steps, nq) of the plan's states, inputs and own contact forces."""
+        plan = self.trajectory
+        try:
+            return self._of_steps(self.kernel.acceleration(plan.q[:-1], self.v[:-1], plan.u, self.forces))
+        except KernelError as error:
+            raise Unmeasured(str(error)) from error
+
+    @property
+    def collocation_defect(self) -> np.ndarray:
+        """(2 nq,) largest miss of a plan made by collocation in its own step; infinite where a step has no solution."""
+        self.v  # noqa: B018 - refused where the plan does not say it
+        try:
+            return collocation.defect(self.kernel, self.trajectory)
+        except KernelError as error:
+            raise Unmeasured(str(error)) from error
+
+    def refined_motion(self, parts: int) -> np.ndarray:
+        """(nodes, nq) the plan's inputs run through its own time step in so many parts, with the true contact law."""
+        return self._own_motion(parts)[0]
+
+    @cached_property
+    def true_motion(self) -> tuple[np.ndarray, np.ndarray]:
+        """q, v (nodes, nq): the plan's inputs run through the plan's own time step with the true contact law."""
+        return self._own_motion(1)
+
+    def _own_motion(self, parts: int) -> tuple[np.ndarray, np.ndarray]:
+        """q, v (nodes, nq) with each step of the plan in so many parts."""
+        plan, u, steps = self.trajectory, np.repeat(self.trajectory.u, parts, axis=0), np.repeat(self.h / parts, parts)
+        if plan.scheme not in (None, Scheme.SEMI_IMPLICIT_EULER):
+            try:
+                q, v, reached = collocation.rollout(self.kernel, plan.scheme, plan.start, u, steps)
+            except KernelError as error:
+                raise Unmeasured(str(error)) from error
+        elif (steps == steps[0]).all():
+            rollout = self.kernel.rollout(plan.start, u, float(steps[0]))
+            q, v, reached = rollout.q, rollout.v, rollout.finite_steps
+        else:
+            q, v = np.full((len(steps) + 1, self.scene.nq), np.nan), np.full((len(steps) + 1, self.scene.nq), np.nan)
+            q[0], v[0], reached = plan.q[0], plan.v[0], 0
+            for step, h in enumerate(steps):
+                rollout = self.kernel.rollout(np.concatenate([q[step], v[step]]), u[step : step + 1], float(h))
+                if rollout.diverged:
+                    break
+                q[step + 1], v[step + 1], reached = rollout.q[1], rollout.v[1], step + 1
+        if reached < len(steps):
+            raise LeavesBounds(f"with the true contact law the plan's own time step diverges at step {reached // parts} of {plan.steps}.")
+        return q[::parts], v[::parts]
+
+    @property
+    def true_end(self) -> np.ndarray:
+        """(2*nq,) where `true_motion` ends."""
+        q, v = self.true_motion
+        return np.concatenate([q[-1], v[-1]])
+
+    @property
+    def opened(self) -> Replay:
+        """The replay in the open loop, however it ended."""
+        if self._replay is None:
+            raise Unmeasured("the plan was not replayed.")
+        return self._replay
+
+    @cached_property
+    def tracked(self) -> Evidence:
+        """The same plan beside its tracked replay."""
+        return Evidence(self.scene, self.trajectory, self.opened.tracked)
+
+    @property
+    def replay(self) -> Replay:
+        """The replay, if it got to the end."""
+        if self._replay is None:
+            raise Unmeasured("the plan was not replayed.")
+        if self._replay.outcome is ReplayOutcome.DIVERGED:
+            raise LeavesBounds(f"driven by the plan's inputs the motion leaves every bound after {self._replay.t[-1]:.3g} s.")
+        if not self._replay.ok:
+            raise Unmeasured(f"the replay did not get to the end: {self._replay.outcome.value} {self._replay.message}".rstrip())
+        return self._replay
+
+    @property
+    def error(self) -> Difference:
+        """The replay's own error estimate; infinite where it has none."""
+        estimate = self.replay.error.estimate
+        return Difference(position=np.inf, state=np.inf, gap=np.inf) if estimate is None else estimate
+
+    @property
+    def replay_q(self) -> np.ndarray:
+        """(nodes, nq) of the replay, at the plan's nodes."""
+        self.need("q")
+        return self.replay.q[self.replay.knots]
+
+    @property
+    def end(self) -> np.ndarray:
+        """(2*nq,) where the plan ends; the velocities only if a velocity of the goal is given."""
+        wants_v = np.isfinite(self.goal[self.scene.nq :]).any()
+        return np.concatenate([self.q[-1], self.v[-1] if wants_v else np.zeros(self.scene.nq)])
+
+    @property
+    def replay_v(self) -> np.ndarray:
+        """(nodes, nq) of the replay, at the plan's nodes."""
+        self.need("v")
+        return self.replay.v[self.replay.knots]
+
+    @property
+    def all_replay_v(self) -> np.ndarray:
+        """(n, nq) of the replay, at all its rows."""
+        self.need("v")
+        return self.replay.v
+
+    @property
+    def replay_end(self) -> np.ndarray:
+        """(2*nq,) where the replay ends; the velocities only if a velocity of the goal is given."""
+        self.need("q")
+        if np.isfinite(self.goal[self.scene.nq :]).any():
+            self.need("v")
+        return self.replay.end
+
+    @property
+    def replay_gap(self) -> np.ndarray:
+        """(n, nc) of the replay [m], negative in contact."""
+        self.need("gap")
+        return self.replay.gap
+
+    @cached_property
+    def gap_rate(self) -> np.ndarray | None:
+        """(n, nc) rate of the replay's gaps [m/s]; None of somebody's FMU."""
+        if not isinstance(self.scene, Scene):
+            return None
+        return -self.kernel_rates(self.replay.q, self.replay.v)
+
+    @property
+    def deepest(self) -> np.ndarray:
+        """(nc,) largest penetration of the replay [m]; of a scene between its rows too."""
+        gap, rate = self.replay_gap, self.gap_rate
+        lowest = gap.min(axis=0, initial=0.0)
+        if rate is None or len(gap) < 2:
+            return np.maximum(-lowest, 0.0)
+        between, _ = lowest_between(self.replay.t, gap, rate)
+        for contact in range(self.scene.nc):
+            looked_at: set[int] = set()  # a cubic is a guess: where it goes deepest the motion is run once more
+            while between[:, contact].min() < lowest[contact] and (piece := int(between[:, contact].argmin())) not in looked_at:
+                looked_at.add(piece)
+                between[piece, contact] = -self._penetrations_within(piece)[:, contact].max()
+            lowest[contact] = min(lowest[contact], between[:, contact].min())
+        return np.maximum(-lowest, 0.0)
+
+    def _penetrations_within(self, piece: int, parts: int = 1000) -> np.ndarray:
+        """(parts + 1, nc) along a piece of the replay's grid, in small steps from its first row [m]."""
+        replay, held, step = self.replay, self.held_inputs, self.step_of[piece]
+        h = float(self.duration[piece]) / parts
+        u = (held.values if replay.applied is None else replay.applied)[step]
+        late = replay.t[piece] - self.trajectory.t[step] + h * (np.arange(parts) + 0.5)
+        run = self.kernel.rollout(np.concatenate([replay.q[piece], replay.v[piece]]), u + held.slopes[step] * late[:, None], h)
+        return self.kernel.penetration(run.q)
+
+    def kernel_rates(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(n, nc) phi' = d phi/dq v [m/s] at states (n, nq)."""
+        return collocation.penetration_rates(self.kernel, q, v)
+
+    @property
+    def opened_q(self) -> np.ndarray:
+        """(n, nq) of the replay of the inputs alone, as far as it got; without one the plan's."""
+        return self.trajectory.q if self._replay is None or not len(self._replay.t) else self._replay.q
+
+    @property
+    def opened_lam(self) -> np.ndarray:
+        """(n, nc) contact forces that belong to `opened_q` [N]."""
+        return self.law if self._replay is None or not len(self._replay.t) else self._replay.lam
+
+    @cached_property
+    def force_window(self) -> tuple[np.ndarray, np.ndarray]:
+        """Least and largest (steps, nc) of the replay's contact forces within a step of each of the plan's [N], their means over steps among them: of a
+        bounce between two rows no row tells."""
+        self.need("lam")
+        replay, steps = self.replay, self.trajectory.steps
+        mean = (
+            None
+            if replay.contact_impulse is None
+            else np.diff(replay.contact_impulse[replay.knots], axis=0) / np.diff(self.trajectory.t)[:, None]
+        )
+        return equations.force_window(replay.lam, self.step_of, steps, mean)
+
+    @cached_property
+    def step_of(self) -> np.ndarray:
+        """(n-1,) the plan's step in which each piece of the replay's grid lies."""
+        pieces = np.arange(len(self.replay.t) - 1)
+        return np.searchsorted(self.replay.knots, pieces, side="right") - 1
+
+    @cached_property
+    def duration(self) -> np.ndarray:
+        """(n-1,) of each piece of the replay's grid [s]."""
+        return np.diff(self.replay.t)
+
+
+def _without_repeats(t: np.ndarray, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows whose times increase."""
+    rows = np.flatnonzero(np.diff(t, prepend=-np.inf) > 0.0)
+    return t[rows], q[rows], v[rows]
+
+
+def _at_times(times: np.ndarray, t: np.ndarray, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """q, v at `times`: rows where there are such, as there are in the replay of a plan on the task's own grid; else of the cubics between rows."""
+    near = np.minimum(np.searchsorted(t, times * (1.0 - 1e-12)), len(t) - 1)
+    if np.allclose(t[near], times, rtol=1e-12, atol=0.0):
+        return q[near], v[near]
+    from scipy.interpolate import CubicHermiteSpline  # 0.3 CPU s to import
+
+    motion = CubicHermiteSpline(t, q, v)
+    return motion(times), motion(times, 1)
+
+
+def sizes(mass: np.ndarray, dv: np.ndarray) -> np.ndarray:
+    """(n,) sqrt(dv' M dv) of changes dv (n, nq) or (nq,), mass (n, nq, nq)."""
+    dv = np.broadcast_to(dv, mass.shape[:2])
+    return np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", dv, mass, dv), 0.0))

@@ -1,0 +1,398 @@
+"""How each metric of the table is measured: from the evidence to a number, its error, and what counts as large (validate.judge.score.table)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.goal import goal_state
+from models.scene import Scene
+from models.schemes import Scheme
+from models.trajectory import Hold
+from validate.judge.replay.subject import Subject
+from validate.judge.score import equations as eq
+from validate.judge.score.evidence import Evidence
+from validate.judge.score.verdict import Contradicted, LeavesBounds, Unmeasured
+
+DEFECT = 1e-6
+_HALVINGS = 7
+# Below this share of the largest a force or a gap is nothing.
+_CLEARLY = 1e-2
+# Where next to nothing moves, energy is measured by this share of what moving at nominal speeds would take.
+_AT_REST = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """values (n,): of each component, all in one unit or in `units`; error: by the replay's own error; scales (n,): what counts as large of each
+    component; allowed (n,): what printing may be the cause of, which is added to the limit; base: added to the default limit alone."""
+
+    values: np.ndarray
+    error: float | np.ndarray = 0.0
+    scales: np.ndarray | float = 1.0
+    allowed: np.ndarray | float = 0.0
+    base: float = 0.0
+    units: tuple[str, ...] = ()
+
+
+def _nominals(scene: Subject) -> np.ndarray:
+    return np.array([item.nominal for item in scene.coordinates])
+
+
+def _position_units(scene: Subject) -> tuple[str, ...]:
+    return tuple(item.unit for item in scene.coordinates)
+
+
+def _velocity_units(scene: Subject) -> tuple[str, ...]:
+    return tuple(item.velocity_unit for item in scene.coordinates)
+
+
+# Question 1
+
+
+def start_error(case: Evidence) -> Measured:
+    nominals, task = _nominals(case.scene), case.equations.task
+    asked = np.abs(goal_state(task) - np.array(task.start))
+    # A task of a micrometre is not started a millionth of a metre away.
+    scales = np.fmin(np.concatenate([nominals, nominals]), np.where(asked > 0.0, asked, np.nan))
+    off = np.abs(case.trajectory.start - np.array(case.scene.task.start))
+    # Without inertia the velocity at the start is what the inputs make it: the task's says nothing.
+    said = "v" not in case.trajectory.missing and case.equations.relaxation_index is None
+    return Measured(
+        values=off if said else off[: case.scene.nq],
+        scales=scales if said else scales[: case.scene.nq],
+        allowed=np.repeat([case.printing("q"), case.printing("v")], case.scene.nq) if said else case.printing("q"),
+        units=(*_position_units(case.scene), *_velocity_units(case.scene)),
+    )
+
+
+def duration_error(case: Evidence) -> Measured:
+    asked = float(case.scene.task.horizon or 0.0)
+    return Measured(values=np.array([abs(case.trajectory.duration - asked)]), scales=case.scene.task.step)
+
+
+def bound_violation(case: Evidence) -> Measured:
+    inputs = case.scene.inputs
+    lower, upper = np.array([item.lower for item in inputs]), np.array([item.upper for item in inputs])
+    plan = case.trajectory
+    applied = np.vstack([plan.u, plan.u_end]) if plan.u_end is not None and plan.hold is Hold.LINEAR else plan.u
+    return Measured(
+        values=eq.outside(applied, lower, upper), scales=_ranges(lower, upper), allowed=case.printing("u"),
+        units=tuple(item.unit for item in inputs),
+    )  # fmt: skip
+
+
+def _velocity_bounds(case: Evidence) -> tuple[np.ndarray, np.ndarray]:
+    items = case.scene.coordinates
+    return np.array([item.velocity_lower for item in items]), np.array([item.velocity_upper for item in items])
+
+
+def velocity_bound_violation(case: Evidence) -> Measured:
+    """At the starts of the steps: the end belongs to the goal."""
+    lower, upper = _velocity_bounds(case)
+    return Measured(
+        values=eq.outside(case.v[:-1], lower, upper),
+        scales=_ranges(lower, upper),
+        allowed=case.printing("v"),
+        units=_velocity_units(case.scene),
+    )
+
+
+def _ranges(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Widths; of one finite bound its size, or 1 where that is 0."""
+    width = upper - lower
+    one = np.where(np.isfinite(lower), np.abs(lower), np.where(np.isfinite(upper), np.abs(upper), 1.0))
+    return np.where(np.isfinite(width), width, np.where(one > 0.0, one, 1.0))
+
+
+# Question 2
+
+
+def terminal_error(case: Evidence) -> float:
+    return eq.distance(case.end, case.goal)
+
+
+def terminal_position_error(case: Evidence) -> Measured:
+    nq = case.scene.nq
+    return Measured(values=np.array([eq.distance(case.q[-1], case.goal[:nq])]), allowed=case.printing("q") * np.sqrt(nq))
+
+
+def terminal_velocity_error(case: Evidence) -> Measured:
+    nq = case.scene.nq
+    return Measured(values=np.array([eq.distance(case.v[-1], case.goal[nq:])]), allowed=case.printing("v") * np.sqrt(nq))
+
+
+def cost(case: Evidence) -> float:
+    return case.cost_of(case.trajectory.t, case.q, case.v, case.trajectory.u)
+
+
+# Question 3
+
+
+def physics(case: Evidence) -> float:
+    return eq.physics(lam=case.lam, push=case.push)
+
+
+def physics_scaled(case: Evidence) -> Measured:
+    value = eq.physics_scaled(lam=case.lam, push=case.push, k=case.k, length=case.length, h=case.h)
+    p_lam, p_push = case.printing("lam"), case.k * case.printing("q")
+    rounded = p_lam * (2.0 * np.abs(case.lam) + np.abs(case.push)) + np.abs(case.lam) * p_push + p_lam * (p_lam + p_push)
+    allowed = float((case.h[:, None] * rounded * (case.lam != 0.0) / (case.k * case.length) ** 2).sum())
+    return Measured(values=np.array([value]), scales=case.trajectory.duration * case.scene.nc, allowed=allowed)
+
+
+def contact_law_error(case: Evidence) -> Measured:
+    within, nc = case.own_steps(case.own_velocities[:-1]), case.scene.nc
+    value = eq.contact_law_error(lam=case.lam, law=case.law, least=within.least[:, :nc], most=within.most[:, :nc], h=case.h)
+    touching = (case.lam != 0.0) | (np.maximum(case.law[:-1], case.law[1:]) > 0.0) | (within.most[:, :nc] > 0.0)
+    off = case.printing("lam") + case.k * case.printing("q")
+    allowed = float((case.h[:, None] * touching * off).sum()) + _grazing(case)
+    return Measured(values=np.array([value]), scales=case.planned_impulse, allowed=allowed)
+
+
+def _grazing(case: Evidence) -> float:
+    """Impulse of what is only just in touch [N s]: rounding, and no force."""
+    return 1e-9 * float((case.k * case.length).max()) * case.trajectory.duration if isinstance(case.scene, Scene) else 0.0
+
+
+def force_sign_violation(case: Evidence) -> Measured:
+    lam = case.lam
+    return Measured(
+        values=np.array([max(float(-lam.min(initial=0.0)), 0.0)]), scales=float(np.abs(lam).max(initial=0.0)), allowed=case.printing("lam")
+    )
+
+
+def friction_violation(case: Evidence) -> Measured:
+    limit = case.friction_limits[1]
+    pressing = np.abs(case.trajectory.lam[:, : case.scene.nc]).max(axis=1, initial=0.0)[:, None]
+    mu = np.divide(limit, pressing, out=np.zeros_like(limit), where=pressing > 0.0)
+    return Measured(
+        values=np.array([eq.friction_violation(case.friction, limit)]), scales=float(limit.max(initial=0.0)),
+        allowed=case.printing("lam") * (1.0 + float(mu.max(initial=0.0))),
+    )  # fmt: skip
+
+
+def friction_dissipation_error(case: Evidence) -> Measured:
+    (least, most), slip = case.friction_limits, case.slip
+    values = eq.friction_dissipation_error(case.friction, least, most, slip)
+    nominal = np.array([item.nominal for item in case.scene.frictions])
+    largest = most.max(axis=0, initial=0.0)
+    p_slip = 2.0 * (case.printing("v") + float(np.abs(case.v).max(initial=0.0)) * case.printing("q"))
+    allowed = 2.0 * largest * p_slip + 2.0 * case.printing("lam") * np.abs(slip).max(axis=0, initial=0.0)
+    return Measured(values=values, scales=largest * nominal, allowed=allowed)
+
+
+# Question 4
+
+
+def replay_error(case: Evidence) -> Measured:
+    values = np.abs(case.q - case.replay_q).max(axis=0)
+    return Measured(
+        values=values,
+        error=case.error.position,
+        scales=_nominals(case.scene),
+        allowed=case.printing("q"),
+        units=_position_units(case.scene),
+    )
+
+
+def replay_terminal_error(case: Evidence) -> tuple[float, float]:
+    return eq.distance(case.replay_end, case.goal), case.error.state
+
+
+def replay_terminal_position_error(case: Evidence) -> tuple[float, float]:
+    # The norm over positions differs by at most as much as each of them does.
+    error = min(case.error.state, case.error.position * float(np.sqrt(case.scene.nq)))
+    return eq.distance(case.replay_q[-1], case.goal[: case.scene.nq]), error
+
+
+def replay_terminal_velocity_error(case: Evidence) -> tuple[float, float]:
+    return eq.distance(case.replay_v[-1], case.goal[case.scene.nq :]), case.error.state
+
+
+def replay_cost(case: Evidence) -> tuple[float, float]:
+    replay = case.replay
+    u = case.trajectory.u if replay.applied is None else replay.applied
+    case.need("q", "v")
+    own = bool((case.h == case.scene.task.step).all())  # else all rows tell more than those at the plan's nodes
+    rows, error = replay.knots if own else np.arange(len(replay.t)), case.error.state
+    t, q, v = replay.t[rows], replay.q[rows], replay.v[rows]
+    value = case.cost_of(t, q, v, u)
+    around = [case.cost_of(t, q + sign * error, v + sign * error, u) for sign in (1.0, -1.0)] if np.isfinite(error) else [np.inf]
+    return value, max(abs(one - value) for one in around)
+
+
+def replay_error_time(case: Evidence) -> float:
+    return float(case.trajectory.t[eq.largest_difference(case.q, case.replay_q)[1]])
+
+
+def grid_error(case: Evidence) -> tuple[float, float]:
+    return eq.largest_difference(case.true_motion[0], case.replay_q)[0], case.error.position
+
+
+def grid_order(case: Evidence) -> float:
+    """Log2 of what the last halving of the plan's step does to its distance from the replay, its inputs held; halved until it is near, or seven times."""
+    error, near = grid_error(case)[0], _replay_limit(case) / 4.0
+    if error <= near:
+        raise Unmeasured("the discretisation error is far below the limit on replay_error, so that nothing need be known of its order.")
+    order = 0.0
+    for halvings in range(1, _HALVINGS + 1):
+        finer, _ = eq.largest_difference(case.refined_motion(2**halvings), case.replay_q)
+        order = float(np.log2(error / finer)) if finer > 0.0 else np.inf
+        error = finer
+        if error <= near:
+            break
+    return min(order, _HALVINGS)
+
+
+def _replay_limit(case: Evidence) -> float:
+    own = case.scene.limit("replay_error")
+    return own.value if own is not None and own.value is not None else 1e-2 * float(_nominals(case.scene).min())
+
+
+# Question 5
+
+
+def max_penetration(case: Evidence) -> Measured:
+    depths = np.array([np.inf if depth is None else depth for depth in case.scene.depths])
+    if not isinstance(case.scene, Scene):
+        _check_gaps(case)
+    return Measured(values=case.deepest, error=case.error.gap, scales=depths)
+
+
+def _check_gaps(case: Evidence) -> None:
+    """Raise Contradicted where a contact of somebody's FMU pushes, but its gap is open most of that time: gaps are negative in contact."""
+    if "lam" in case.scene.lacks or "gap" in case.scene.lacks:  # type: ignore[union-attr] - a foreign model has it
+        return
+    pieces = np.append(case.duration, 0.0) + np.append(0.0, case.duration)  # twice the time around each row
+    for contact, depth, force, gap in zip(case.scene.contacts, case.scene.depths, case.replay.lam.T, case.replay_gap.T, strict=True):
+        pushes = force > _CLEARLY * force.max(initial=0.0)
+        opens = pushes & (gap > _CLEARLY * np.abs(gap[pushes]).max(initial=0.0))
+        if depth is not None and 2.0 * pieces[opens].sum() > pieces[pushes].sum():
+            share = pieces[opens].sum() / pieces[pushes].sum()
+            raise Contradicted(
+                f"contact {contact.name} pushes, but its gap is open in {100.0 * share:.0f} % of that time, and a gap is negative in contact; "
+                "the map may have its sign (scale) or its zero (offset) wrong."
+            )
+
+
+def ghost_impulse(case: Evidence) -> Measured:
+    value = eq.ghost_impulse(plan_lam=case.lam, largest=case.force_window[1], h=case.h)
+    return _of_impulses(case, value)
+
+
+def missed_impulse(case: Evidence) -> Measured:
+    value = eq.missed_impulse(plan_lam=case.lam, least=case.force_window[0], h=case.h)
+    return _of_impulses(case, value)
+
+
+def _of_impulses(case: Evidence, value: float) -> Measured:
+    """Measured by the larger of the planned and the replayed contact impulse: a contact between two nodes may be planned with no force at all."""
+    lam = np.maximum(case.replay.lam[:, : case.scene.nc], 0.0)
+    replayed = float(((lam[:-1] + lam[1:]) / 2.0 * case.duration[:, None]).sum())
+    printed = float(case.h.sum()) * case.scene.nc * case.printing("lam")
+    return Measured(
+        values=np.array([value]), error=_impulse_error(case), scales=max(case.planned_impulse, replayed), allowed=printed + _grazing(case)
+    )
+
+
+def _impulse_error(case: Evidence) -> float:
+    """Each force may be wrong by k times the error of its gap while there is contact; a damped one also by its error in the velocities."""
+    touching = float((case.duration[:, None] * ((case.replay.lam[:-1] > 0.0) | (case.replay.lam[1:] > 0.0))).sum())
+    if not isinstance(case.scene, Scene):  # its stiffness is what its own forces and gaps say
+        pressed = case.replay_gap < 0.0
+        stiffness = np.divide(case.replay.lam, -case.replay_gap, out=np.zeros_like(case.replay.lam), where=pressed).max(initial=0.0)
+        return float(stiffness) * touching * case.error.gap if touching else 0.0
+    error = float(case.slopes[0].max(initial=0.0)) * touching * case.error.gap
+    return error + (float(case.slopes[1].max(initial=0.0)) * touching * case.error.state if case.scene.damped else 0.0)
+
+
+def replay_velocity_bound_violation(case: Evidence) -> Measured:
+    lower, upper = _velocity_bounds(case)
+    return Measured(
+        values=eq.outside(case.all_replay_v[:-1], lower, upper),
+        error=case.error.state,
+        scales=_nominals(case.scene),
+        units=_velocity_units(case.scene),
+    )
+
+
+# Question 6
+
+
+def defect(case: Evidence) -> Measured:
+    p_q, p_v, h = case.printing("q"), case.printing("v"), float(case.h.max())
+    if case.trajectory.scheme is not Scheme.SEMI_IMPLICIT_EULER:
+        # Stages are not stored: its forces are taken to be those of the true law there.
+        values = case.collocation_defect
+        if not np.isfinite(values).all():
+            raise LeavesBounds(f"a step of scheme {case.trajectory.scheme.value} from a node of the plan has no solution.")  # type: ignore[union-attr]
+    else:
+        values = eq.defect(q=case.q, v=case.v, acceleration=case.acceleration, h=case.h)
+    nominals = _nominals(case.scene)
+    position = 2.0 * p_q + h * p_v
+    velocity = 2.0 * p_v + h * case.printing_acceleration
+    return Measured(
+        values=values, scales=np.concatenate([nominals, nominals]), allowed=np.repeat([position, velocity], case.scene.nq),
+        units=(*_position_units(case.scene), *_velocity_units(case.scene)),
+    )  # fmt: skip
+
+
+def _explained(case: Evidence) -> float:
+    """What a defect at its limit explains if each step has one and none grows or dies: steps times 1e-6 of the nominal."""
+    return case.trajectory.steps * DEFECT * float(_nominals(case.scene).min()) + case.trajectory.steps * case.printing("q")
+
+
+def law_error(case: Evidence) -> Measured:
+    return Measured(values=np.array([eq.largest_difference(case.q, case.true_motion[0])[0]]), scales=_explained(case))
+
+
+def discrete_terminal_error(case: Evidence) -> float:
+    return eq.distance(case.true_end, case.goal)
+
+
+def discrete_terminal(part: str, value: Callable[[Evidence], float]) -> Callable[[Evidence], Measured]:
+    """Beyond what the plan itself may miss the goal by."""
+
+    def measure(case: Evidence) -> Measured:
+        own = case.scene.limit(f"terminal_{part}_error")
+        return Measured(
+            values=np.array([value(case)]), scales=_explained(case), allowed=0.0 if own is None or own.value is None else own.value
+        )
+
+    return measure
+
+
+def discrete_position(case: Evidence) -> float:
+    return eq.distance(case.true_end[: case.scene.nq], case.goal[: case.scene.nq])
+
+
+def discrete_velocity(case: Evidence) -> float:
+    return eq.distance(case.true_end[case.scene.nq :], case.goal[case.scene.nq :])
+
+
+# The judge
+
+
+def _work(case: Evidence) -> tuple[np.ndarray, np.ndarray]:
+    if case.replay.input_work is None or case.replay.dissipated_work is None:
+        raise Unmeasured("the FMU has no outputs input_power and dissipated_power.")
+    return case.replay.input_work, case.replay.dissipated_work
+
+
+def energy_residual(case: Evidence) -> float:
+    return eq.energy_residual(case.replay.energy, *_work(case))
+
+
+def energy_residual_relative(case: Evidence) -> float:
+    replay, work = case.replay, _work(case)
+    turned = eq.energy_turnover(replay.kinetic_energy, replay.potential_energy, replay.contact_energy, *work)
+    speeds = _nominals(case.scene)[None, :]
+    typical = float(case.kernel.energy(replay.q[:1], speeds)[0][0])
+    return energy_residual(case) / max(turned, _AT_REST * typical)
+
+
+def friction_impulse_error(case: Evidence) -> float:
+    return eq.friction_impulse_error(case.friction, case.step_of, case.replay.friction, case.duration)

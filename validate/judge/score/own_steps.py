@@ -1,0 +1,149 @@
+"""The true motion over each step of a plan, from the plan's own states and under its inputs: small steps of the compiled kernel, as many as it takes.
+
+A step is cut into 50 parts, and into twice as many until twice as many change its end by less than a thousandth of what the plan's steps turn over: a
+light body in a strong damper, or a hard bounce within one step, needs thousands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.codegen.kernel import Kernel
+from validate.judge.replay.wiring import HeldInputs
+from validate.judge.score.verdict import Unmeasured
+
+_FIRST, _DOUBLINGS = 50, 8
+# Of the largest change of momentum in a step: a hundredth of what unexplained_force allows.
+_SETTLED = 1e-3
+# Newton steps towards a velocity, and what is then missed at most, in nominals.
+_SHOTS, _MISSED = 20, 1e-10
+
+# Parts of steps in one call of the kernel: 200 MB for three carts.
+_AT_ONCE = 2_000_000
+
+Size = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OwnSteps:
+    """ends (steps, 2 nq): true states at the ends of the steps; least, most (steps, nl): forces of the true law within them [N]."""
+
+    ends: np.ndarray
+    least: np.ndarray
+    most: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Departures:
+    """v (steps, nq): velocities at the starts of the steps with which the true motion arrives at the next position, but for missed (steps, nq) [m]; gains
+    (steps,): by how much a position that is off by 1 changes them [1/s]."""
+
+    v: np.ndarray
+    missed: np.ndarray
+    gains: np.ndarray
+
+
+class Stepper:
+    """Of one plan's inputs and grid. h (steps,) [s]; t (nodes,) [s], for sentences."""
+
+    def __init__(self, kernel: Kernel, held: HeldInputs, t: np.ndarray, h: np.ndarray) -> None:
+        self._kernel, self._held, self._t, self._h = kernel, held, t, h
+
+    def run(self, x: np.ndarray, size: Size, scale: float) -> OwnSteps:
+        """From states x (steps, 2 nq) at the starts. size: (n,) of velocities (n, nq), with their step's mass; scale: what it is measured by.
+
+        Raises Unmeasured where no number of parts settles.
+        """
+        nq, steps = x.shape[1] // 2, np.arange(len(x))
+        found = self.parts(steps, x, _FIRST)
+        ends, least, most = found.ends.copy(), found.least.copy(), found.most.copy()
+        for doubling in range(1, _DOUBLINGS + 1):
+            finer = self.parts(steps, x[steps], _FIRST * 2**doubling)
+            with np.errstate(invalid="ignore", over="ignore"):
+                change = np.zeros((2, len(x), nq))
+                change[0, steps] = finer.ends[:, nq:] - ends[steps, nq:]
+                change[1, steps] = (finer.ends[:, :nq] - ends[steps, :nq]) / self._h[steps, None]
+                off = np.maximum(size(change[0]), size(change[1]))[steps]
+            ends[steps], least[steps], most[steps] = finer.ends, finer.least, finer.most
+            steps = steps[~(off <= _SETTLED * scale)]  # not a number is not settled either
+            if not len(steps):
+                return OwnSteps(ends=ends, least=least, most=most)
+        raise Unmeasured(
+            f"the true motion from the plan's own state at t = {self._t[steps[0]]:g} s, over one step, is not to be had: {_FIRST * 2**_DOUBLINGS} "
+            "parts of the step do not tell it."
+        )
+
+    def parts(self, steps: np.ndarray, x: np.ndarray, parts: int) -> OwnSteps:
+        """Of some of the steps, (n,) their places, from states x (n, 2 nq); each in so many parts. Not a number where it leaves every bound."""
+        nl, held = self._kernel.scene.nl, self._held
+        ends, least, most = np.empty_like(x), np.empty((len(x), nl)), np.empty((len(x), nl))
+        for rows in self._alike(steps, parts):
+            h = self._h[steps[rows[0]]]
+            within = (np.arange(parts) + 0.5)[None, :, None] * (h / parts)
+            u = held.values[steps[rows], None] + held.slopes[steps[rows], None] * within
+            lam, ends[rows] = self._kernel.rollouts(x[rows], u, float(h) / parts)
+            least[rows], most[rows] = lam.min(axis=1), lam.max(axis=1)
+        return OwnSteps(ends=ends, least=least, most=most)
+
+    def _alike(self, steps: np.ndarray, parts: int) -> Iterator[np.ndarray]:
+        """Places among the steps of those that are equally long, so many at a time that they fit in memory."""
+        lengths = np.round(self._h[steps] / self._h.max(), 9)
+        for length in np.unique(lengths):
+            rows = np.flatnonzero(lengths == length)
+            yield from np.array_split(rows, -(-len(rows) * parts // _AT_ONCE))
+
+    def departures(self, q: np.ndarray, v0: np.ndarray, nominal: np.ndarray) -> Departures:
+        """From positions q (nodes, nq) alone. v0 (nq,): velocities of the task's start; nominal (nq,) of the positions.
+
+        The first guess is the velocity with which the step before arrived.
+        """
+        found, missed, gains, before = np.empty((len(q) - 1, q.shape[1])), np.empty((len(q) - 1, q.shape[1])), np.empty(len(q) - 1), v0
+        enough = _SETTLED * float(np.abs(np.diff(q, axis=0) / self._h[:, None]).max()) + _MISSED * float(nominal.max())
+        for step in range(len(found)):
+            best = None
+            for guess in (before, (q[step + 1] - q[step]) / self._h[step]):
+                one = self._departure(step, q, guess, nominal, enough)
+                best = one if best is None or np.abs(one[2]).max() < np.abs(best[2]).max() else best
+                if (np.abs(best[2]) <= _MISSED * nominal).all():
+                    break
+            assert best is not None
+            found[step], before, missed[step], gains[step] = best
+        return Departures(v=found, missed=missed, gains=gains)
+
+    def _departure(
+        self, step: int, q: np.ndarray, v: np.ndarray, nominal: np.ndarray, enough: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+        """The velocity, that of arrival, what is missed, and the gain, with so many parts that more change the velocity by less than `enough` [m/s]."""
+        before, found = np.full(len(v), np.inf), self._newton(step, q, v, nominal, _FIRST)
+        for doubling in range(2, _DOUBLINGS + 1, 2):
+            if np.abs(found[0] - before).max() <= enough:
+                break
+            before, found = found[0], self._newton(step, q, found[0], nominal, _FIRST * 2**doubling)
+        return found
+
+    def _newton(
+        self, step: int, q: np.ndarray, v: np.ndarray, nominal: np.ndarray, parts: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+        """The best of some steps, each halved until it is better: friction that sticks makes corners."""
+        nq, h = q.shape[1], self._h[step]
+        places, nudge = np.full(nq + 1, step), 1e-6 * nominal / h
+        best, move = None, np.zeros(nq)
+        for _ in range(_SHOTS):
+            x = np.tile(np.concatenate([q[step], v + move]), (nq + 1, 1))
+            x[1:, nq:] += np.diag(nudge)
+            ends = self.parts(places, x, parts).ends
+            miss = q[step + 1] - ends[0, :nq]
+            if best is None or np.abs(miss).max() < np.abs(best[2]).max():
+                slope = np.nan_to_num((ends[1:, :nq] - ends[0, :nq]).T / nudge)
+                inverse = np.linalg.pinv(slope, rcond=1e-6)
+                v, move = v + move, inverse @ np.nan_to_num(miss)
+                best = v, ends[0, nq:], np.nan_to_num(miss, nan=np.inf), float(np.abs(inverse).sum(axis=1).max())
+            else:
+                move = move / 2.0
+            if (np.abs(best[2]) <= _MISSED * nominal).all():
+                break
+        assert best is not None
+        return best

@@ -1,0 +1,153 @@
+"""The mean force a step that a plan's inputs and true contact do not explain, from the plan's own states: needs no scheme and no force column.
+
+From each of the plan's states the true motion is run over one step under the plan's inputs (validate.judge.score.own_steps). What the plan's next
+velocity differs by, dv, takes a mean force M dv/h that nobody gives. Forces along different coordinates are compared in the norm of M^-1, in which a
+contact force lam has the size lam sqrt(J M^-1 J'): so a force that is not there is measured in contact forces of the same effect.
+
+Of a scene without inertia (models.quasi_static) forces are velocities: what its position differs by after the step, dq, takes the mean force D dq/h.
+
+A plan that says both must not move by more or less than its velocities at both ends of the step, or the true motion, allow. Friction forces
+that it claims must move it as the true ones do: within mu N a sticking one is not free, it is what holds. Velocities that it does
+not say follow from its positions, in whichever of two ways explains it better: those with which the true motion arrives at the next position - what
+then jumps at a node is unexplained, and by how much the next position is missed -, or backward differences, which are the velocities of whoever steps
+as semi-implicit Euler does.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from models.codegen.kernel import KernelError
+from validate.judge.score.evidence import Evidence, sizes
+from validate.judge.score.verdict import Unmeasured
+
+# What the metric is limited by where a scene sets nothing.
+LIMIT = 0.1
+# What counts as a contact force at least, of the inputs' range: a plan that only grazes is not held to a millionth of a newton.
+_SHARE_OF_RANGE = 0.1
+
+
+def unexplained_force(case: Evidence) -> float:
+    """Largest unexplained mean force of a step, as a share of the peak contact force of the replay (or of what else drives it: `_reference`)."""
+    reference = _reference(case)
+    return float(_forces(case, LIMIT * reference).max()) / reference
+
+
+def _forces(case: Evidence, enough: float) -> np.ndarray:
+    """(steps,) sqrt(dv' M dv)/h of each step, less what printing may be the cause of; `enough` explains it."""
+    found = _of_motion(case, enough)
+    if not case.scene.nf or case.trajectory.missing & {"friction", "lam"} or case.trajectory.scheme is not None:
+        return found
+    return np.maximum(found, _of_friction(case))
+
+
+def _of_friction(case: Evidence) -> np.ndarray:
+    """(steps,) the force by which the friction that a plan claims moves it otherwise than the true one: sticking friction is whatever holds, no more.
+
+    Several frictions may share that as they like: what counts is the sum of what they do. The true one of a step is any between its least and most in
+    this step and the next, whose input may set in at the node.
+    """
+    kernel, plan, nc = case.kernel, case.trajectory, case.scene.nc
+    own = case.own_steps(case.own_velocities[:-1])
+    least, most = (array[:, nc:] for array in (own.least, own.most))
+    least, most = np.minimum(least, np.vstack([least[1:], least[-1:]])), np.maximum(most, np.vstack([most[1:], most[-1:]]))
+    p_lam = case.printing("lam")
+
+    def differs(true: np.ndarray) -> np.ndarray:
+        claimed, real = plan.lam.copy(), plan.lam.copy()
+        claimed[:, nc:], real[:, nc:] = case.friction, true
+        v = case.own_velocities[:-1]
+        change = kernel.acceleration(case.q[:-1], v, plan.u, claimed) - kernel.acceleration(case.q[:-1], v, plan.u, real)
+        return sizes(case.masses[:-1], change)
+
+    try:
+        return np.minimum(differs(np.clip(case.friction, least - p_lam, most + p_lam)), differs((least + most) / 2.0))
+    except KernelError as error:
+        raise Unmeasured(str(error)) from error
+
+
+def _of_motion(case: Evidence, enough: float) -> np.ndarray:
+    """(steps,) the same of the motion alone."""
+    plan, h = case.trajectory, np.diff(case.trajectory.t)
+    if "v" not in plan.missing:
+        return _by_velocities(case, h, plan.v, case.printing("v"))
+    if case.equations.relaxation_index is not None:
+        return _without_inertia(case, h, case.departures.v)
+    backward = np.vstack([case.start_velocity, np.diff(case.q, axis=0) / h[:, None]])
+    found = _by_velocities(case, h, backward, 2.0 * case.printing("q") / float(h.min()))
+    if found.max() <= enough:
+        return found
+    return min(found, _by_departures(case, h), key=lambda forces: forces.max())
+
+
+def _by_velocities(case: Evidence, h: np.ndarray, v: np.ndarray, p_v: float) -> np.ndarray:
+    """(steps,) with velocities v (nodes, nq) printed to p_v."""
+    q, p_q, mass = case.q, case.printing("q"), case.masses
+    late = 2.0 * case.printing("t")  # a node that is printed late has moved on by its speed, and its speed by its acceleration
+    ends = case.own_steps(v[:-1]).ends
+    arriving_q, arriving = ends[:, : case.scene.nq], ends[:, case.scene.nq :]
+    moved = np.diff(q, axis=0)
+    low, high = np.minimum(v[:-1], v[1:]) * h[:, None], np.maximum(v[:-1], v[1:]) * h[:, None]
+    beyond = np.maximum(np.maximum(moved - high, low - moved), 0.0)
+    beyond = np.minimum(beyond, np.abs(q[1:] - arriving_q))
+    beyond = np.maximum(beyond - 2.0 * p_q - h[:, None] * p_v - late * np.abs(v[:-1]), 0.0) / h[:, None]
+    if case.equations.relaxation_index is not None:
+        return np.maximum(_without_inertia(case, h, v[:-1]), sizes(mass[1:], beyond) / _relaxation_time(case))
+    jump = v[1:] - arriving
+    allowed = 2.0 * p_v + h * case.printing_acceleration + late * np.abs((arriving - v[:-1]) / h[:, None]).max(axis=1)
+    return np.maximum(sizes(mass[1:], jump) - allowed * sizes(mass[1:], np.ones(case.scene.nq)), sizes(mass[1:], beyond)).clip(0.0) / h
+
+
+def _without_inertia(case: Evidence, h: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """(steps,) of a scene whose forces are velocities, from velocities v (steps, nq) at the starts: D (moved - moves)/h, with M = tau D."""
+    mass = case.masses[1:]
+    missed = (case.q[1:] - case.own_steps(v).ends[:, : case.scene.nq]) / h[:, None]
+    allowed = (2.0 * case.printing("q") + 2.0 * case.printing("t") * np.abs(v).max(axis=1)) / h + h * case.printing_acceleration
+    return (sizes(mass, missed) - allowed * sizes(mass, np.ones(case.scene.nq))).clip(0.0) / _relaxation_time(case)
+
+
+def _relaxation_time(case: Evidence) -> float:
+    """tau [s] of a scene without inertia."""
+    return case.equations.parameters[case.equations.relaxation_index].value  # type: ignore[index] - asked where there is one
+
+
+def _by_departures(case: Evidence, h: np.ndarray) -> np.ndarray:
+    """(steps,) with the velocities that lead from each position to the next; the first must be the task's."""
+    p_q, mass, departing, gains = case.printing("q"), case.masses, case.departures.v, case.departures.gains
+    late = 2.0 * case.printing("t")
+    arriving = case.own_steps(departing).ends[:, case.scene.nq :]
+    jump = np.vstack([departing[:1] - case.start_velocity, departing[1:] - arriving[:-1]])
+    spans = np.concatenate([h[:1], (h[1:] + h[:-1]) / 2.0])
+    allowed = (2.0 * p_q + late * np.abs(departing).max(axis=1)) * (
+        gains + np.concatenate([gains[:1], gains[:-1]])
+    ) + h * case.printing_acceleration
+    unit = sizes(mass[:-1], np.ones(case.scene.nq))
+    missed = (sizes(mass[:-1], case.departures.missed) - 2.0 * p_q * unit) / h**2
+    return np.maximum((sizes(mass[:-1], jump) - allowed * unit) / spans, missed).clip(0.0)
+
+
+def _reference(case: Evidence) -> float:
+    """The largest contact force of the replay, or a tenth of the inputs' range where that is more; without contact their range, and without inputs the
+    largest force of the motion, or what moves it by its nominal within the plan. In the norm of M^-1."""
+    scene, kernel = case.equations, case.kernel
+    q = case.opened_q
+    v, u, none = np.zeros_like(q), np.zeros((len(q), scene.nu)), np.zeros((len(q), scene.nl))
+    mass, largest = case.masses_at(q), 0.0
+    try:
+        still = kernel.acceleration(q, v, u, none)
+        for contact in range(scene.nc):
+            push = none.copy()
+            push[:, contact] = case.opened_lam[:, contact]
+            largest = max(largest, float(sizes(mass, kernel.acceleration(q, v, u, push) - still).max()))
+        share = _SHARE_OF_RANGE if largest > 0.0 else 1.0
+        ranges = [item.upper - item.lower for item in scene.inputs]
+        for place, width in enumerate(ranges):
+            pull = u.copy()
+            pull[:, place] = share * (width if np.isfinite(width) else 2.0 * np.abs(case.trajectory.u[:, place]).max())
+            largest = max(largest, float(sizes(mass, kernel.acceleration(q, v, pull, none) - still).max()))
+    except KernelError as error:
+        raise Unmeasured(str(error)) from error
+    if largest > 0.0:
+        return largest
+    nominal = np.array([item.nominal for item in scene.coordinates]) / case.trajectory.duration**2
+    return max(float(sizes(mass, still).max()), float(sizes(mass, nominal).max()))

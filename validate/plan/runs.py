@@ -1,0 +1,297 @@
+"""Which cells a campaign has, in order: scenes by pipelines, then examinations; and which of them are stored.
+
+entries, left_out = select(Settings(out=Path("runs/all"), quick=True))
+entries = with_stored(entries, store, settings)
+"""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import json
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from formulations.pipeline import cells_of
+from models.catalog import load_scene, scene_names, scene_path
+from models.errors import TouchstoneError
+from validate.plan.selection import matches
+from validate.store.store import Store
+from validate.tasks.examination import Examination, SceneReference, lost_examination
+from validate.tasks.plugins import DEFAULT_TOOLS, Tools, load_tools, tools_source
+from validate.tasks.provisional import lacks_certificate
+from validate.tasks.run import Cell
+from validate.tasks.shared_stages import Signature, beginnings, common, restarts
+
+if TYPE_CHECKING:
+    from formulations.method import Pipeline
+    from models.scene import Scene
+    from reports.examination_record import ExaminationRecord
+    from reports.record import ProvenanceRecord, RunRecord
+    from validate.execution.worker import Lost
+    from validate.tasks.records import Planned
+
+
+NOTHING_STORED = "nothing is stored of it"
+
+
+class CampaignError(TouchstoneError):
+    """Nothing selected, or a folder that holds no campaign."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """What the user asked for.
+
+    scenes: names or paths; empty for all of the catalog. last_failed: of what is not stored, run only what failed when the folder's campaign
+    last ran, and that in any case; stop_early: at the first failure; retries: of a cell that crashes; engine: which runs the cells
+    (validate.execution.engine); jobs: cells at a time, None for what the engine chooses.
+    Of a campaign file: chosen, instead of `scenes`; pipelines, instead of all of them; examined: scenes whose FMUs are checked; title: of the
+    report; files: texts written into the folder, by name.
+    """
+
+    out: Path
+    scenes: tuple[str, ...] = ()
+    quick: bool = False
+    expression: str = ""
+    jobs: int | None = None
+    engine: str = "local"
+    fresh: bool = False
+    time_limit: float = 240.0
+    tools: str = DEFAULT_TOOLS
+    command: str = ""
+    last_failed: bool = False
+    stop_early: bool = False
+    retries: int = 0
+    chosen: tuple[SceneReference, ...] = ()
+    pipelines: tuple[Pipeline, ...] = ()
+    examined: tuple[SceneReference, ...] = ()
+    title: str = ""
+    files: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A cell of a scene by a pipeline with what the parent knows of it: its scene, its stages, and its stored record if that can be used."""
+
+    cell: Cell
+    scene: Scene
+    plan: tuple[Planned, ...]
+    stored: RunRecord | ExaminationRecord | None = None
+    why: str = ""  # it is run, although something like it may be stored
+
+    def lost(self, provenance: ProvenanceRecord) -> Callable[[Lost], RunRecord]:
+        """Makes the record of a child that left none."""
+        from validate.tasks.records import lost_run
+        from validate.tasks.scene_record import scene_record
+
+        return lambda lost: lost_run(self.cell, scene_record(self.scene), self.plan, provenance, lost)
+
+
+@dataclass(frozen=True)
+class Examined:
+    """An examination, and its stored record if that can be used."""
+
+    cell: Examination
+    stored: RunRecord | ExaminationRecord | None = None
+    why: str = ""
+
+    def lost(self, provenance: ProvenanceRecord) -> Callable[[Lost], ExaminationRecord]:
+        """Makes the record of a child that left none."""
+        return partial(lost_examination, self.cell, provenance)
+
+
+def select(settings: Settings) -> tuple[list[Entry | Examined], tuple[str, ...]]:
+    """The cells asked for, in order, and what a quick campaign leaves out, in words. Raises TouchstoneError."""
+    tools = load_tools(settings.tools)
+    scenes = list(settings.chosen) or _scenes(settings)
+    entries: list[Entry | Examined] = []
+    seen: list[str] = []
+    left_out: list[tuple[str, str]] = []
+    long: list[str] = []
+    for reference in scenes:
+        scene = reference.scene
+        pipelines = settings.pipelines or tools.pipelines_for(scene)
+        shared = common(_plans(pipelines, tools))
+        for pipeline in pipelines:
+            methods = dict.fromkeys(leg.method for leg in pipeline.legs)
+            seen += [scene.name, pipeline.name, *methods]
+            if not settings.expression or matches(
+                settings.expression, (scene.name, pipeline.name, *methods), f"{scene.name} x {pipeline.name}"
+            ):
+                if _is_too_long(settings, scene):
+                    long.append(scene.name)
+                elif settings.quick and pipeline.name not in tools.quick_names():
+                    left_out.append((scene.name, pipeline.name))
+                else:
+                    for part in cells_of(pipeline):
+                        cell = Cell(
+                            key="",
+                            scene=reference.where,
+                            scene_name=scene.name,
+                            pipeline=part,
+                            tools=settings.tools,
+                            time_limit=settings.time_limit,
+                            variant=reference.variant,
+                        )
+                        entries.append(_entry(cell, scene, tools, shared))
+    long = list(dict.fromkeys(long))
+    told = (*_in_words(left_out, len(scenes) - len(long)), *(f"{name} x every pipeline" for name in long))
+    examined, unexamined = _examined(settings, tools, settings.examined if settings.chosen else scenes, seen)
+    told += unexamined
+    if not entries and not examined:
+        raise _nothing(settings, seen, told)
+    return [*entries, *examined], told
+
+
+def _is_too_long(settings: Settings, scene: Scene) -> bool:
+    """A quick campaign leaves out the scenes that say so themselves, unless they are asked for by name."""
+    return settings.quick and not scene.quick and not settings.scenes
+
+
+def _scenes(settings: Settings) -> list[SceneReference]:
+    from validate.judge.score import check_limits
+
+    scenes: list[SceneReference] = []
+    for reference in dict.fromkeys(settings.scenes or scene_names()):
+        scene = load_scene(reference)
+        check_limits(scene, scene_path(reference))
+        if any(other.scene.name == scene.name and other.scene is not scene for other in scenes):
+            raise CampaignError(f"--scene {reference}: another scene of this campaign is named {scene.name!r} too; rename one of them.")
+        where = str(Path(reference).resolve()) if reference.endswith(".py") else reference
+        scenes.append(SceneReference(where, scene))
+    return scenes
+
+
+def _examined(
+    settings: Settings, tools: Tools, scenes: Sequence[SceneReference], seen: list[str]
+) -> tuple[list[Examined], tuple[str, ...]]:
+    """The examinations asked for, and what of them a quick campaign leaves out; `seen` is told their names.
+
+    Where scenes are named, only examinations of these scenes are meant.
+    """
+    from validate.store.provenance import examination_key
+
+    long = {reference.scene.name for reference in scenes if _is_too_long(settings, reference.scene)}
+    examined: list[Examined] = []
+    left_out: list[Examination] = []
+    for item in tools.examinations(scenes):
+        if item.scene is None and (settings.scenes or settings.chosen):
+            continue
+        seen += [name for name in item.names if name not in seen]
+        if settings.expression and not matches(settings.expression, item.names, item.title):
+            continue
+        if settings.quick and (not item.quick or item.scene in long):
+            left_out.append(item)
+            continue
+        examined.append(Examined(replace(item, key=examination_key(item), time_limit=settings.time_limit)))
+    return examined, _counted(left_out)
+
+
+def _counted(examinations: Sequence[Examination]) -> tuple[str, ...]:
+    """Examinations by group: the only one by its name, several by their number."""
+    groups: dict[str, list[str]] = {}
+    for item in examinations:
+        groups.setdefault(item.group or item.kind, []).append(item.title)
+    return tuple(titles[0] if len(titles) == 1 else f"{group}: {len(titles)} examinations" for group, titles in groups.items())
+
+
+def _in_words(cells: Sequence[tuple[str, str]], scenes: int) -> tuple[str, ...]:
+    """(scene, pipeline) -> `scene x pipeline`; a pipeline of all of several scenes once, as `every scene x pipeline`."""
+    times = Counter(pipeline for _, pipeline in cells)
+    return tuple(dict.fromkeys(f"{'every scene' if times[pipeline] == scenes > 1 else scene} x {pipeline}" for scene, pipeline in cells))
+
+
+def _plans(pipelines: Sequence[Pipeline], tools: Tools) -> Iterator[tuple[Planned, ...]]:
+    """The stages of every pipeline; one that cannot be planned says so where it is asked for."""
+    for pipeline in pipelines:
+        for part in cells_of(pipeline):
+            with contextlib.suppress(TouchstoneError):
+                yield _plan(part, tools)
+
+
+def _plan(pipeline: Pipeline, tools: Tools) -> tuple[Planned, ...]:
+    from validate.tasks.records import planned_stages
+
+    return planned_stages(pipeline, {leg.method: tools.load_method(leg.method) for leg in pipeline.legs})
+
+
+def _entry(cell: Cell, scene: Scene, tools: Tools, shared: frozenset[Signature]) -> Entry:
+    from validate.store.provenance import content_key
+
+    plan, source = _plan(cell.pipeline, tools), tools_source(cell.tools)
+
+    def key_of(stages: Sequence[Planned], *named: str) -> str:
+        asked = [(planned.name, planned.eps, {name: repr(value) for name, value in asdict(planned.options).items()}) for planned in stages]
+        return content_key(scene, [*named, asked], {planned.name for planned in stages}, source)
+
+    key = key_of(plan, cell.pipeline.name, cell.pipeline.title)
+    return Entry(
+        cell=replace(cell, key=key, beginnings=beginnings(plan, shared, key_of), restarts=restarts(plan, shared, key_of)),
+        scene=scene,
+        plan=plan,
+    )
+
+
+def _nothing(settings: Settings, seen: list[str], left_out: tuple[str, ...]) -> CampaignError:
+    if left_out:
+        return CampaignError(
+            f"nothing to run: --quick leaves out all that -k {settings.expression!r} selects ({', '.join(left_out)}); drop --quick."
+        )
+    names = list(dict.fromkeys(seen))
+    close = difflib.get_close_matches(settings.expression, names, n=1)
+    hint = f"did you mean {close[0]}?" if close else f"the names are {', '.join(names)}."
+    return CampaignError(f"nothing to run: -k {settings.expression!r} selects no cell; {hint}")
+
+
+def with_stored(entries: Sequence[Entry | Examined], store: Store, settings: Settings) -> list[Entry | Examined]:
+    """The same cells, each with its stored record where that can be used again, else with the reason why not."""
+    found: list[Entry | Examined] = []
+    for entry in entries:
+        record, why = _usable(store, entry.cell, settings.fresh)
+        found.append(replace(entry, stored=record, why=why))
+    return found
+
+
+def _usable(store: Store, cell: Cell | Examination, fresh: bool) -> tuple[RunRecord | ExaminationRecord | None, str]:
+    record = store.read(cell.key)
+    if record is None:
+        return None, "stored, but its record cannot be read" if (store.runs / cell.key).is_dir() else NOTHING_STORED
+    if fresh:
+        return None, "stored, but --fresh runs it anew"
+    outcomes = {record.outcome, *(stage.outcome for stage in getattr(record, "stages", ()))}
+    if "crashed" in outcomes:
+        return None, "stored, but it crashed"
+    if "time_limit" in outcomes or lacks_certificate(record):
+        asked = store.request(cell.key).get("time_limit")
+        before = asked if isinstance(asked, (int, float)) else 0.0
+        if not before >= cell.time_limit:
+            return None, f"stored, but it ran out of {before:g} s and would have {cell.time_limit:g} s now"
+    if lost := store.lost(cell.key):
+        return None, f"stored, but {lost} is gone or cut off"
+    if store.is_due(cell.key):
+        return None, "stored, but to be run anew, which was interrupted"
+    return record, ""
+
+
+def reasons(entries: Sequence[Entry | Examined], store: Store) -> list[str]:
+    """For each cell why it would be run, "" where its record is used; one of which another version is stored says that."""
+    others = {identity(request) for request in store.requests()}
+    return [
+        "stored for other code, options, libraries or another scene file"
+        if entry.why == NOTHING_STORED and identity(entry.cell.to_json()) in others
+        else entry.why
+        for entry in entries
+    ]
+
+
+def identity(cell: Mapping[str, Any]) -> str:
+    """What a cell is called, whatever its content; of data that came from a file, and may be damaged."""
+    pipeline = cell.get("pipeline")
+    if isinstance(pipeline, Mapping):
+        return json.dumps([cell.get("scene_name"), pipeline.get("name"), pipeline.get("part") or None])
+    return json.dumps([cell.get("kind"), cell.get("name"), cell.get("scene")])

@@ -1,0 +1,125 @@
+"""The time step of every scene of a campaign, looked at before anything runs: is it stable while contacts are closed?
+
+found = time_steps(scenes, Path("runs/all/campaign.json"))     # one record a scene; those of an earlier campaign are used again where the scene is the same
+
+What is possible in a scene, but hardly meant: told before anything runs, and nothing more.
+
+scene_doubts(scene)     # ("scene own: contact wall is 0.4 deep at the start, 8 times its nominal 0.05; ...",)
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import sympy as sp
+
+from models.scene_text import scene_text
+from models.stability import step_stability
+
+if TYPE_CHECKING:
+    from models.scene import Scene
+    from reports.time_step_record import TimeStepRecord
+
+
+def time_steps(scenes: Iterable[Scene], campaign: Path) -> tuple[TimeStepRecord, ...]:
+    """campaign: campaign.json of the folder, which need not be there. Raises MachineError without a compiler."""
+    from reports.time_step_record import TimeStepRecord
+
+    known = {(item.scene, item.digest): item for item in _stored(campaign)}
+    found = []
+    for scene in scenes:
+        digest = hashlib.sha256(scene_text(scene).encode()).hexdigest()
+        if (scene.name, digest) in known:
+            found.append(known[scene.name, digest])
+            continue
+        said = step_stability(scene)
+        found.append(
+            TimeStepRecord(
+                scene=scene.name,
+                digest=digest,
+                step=said.step,
+                radius=said.radius,
+                contacts=said.contacts,
+                growth=said.growth,
+                largest_step=said.largest_step if math.isfinite(said.largest_step) else None,
+                warning=said.sentence,
+            )
+        )
+    return tuple(found)
+
+
+def _stored(campaign: Path) -> tuple[TimeStepRecord, ...]:
+    from pydantic import ValidationError
+
+    from reports.record import CampaignRecord
+
+    try:
+        return CampaignRecord.model_validate_json(campaign.read_bytes()).time_steps
+    except (OSError, ValidationError):
+        return ()
+
+
+# Scenes of the bank start at most one nominal penetration deep.
+DEEP = 3.0
+
+
+def scene_doubts(scene: Scene) -> tuple[str, ...]:
+    """Sentences: contacts that are deep at the start, parameters that change nothing, inputs that move nothing, limits on nothing."""
+    return (*_deep_starts(scene), *_idle(scene), *_idle_limits(scene))
+
+
+def doubts(scenes: Iterable[Scene]) -> Iterator[str]:
+    """Those of several scenes, each scene once."""
+    for scene in {scene.name: scene for scene in scenes}.values():
+        yield from scene_doubts(scene)
+
+
+def _deep_starts(scene: Scene) -> list[str]:
+    start = {**scene.parameter_values, **{item.symbol: value for item, value in zip(scene.coordinates, scene.task.start, strict=False)}}
+    found = []
+    for contact in scene.contacts:
+        depth = float(contact.penetration.subs(start).evalf())
+        if depth > DEEP * contact.nominal:
+            found.append(
+                f"scene {scene.name}: contact {contact.name} is {depth:.3g} deep at the start, {depth / contact.nominal:.3g} times its nominal "
+                f"{contact.nominal:.3g}; is the sign of its penetration right? It is positive in contact."
+            )
+    return found
+
+
+def _idle(scene: Scene) -> list[str]:
+    physics: list[sp.Expr | None] = [scene.kinetic_energy, scene.potential_energy, *scene.forces]
+    physics += [part for contact in scene.contacts for part in (contact.penetration, contact.stiffness, contact.damping)]
+    physics += [part for friction in scene.frictions for part in (friction.slip, friction.coefficient, friction.normal_force)]
+    drawn = [part for shape in scene.shapes for part in (shape.x, shape.y, shape.angle, *shape.size)]
+    asked = [scene.task.running_cost, scene.task.final_cost]
+    used = _symbols([*physics, *asked, *drawn])
+    moving = _symbols(scene.forces)
+    found = [
+        f"scene {scene.name}: parameter {item.name} changes nothing; nothing of the scene contains it."
+        for item in scene.parameters
+        if item.symbol not in used
+    ]
+    found += [
+        f"scene {scene.name}: input {item.name} moves nothing; no force contains it." for item in scene.inputs if item.symbol not in moving
+    ]
+    return found
+
+
+def _idle_limits(scene: Scene) -> list[str]:
+    from validate.judge.score.table import TABLE
+
+    absent = {entry.name: entry.meaning for entry in TABLE if not entry.applies(scene)}
+    return [
+        f"scene {scene.name}: the limit on {limit.metric} judges nothing; nothing here has this metric ({absent[limit.metric]})."
+        for limit in scene.limits
+        if limit.metric in absent
+    ]
+
+
+def _symbols(parts: Iterable[sp.Expr | None]) -> set[sp.Basic]:
+    return {symbol for part in parts if part is not None for symbol in part.free_symbols}

@@ -1,0 +1,221 @@
+"""Where a result comes from: our commit and sources, the versions of what we stand on, the machine, the command.
+
+`content_key` (of a cell) and `examination_key` hash what decides a cell's numbers - scene, pipeline, options, seed, our sources, library versions, compiler - and no
+times, paths or hosts: equal content, equal key, wherever it runs.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import shlex
+import subprocess
+from collections.abc import Iterable, Mapping
+from datetime import UTC, datetime
+from functools import lru_cache
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from models.errors import MachineError
+from models.scene_text import scene_text
+from validate.execution.process import ROOT, THREADS
+
+if TYPE_CHECKING:
+    from models.scene import Scene
+    from reports.record import ProvenanceRecord
+    from validate.tasks.examination import Examination
+
+SEED = 0
+LIBRARIES = ("numpy", "scipy", "sympy", "pyomo", "cyipopt-wheels", "clarabel", "torch", "fmpy", "scikit-sundae")
+# Parts of us that cannot change a number of a cell: how cells are chosen, run side by side, listed and told.
+_NO_INFLUENCE = (
+    "validate/cli",
+    "validate/__main__.py",
+    "validate/plan/",
+    "validate/execution/campaign.py",
+    "validate/execution/dask.py",
+    "validate/execution/engine.py",
+    "validate/execution/fork_server.py",
+    "validate/store/results.py",
+    "validate/store/standing_report.py",
+    "validate/store/stored.py",
+)
+# Parts that decide what examinations find, and nothing of a cell of a scene by a pipeline.
+_OF_EXAMINATIONS = (
+    "validate/tasks/examination.py",
+    "validate/tasks/fmu_examination.py",
+    "validate/fmu_check/",
+    "validate/stress/",
+    "reports/examination_record.py",
+    "reports/chart_record.py",
+)
+# Parts of the room of reports that decide what is in a record: its form, how columns are written, and the paper's numbers beside ours.
+_RECORDS = (
+    "record",
+    "trace_record",
+    "tracked_record",
+    "time_step_record",
+    "paper",
+    "examination_record",
+    "chart_record",
+)
+# Scenes and methods count one by one: a cell depends on its own.
+_ONE_BY_ONE = ("models/scenes", "formulations/methods")
+_SOURCE_SUFFIXES = frozenset({".py", ".c", ".h", ".template", ".jinja", ".j2", ".xml"})
+
+
+@lru_cache(maxsize=1)
+def _source_digests() -> dict[str, str]:
+    digests = {}
+    for room in ("models", "formulations", "validate"):
+        for path in sorted((ROOT / room).rglob("*")):
+            name = path.relative_to(ROOT).as_posix()
+            if path.suffix in _SOURCE_SUFFIXES and "__pycache__" not in path.parts and not name.startswith(_NO_INFLUENCE):
+                digests[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+    for name in (f"reports/{module}.py" for module in _RECORDS):
+        digests[name] = hashlib.sha256((ROOT / name).read_bytes()).hexdigest()
+    return digests
+
+
+def source_digests(methods: Iterable[str]) -> dict[str, str]:
+    """Digest of each of our files that a cell of these methods depends on."""
+    return {name: digest for name, digest in _digests_with(methods).items() if not name.startswith(_OF_EXAMINATIONS)}
+
+
+def _digests_with(methods: Iterable[str]) -> dict[str, str]:
+    own = {f"formulations/methods/{method}.py" for method in methods}
+    return {name: digest for name, digest in _source_digests().items() if name in own or not name.startswith(_ONE_BY_ONE)}
+
+
+@lru_cache(maxsize=1)
+def library_versions() -> dict[str, str]:
+    """Installed versions of the libraries that decide numbers, and of Python."""
+    versions = {"python": platform.python_version()}
+    for name in LIBRARIES:
+        try:
+            versions[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            versions[name] = "not installed"
+    return versions
+
+
+def content_key(scene: Scene, stages: Any, methods: Iterable[str], extra: str = "") -> str:
+    """The key of a cell: sha256 over its content. stages: method, eps and filled options in order (JSON data)."""
+    return _hash({"scene": scene_text(scene), "stages": stages, "sources": source_digests(methods), "extra": extra})
+
+
+def examination_key(examination: Examination) -> str:
+    """The key of an examination: sha256 over what it asks, of what, and the sources that answer."""
+    digests = _digests_with(examination.methods)
+    wanted = ("validate/tasks/examination.py", "reports/", *examination.sources)
+    asked = (examination.kind, examination.name, examination.expected, examination.function)
+    return _hash(
+        {
+            "asked": [*asked, dict(examination.arguments)],
+            "content": examination.content,
+            "sources": {name: digest for name, digest in digests.items() if not examination.sources or name.startswith(wanted)},
+        }
+    )
+
+
+def _hash(content: Mapping[str, Any]) -> str:
+    """sha256 over some content and what decides every number on this machine."""
+    around = {
+        "seed": SEED,
+        "threads": THREADS,
+        "libraries": library_versions(),
+        "linear_solver": os.environ.get("TOUCHSTONE_LINEAR_SOLVER", ""),
+        "compiler": compiler_text(),
+        "machine": platform.machine(),
+    }
+    return hashlib.sha256(json.dumps({**around, **content}, sort_keys=True, default=repr).encode()).hexdigest()
+
+
+def fingerprint() -> str:
+    """Digest of all that decides numbers here, whatever the cell: two machines that agree on it give a cell the same key."""
+    return _hash({"sources": _source_digests()})
+
+
+@lru_cache(maxsize=1)
+def compiler_text() -> str:
+    """Name and version of the C compiler, or the sentence that says there is none."""
+    from models.codegen.compiler import find_compiler
+
+    try:
+        return find_compiler().describe()
+    except MachineError as error:
+        return str(error)
+
+
+def commit() -> str:
+    """The commit of our sources, with `+` if they were changed since; empty if they are not in a git work tree or git is missing."""
+    if not (ROOT / ".git").exists():
+        return ""
+    try:
+        head = _git("rev-parse", "HEAD")
+        changed = _git("status", "--porcelain", "--untracked-files=no")
+    except (OSError, subprocess.SubprocessError):
+        return ""
+    return head + ("+" if changed else "")
+
+
+def _git(*arguments: str) -> str:
+    done = subprocess.run(["git", "-C", str(ROOT), *arguments], capture_output=True, text=True, timeout=20, check=True)
+    return done.stdout.strip()
+
+
+def _cpu() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def usable_cores() -> int:
+    """Cores this process may use, which in a container are fewer than the machine has."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def now() -> str:
+    """This moment, ISO 8601 UTC."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def gather(command: str) -> ProvenanceRecord:
+    """The provenance of a campaign that starts now."""
+    from reports.record import ProvenanceRecord
+
+    try:
+        version = metadata.version("touchstone-contact")
+    except metadata.PackageNotFoundError:
+        version = "0 (not installed)"
+    packages: Mapping[str, str] = library_versions()
+    return ProvenanceRecord(
+        touchstone=version,
+        commit=commit(),
+        python=f"{platform.python_implementation()} {platform.python_version()}",
+        threads=THREADS,
+        packages={name: text for name, text in packages.items() if name != "python"},
+        compiler=compiler_text(),
+        seed=SEED,
+        started=now(),
+        command=command,
+        **machine(),
+    )
+
+
+def machine() -> dict[str, Any]:
+    """What a record says of the machine: the system, the processor, and how many cores this process may use."""
+    return {"platform": platform.platform(), "cpu": _cpu(), "cores": usable_cores()}
+
+
+def command_line(arguments: Iterable[str], program: str = "validate") -> str:
+    """The command as the user can type it again, into any shell: zsh takes an unquoted =word for the path of a program."""
+    words = (f"'{word}'" if word.startswith("=") and shlex.quote(word) == word else shlex.quote(word) for word in arguments)
+    return " ".join(["python", "-m", program, *words])

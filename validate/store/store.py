@@ -1,0 +1,208 @@
+"""Where finished cells lie: one folder a cell, written aside, made durable, then renamed; no lock, nothing half-written.
+
+    DIR/runs/<key>/record.json, trajectory.nc, replay.nc, log.txt, cell.json, files.json      DIR/runs/.partial-*   being written
+    DIR/stages/<key>/                      what several of them begin with (validate.tasks.shared_stages)
+
+Whatever kills a campaign, a folder under its key is whole. Two campaigns may write into the same DIR.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import shutil
+import socket
+import uuid
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from models.errors import TouchstoneError
+from validate.store.disk import PARTIAL, aside_name, disk_error, fsync, remove
+
+if TYPE_CHECKING:
+    from reports.examination_record import ExaminationRecord
+    from reports.record import RunRecord
+
+RECORD, LOG, REQUEST, PROGRESS, MACHINE = "record.json", "log.txt", "cell.json", "progress.txt", "machine.txt"
+# Names and sizes [bytes] of a run's NetCDF files, so that it is seen where one is gone or cut off.
+FILES = "files.json"
+# In the folder of a stored run that is to be run anew; the new run takes its place, and has none.
+_DUE = "due"
+_OLD = "-old"
+
+
+class StoreError(TouchstoneError):
+    """A folder that cannot be a campaign's folder."""
+
+
+def progress(folder: Path, text: str) -> None:
+    """Say where a cell is, for the parent to read if it never comes back."""
+    (folder / PROGRESS).write_text(text, encoding="utf-8")
+
+
+class Store:
+    """The runs of one campaign folder; see the module docstring."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.runs, self.stages = folder / "runs", folder / "stages"
+
+    @classmethod
+    def of_partial(cls, partial: Path) -> Store:
+        """The store that a cell's unfinished folder lies in."""
+        return cls(partial.parents[1])
+
+    def prepare(self) -> None:
+        """Create the folder, see that it can be written, and remove what dead campaigns left. Raises StoreError, MachineError."""
+        if self.folder.exists() and not self.folder.is_dir():
+            raise StoreError(f"--out {self.folder}: there is a file of that name; a campaign needs a folder.")
+        try:
+            self.runs.mkdir(parents=True, exist_ok=True)
+            probe = self.runs / f"{PARTIAL}probe-{uuid.uuid4().hex}"
+            probe.mkdir()
+            with contextlib.suppress(FileNotFoundError):  # another campaign tidied it away
+                probe.rmdir()
+        except OSError as error:
+            raise disk_error(self.folder, error) from error
+        for left in self.runs.glob(f"{PARTIAL}*"):
+            if not _owner_lives(left.name):
+                if left.name.endswith(_OLD):
+                    self._put_back(left)
+                shutil.rmtree(left, ignore_errors=True)
+        for aside in (*self.folder.glob(f"{PARTIAL}*"), *self.folder.glob(f"report/{PARTIAL}*")):
+            if not _owner_lives(aside.name):
+                with contextlib.suppress(OSError):
+                    aside.unlink()
+
+    def _put_back(self, old: Path) -> None:
+        """A run that was to be replaced when its campaign was killed, and was not."""
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError, RecursionError):  # damaged, or the newer run is there
+            key = json.loads((old / RECORD).read_bytes())["key"]
+            if key == Path(key).name and not key.startswith("."):
+                os.rename(old, self.runs / key)
+
+    def read(self, key: str) -> RunRecord | ExaminationRecord | None:
+        """The stored record of a cell, or None if there is none that can be read."""
+
+        from reports.examination_record import record_of
+
+        try:
+            record = record_of((self.runs / key / RECORD).read_bytes())
+        except (OSError, ValueError):  # no record, or a key that is no file name
+            return None
+        return record if record.key == key else None
+
+    def lost(self, key: str) -> str:
+        """The first NetCDF file of a stored run that is gone or has another size than it was stored with, or the list of them; empty if all are there."""
+        folder = self.runs / key
+        try:
+            sizes = json.loads((folder / FILES).read_bytes())
+            return next((name for name, size in sizes.items() if _size(folder / Path(name).name) != size), "")
+        except (OSError, ValueError, AttributeError, RecursionError):
+            return FILES
+
+    def request(self, key: str) -> dict[str, Any]:
+        """What was asked for in a stored cell; nothing if that cannot be read."""
+        return _request(self.runs / key / REQUEST)
+
+    def due(self, keys: Iterable[str]) -> list[str]:
+        """Mark stored runs as to be run anew, until they are, whatever ends this campaign; the keys of those that are stored. Raises MachineError."""
+        stored = [key for key in keys if os.path.exists(self.runs / key / RECORD)]
+        for key in stored:
+            mark = self.runs / key / _DUE
+            try:
+                with contextlib.suppress(FileNotFoundError):  # another campaign replaces it at this moment
+                    mark.touch()
+            except OSError as error:
+                raise disk_error(mark, error) from error
+        return stored
+
+    def is_due(self, key: str) -> bool:
+        return os.path.exists(self.runs / key / _DUE)  # False too where the folder cannot be read
+
+    def spare(self, keys: Iterable[str]) -> None:
+        """Take back what `due` asked for; what was run anew since has no mark."""
+        for key in keys:
+            remove(self.runs / key / _DUE)
+
+    def requests(self) -> Iterator[dict[str, Any]]:
+        """What was asked for in each stored cell that can be read."""
+        yield from filter(None, map(_request, sorted(self.runs.glob(f"[!.]*/{REQUEST}"))))
+
+    def open_partial(self, key: str, token: str) -> Path:
+        """A new folder for a cell that is about to run."""
+        folder = self.runs / aside_name(key[:12], token)
+        try:
+            folder.mkdir()
+        except OSError as error:
+            raise disk_error(folder, error) from error
+        return folder
+
+    def commit(self, partial: Path, key: str) -> Path:
+        """Make a partial folder durable and give it its name; an older run of the same key is replaced."""
+        target, old = self.runs / key, partial.with_name(f"{partial.name}{_OLD}")
+        try:
+            sizes = {path.name: path.stat().st_size for path in sorted(partial.glob("*.nc"))}
+            (partial / FILES).write_text(json.dumps(sizes), encoding="utf-8")
+            for path in sorted(partial.iterdir()):
+                fsync(path)
+            fsync(partial)
+            while not _renamed(partial, target):
+                shutil.rmtree(old, ignore_errors=True)
+                with contextlib.suppress(FileNotFoundError):  # another campaign replaces it at this moment
+                    os.rename(target, old)
+            fsync(self.runs)
+        except OSError as error:
+            with contextlib.suppress(OSError):  # the older run, if it is aside and nothing is in its place
+                os.rename(old, target)
+            if target.exists():
+                shutil.rmtree(old, ignore_errors=True)
+            raise disk_error(target, error) from error
+        shutil.rmtree(old, ignore_errors=True)
+        return target
+
+
+def _size(path: Path) -> int | None:
+    try:
+        return path.stat().st_size
+    except OSError:
+        return None
+
+
+def _request(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):  # not there, a key that is no file name, or damaged
+        return {}
+    cell = content.get("cell") if isinstance(content, dict) else None
+    return cell if isinstance(cell, dict) else {}
+
+
+def _renamed(partial: Path, target: Path) -> bool:
+    """Whether the folder has its name now; not if there is a run of that name."""
+    try:
+        os.rename(partial, target)
+    except OSError as error:
+        if error.errno in {errno.ENOTEMPTY, errno.EEXIST}:
+            return False
+        raise
+    return True
+
+
+def _owner_lives(name: str) -> bool:
+    """Whether the process that is at work on something unfinished may still be at work: a living one here, or any on another machine."""
+    parts = name.split("-", 4)
+    if len(parts) < 5 or not parts[3].isdigit():
+        return False
+    if parts[4].removesuffix(_OLD) != socket.gethostname():
+        return True
+    try:
+        os.kill(int(parts[3]), 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True

@@ -1,0 +1,218 @@
+"""Mass ratios from 1e-4 to 1e4: contact time by its closed form and momentum to rounding in the replay of a collision; and what a plan costs.
+
+Planned are the paper's three carts, the middle one `ratio` times as heavy as the others, by softplus collocation and strict complementarity on
+half as many steps. The ends of the range cannot be planned, and are told as such. A middle cart lighter than 1/38 is damped too fast for a step of
+0.02 s, which step_stability says before anything runs; one a thousand times as heavy cannot be moved half a metre in 5 s by inputs of 10 N, which
+the method says. (A hundred times as heavy is so near to what can be moved that the search for an answer takes longer than all the rest.)
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import cast
+
+import numpy as np
+import sympy as sp
+
+from formulations.catalog import load_method
+from formulations.pipeline import SOFTPLUS_EPS
+from formulations.solution import Outcome, Solution
+from models.catalog import load_scene
+from models.scene import Parameter, Scene
+from models.stability import step_stability
+from validate.stress.case import Chart, Finding, HardCase, Series, at_most, none_of
+from validate.stress.motion import replayed, rolled
+
+RATIOS = tuple(10.0**power for power in range(-4, 5))
+# Middle cart to the others.
+PLANNED = (1e-4, 1e-3, 1e-2, 3e-2, 1e-1, 1.0, 1e1, 3e1, 1e3)
+STEP, STEPS = 0.02, 250
+_CHAIN = (("softplus_dc", SOFTPLUS_EPS), ("strict_lcp", (None,)))
+_ENOUGH = 120.0  # seconds of a stage, which takes about one
+
+
+@dataclass
+class _Simulated:
+    """Of the collision, ratio by ratio; wrong: replays that did not reach the end."""
+
+    times: list[float] = field(default_factory=list)
+    momenta: list[float] = field(default_factory=list)
+    plan_momenta: list[float] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+    wrong: list[str] = field(default_factory=list)
+
+
+@dataclass
+class _Planned:
+    """Of the three carts. ratios, costs, errors: of those with a plan; told: the others, in words; wrong: what is neither."""
+
+    limit: float
+    ratios: list[float] = field(default_factory=list)
+    costs: list[float] = field(default_factory=list)
+    errors: list[float] = field(default_factory=list)
+    unstable: list[float] = field(default_factory=list)
+    out_of_reach: list[float] = field(default_factory=list)
+    wrong: list[str] = field(default_factory=list)
+
+
+def simulated() -> _Simulated:
+    base = load_scene("two_body_collision")
+    found = _Simulated()
+    for ratio in RATIOS:
+        scene = base.with_parameters(m1=1.0, m2=ratio)
+        values = {parameter.name: parameter.value for parameter in scene.parameters}
+        plan = rolled(scene)
+        told = replayed(scene, plan, like=base)
+        if not told.ok:
+            found.wrong.append(f"{ratio:g}: {told.message}")
+            continue
+        closing, opening = (next(event.time for event in told.events if event.closes is closes) for closes in (True, False))
+        exact = math.pi * math.sqrt(ratio / (1.0 + ratio) / values["k"])
+        found.times.append(abs((opening - closing) / exact - 1.0))
+        masses = np.array([1.0, ratio])
+        size = float((masses * np.abs(scene.task.start[2:])).sum())
+        found.momenta.append(float(np.ptp(told.v @ masses)) / size)
+        found.plan_momenta.append(float(np.ptp(plan.v @ masses)) / size)
+        found.seconds.append(told.seconds_reference)
+    return found
+
+
+def carts() -> Scene:
+    """Three carts, the mass of the middle one `ratio` times that of the others."""
+    base = load_scene("three_cart")
+    mass = next(parameter.symbol for parameter in base.parameters if parameter.name == "m")
+    ratio = Parameter(symbol=sp.Symbol("ratio", positive=True), value=1.0, unit="1", lower=1e-6, description="middle mass to the others")
+    left, middle, right = (coordinate.velocity for coordinate in base.coordinates)
+    energy = mass * (left**2 + ratio.symbol * middle**2 + right**2) / 2
+    scene = replace(base, name="carts_mass_ratio", parameters=(*base.parameters, ratio), kinetic_energy=energy, answers=())
+    return scene.with_task(step=STEP, steps=STEPS)
+
+
+def _chained(scene: Scene) -> Solution:
+    """The last stage that was run: a relaxed plan that says that there is none ends the chain."""
+    plan, solution = None, None
+    for method, schedule in _CHAIN:
+        with load_method(method).open(scene) as session:
+            for eps in schedule:
+                solution = session.solve(eps=eps, warm_start=plan, time_limit=_ENOUGH)
+                if solution.outcome is Outcome.INFEASIBLE:
+                    return solution
+                plan = solution.trajectory if solution.trajectory is not None else plan
+    return cast(Solution, solution)  # the chain is not empty
+
+
+def planned() -> _Planned:
+    base = carts()
+    values = {parameter.name: parameter.value for parameter in base.parameters}
+    # The middle cart on two closed contacts, damped: h^2 2k/m + 2 h c/m < 4. The others, so much heavier, stand still beside it.
+    found = _Planned(limit=(2.0 * STEP**2 * values["k"] + 2.0 * STEP * values["c"]) / (4.0 * values["m"]))
+    for ratio in PLANNED:
+        scene = base.with_parameters(ratio=ratio)
+        said = step_stability(scene)
+        if said.is_stable != (ratio > found.limit) or said.is_stable == bool(said.sentence):
+            found.wrong.append(f"{ratio:g}: {said.sentence or 'no warning'}")
+        if not said.is_stable:
+            found.unstable.append(ratio)
+            continue
+        solution = _chained(scene)
+        plan, cost = solution.trajectory, solution.cost
+        if solution.outcome is Outcome.INFEASIBLE:
+            found.out_of_reach.append(ratio)
+            continue
+        told = None if plan is None else replayed(scene, plan, like=base)
+        if plan is None or cost is None or solution.outcome is not Outcome.SOLVED or told is None or not told.ok:
+            found.wrong.append(f"{ratio:g}: {solution.outcome.name.lower()}, {told.message if told else solution.message}")
+            continue
+        found.ratios.append(ratio)
+        found.costs.append(cost)
+        found.errors.append(float(np.abs(told.q[told.knots] - plan.q).max()))
+    return found
+
+
+def measure() -> Finding:
+    seen, plans = simulated(), planned()
+    length = next(parameter.value for parameter in load_scene("three_cart").parameters if parameter.name == "d")
+    shares = [cost / plans.costs[0] for cost in plans.costs]
+    unstable, away = (", ".join(f"{ratio:g}" for ratio in ratios) or "none" for ratios in (plans.unstable, plans.out_of_reach))
+    beyond = f"Refused before the run, past the step's stability limit: {unstable}; goal out of reach of the inputs: {away}."
+    return Finding(
+        happened=f"Contact times are right to {max(seen.times, default=math.nan):.1e}, momentum is kept to {max(seen.momenta, default=math.nan):.1e} of what "
+        f"there is. Plans with a middle cart {min(plans.ratios, default=math.nan):g} to {max(plans.ratios, default=math.nan):g} times as heavy cost up to "
+        f"{max(shares, default=math.nan):.1f} times as much, and their replays leave them by at most {max(plans.errors, default=math.nan):.1e} m. {beyond}",
+        figures=(
+            none_of("ratios whose replay did not reach the end", seen.wrong, reason="each can be simulated"),
+            at_most(
+                "relative error of the contact time",
+                max(seen.times, default=math.nan),
+                1e-8,
+                reason="half a period of the reduced mass; located to rounding of the clock, 1e-13 s of 0.7 ms",
+            ),
+            at_most("momentum of the replay", max(seen.momenta, default=math.nan), 1e-12, reason="contact is an inner force"),
+            at_most(
+                "momentum of the plan's time step", max(seen.plan_momenta, default=math.nan), 1e-12, reason="contact is an inner force"
+            ),
+            none_of(
+                "ratios that are neither planned nor told to be beyond the step or the inputs",
+                plans.wrong,
+                reason=f"this step is stable above {plans.limit:.3g}; where it is not, a sentence says so before the run",
+            ),
+            at_most(
+                "largest replay error of a plan",
+                max(plans.errors, default=math.nan),
+                0.04,
+                "m",
+                reason="of first order in the step: twice the 0.02 m that the three carts are allowed at half of it",
+            ),
+            at_most(
+                "largest fall of the cost with the mass, relative",
+                max((early / late - 1.0 for early, late in pairwise(plans.costs)), default=0.0),
+                5e-3,
+                reason="a heavier cart is no cheaper to move, but for contact windows found that differ by a thousandth of the cost",
+            ),
+        ),
+        charts=(
+            Chart(
+                title="Errors against mass ratio",
+                x=("mass ratio", ""),
+                y=("relative error", ""),
+                series=(
+                    Series(name="contact time", x=RATIOS, y=seen.times),
+                    Series(name="momentum of the replay", x=RATIOS, y=seen.momenta),
+                    Series(name="momentum of the plan", x=RATIOS, y=seen.plan_momenta),
+                ),
+                log_x=True,
+                log_y=True,
+            ),
+            Chart(
+                title="Cost and replay error of a plan against mass ratio",
+                x=("mass ratio", ""),
+                y=("relative size", ""),
+                series=(
+                    Series(name="cost, of the lightest", x=plans.ratios, y=shares),
+                    Series(name="replay error, of a cart's length", x=plans.ratios, y=[error / length for error in plans.errors]),
+                ),
+                log_x=True,
+                log_y=True,
+                words=f"Three carts, the middle one so many times as heavy. {beyond}",
+            ),
+            Chart(
+                title="Cost of the reference replay against mass ratio",
+                x=("mass ratio", ""),
+                y=("seconds", "s"),
+                series=(Series(name="two tolerances", x=RATIOS, y=seen.seconds),),
+                log_x=True,
+            ),
+        ),
+    )
+
+
+CASE = HardCase(
+    name="h03_mass_ratio",
+    title="Mass ratio 1e-4 .. 1e4",
+    expected="Contact time and momentum are right at every ratio; a plan's cost and error are told, or why there is none.",
+    scenes=("two_body_collision", "three_cart"),
+    methods=("softplus_dc", "strict_lcp"),
+    measure=measure,
+)

@@ -1,0 +1,115 @@
+"""Zeno-like bouncing: a mass falls on a damped floor, each bounce a share of the one before. It ends, and so does its replay.
+
+With restitution e of each bounce and v the first speed at the floor, the flights take 2 v/g (e + e^2 + ...) together: the time of rest is
+t_1 + (2 v/g) e/(1 - e), but for the contact times themselves. Of a Kelvin-Voigt contact that is released when its force is zero (T. Schwager and
+T. Poeschel, Granular Matter 9, 2007), with z = c/(2 sqrt(k m)) < 1/sqrt(2):
+
+    e = exp(-z/sqrt(1 - z^2) (pi - atan(2 z sqrt(1 - z^2)/(1 - 2 z^2))))
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import sympy as sp
+
+from models.catalog import load_scene
+from models.scene import Parameter, Scene
+from validate.judge.replay import ReplayOutcome
+from validate.stress.case import Chart, Finding, HardCase, Series, at_least, at_most, none_of, told
+from validate.stress.motion import replayed, rolled
+
+STIFFNESS, RATIO, NODES, STEP = 1e7, 0.2, 180, 0.01
+# Fewer events than the bounces have, to see the budget told.
+BUDGET = 6
+
+
+def damped(scene: Scene) -> Scene:
+    """The bouncing mass on a stiff floor with a damper."""
+    c = sp.Symbol("c", positive=True)
+    values = {parameter.name: parameter.value for parameter in scene.parameters}
+    damper = Parameter(
+        symbol=c, value=2.0 * RATIO * math.sqrt(STIFFNESS * values["m"]), unit="N s/m", lower=0.0, description="damping of the floor"
+    )
+    floor = replace(scene.contacts[0], damping=c)
+    dropped = replace(scene, parameters=(*scene.parameters, damper), contacts=(floor,), answers=(), limits=())
+    return dropped.with_parameters(k=STIFFNESS).with_task(step=STEP, steps=NODES)
+
+
+def restitution(z: float) -> float:
+    """See the module docstring."""
+    root = math.sqrt(1.0 - z**2)
+    return math.exp(-z / root * (math.pi - math.atan(2.0 * z * root / (1.0 - 2.0 * z**2))))
+
+
+def measure() -> Finding:
+    scene = damped(load_scene("bouncing_mass"))
+    gravity = next(parameter.value for parameter in scene.parameters if parameter.name == "g")
+    height = scene.task.start[0]
+    fine = 20000  # the plan: the step that the stiff floor needs, at the nodes of the replay
+    plan = rolled(scene, step=STEP / fine, steps=NODES * fine, every=fine)
+    told_replay = replayed(scene, plan)
+    speed, first = math.sqrt(2.0 * gravity * height), math.sqrt(2.0 * height / gravity)
+    e = restitution(RATIO)
+    series = first + 2.0 * speed / gravity * e / (1.0 - e)
+    touches = [event for event in told_replay.events if event.contact == "floor"]  # beside them: when the damped force lets go
+    opened = [event.time for event in touches if not event.closes]
+    closed = [event.time for event in touches if event.closes]
+    rest = max(opened + closed, default=math.nan)
+    contact = sum(late - early for early, late in zip(closed, opened, strict=False))
+    flights = np.array([down - up for up, down in zip(opened, closed[1:], strict=False)])
+    ratios = flights[1:] / flights[:-1]
+    small = replayed(scene, plan, event_budget=BUDGET)
+    wrong = [] if told_replay.ok else [f"the replay does not end: {told_replay.message}"]
+    if small.outcome is not ReplayOutcome.EVENT_BUDGET or str(BUDGET) not in small.message:
+        wrong.append(f"a budget of {BUDGET} events is not told: {small.outcome.name.lower()}, {small.message}")
+    return Finding(
+        happened=f"{len(closed)} bounces; at rest after {rest:.4f} s, {contact:.4f} s of it in contact, where the series of flights says {series:.4f} s. With a budget of "
+        f"{BUDGET} events: {small.message}",
+        figures=(
+            none_of(
+                "what does not end, or is not told", wrong, reason="the replay ends, and says so where its budget of events is used up"
+            ),
+            at_least("bounces", len(closed), 5, reason="a series, not a single bounce"),
+            at_most(
+                "first flights: share of the one before, off the restitution",
+                abs(float(ratios[:3].mean()) / e - 1.0) if len(ratios) > 2 else math.nan,
+                0.01,
+                reason="gravity acts in contact too: g/(w v) is 1e-3 there",
+            ),
+            at_most(
+                "time of rest against the series, relative",
+                abs((rest - contact) / series - 1.0),
+                0.02,
+                reason="gravity takes 0.2 % of each flight, which makes 0.5 % of their sum; the last ones are as low as the floor sags",
+            ),
+            told("contact events", len(told_replay.events)),
+        ),
+        charts=(
+            Chart(
+                title="Flights between bounces",
+                x=("bounce", ""),
+                y=("time of flight", "s"),
+                series=(
+                    Series(name="replay", x=np.arange(1, len(flights) + 1), y=flights),
+                    Series(
+                        name="geometric series",
+                        x=np.arange(1, len(flights) + 1),
+                        y=2.0 * speed / gravity * e ** np.arange(1, len(flights) + 1),
+                    ),
+                ),
+                log_y=True,
+            ),
+        ),
+    )
+
+
+CASE = HardCase(
+    name="h06_zeno",
+    title="Zeno-like bouncing",
+    expected="It ends; the budget of events is reported; the time of rest is that of the geometric series.",
+    scenes=("bouncing_mass",),
+    measure=measure,
+)

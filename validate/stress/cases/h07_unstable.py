@@ -1,0 +1,100 @@
+"""An unstable open loop: the cart-pole over 5 s. An error near upright grows as exp(3.67 t), 9e7 times; so do gradients and whatever a replay starts with.
+
+Measured three ways: by the Jacobians of the compiled steps, by two replays that start 1e-6 rad apart, and by gradient descent, which must say what
+happened to it and not call it solved.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from formulations.catalog import load_method
+from formulations.shooting.growth import measure_growth
+from formulations.solution import Outcome
+from models.catalog import load_scene
+from models.codegen.steps import load_steps
+from models.contact_law import ContactLaw
+from models.scenes.cart_pole_walls import GROWTH
+from validate.stress.case import Chart, Finding, HardCase, Series, at_least, at_most, none_of, told
+from validate.stress.motion import at_nodes, replayed, rolled
+
+SECONDS, NUDGE, ITERATIONS = 5.0, 1e-6, 60
+# Up to here [rad] the pole is linear: a nudge of 1e-6 gets there in 2.5 s.
+_LINEAR = 1e-2
+
+
+def measure() -> Finding:
+    scene = load_scene("cart_pole_walls")
+    h = scene.task.step
+    steps = round(SECONDS / h)
+    upright = scene.with_task(start=(0.0,) * 4, steps=steps)
+    still = np.zeros((steps + 1, 4))
+    growth = measure_growth(load_steps(upright), still, np.zeros((steps, 1)), ContactLaw.RELU, None)
+    if growth is None:
+        return Finding(happened="A step is not finite: nothing can be said of its growth.", figures=(told("growth", math.nan),))
+    rate = growth.rate
+    nudged = upright.with_task(start=(0.0, NUDGE, 0.0, 0.0))
+    one, other = (replayed(item, rolled(item)) for item in (upright, nudged))
+    apart = np.abs(at_nodes(other) - at_nodes(one))[:, 1]
+    t = h * np.arange(len(apart))
+    linear = (apart > 10 * NUDGE) & (apart < _LINEAR)
+    replay_rate = float(np.polyfit(t[linear], np.log(apart[linear]), 1)[0])
+    with load_method("relu_gd").open(scene.with_task(steps=steps), {"max_iterations": ITERATIONS}) as session:
+        solution = session.solve(eps=None, warm_start=None, time_limit=10.0)
+    silent = []
+    if solution.outcome is Outcome.SOLVED:
+        silent.append("descent calls it solved")
+    if solution.outcome in (Outcome.DIVERGED, Outcome.EVALUATION_ERROR) and solution.trajectory is not None:
+        silent.append("a plan came with a descent that diverged")
+    if not growth.sentence():
+        silent.append("the growth is not told")
+    if not solution.message:
+        silent.append("descent ended without a word")
+    return Finding(
+        happened=f"An error of the start grows {growth.factor:.1e} times over {SECONDS:g} s by the exact Jacobians of its steps, at {rate:.3f}/s; two replays {NUDGE:g} rad apart part at "
+        f"{replay_rate:.3f}/s and are {apart.max():.2g} rad apart in the end. Descent: {solution.outcome.name.lower()}, {solution.message.partition('; ')[0]}.",
+        figures=(
+            at_most(
+                "growth rate of the gradient, off the known one",
+                abs(rate / GROWTH - 1.0),
+                0.02,
+                reason="the step's own (rate h)/2, 3.7 %, halved by its symmetry",
+            ),
+            at_most(
+                "growth rate of the replay, off the known one",
+                abs(replay_rate / GROWTH - 1.0),
+                0.02,
+                reason="linear up to 0.01 rad, but for what decays at first",
+            ),
+            at_least("growth of an error over the horizon", growth.factor, 1e7, reason="exp(3.67/s 5 s) is 9e7"),
+            none_of("what descent kept silent about", silent, reason="it must end in words, not in `solved`"),
+            told("distance of the two replays in the end", float(apart[-1]), "rad"),
+            told("gradient norm where descent began", float(next(iter(solution.history.get("gradient_norm", (math.nan,))))), "1"),
+        ),
+        charts=(
+            Chart(
+                title="Growth of an error of the start",
+                x=("time", "s"),
+                y=("factor", ""),
+                series=(
+                    Series(name="gradient, by the Jacobians of the steps", x=t, y=np.exp(growth.exponents[::-1])),
+                    Series(name="two replays 1e-6 rad apart", x=t[1:], y=apart[1:] / NUDGE),
+                    Series(name="exp(3.67 t)", x=[0.0, SECONDS], y=[1.0, math.exp(GROWTH * SECONDS)]),
+                ),
+                log_y=True,
+                words="The replays part along the same line until the pole falls into a wall.",
+            ),
+        ),
+    )
+
+
+CASE = HardCase(
+    name="h07_unstable",
+    title="Unstable open loop: cart-pole, 5 s",
+    expected="Growth e^(rate T) is detected and reported, descent does not diverge silently, and a replay nudged by 1e-6 is shown.",
+    scenes=("cart_pole_walls",),
+    methods=("relu_gd",),
+    measure=measure,
+)

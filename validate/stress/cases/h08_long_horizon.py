@@ -1,0 +1,127 @@
+"""Long horizons: three carts over 5000, 20000 and 80000 steps. Time and memory about linear, and the adjoint that of differences."""
+
+from __future__ import annotations
+
+import math
+import time
+import tracemalloc
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from formulations import ContactLaw as Transcription
+from formulations import build_model
+from formulations.ipopt import compile_model
+from models.catalog import load_scene
+from models.codegen.kernel import Kernel, load_kernel
+from models.scene import Scene
+from validate.stress.case import Chart, Finding, HardCase, Series, at_most
+
+LENGTHS, MODEL_LENGTHS = (5000, 20000, 80000), (500, 1000, 2000)
+# What the growth of time and memory may be above linear: the sorting of sparse rows.
+EXPONENT = 1.15
+# What a step of the longest gradient may cost in steps of the shortest: its arrays are beyond the processor's cache and in memory that the system hands
+# out afresh each time (1.6 to 1.9 measured); work that grew with the square of the steps would make it 16.
+A_STEP = 3.0
+_REPEATS, _MODEL_REPEATS, _DIFFERENCE = 20, 2, 1e-4
+_WEIGHTS = (1.0, 2.0, 3.0)
+
+
+def squeeze(steps: int) -> np.ndarray:
+    """(steps, 2) inputs [N]: both carts press, with a little noise."""
+    return np.tile([3.0, -3.0], (steps, 1)) + np.random.default_rng(8).normal(scale=0.3, size=(steps, 2))
+
+
+def gradient_of(kernel: Kernel, steps: int) -> Callable[[], np.ndarray]:
+    """What an iteration of descent does: rollout, and the adjoint of a sum over the last positions."""
+    task, u = kernel.scene.task, squeeze(steps)
+
+    def iteration() -> np.ndarray:
+        plan = kernel.rollout(np.array(task.start), u, task.step)
+        return kernel.adjoint(plan, u, end_bar=np.array((*_WEIGHTS, 0.0, 0.0, 0.0)))[0]
+
+    return iteration
+
+
+def measured(make: Callable[[], Any], repeats: int) -> tuple[float, float]:
+    """Least CPU seconds of some repeats of what `make` makes, and the most memory [MB] held while it is made and done once."""
+    work, seconds = make(), []
+    for _ in range(repeats):
+        begin = time.process_time()
+        work()
+        seconds.append(time.process_time() - begin)
+    del work
+    tracemalloc.start()
+    try:
+        make()()
+        return min(seconds), tracemalloc.get_traced_memory()[1] / 1e6
+    finally:
+        tracemalloc.stop()
+
+
+def exponent(lengths: tuple[int, ...], values: list[float]) -> float:
+    """Slope of log value over log length, from the first to the last."""
+    return math.log(values[-1] / values[0]) / math.log(lengths[-1] / lengths[0])
+
+
+def _model(scene: Scene, steps: int) -> Any:
+    return compile_model(build_model(scene, Transcription.SOFTPLUS, eps=1e-3, steps=steps))
+
+
+def measure() -> Finding:
+    scene = load_scene("three_cart")
+    kernel = load_kernel(scene)
+    gradients = [measured(lambda n=n: gradient_of(kernel, n), _REPEATS) for n in LENGTHS]
+    _model(scene, 50)  # what is imported and compiled once does not count
+    models = [measured(lambda n=n: lambda: _model(scene, n), _MODEL_REPEATS) for n in MODEL_LENGTHS]
+    u, u_bar = squeeze(LENGTHS[1]), gradient_of(kernel, LENGTHS[1])()
+    direction = np.random.default_rng(9).normal(size=u.shape)
+    ends = [
+        float(kernel.rollout(np.array(scene.task.start), u + sign * _DIFFERENCE * direction, scene.task.step).q[-1] @ _WEIGHTS)
+        for sign in (1.0, -1.0)
+    ]
+    slope = (ends[0] - ends[1]) / (2.0 * _DIFFERENCE)
+    wrong = abs(float((u_bar * direction).sum()) / slope - 1.0)
+    growth = {
+        "gradient, memory": exponent(LENGTHS, [memory for _, memory in gradients]),
+        "model, time": exponent(MODEL_LENGTHS, [seconds for seconds, _ in models]),
+        "model, memory": exponent(MODEL_LENGTHS, [memory for _, memory in models]),
+    }
+    shortest, longest = gradients[0][0] / LENGTHS[0], gradients[-1][0] / LENGTHS[-1]
+    return Finding(
+        happened=f"A gradient over {LENGTHS[-1]} steps takes {gradients[-1][0] * 1e3:.0f} ms and {gradients[-1][1]:.0f} MB; a model of {MODEL_LENGTHS[-1]} steps is built and "
+        f"translated in {models[-1][0]:.1f} s and {models[-1][1]:.0f} MB. The adjoint over {LENGTHS[1]} steps is that of differences to {wrong:.0e}.",
+        figures=(
+            *(at_most(f"growth exponent of the {name}", value, EXPONENT, reason="about linear") for name, value in growth.items()),
+            at_most(
+                "time a step of the longest gradient over the shortest",
+                longest / shortest,
+                A_STEP,
+                reason="caches and fresh memory; a square would be 16",
+            ),
+            at_most("adjoint against differences, T = 20000", wrong, 1e-6, reason="central differences of a smooth end"),
+        ),
+        charts=(
+            Chart(
+                title="CPU time against the number of steps",
+                x=("steps", ""),
+                y=("CPU seconds", "s"),
+                series=(
+                    Series(name="rollout and adjoint", x=LENGTHS, y=[row[0] for row in gradients]),
+                    Series(name="softplus model, built and translated", x=MODEL_LENGTHS, y=[row[0] for row in models]),
+                ),
+                log_x=True,
+                log_y=True,
+            ),
+        ),
+    )
+
+
+CASE = HardCase(
+    name="h08_long_horizon",
+    title="Long horizon, T = 5000, 20000 and 80000",
+    expected="Time and memory grow about linearly; the adjoint equals finite differences to 1e-6.",
+    scenes=("three_cart",),
+    measure=measure,
+)

@@ -1,0 +1,46 @@
+"""A goal out of reach: 20 m in 1 s, where the carts make 3. Every direct transcription says `infeasible` within its budget, and marks no plan valid."""
+
+from __future__ import annotations
+
+import time
+
+from formulations.catalog import load_method
+from formulations.solution import Outcome
+from models.catalog import load_scene
+from validate.stress.case import Finding, HardCase, at_most, none_of
+
+FAR, STEPS, BUDGET = 20.0, 100, 20.0
+# Method -> eps. One of each kind: smooth, exact, by windows.
+METHODS = {"softplus_dc": 1e-3, "relaxed_lcp": 1e-2, "strict_lcp": None, "mpcc": None}
+
+
+def measure() -> Finding:
+    scene = load_scene("three_cart").with_task(goal=(FAR, FAR + 1.0, FAR + 2.0, 0.0, 0.0, 0.0), steps=STEPS)
+    wrong, endings, slowest = [], [], 0.0
+    for name, eps in METHODS.items():
+        begin = time.perf_counter()
+        with load_method(name).open(scene) as session:
+            solution = session.solve(eps=eps, warm_start=None, time_limit=BUDGET)
+        slowest = max(slowest, time.perf_counter() - begin)
+        endings.append(f"{name}: {solution.outcome.name.lower()}")
+        if solution.outcome is not Outcome.INFEASIBLE:
+            wrong.append(f"{name} ends as {solution.outcome.name.lower()}: {solution.message}")
+        if solution.outcome is Outcome.SOLVED or (solution.outcome is Outcome.INFEASIBLE and solution.trajectory is not None):
+            wrong.append(f"{name} hands back a plan")
+    return Finding(
+        happened=f"{', '.join(endings)}; the slowest took {slowest:.1f} s.",
+        figures=(
+            none_of("methods that do not say so", wrong, reason="outcome infeasible, no plan"),
+            at_most("the slowest method", slowest, BUDGET, "s", reason="the time limit it was given"),
+        ),
+    )
+
+
+CASE = HardCase(
+    name="h10_out_of_reach",
+    title="Goal out of reach",
+    expected="`infeasible` within its budget, no plan marked valid.",
+    scenes=("three_cart",),
+    methods=("softplus_dc", "relaxed_lcp", "strict_lcp", "mpcc"),
+    measure=measure,
+)

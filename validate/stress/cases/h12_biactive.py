@@ -1,0 +1,68 @@
+"""Biactive pairs, force and gap both zero: the certificate reports the stationarity class, not only that the point is feasible.
+
+Three carts at rest that just touch: every pair of the plan is biactive. And the origin of min (x - 1)^2 + (y - 1)^2 on the two axes: C-stationary,
+feasible, and yet there are ways down from it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pyomo.environ as pyo
+from pyomo.mpec import Complementarity, complements
+
+from formulations.mpec import Stationarity, certify, certify_plan, solve_mpec
+from models.catalog import load_scene
+from validate.stress.case import Finding, HardCase, at_most, none_of, told
+from validate.stress.motion import rolled
+
+STEPS = 50
+
+
+def corner() -> Any:
+    """min (x - 1)^2 + (y - 1)^2, 0 <= x complements y >= 0, at the origin."""
+    m: Any = pyo.ConcreteModel()
+    m.x, m.y = pyo.Var(bounds=(0, None), initialize=0.0), pyo.Var(bounds=(0, None), initialize=0.0)
+    m.cost = pyo.Objective(expr=(m.x - 1) ** 2 + (m.y - 1) ** 2)
+    m.pair = Complementarity(expr=complements(m.x >= 0, m.y >= 0))
+    return m
+
+
+def measure() -> Finding:
+    touching = (2.0, 2.5, 3.0, 0.0, 0.0, 0.0)
+    scene = load_scene("three_cart").with_task(start=touching, goal=touching, steps=STEPS)
+    plan = certify_plan(scene, rolled(scene))
+    origin = certify(corner())
+    solved = solve_mpec(corner())
+    wrong = []
+    if plan.biactive != 2 * STEPS or plan.stationarity is not Stationarity.STRONG or not plan.holds:
+        wrong.append(f"resting carts: {plan.sentence}")
+    if not origin.feasible or origin.biactive != 1 or origin.stationarity is not Stationarity.CLARKE or origin.b_stationary is not False:
+        wrong.append(f"origin: {origin.sentence}")
+    certificate = solved.certificate
+    if not solved.solved or certificate is None or certificate.stationarity is not Stationarity.STRONG:
+        wrong.append(f"from the origin: {solved.message}")
+    return Finding(
+        happened=f"Carts at rest: class {plan.stationarity.letter}, {plan.biactive} of {plan.pairs} pairs biactive. The origin: class {origin.stationarity.letter}, "
+        f"feasible but with a way down of slope {origin.descent:.1f}; from there the solver goes on to {solved.objective:.3f}.",
+        figures=(
+            none_of("classes told wrongly", wrong, reason="S for the carts, C and not B-stationary for the origin, S for the solution"),
+            at_most(
+                "objective the solver reaches from the origin, off 1",
+                abs(solved.objective - 1.0),
+                1e-8,
+                reason="the two solutions (1, 0), (0, 1)",
+            ),
+            told("biactive pairs of the plan", plan.biactive),
+        ),
+    )
+
+
+CASE = HardCase(
+    name="h12_biactive",
+    title="Biactive pairs (force and gap both zero)",
+    expected="The stationarity class is reported, not only feasibility.",
+    scenes=("three_cart",),
+    measure=measure,
+    quick=True,
+)

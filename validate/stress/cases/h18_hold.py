@@ -1,0 +1,100 @@
+"""Hold convention and grids that do not divide: inputs held or joined by lines, on both sides of the replay alike.
+
+A smooth input is sampled on coarser and finer plans. Held, the replay comes nearer with order 1; joined by lines, with order 2: that is how one sees that
+the replay applies the inputs as the plan says. A plan whose last step is shorter is the same motion as on a grid that divides; a warm
+start on another grid is refused.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from formulations.catalog import load_method
+from models.catalog import load_scene
+from models.errors import TouchstoneError
+from models.scene import Scene
+from models.trajectory import Hold, Trajectory, uniform_grid
+from validate.stress.case import Chart, Finding, HardCase, Series, at_least, at_most, none_of
+from validate.stress.motion import replayed, rolled
+
+SECONDS, COUNTS, FINE = 0.8, (10, 20, 40, 80), 640
+
+
+def smooth(t: np.ndarray) -> np.ndarray:
+    """(n, 2) inputs [N] that press the carts together."""
+    return np.column_stack([6.0 + 3.0 * np.sin(4.0 * t), -6.0 + 2.0 * np.cos(5.0 * t)])
+
+
+def held(scene: Scene, t: np.ndarray, u: np.ndarray, hold: Hold) -> Trajectory:
+    """A plan of these inputs; a replay takes nothing else from it but the start."""
+    start = np.array(scene.task.start)
+    state = np.tile(start, (len(t), 1))
+    return Trajectory(t=t, q=state[:, : scene.nq], v=state[:, scene.nq :], u=u, lam=np.zeros((len(t) - 1, scene.nl)), hold=hold)
+
+
+def end_of(scene: Scene, count: int, hold: Hold) -> np.ndarray:
+    t = uniform_grid(SECONDS / count, count)
+    return replayed(scene, held(scene, t, smooth(t[:-1]), hold)).end
+
+
+def order(errors: list[float]) -> float:
+    """Slope of log error over log step."""
+    return -float(np.polyfit(np.log(COUNTS), np.log(errors), 1)[0])
+
+
+def measure() -> Finding:
+    scene = load_scene("three_cart").with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0))
+    # the last step of a linear plan is constant: its effect is one more step of order 1 in an ever shorter step, so of order 2 as well
+    truth = end_of(scene, FINE, Hold.LINEAR)
+    errors = {hold: [float(np.abs(end_of(scene, count, hold) - truth).max()) for count in COUNTS] for hold in Hold}
+    orders = {hold: order(values) for hold, values in errors.items()}
+    whole = uniform_grid(0.1, 8)
+    odd = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.47, 0.5, 0.6, 0.7, 0.8])
+    u = smooth(whole[:-1])
+    parts = u[[0, 1, 2, 3, 4, 4, 5, 6, 7]]
+    one, other = (replayed(scene, held(scene, t, values, Hold.ZERO_ORDER)) for t, values in ((whole, u), (odd, parts)))
+    same = float(np.abs(one.end - other.end).max()) if one.ok and other.ok else math.inf
+    wrong = []
+    other_grid = rolled(scene, step=0.03, steps=166)  # 4.98 s: neither the step nor the horizon
+    for name, eps in (("softplus_dc", 1e-3), ("strict_lcp", None), ("mpcc", None)):
+        try:
+            with load_method(name).open(scene) as session:
+                session.solve(eps=eps, warm_start=other_grid, time_limit=5.0)
+        except TouchstoneError as error:
+            if "resample" not in str(error) and "steps" not in str(error):
+                wrong.append(f"{name}: {error}")
+        else:
+            wrong.append(f"{name} takes a warm start on another grid")
+    return Finding(
+        happened=f"Order {orders[Hold.ZERO_ORDER]:.2f} with held inputs, {orders[Hold.LINEAR]:.2f} with lines; a grid that does not divide ends within {same:.0e} of one that does.",
+        figures=(
+            at_most("order with held inputs, off 1", abs(orders[Hold.ZERO_ORDER] - 1.0), 0.15, reason="inputs wrong by half a step"),
+            at_least("order with lines", orders[Hold.LINEAR], 1.8, reason="inputs wrong by the square of a step"),
+            at_most(
+                "a step cut in two parts: difference of the end", same, 1e-9, reason="the same inputs; ten times the replay's own error"
+            ),
+            none_of("warm starts on another grid that are not refused", wrong, reason="one grid, or a sentence"),
+        ),
+        charts=(
+            Chart(
+                title="End of the replay against the number of steps",
+                x=("steps", ""),
+                y=("error of the end", ""),
+                series=tuple(Series(name=hold.value.replace("_", " "), x=COUNTS, y=values) for hold, values in errors.items()),
+                log_x=True,
+                log_y=True,
+            ),
+        ),
+    )
+
+
+CASE = HardCase(
+    name="h18_hold",
+    title="Hold convention, and time grids that do not divide",
+    expected="One convention on both sides of the replay, else refused.",
+    scenes=("three_cart",),
+    methods=("softplus_dc", "strict_lcp", "mpcc"),
+    measure=measure,
+)

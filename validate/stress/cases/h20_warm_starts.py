@@ -1,0 +1,76 @@
+"""Warm starts that cannot be meant: not a number, another length, another scene. Each is refused in one sentence that names the field."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from formulations.catalog import load_method
+from models.catalog import load_scene
+from models.errors import TouchstoneError
+from models.trajectory import Trajectory
+from validate.stress.case import Finding, HardCase, none_of, told
+from validate.stress.motion import rolled
+
+METHODS = {"softplus_dc": 1e-3, "relaxed_lcp": 1e-2, "strict_lcp": None, "mpcc": None, "softplus_gd": 1e-3, "relu_gd": None}
+STEPS = 50
+
+
+def _spoiled(plan: Trajectory, field: str, value: float) -> Trajectory:
+    array = np.array(getattr(plan, field))
+    array[3, 0] = value
+    return replace(plan, **{field: array})
+
+
+def measure() -> Finding:
+    scene = load_scene("three_cart").with_task(steps=STEPS)
+    good = rolled(scene)
+    wrong, refused = [], 0
+
+    def must_refuse(what: str, word: str, act: Callable[[], object]) -> None:
+        nonlocal refused
+        try:
+            act()
+        except TouchstoneError as error:
+            refused += 1
+            if word not in str(error) or "\n" in str(error):
+                wrong.append(f"{what}: the sentence does not name {word!r}: {error}")
+        except Exception as error:  # noqa: BLE001 - anything else is what the case looks for
+            wrong.append(f"{what}: {type(error).__name__} instead of a sentence: {error}")
+        else:
+            wrong.append(f"{what} is taken")
+
+    for field in ("t", "q", "v", "u", "lam"):
+        if field != "t":
+            must_refuse(f"NaN in {field}", f"{field}[3, 0]", lambda field=field: _spoiled(good, field, np.nan))
+            must_refuse(f"infinity in {field}", f"{field}[3, 0]", lambda field=field: _spoiled(good, field, np.inf))
+        must_refuse(
+            f"too short a {field}",
+            "rows" if field != "t" else "q has shape",
+            lambda field=field: replace(good, **{field: getattr(good, field)[:-1]}),
+        )
+    other_length, other_scene = rolled(scene, steps=STEPS + 7), rolled(load_scene("cart_pole_walls"), step=scene.task.step, steps=STEPS)
+    for name, eps in METHODS.items():
+        with load_method(name).open(scene) as session:
+            for what, word, plan in (("another length", "steps", other_length), ("another scene", "columns", other_scene)):
+                act: Callable[[], object] = lambda plan=plan: session.solve(eps=eps, warm_start=plan, time_limit=5.0)  # noqa: B023, E731 - called at once
+                must_refuse(f"{name}, {what}", word, act)
+    return Finding(
+        happened=f"{refused} bad warm starts refused, by the plan itself or by {len(METHODS)} methods.",
+        figures=(
+            none_of("taken, or refused without naming the field", wrong, reason="a sentence each"),
+            told("refused", refused),
+        ),
+    )
+
+
+CASE = HardCase(
+    name="h20_warm_starts",
+    title="Warm start with NaN, wrong length, other scene",
+    expected="Refused, naming the field.",
+    scenes=("three_cart", "cart_pole_walls"),
+    methods=("softplus_dc", "relaxed_lcp", "strict_lcp", "mpcc", "softplus_gd", "relu_gd"),
+    measure=measure,
+)

@@ -1,0 +1,105 @@
+"""Hard cases as examinations of a campaign: which there are, and how one is measured in its child and recorded.
+
+tools.EXAMINATIONS = (..., "validate.stress.tasks:examinations")
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from models.catalog import scene_path
+from validate.stress.case import case_names, describe_case, load_case
+from validate.tasks.examination import Course, Examination, Found, SceneReference
+
+if TYPE_CHECKING:
+    from reports.chart_record import ChartRecord
+    from reports.record import MetricRecord
+    from validate.stress.case import Chart, Figure, Finding
+
+KIND = "hard case"
+# What a case's numbers depend on beside its own file; scenes by their text, methods one by one.
+_SOURCES = (
+    "models/",
+    "formulations/",
+    "validate/judge/",
+    "validate/execution/isolated",
+    "validate/execution/process.py",
+    "validate/fmi/",
+    "validate/stress/case.py",
+    "validate/stress/tasks.py",
+    "validate/stress/motion.py",
+)
+
+
+def examinations(scenes: Sequence[SceneReference]) -> list[Examination]:
+    """All hard cases, whatever the scenes of the campaign."""
+    found = []
+    for name in case_names():
+        case = describe_case(name)
+        found.append(
+            Examination(
+                kind=KIND,
+                name=case.heading,
+                expected=case.expected,
+                function="validate.stress.tasks:examine",
+                arguments={"case": name},
+                content="\n".join(scene_path(scene).read_text(encoding="utf-8") for scene in case.scenes),
+                sources=(*_SOURCES, f"validate/stress/cases/{name}.py"),
+                methods=case.methods,
+                quick=case.quick,
+                words=(name,),
+            )
+        )
+    return found
+
+
+def examine(arguments: Mapping[str, Any], course: Course) -> Found:
+    """Measure the case of that name, in the child."""
+    case = load_case(str(arguments["case"]))
+    course.at(f"the measurement of {case.name}")
+    return found_of(case.measure())
+
+
+def found_of(finding: Finding) -> Found:
+    """What is stored of a finding."""
+    return Found(
+        passed=finding.passed,
+        sentence=" ".join(finding.happened.split()),
+        figures=tuple(_figure(figure) for figure in finding.figures),
+        details={"charts": tuple(_chart(chart) for chart in finding.charts)},
+    )
+
+
+def _figure(figure: Figure) -> MetricRecord:
+    from reports.record import MetricRecord
+
+    return MetricRecord(
+        name=figure.name,
+        value=figure.value if math.isfinite(figure.value) else None,
+        unit=figure.unit,
+        meaning=figure.meaning,
+        limit=figure.limit,
+        at_least=figure.at_least,
+        reason=figure.reason,
+        ok=figure.ok,
+    )
+
+
+def _chart(chart: Chart) -> ChartRecord:
+    from reports.chart_record import AxisRecord, ChartRecord, SeriesRecord
+
+    series = []
+    for item in chart.series:
+        pairs = [(float(x), float(y)) for x, y in zip(item.x, item.y, strict=False) if math.isfinite(x) and math.isfinite(y)]
+        series.append(SeriesRecord(name=item.name, x=tuple(x for x, _ in pairs), y=tuple(y for _, y in pairs), line=item.line))
+    return ChartRecord(
+        title=chart.title,
+        x=AxisRecord(quantity=chart.x[0], unit=chart.x[1], log=chart.log_x),
+        y=AxisRecord(quantity=chart.y[0], unit=chart.y[1], log=chart.log_y),
+        series=tuple(series),
+        level=None if chart.level is None else chart.level[0],
+        level_words="" if chart.level is None else chart.level[1],
+        words=chart.words,
+    )

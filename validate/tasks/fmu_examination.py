@@ -1,0 +1,84 @@
+"""Our own FMUs under our own check: an examination for each scene of a campaign and each version of FMI.
+
+The FMU is exported and checked as `python -m validate fmu` and `check` do: its code runs in an isolated child, each check in a fork.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from validate.tasks.examination import Course, Examination, Found, SceneReference
+
+VERSIONS = ("2.0", "3.0")
+# What a quick campaign runs: the version that its replays use, too.
+_QUICK = "2.0"
+_SOURCES = (
+    "models/",
+    "validate/fmu_check/",
+    "validate/execution/isolated",
+    "validate/execution/process.py",
+    "validate/fmi/",
+    "validate/tasks/fmu_examination.py",
+)
+
+
+def examinations(scenes: Sequence[SceneReference]) -> list[Examination]:
+    """One for each scene and version; all scenes of one version, then of the next."""
+    from models.scene_text import scene_text
+
+    return [
+        Examination(
+            kind="FMU",
+            name=f"{reference.scene.name}, FMI {version}",
+            group=f"FMU, FMI {version}",
+            expected="it passes every check of what it offers.",
+            function="validate.tasks.fmu_examination:examine",
+            arguments={"scene": reference.where, "version": version},
+            content=scene_text(reference.scene),
+            sources=_SOURCES,
+            scene=reference.scene.name,
+            quick=version == _QUICK,
+            words=("fmu_check", f"fmi{version[0]}"),
+        )
+        for version in VERSIONS
+        for reference in scenes
+    ]
+
+
+def examine(arguments: Mapping[str, Any], course: Course) -> Found:
+    """Export and check. Raises MachineError, SceneError for a scene whose names an FMU cannot carry."""
+    from models.catalog import load_scene
+    from models.fmu import build_fmu
+    from reports.examination_record import CheckRow, FmuRecord
+    from validate.fmu_check import CHECK_SECONDS, Status, check_fmu
+
+    began = time.perf_counter()
+    course.at("the export")
+    path = build_fmu(load_scene(arguments["scene"]), arguments["version"])
+    exported = time.perf_counter()
+    course.at("the check")
+    report = check_fmu(path, seconds=min(CHECK_SECONDS, course.seconds_left))
+    checked = time.perf_counter()
+    data = path.read_bytes()
+    rows = tuple(
+        CheckRow(name=row.name, type=row.type, claim=row.claim, status=row.status.value, sentence=row.sentence, seconds=row.seconds)
+        for row in report.rows
+    )
+    failed = [f"{row.name}{f' ({row.type})' if row.type else ''}: {row.sentence}" for row in report.failures()]
+    statuses = [row.status for row in report.rows]
+    counts = ", ".join(f"{statuses.count(status)} {status.value}" for status in Status)
+    record = FmuRecord(
+        version=report.version,
+        types=report.types,
+        bytes=len(data),
+        sha256=hashlib.sha256(data).hexdigest(),
+        export_seconds=exported - began,
+        check_seconds=checked - exported,
+        rows=rows,
+    )
+    missing = "there is no binary for this machine" if report.unrunnable else ""
+    sentence = "; ".join(filter(None, [*(text.rstrip(".") for text in failed), missing, counts])) + "."
+    return Found(passed=report.ok and not report.unrunnable, sentence=sentence, details={"fmu": record})

@@ -1,0 +1,154 @@
+"""What a campaign works with: where methods and pipelines come from, and who judges. Ours by default, anybody's by a dotted name.
+
+    python -m validate all --tools my_package.my_module:TOOLS
+
+`TOOLS` is a `Tools`; what it does not replace stays ours. The name travels to the child processes, which import it themselves, so
+the module must be importable there (installed, or on PYTHONPATH).
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from models.errors import MachineError, UnknownNameError
+
+if TYPE_CHECKING:
+    from formulations.method import Method, Pipeline
+    from formulations.solution import Solution
+    from models.scene import Scene
+    from models.trajectory import Trajectory
+    from validate.tasks.examination import Examination, SceneReference
+
+DEFAULT_TOOLS = "validate.tasks.plugins:DEFAULT"
+# What a campaign examines beside scenes by pipelines: functions of its scenes that give validate.tasks.examination.Examination.
+EXAMINATIONS: tuple[str, ...] = ("validate.tasks.fmu_examination:examinations", "validate.stress.tasks:examinations")
+
+
+def _load_method(name: str) -> Method:
+    from formulations.catalog import load_method
+
+    return load_method(name)
+
+
+def _pipelines_for(scene: Scene) -> tuple[Pipeline, ...]:
+    from formulations.pipeline import pipelines_for
+
+    return pipelines_for(scene)
+
+
+def _examinations(scenes: Sequence[SceneReference]) -> list[Examination]:
+    found = []
+    for reference in EXAMINATIONS:
+        module, _, name = reference.partition(":")
+        found += getattr(importlib.import_module(module), name)(scenes)
+    return found
+
+
+def _compile(scene: Scene) -> None:
+    from models.codegen.kernel import load_kernel
+
+    load_kernel(scene)
+
+
+def _build_fmu(scene: Scene) -> Path:
+    from models.fmu import build_fmu
+
+    return build_fmu(scene)
+
+
+def _certify(scene: Scene, solution: Solution) -> Solution:
+    from formulations.mpec import certify_solution
+
+    return certify_solution(scene, solution)
+
+
+def _judge(scene: Scene, fmu: Path, trajectory: Trajectory) -> Any:
+    from validate.judge.judgement import judge_trajectory
+
+    return judge_trajectory(scene, fmu, trajectory)
+
+
+def _write_replay(path: Path, replay: Any, scene: Scene) -> None:
+    from validate.judge.replay.netcdf import write_replay
+
+    write_replay(path, replay, scene)
+
+
+def _write_report(folder: Path) -> Path:
+    from reports.load import ReportError
+    from reports.render import write_report
+
+    try:
+        return write_report(folder)
+    except ReportError as error:  # of a room that knows none of our errors
+        raise MachineError(str(error)) from error
+
+
+def _tell(folder: Path, text: bytes) -> None:
+    from reports.telling import tell
+
+    tell(folder, text)
+
+
+def _write_pages(folder: Path) -> Path:
+    from reports.load import ReportError
+    from reports.split import write_pages
+
+    try:
+        return write_pages(folder)
+    except ReportError as error:
+        raise MachineError(str(error)) from error
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tools:
+    """See the module docstring. quick: the pipelines that `--quick` runs; tell: draws what the report needs of a record (a campaign's folder, the
+    text of its record.json) when it is stored; what fails there fails again, and is said, when the report is written."""
+
+    load_method: Callable[[str], Method] = _load_method
+    pipelines_for: Callable[[Scene], tuple[Pipeline, ...]] = _pipelines_for
+    quick: tuple[str, ...] | None = None
+    examinations: Callable[[Sequence[SceneReference]], Sequence[Examination]] = _examinations
+    compile: Callable[[Scene], None] = _compile
+    build_fmu: Callable[[Scene], Path] = _build_fmu
+    certify: Callable[[Scene, Solution], Solution] = _certify
+    judge: Callable[[Scene, Path, Trajectory], Any] = _judge
+    write_replay: Callable[[Path, Any, Scene], None] = _write_replay
+    tell: Callable[[Path, bytes], None] = _tell
+    write_report: Callable[[Path], Path] = _write_report
+    write_pages: Callable[[Path], Path] = _write_pages
+
+    def quick_names(self) -> tuple[str, ...]:
+        from formulations.pipeline import QUICK
+
+        return QUICK if self.quick is None else self.quick
+
+
+DEFAULT = Tools()
+
+
+def load_tools(reference: str) -> Tools:
+    """The Tools of a dotted name `module:NAME`. Raises UnknownNameError."""
+    module_name, _, name = reference.partition(":")
+    try:
+        module = importlib.import_module(module_name)
+    except ImportError as error:
+        raise UnknownNameError(
+            f"--tools {reference}: the module {module_name!r} cannot be imported ({error}); write module:NAME."
+        ) from error
+    tools = getattr(module, name or "TOOLS", None)
+    if not isinstance(tools, Tools):
+        raise UnknownNameError(f"--tools {reference}: {module_name} has no {name or 'TOOLS'} that is a validate.tasks.plugins.Tools.")
+    return tools
+
+
+def tools_source(reference: str) -> str:
+    """The source text of the module a reference names, for the key of a cell; empty for our own (hashed with our sources)."""
+    if reference == DEFAULT_TOOLS:
+        return ""
+    return inspect.getsource(importlib.import_module(reference.partition(":")[0]))

@@ -1,0 +1,399 @@
+"""Certificate, starts and front of a Solution -> their records.
+
+Solution, Score and Replay -> the records that are stored and told (reports.record).
+
+Numbers that are not finite never get into a record: a cost that is not a number is missing, and says so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from formulations.pipeline import stage_plan
+from formulations.solution import Bound, Outcome, Seconds, Solution
+from reports.record import (
+    BoundRecord,
+    CertificateRecord,
+    FrontPointRecord,
+    MetricRecord,
+    QuestionRecord,
+    ReplayRecord,
+    RunRecord,
+    SceneRecord,
+    SecondsRecord,
+    SizeRecord,
+    StageRecord,
+    StartRecord,
+    Verdict,
+)
+from reports.tracked_record import TrackedRecord
+from validate.tasks.paper import paper_row
+from validate.tasks.scene_record import plan_trace, replay_trace, thin
+
+if TYPE_CHECKING:
+    from formulations.method import Method, Pipeline
+    from formulations.mpec import Certificate
+    from formulations.options import Options
+    from formulations.solution import Solution
+    from models.scene import Scene
+    from models.trajectory import Trajectory
+    from reports.record import ProvenanceRecord, StageRecord
+    from validate.execution.worker import Lost
+    from validate.tasks.run import Cell
+
+
+def certificate_record(certificate: Certificate | None) -> CertificateRecord | None:
+    if certificate is None:
+        return None
+    return CertificateRecord(
+        holds=certificate.holds,
+        feasible=certificate.feasible,
+        primal=_finite(certificate.primal),
+        worst=certificate.worst,
+        complementarity=_finite(certificate.complementarity),
+        dual=_finite(certificate.dual),
+        letter=certificate.stationarity.letter,
+        meaning=certificate.stationarity.value,
+        pairs=certificate.pairs,
+        biactive=certificate.biactive,
+        least=_finite(certificate.least),
+        unique=certificate.unique,
+        b_stationary=certificate.b_stationary,
+        sentence=certificate.sentence,
+    )
+
+
+def start_records(solution: Solution) -> tuple[StartRecord, ...]:
+    return tuple(
+        StartRecord(
+            number=start.number,
+            start=start.start,
+            outcome=start.outcome.name.lower(),
+            cost=_finite(start.cost),
+            windows=start.windows,
+            seconds=start.seconds,
+        )
+        for start in solution.starts
+    )
+
+
+def front_records(scene: Scene, solution: Solution) -> tuple[FrontPointRecord, ...]:
+    return tuple(
+        FrontPointRecord(
+            tolerance=point.tolerance,
+            outcome=point.solution.outcome.name.lower(),
+            cost=_finite(point.solution.cost),
+            terminal_error=_finite(point.solution.residuals.get("discrete_terminal_error")),
+            windows=_windows(scene, point.solution.trajectory),
+            certificate=certificate_record(point.solution.certificate),
+        )
+        for point in solution.front
+    )
+
+
+def with_certificate(record: StageRecord, scene: Scene, solution: Solution) -> StageRecord:
+    """The record of the same stage, now that its plan and those of its front are certified."""
+    told = {"certificate": certificate_record(solution.certificate), "front": front_records(scene, solution)}
+    return record.model_copy(update=told)
+
+
+def _windows(scene: Scene, plan: Trajectory | None) -> tuple[tuple[str, int, int], ...]:
+    """(contact, first step, last step) of each time a force acts."""
+    if plan is None:
+        return ()
+    found = []
+    for contact, force in zip(scene.contacts, plan.lam.T, strict=False):
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], force > 0, [False]]).astype(int)))
+        found += [(contact.name, int(first), int(stop) - 1) for first, stop in zip(edges[::2], edges[1::2], strict=True)]
+    return tuple(found)
+
+
+def _finite(value: float | None) -> float | None:
+    return float(value) if value is not None and math.isfinite(value) else None
+
+
+# Lines of the log that go into the record, so that a report can show why a cell ended as it did.
+LOG_LINES = 40
+
+
+@dataclass(frozen=True, kw_only=True)
+class Planned:
+    """One stage of a pipeline before it runs. method: None where it cannot even be loaded."""
+
+    index: int
+    name: str
+    method: Method
+    eps: float | None
+    options: Options
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judged:
+    """What the judge said of one plan: a Replay and a Score, or the sentence why there are none."""
+
+    replay: Any = None
+    score: Any = None
+    seconds: float = 0.0
+    problem: str = ""
+
+
+def planned_stages(pipeline: Pipeline, methods: Mapping[str, Method]) -> tuple[Planned, ...]:
+    """The stages of a pipeline in order, options filled in. Raises OptionError."""
+    stages = []
+    for index, (leg, eps, options) in enumerate(stage_plan(pipeline)):
+        method = methods[leg.method]
+        method.check_eps(eps)
+        stages.append(Planned(index=index, name=leg.method, method=method, eps=eps, options=method.read_options(options)))
+    return tuple(stages)
+
+
+def stage_record(
+    scene: Scene,
+    pipeline: str,
+    planned: Planned,
+    solution: Solution,
+    *,
+    wall: float,
+    cpu: float,
+    before: float,
+    judged: Judged,
+) -> StageRecord:
+    """The record of a stage that ran. wall, cpu [s]: of this stage; before [s]: of the stages before it."""
+    trajectory = solution.trajectory
+    verdict, why = _verdict(solution, judged)
+    return StageRecord(
+        index=planned.index,
+        method=planned.name,
+        method_title=planned.method.title,
+        kind=planned.method.kind.value,
+        eps=planned.eps,
+        outcome=solution.outcome.name.lower(),
+        advice=solution.outcome.value,
+        message=solution.message,
+        cost=finite(solution.cost),
+        iterations=int(solution.iterations),
+        residuals=_finite_values(solution.residuals),
+        bound=_bound(solution.bound),
+        size=_size(solution),
+        solver=solution.solver,
+        options=_options(solution.options or asdict(planned.options)),
+        history=_history(solution.history),
+        certificate=certificate_record(solution.certificate),
+        starts=start_records(solution),
+        front=front_records(scene, solution),
+        seconds=_seconds(solution.seconds, wall, cpu, before, judged.seconds),
+        metrics=tuple(_metric(metric) for metric in judged.score.metrics) if judged.score is not None else (),
+        verdict=verdict,
+        why=why,
+        questions=_questions(judged.score),
+        not_asked=() if judged.score is None else judged.score.not_asked,
+        replay=_replay(judged.replay, judged.score) if judged.replay is not None else None,
+        plan_trace=plan_trace(scene, trajectory) if trajectory is not None else None,
+        replay_trace=_replay_trace(scene, trajectory, judged.replay),
+        tracked_trace=_replay_trace(scene, trajectory, getattr(judged.replay, "tracked", None)),
+        paper=dict(paper_row(scene.name, pipeline, planned.index)),
+    )
+
+
+def stage_of(record: StageRecord, scene: str, pipeline: str, before: float) -> StageRecord:
+    """A stage that ran in another pipeline, as one of this. before [s]: of the stages before those that ran there."""
+    seconds = record.seconds.model_copy(update={"total": before + record.seconds.total})
+    return record.model_copy(update={"seconds": seconds, "paper": dict(paper_row(scene, pipeline, record.index))})
+
+
+def unfinished_stage(scene: str, pipeline: str, planned: Planned, outcome: Outcome, message: str) -> StageRecord:
+    """The record of a stage without an answer: refused, crashed, out of time or never begun."""
+    return StageRecord(
+        index=planned.index,
+        method=planned.name,
+        method_title=planned.method.title,
+        kind=planned.method.kind.value,
+        eps=planned.eps,
+        outcome=outcome.name.lower(),
+        advice=outcome.value,
+        message=message,
+        options=_options(asdict(planned.options)),
+        verdict="not applicable" if outcome is Outcome.REFUSED else "no plan",
+        why=message,
+        paper=dict(paper_row(scene, pipeline, planned.index)),
+    )
+
+
+def run_record(
+    cell: Cell,
+    scene: SceneRecord,
+    stages: Sequence[StageRecord],
+    provenance: ProvenanceRecord,
+    *,
+    wall: float,
+    cpu: float,
+    log: str,
+    outcome: str | None = None,
+    message: str | None = None,
+    profile: Mapping[str, float] = MappingProxyType({}),
+) -> RunRecord:
+    """The record of a cell; its outcome, message and verdict are those of the last stage unless given. profile: wall seconds by phase."""
+    last = stages[-1]
+    return RunRecord(
+        key=cell.key,
+        scene=scene,
+        pipeline=cell.pipeline.name,
+        pipeline_title=cell.pipeline.title,
+        part=cell.pipeline.part[0] if cell.pipeline.part else 1,
+        parts=cell.pipeline.part[1] if cell.pipeline.part else 1,
+        stages=tuple(stages),
+        outcome=last.outcome if outcome is None else outcome,
+        message=last.message if message is None else message,
+        verdict=last.verdict,
+        must_hold=last.kind == "direct",
+        wall_seconds=wall,
+        cpu_seconds=cpu,
+        profile=dict(profile),
+        provenance=provenance,
+        log_tail="\n".join(log.splitlines()[-LOG_LINES:]),
+    )
+
+
+def lost_run(cell: Cell, scene: SceneRecord, plan: Sequence[Planned], provenance: ProvenanceRecord, lost: Lost) -> RunRecord:
+    """The record of a cell whose child left none."""
+    outcome = Outcome[lost.outcome.upper()]
+    stages = [unfinished_stage(scene.name, cell.pipeline.name, planned, outcome, lost.message) for planned in plan]
+    return run_record(
+        cell, scene, stages, provenance, wall=lost.wall, cpu=lost.cpu, log=lost.log, outcome=lost.outcome, message=lost.message
+    )
+
+
+def finite(value: Any) -> float | None:
+    """The number if it is one, else None."""
+    return float(value) if value is not None and math.isfinite(value) else None
+
+
+def _verdict(solution: Solution, judged: Judged) -> tuple[Verdict, str]:
+    if solution.trajectory is None:
+        return "not applicable" if solution.outcome is Outcome.REFUSED else "no plan", solution.message or solution.outcome.value
+    if judged.score is None:
+        return "undecided", judged.problem
+    verdict = judged.score.verdict
+    return getattr(verdict, "value", verdict), judged.score.why
+
+
+def _bound(bound: Bound | None) -> BoundRecord | None:
+    return None if bound is None else BoundRecord(**asdict(bound))
+
+
+def _size(solution: Solution) -> SizeRecord | None:
+    size, paper = solution.size, solution.paper_size
+    if size is None or paper is None:
+        return None
+    return SizeRecord(unknowns=size.unknowns, equations=size.equations, paper_unknowns=paper.unknowns, paper_equations=paper.equations)
+
+
+def _replay(replay: Any, score: Any) -> ReplayRecord:
+    error, growth, tracked = replay.error, getattr(replay, "growth", None), getattr(replay, "tracked", None)
+    return ReplayRecord(
+        error_estimate=_position(error.estimate),
+        tolerance_difference=_position(error.tolerance),
+        step_difference=_position(error.step),
+        everyday_difference=_position(error.everyday),
+        rollback_difference=_position(error.rollback),
+        step_source=error.step_source,
+        events=len(replay.events),
+        seconds_reference=replay.seconds_reference,
+        seconds_everyday=replay.seconds_everyday,
+        fmu=replay.fmu,
+        message=replay.message or replay.outcome.value,
+        judged=getattr(score, "judged", "open"),
+        growth_rate=None if growth is None else finite(growth.rate),
+        tracked=None if tracked is None else _tracked(tracked),
+    )
+
+
+def _tracked(replay: Any) -> TrackedRecord:
+    return TrackedRecord(
+        error_estimate=_position(replay.error.estimate),
+        events=len(replay.events),
+        seconds_reference=replay.seconds_reference,
+        seconds_everyday=replay.seconds_everyday,
+        message=replay.message or replay.outcome.value,
+        **asdict(replay.effort),
+    )
+
+
+def _position(difference: Any) -> float | None:
+    return None if difference is None else finite(difference.position)
+
+
+def _replay_trace(scene: Scene, trajectory: Trajectory | None, replay: Any):
+    if trajectory is None or replay is None or len(replay.t) == 0:
+        return None
+    return replay_trace(scene, trajectory, replay)
+
+
+def _metric(metric: Any) -> MetricRecord:
+    return MetricRecord(
+        name=metric.name,
+        value=finite(metric.value),
+        unit=metric.unit,
+        meaning=metric.meaning,
+        question=metric.question.number,
+        error=finite(metric.error) or 0.0,
+        limit=finite(metric.limit),
+        reason=metric.reason,
+        ok=metric.ok,
+        default=metric.default,
+    )
+
+
+def _questions(score: Any) -> tuple[QuestionRecord, ...]:
+    if score is None:
+        return ()
+    return tuple(QuestionRecord(number=question.number, text=question.value, answer=answer) for question, answer in score.questions)
+
+
+def _seconds(seconds: Seconds, wall: float, cpu: float, before: float, replay: float) -> SecondsRecord:
+    return SecondsRecord(
+        build=seconds.build,
+        translate=seconds.translate,
+        evaluate=seconds.evaluate,
+        linear_algebra=seconds.linear_algebra,
+        solve=seconds.solve,
+        stage=wall,
+        stage_cpu=cpu,
+        total=before + wall,
+        replay=replay,
+    )
+
+
+def _finite_values(values: Mapping[str, float]) -> dict[str, float]:
+    return {name: float(value) for name, value in values.items() if finite(value) is not None}
+
+
+def _options(options: Mapping[str, object]) -> dict[str, Any]:
+    return {name: _plain(value) for name, value in options.items()}
+
+
+def _plain(value: object) -> Any:
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else repr(value)
+    if isinstance(value, Iterable):
+        items = list(value)
+        if all(isinstance(item, (int, float)) and math.isfinite(item) for item in items):
+            return [float(item) for item in items]
+    return str(value)
+
+
+def _history(history: Mapping[str, Sequence[float]]) -> dict[str, tuple[float, ...]]:
+    """Columns thinned to what a plot can show; iterations in which any column is not finite are left out."""
+    columns = {name: [float(value) for value in values] for name, values in history.items()}
+    length = min((len(values) for values in columns.values()), default=0)
+    rows = [row for row in range(length) if all(math.isfinite(values[row]) for values in columns.values())]
+    keep = [rows[place] for place in thin(len(rows))] if rows else []
+    return {name: tuple(values[row] for row in keep) for name, values in columns.items()}
