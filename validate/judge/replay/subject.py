@@ -239,14 +239,14 @@ def find_variables(package: Package, scene: Scene, names: Mapping[str, str] | No
         return None if variable is None else int(variable.valueReference)
 
     found: dict[str, tuple[int, ...]] = {}
-    for field, group in groups.items():
+    for which, group in groups.items():
         references = [reference(name) for name in group]
         missing = [name for name, item in zip(group, references, strict=True) if item is None]
-        if missing and field in ("q", "v", "u"):
+        if missing and which in ("q", "v", "u"):
             raise FmuError(
                 f"FMU {package.path}: it has no variable {missing[0]!r} of scene {scene.name}; give its name in the FMU by a map."
             )
-        found[field] = () if missing else tuple(item for item in references if item is not None)
+        found[which] = () if missing else tuple(item for item in references if item is not None)
     for name, item in zip(groups["u"], found["u"], strict=True):
         if by_name[names.get(name, name)].causality != "input":
             raise FmuError(f"FMU {package.path}: {names.get(name, name)} (value reference {item}) is no input, but the plan drives {name}.")
