@@ -27,8 +27,8 @@ from benchmarks.measure import run_child
 from benchmarks.options import POSITIVE, out_option
 from benchmarks.records import Table
 from benchmarks.results import store_tables
-from formulations.catalog import load_method
 from formulations.mpec.certificate.plan import certify_plan
+from formulations.pipelines import load_method
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.scene import Contact, Coordinate, Input, Parameter, Scene, Task

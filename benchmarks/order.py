@@ -27,7 +27,7 @@ from scipy.interpolate import CubicHermiteSpline
 from benchmarks.measure import least, slope
 from benchmarks.options import COUNT, POSITIVE, out_option
 from benchmarks.results import store
-from formulations.catalog import load_method
+from formulations.pipelines import load_method
 from formulations.solution import Solution
 from models.catalog import load_scene
 from models.fmu import build_fmu

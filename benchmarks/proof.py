@@ -4,7 +4,7 @@ Rows: `wall_pendulum` (20 steps), `three_cart` over its 5 s in 20, 25, 30 and 50
 steps, where only the convex relaxation is asked: 998 decisions are out of reach. `--disjunction` adds the route by `mpec.simple_disjunction` and
 `gdp.bigm` for three_cart in 20 steps, with the same M, to compare formulations. `local` is the cheapest plan of methods mpcc and strict_lcp.
 
-Assumed: nothing but the scene. In T = 500 the bounds of the penetrations come from the energy argument proved in formulations/proof/energy.py.
+Assumed: nothing but the scene. In T = 500 the bounds of the penetrations come from the energy argument proved in formulations/proof/bounds.py.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ import pyomo.environ as pyo
 from benchmarks.options import out_option
 from benchmarks.records import Table
 from benchmarks.results import store_tables
-from formulations.catalog import load_method
+from formulations.contact_modes.linear import linear_scene
+from formulations.pipelines import load_method
 from formulations.proof import build_miqp, pair_bounds, prove, relaxed_bound
 from formulations.proof.bounds import physical_bounds
 from formulations.proof.prove import scip
 from formulations.solution import Outcome, Solution
-from formulations.windows.linear_scene import linear_scene
 from models.catalog import load_scene
 from models.scene import Scene
 

@@ -50,7 +50,7 @@ INTEGRATOR = "integrator"
 def _plan(scene: Scene) -> Trajectory:
     """The best exact plan of three_cart; of other scenes, no inputs from the task's start."""
     if scene.name == "three_cart":
-        from formulations.catalog import load_method
+        from formulations.pipelines import load_method
 
         method = load_method("mpcc")
         session = method.open(scene, {})

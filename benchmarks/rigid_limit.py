@@ -22,8 +22,8 @@ import numpy as np
 
 from benchmarks.options import COUNT, POSITIVE, out_option
 from benchmarks.results import store
-from formulations.catalog import load_method
 from formulations.grids import on_grid
+from formulations.pipelines import load_method
 from formulations.solution import Solution
 from models.codegen.kernel import load_kernel
 from models.fmu import build_fmu

@@ -33,7 +33,7 @@ STAGES = {"softplus_dc": True, "mpec_step": True, "mpcc": True, "gd_iteration": 
 
 
 def _solved(method: str, scene: Any, eps: float | None, warm: Any = None, **options: object) -> tuple[Any, Mapping[str, Any]]:
-    from formulations.catalog import load_method
+    from formulations.pipelines import load_method
 
     solution = load_method(method).open(scene, options).solve(eps=eps, warm_start=warm, time_limit=3600.0)
     return solution.trajectory, {"outcome": solution.outcome.name.lower(), "iterations": solution.iterations, "value": solution.cost}

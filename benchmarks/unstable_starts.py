@@ -19,8 +19,7 @@ import numpy as np
 
 from benchmarks.options import COUNT, SEED, out_option
 from benchmarks.results import store
-from formulations.catalog import load_method
-from formulations.pipeline import find_pipeline, stage_plan
+from formulations.pipelines import find_pipeline, load_method, stage_plan
 from models.catalog import load_scene
 from models.fmu import build_fmu
 from models.scene import Scene

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from formulations.transcription.build import build_block, build_model
-    from formulations.transcription.contact_laws import ContactLaw, ModelError, relax, tighten
-    from formulations.transcription.plans import load_plan, read_plan
+    from formulations.transcription.contact import ContactLaw, ModelError, relax, tighten
     from formulations.transcription.residuals import PlanResiduals
+    from formulations.transcription.workbench import load_plan, read_plan
 
 _HOME = {
     "ContactLaw": "contact_laws",

@@ -29,7 +29,7 @@ def test_import_contracts():
     [
         ("models", {"pyomo", "torch", "sympy"}),
         ("formulations", {"pyomo", "torch", "cyipopt"}),
-        ("formulations.catalog", {"pyomo", "torch", "cyipopt", "sympy"}),
+        ("formulations.pipelines", {"pyomo", "torch", "cyipopt", "sympy"}),
         ("validate", {"pyomo", "torch", "fmpy", "sympy"}),
         ("reports", {"pyomo", "torch", "sympy", "fmpy"}),
     ],

@@ -64,7 +64,7 @@ def on_three_cart(peer: str, seed: int, result: Path) -> dict[str, Any]:
         t=uniform_grid(STEP, STEPS), q=start["q"], v=start["v"], u=start["u"], lam=start["lam"], scheme=Scheme.SEMI_IMPLICIT_EULER
     )
     if peer == "mpcc":
-        from formulations.catalog import load_method
+        from formulations.pipelines import load_method
         from models.catalog import load_scene
 
         with load_method("mpcc").open(load_scene("three_cart")) as session:

@@ -142,7 +142,7 @@ def cold_step(size: Size, folder: Path) -> Work:
 
 def eps_step(size: Size, folder: Path) -> Work:
     """The plan at the last eps from that at the one before, in a session that is open."""
-    from formulations.catalog import load_method
+    from formulations.pipelines import load_method
 
     session = load_method("softplus_dc").open(_warm(size), {})
     plan = None
@@ -174,7 +174,7 @@ def _built(scene: Any) -> Any:
 
 
 def _chain(scene: Any, schedule: tuple[float, ...]) -> Mapping[str, Any]:
-    from formulations.catalog import load_method
+    from formulations.pipelines import load_method
 
     plan, solution, iterations = None, None, 0
     with load_method("softplus_dc").open(scene, {}) as session:

@@ -177,8 +177,7 @@ def motion_of(reference: str) -> Motion:
 @cache
 def found(reference: str, pipeline: str) -> tuple[Any, ...]:
     """The plans (models.trajectory.Trajectory) of a pipeline's stages on a scene, in order; a stage without a plan is left out. Seconds."""
-    from formulations.catalog import load_method
-    from formulations.pipeline import find_pipeline, stage_plan
+    from formulations.pipelines import find_pipeline, load_method, stage_plan
 
     plans, warm = [], None
     for leg, eps, options in stage_plan(find_pipeline(pipeline)):

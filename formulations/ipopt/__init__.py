@@ -19,16 +19,13 @@ Importing this package also registers `SolverFactory("touchstone_ipopt")`, which
 
 from __future__ import annotations
 
-from formulations.ipopt.compiler import compile_model
+from formulations.ipopt.compile import compile_model
 from formulations.ipopt.errors import MissingValueError, ModelRefusedError, StructureChangedError, UnknownOptionError
 from formulations.ipopt.options import known_options
 from formulations.ipopt.problem import IpoptProblem
 from formulations.ipopt.pyomo_solver import TouchstoneIpopt
-from formulations.ipopt.residuals import Residuals, residuals
-from formulations.ipopt.result import IpoptResult, Iteration, Seconds, load
-from formulations.ipopt.solve import solve
-from formulations.ipopt.status import STATUS_MAP, STATUS_NAMES, outcome_of
-from formulations.ipopt.warm_start import Start
+from formulations.ipopt.result import STATUS_MAP, STATUS_NAMES, IpoptResult, Iteration, Residuals, Seconds, load, outcome_of, residuals
+from formulations.ipopt.solve import Start, solve
 
 __all__ = [
     "STATUS_MAP",

@@ -1,4 +1,20 @@
-"""SolverFactory("touchstone_ipopt"): this bridge behind Pyomo's own solver interface, for any smooth model.
+"""Multipliers between Ipopt's signs and Pyomo's.
+
+Ipopt: L = sense*f + lagrange' g - zl' x + zu' x with zl, zu >= 0. Pyomo (as its ipopt interface reports them): a dual is the change of the
+model's objective when the constraint's bound grows by one, so that `min x, x >= 1` has dual +1; ipopt_zL_out and ipopt_zU_out likewise for
+the bounds of a variable, so zU is negative when minimising.
+
+IpoptResult -> Pyomo's SolverResults.
+
+The outward manners of a Pyomo solver object, shared by all that this package registers.
+
+class Solver(PyomoPlugin):
+    title = "name_in_the_factory"
+    def run(self, model, *, options, tee, timelimit, **keywords): -> (SolverResults, what was solved)
+    def load(self, model, solved): ...
+    def carry(self, results, solved): ...
+
+SolverFactory("touchstone_ipopt"): this bridge behind Pyomo's own solver interface, for any smooth model.
 
     import formulations.ipopt
     solver = pyo.SolverFactory("touchstone_ipopt")
@@ -16,20 +32,279 @@ perturb_always_cd, which its message says, and may take as many iterations again
 
 from __future__ import annotations
 
+import logging
+import sys
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import replace
 from time import perf_counter
-from typing import Any
+from types import MappingProxyType
+from typing import Any, Self
 
-from pyomo.opt import SolverFactory, SolverResults
+import numpy as np
+from pyomo.common.collections import Bunch
+from pyomo.common.tee import capture_output
+from pyomo.core.base import Block, Suffix
+from pyomo.core.base.label import NumericLabeler
+from pyomo.core.base.symbol_map import SymbolMap
+from pyomo.opt import ProblemSense, SolverFactory, SolverResults, SolverStatus, TerminationCondition
+from pyomo.opt.results.solution import Solution, SolutionStatus
 
-from formulations.ipopt.compiler import compile_model
+from formulations.ipopt.compile import compile_model
 from formulations.ipopt.problem import IpoptProblem
-from formulations.ipopt.pyomo_plugin import PyomoPlugin
-from formulations.ipopt.pyomo_results import has_point, solver_results, with_solution
-from formulations.ipopt.pyomo_suffixes import dual_start, fill_suffixes
-from formulations.ipopt.result import IpoptResult, load
-from formulations.ipopt.solve import repeats_constraints, solve
+from formulations.ipopt.result import NOT_SENT, IpoptResult, load
+from formulations.ipopt.solve import Start, ipopt_version, repeats_constraints, solve
 from formulations.solution import Outcome
+
+
+def pyomo_duals(problem: IpoptProblem, result: IpoptResult) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(dual (m,), zL (n,), zU (n,)) in Pyomo's signs."""
+    return -problem.sense * result.lagrange, problem.sense * result.zl, -problem.sense * result.zu
+
+
+def fill_suffixes(problem: IpoptProblem, result: IpoptResult) -> None:
+    """Write multipliers into the import suffixes the model declares; a constraint without variables has none."""
+    dual, lower, upper = pyomo_duals(problem, result)
+    for name, components, values in (
+        ("dual", problem.equations, dual),
+        ("ipopt_zL_out", problem.variables, lower),
+        ("ipopt_zU_out", problem.variables, upper),
+    ):
+        suffix = problem.layout.model.component(name)
+        if isinstance(suffix, Suffix) and suffix.active and suffix.import_enabled():
+            suffix.clear()
+            suffix.update(zip(components, values.tolist(), strict=True))
+
+
+def dual_start(problem: IpoptProblem) -> Start | None:
+    """The start that the model's values and export suffixes describe; None where they hold no multiplier."""
+    found = {
+        "lagrange": _exported(problem.layout.model, "dual", problem.equations),
+        "zl": _exported(problem.layout.model, "ipopt_zL_in", problem.variables),
+        "zu": _exported(problem.layout.model, "ipopt_zU_in", problem.variables),
+    }
+    if all(values is None for values in found.values()):
+        return None
+    signs = {"lagrange": -problem.sense, "zl": problem.sense, "zu": -problem.sense}
+    given = {name: signs[name] * values for name, values in found.items() if values is not None}
+    return Start(x=problem.start()[0], **given)
+
+
+def _exported(model: Any, name: str, components: tuple[Any, ...]) -> np.ndarray | None:
+    """Values of the export suffixes of this name, on any active block; a component without entry has 0; None for no entry at all."""
+    suffixes = [
+        s
+        for s in model.component_data_objects(Suffix, active=True, descend_into=Block)
+        if s.local_name == name and s.export_enabled() and len(s)
+    ]
+    if not suffixes:
+        return None
+    values = np.zeros(len(components))
+    for suffix in suffixes:
+        for k, component in enumerate(components):
+            number = suffix.get(component)
+            if number is not None:
+                values[k] = number
+    return values
+
+
+# Outcome -> (status, termination condition); STALLED is refined below. "optimal" is what Pyomo's own ipopt reports for a KKT point.
+CONDITIONS = MappingProxyType({
+    Outcome.SOLVED: (SolverStatus.ok, TerminationCondition.optimal),
+    Outcome.ITERATION_LIMIT: (SolverStatus.warning, TerminationCondition.maxIterations),
+    Outcome.TIME_LIMIT: (SolverStatus.warning, TerminationCondition.maxTimeLimit),
+    Outcome.INFEASIBLE: (SolverStatus.warning, TerminationCondition.infeasible),
+    Outcome.DIVERGED: (SolverStatus.warning, TerminationCondition.unbounded),
+    Outcome.STALLED: (SolverStatus.warning, TerminationCondition.noSolution),
+    Outcome.EVALUATION_ERROR: (SolverStatus.error, TerminationCondition.internalSolverError),
+    Outcome.INTERRUPTED: (SolverStatus.aborted, TerminationCondition.userInterrupt),
+    Outcome.REFUSED: (SolverStatus.warning, TerminationCondition.invalidProblem),
+    Outcome.CRASHED: (SolverStatus.error, TerminationCondition.solverFailure),
+    Outcome.FAILED: (SolverStatus.error, TerminationCondition.error),
+})  # fmt: skip
+
+_WITHOUT_POINT = frozenset({Outcome.EVALUATION_ERROR, Outcome.REFUSED, Outcome.CRASHED, Outcome.FAILED})
+
+
+def has_point(result: IpoptResult) -> bool:
+    """Whether x is worth loading: Ipopt worked on it, and it is a point."""
+    if result.outcome in _WITHOUT_POINT or (result.status == NOT_SENT and not result.solved):
+        return False
+    return bool(np.all(np.isfinite(result.x)))
+
+
+def condition_of(result: IpoptResult) -> tuple[SolverStatus, TerminationCondition]:
+    """Pyomo's words for how the solve ended; a stalled solve is `feasible` only where the unscaled residuals say so."""
+    if result.outcome is Outcome.STALLED and result.residuals.feasible:
+        return SolverStatus.warning, TerminationCondition.feasible
+    return CONDITIONS[result.outcome]
+
+
+def solver_results(problem: IpoptProblem, result: IpoptResult) -> SolverResults:
+    results = SolverResults()
+    facts = results.problem
+    facts.name = problem.layout.model.name
+    facts.sense = ProblemSense.minimize if problem.sense == 1 else ProblemSense.maximize
+    facts.number_of_objectives = 0 if problem.layout.objective is None else 1
+    facts.number_of_constraints = problem.m
+    facts.number_of_variables = facts.number_of_continuous_variables = problem.n
+    facts.number_of_binary_variables = facts.number_of_integer_variables = 0
+    facts.number_of_nonzeros = len(problem.jacobianstructure()[0])
+    if result.residuals.feasible and np.isfinite(result.objective):  # a feasible point bounds the optimum from one side
+        if problem.sense == 1:
+            facts.upper_bound = result.objective
+        else:
+            facts.lower_bound = result.objective
+
+    told = results.solver
+    told.name = "touchstone_ipopt"
+    told.status, told.termination_condition = condition_of(result)
+    told.return_code = result.status
+    told.message = told.termination_message = result.message
+    told.wallclock_time = result.seconds.wall
+    told.user_time = result.seconds.cpu
+    told.statistics.black_box.number_of_iterations = result.iterations
+    told.statistics.black_box.number_of_function_evaluations = result.calls.get("values", 0)
+    told.statistics.black_box.number_of_gradient_evaluations = result.calls.get("derivatives", 0)
+    return results
+
+
+def with_solution(results: SolverResults, problem: IpoptProblem, result: IpoptResult) -> SolverResults:
+    """The same results carrying the point, for `model.solutions.load_from(results)`."""
+    if not has_point(result):
+        return results
+    symbols = SymbolMap()
+    labels = {"x": NumericLabeler("x"), "c": NumericLabeler("c")}
+    dual, lower, upper = pyomo_duals(problem, result)
+    solution = Solution()
+    solution.status = SolutionStatus.optimal if result.solved else SolutionStatus.unknown
+    for variable, value, zl, zu in zip(problem.variables, result.x.tolist(), lower.tolist(), upper.tolist(), strict=True):
+        entry = {"Value": value, "ipopt_zL_out": zl, "ipopt_zU_out": zu}
+        solution.variable[symbols.getSymbol(variable, labels["x"])] = entry
+    for constraint, multiplier in zip(problem.equations, dual.tolist(), strict=True):
+        solution.constraint[symbols.getSymbol(constraint, labels["c"])] = {"Dual": multiplier}
+    results.solution.insert(solution)
+    results._smap = symbols
+    return results
+
+
+logger = logging.getLogger(__name__)
+
+# Keywords of Pyomo's file-based solvers that have nothing to act on here: no file is written, no name is shortened.
+_WITHOUT_EFFECT = frozenset(
+    {"keepfiles", "symbolic_solver_labels", "io_options", "report_timing", "suffixes", "solver_io", "use_signal_handling"}
+)
+
+
+class PyomoPlugin(ABC):
+    """`options` stays from solve to solve; `last_result` is what the last one found, in this package's own words."""
+
+    title: str
+
+    def __init__(self, *, options: Mapping[str, Any] | None = None, name: str = "", **ignored: Any) -> None:
+        unknown = set(ignored) - _WITHOUT_EFFECT - {"type", "doc", "validate"}
+        if unknown:
+            raise TypeError(f"{self.title} takes no argument {', '.join(sorted(unknown))}")
+        self.name = self.type = name or self.title
+        self.options = Bunch(**(options or {}))
+        self.last_result: Any = None
+
+    # -- what Pyomo asks of a solver ----------------------------------------------------------------------------------------------
+
+    def available(self, exception_flag: bool = False) -> bool:
+        return True
+
+    def license_is_valid(self) -> bool:
+        return True
+
+    def warm_start_capable(self) -> bool:
+        return True
+
+    def has_capability(self, capability: str) -> bool:
+        return capability in {"linear", "quadratic_objective", "quadratic_constraint"}
+
+    def version(self) -> tuple[int, ...]:
+        """Version of the Ipopt that would run."""
+        return ipopt_version()
+
+    def set_options(self, text: str) -> None:
+        """Options as 'name=value name=value'."""
+        self.options.update(_options_of_text(text))
+
+    def reset(self) -> None:
+        self.last_result = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        return None
+
+    # -- solving ------------------------------------------------------------------------------------------------------------------
+
+    def solve(
+        self,
+        model: Any,
+        *,
+        tee: bool = False,
+        load_solutions: bool = True,
+        timelimit: float | None = None,
+        warmstart: bool = False,
+        options: Mapping[str, Any] | None = None,
+        options_string: str = "",
+        **ignored: Any,
+    ) -> SolverResults:
+        """Translate, solve and (by default) load. Raises ModelRefusedError for what cannot be treated, before anything runs.
+
+        As with Pyomo's own solvers a result with a warning is loaded and logged, and a result that is an error raises ValueError
+        unless load_solutions is False. KeyboardInterrupt leaves the model as it was.
+        """
+        unknown = set(ignored) - _WITHOUT_EFFECT
+        if unknown:
+            raise TypeError(f"{self.title}.solve takes no argument {', '.join(sorted(unknown))}")
+        if isinstance(options, str):
+            raise TypeError(f"{self.title}.solve takes options as a dict, not {options!r}; options_string takes a text")
+        if timelimit is not None and (isinstance(timelimit, (bool, str)) or not timelimit > 0):
+            raise ValueError(f"{self.title}.solve: timelimit is a positive number of seconds, not {timelimit!r}")
+        self.last_result = None
+        chosen = {**self.options, **(options or {}), **_options_of_text(options_string)}
+        chosen.pop("solver", None)
+        if tee:
+            chosen.setdefault("print_level", 5)
+        with capture_output(sys.stdout, capture_fd=True) if tee else nullcontext():
+            results, solved = self.run(model, options=chosen, timelimit=timelimit, warmstart=warmstart)
+        if not load_solutions:
+            return self.carry(results, solved)
+        if results.solver.status == SolverStatus.error:
+            raise ValueError(f"{self.title} has no solution to load for '{model.name}': {results.solver.message}")
+        if results.solver.status != SolverStatus.ok:
+            logger.warning("'%s' ended with %s: %s", model.name, results.solver.termination_condition, results.solver.message)
+        self.load(model, solved)
+        return results
+
+    @abstractmethod
+    def run(self, model: Any, *, options: dict[str, Any], timelimit: float | None, warmstart: bool) -> tuple[SolverResults, Any]:
+        """Solve, keep `last_result`, and tell it in Pyomo's words. The model is only read."""
+
+    @abstractmethod
+    def load(self, model: Any, solved: Any) -> None:
+        """Write the point, where there is one, and its multipliers into the model."""
+
+    @abstractmethod
+    def carry(self, results: SolverResults, solved: Any) -> SolverResults:
+        """The same results with the point in them, for `model.solutions.load_from(results)`."""
+
+
+def _options_of_text(text: str) -> dict[str, str]:
+    options = {}
+    for word in text.split():
+        name, equals, value = word.partition("=")
+        if not equals:
+            raise ValueError(f"options are written name=value, not {word!r}")
+        options[name] = value
+    return options
+
 
 _AGAIN = "once more with perturb_always_cd='yes', because constraints may repeat each other"
 

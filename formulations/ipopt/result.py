@@ -1,16 +1,181 @@
-"""What a solve hands back, frozen; and the explicit step that writes it into the Pyomo model."""
+"""Ipopt's return codes -> Outcome. One map; a code that is not in it is FAILED, never success.
+
+How far a point is from a KKT point of the model as it was written: no scaling, no relaxed bounds, nothing taken from Ipopt's report.
+
+What a solve hands back, frozen; and the explicit step that writes it into the Pyomo model.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import numpy as np
 from pyomo.core.staleflag import StaleFlagManager
 
 from formulations.ipopt.problem import IpoptProblem
-from formulations.ipopt.residuals import Residuals
 from formulations.solution import Outcome
+
+# Ipopt's ApplicationReturnStatus (IpReturnCodes_inc.h), complete as of Ipopt 3.14.
+STATUS_NAMES = MappingProxyType({
+    0: "Solve_Succeeded",
+    1: "Solved_To_Acceptable_Level",
+    2: "Infeasible_Problem_Detected",
+    3: "Search_Direction_Becomes_Too_Small",
+    4: "Diverging_Iterates",
+    5: "User_Requested_Stop",
+    6: "Feasible_Point_Found",
+    -1: "Maximum_Iterations_Exceeded",
+    -2: "Restoration_Failed",
+    -3: "Error_In_Step_Computation",
+    -4: "Maximum_CpuTime_Exceeded",
+    -5: "Maximum_WallTime_Exceeded",
+    -10: "Not_Enough_Degrees_Of_Freedom",
+    -11: "Invalid_Problem_Definition",
+    -12: "Invalid_Option",
+    -13: "Invalid_Number_Detected",
+    -100: "Unrecoverable_Exception",
+    -101: "NonIpopt_Exception_Thrown",
+    -102: "Insufficient_Memory",
+    -199: "Internal_Error",
+})  # fmt: skip
+
+# SOLVED here is Ipopt's opinion; `solve` keeps it only if the unscaled residuals agree.
+STATUS_MAP = MappingProxyType({
+    0: Outcome.SOLVED,
+    1: Outcome.SOLVED,
+    2: Outcome.INFEASIBLE,
+    3: Outcome.STALLED,
+    4: Outcome.DIVERGED,
+    5: Outcome.INTERRUPTED,
+    6: Outcome.SOLVED,
+    -1: Outcome.ITERATION_LIMIT,
+    -2: Outcome.STALLED,
+    -3: Outcome.STALLED,
+    -4: Outcome.TIME_LIMIT,
+    -5: Outcome.TIME_LIMIT,
+    -10: Outcome.REFUSED,
+    -11: Outcome.REFUSED,
+    -12: Outcome.FAILED,
+    -13: Outcome.EVALUATION_ERROR,
+    -100: Outcome.FAILED,
+    -101: Outcome.FAILED,
+    -102: Outcome.CRASHED,
+    -199: Outcome.CRASHED,
+})  # fmt: skip
+
+# The status of a problem that was decided without Ipopt: nothing to optimise, contradicting bounds, a false constraint of numbers.
+NOT_SENT = -1000
+
+
+def outcome_of(status: int) -> Outcome:
+    """The outcome Ipopt's code claims; FAILED for a code that nobody has named."""
+    return STATUS_MAP.get(status, Outcome.FAILED)
+
+
+def name_of(status: int) -> str:
+    return "decided without Ipopt" if status == NOT_SENT else STATUS_NAMES.get(status, f"unknown Ipopt status {status}")
+
+
+# Judging a point solved: violation of a constraint or bound relative to max(1, |bound|); stationarity relative to the largest term of its
+# own sum (at least 1); complementarity relative to max(1, |objective|). Ipopt stops at 1e-8 in *its* scaling, which is up to a factor 100
+# away from the model's, and relaxes bounds by 1e-8: hence 1e-6, which no true solution misses and no acceptable-level one meets by accident.
+FEASIBILITY, STATIONARITY, COMPLEMENTARITY = 1e-6, 1e-5, 1e-5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Residuals:
+    """Largest absolute values, and the same relative to the scales named above (these are judged). All NaN if a function is."""
+
+    constraint_violation: float
+    dual_infeasibility: float
+    complementarity: float
+    relative_violation: float
+    relative_dual: float
+    relative_complementarity: float
+
+    def meets(self, tolerance: float = 0.0) -> bool:
+        """Whether the point passes; `tolerance` loosens the limits where the caller asked Ipopt for less than they demand."""
+        return (
+            self.relative_violation <= max(FEASIBILITY, tolerance)
+            and self.relative_dual <= max(STATIONARITY, tolerance)
+            and self.relative_complementarity <= max(COMPLEMENTARITY, tolerance)
+        )
+
+    @property
+    def feasible(self) -> bool:
+        return self.relative_violation <= FEASIBILITY
+
+    @property
+    def sentence(self) -> str:
+        return (
+            f"constraint violation {self.constraint_violation:.2e}, dual infeasibility {self.dual_infeasibility:.2e}, "
+            f"complementarity {self.complementarity:.2e} (unscaled)"
+        )
+
+
+def _largest(values: np.ndarray) -> float:
+    """Largest entry, 0 for none; NaN stays NaN."""
+    return float(np.max(values)) if values.size else 0.0
+
+
+def _side(distance: np.ndarray, multiplier: np.ndarray, bound: np.ndarray) -> np.ndarray:
+    """|distance to the bound * multiplier| where the bound is finite."""
+    finite = np.isfinite(bound)
+    return np.abs(distance[finite] * multiplier[finite])
+
+
+def residuals(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, zl: np.ndarray, zu: np.ndarray) -> Residuals:
+    """Residuals at x (n,) with multipliers lagrange (m,), zl, zu (n,) in Ipopt's signs (L = f + lagrange' g - zl' x + zu' x)."""
+    objective, g = problem.split_rows(problem.rows_at(x))
+    gradient, jacobian = problem.split_entries(problem.entries_at(x))
+    rows, columns = problem.jacobianstructure()
+    with np.errstate(all="ignore"):
+        values = np.concatenate([g, x])
+        low = np.concatenate([problem.constraint_lower, problem.lower])
+        high = np.concatenate([problem.constraint_upper, problem.upper])
+        below, above = np.maximum(low - values, 0.0), np.maximum(values - high, 0.0)
+        violation = np.where(np.isnan(values), np.nan, np.maximum(below, above))
+        size = np.maximum(1.0, np.maximum(_finite_size(low), _finite_size(high)))
+
+        products = jacobian * lagrange[rows]
+        stationarity = gradient + np.bincount(columns, products, problem.n) - zl + zu
+        stationarity[problem.lower == problem.upper] = 0.0  # a bound on both sides takes any multiplier
+        wrong_side = np.concatenate([
+            np.maximum(-lagrange, 0.0)[np.isinf(problem.constraint_lower)],
+            np.maximum(lagrange, 0.0)[np.isinf(problem.constraint_upper)],
+        ])  # fmt: skip
+        dual = np.concatenate([np.abs(stationarity), wrong_side, np.maximum(-zl, 0.0), np.maximum(-zu, 0.0)])
+        terms = [1.0, _largest(np.abs(gradient)), _largest(np.abs(products)), _largest(np.abs(zl)), _largest(np.abs(zu))]
+
+        complementarity = np.concatenate([
+            _side(x - problem.lower, zl, problem.lower),
+            _side(problem.upper - x, zu, problem.upper),
+            _side(g - problem.constraint_lower, np.maximum(-lagrange, 0.0), problem.constraint_lower),
+            _side(problem.constraint_upper - g, np.maximum(lagrange, 0.0), problem.constraint_upper),
+        ])  # fmt: skip
+    worst_dual, worst_product = _largest(dual), _largest(complementarity)
+    if not np.isfinite(objective):
+        worst_dual = float("nan")
+    return Residuals(
+        constraint_violation=_largest(violation),
+        dual_infeasibility=worst_dual,
+        complementarity=worst_product,
+        relative_violation=_largest(violation / size),
+        relative_dual=worst_dual / max(terms),
+        relative_complementarity=worst_product / max(1.0, abs(objective)),
+    )
+
+
+def _finite_size(bound: np.ndarray) -> np.ndarray:
+    return np.where(np.isfinite(bound), np.abs(bound), 0.0)
+
+
+UNKNOWN = Residuals(
+    constraint_violation=float("nan"), dual_infeasibility=float("nan"), complementarity=float("nan"),
+    relative_violation=float("nan"), relative_dual=float("nan"), relative_complementarity=float("nan"),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

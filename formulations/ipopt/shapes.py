@@ -1,22 +1,215 @@
-"""Term shapes: a signature (what the expression walker wrote down) becomes three generated functions, once per process.
+"""Graph -> numpy source -> function. One statement an operation, so that neither nesting nor recursion limits the size.
+
+A generated function takes `x` (one row for each variable slot), `p` (one row for each hoisted data value) and writes `out`; every row
+is an array over the instances of the shape, so that a thousand equal terms cost as many numpy calls as one.
+
+Hessians of large terms: a generated Hessian-vector product, multiplied by few directions.
+
+Columns of the Hessian that share no row are read off one product (Curtis, Powell and Reid, 1974): a sum of five thousand separate terms
+needs one direction, a dense Hessian as many as it has columns.
+
+Term shapes: a signature (what the expression walker wrote down) becomes three generated functions, once per process.
 
     0.5 * k * (q[3] - q[1])**2   and   0.5 * k * (q[8] - q[2])**2
 
 have one signature: two variable slots, one Param slot. It is analysed once: the affine part goes to the sparse linear rows, what is
 left is differentiated exactly, and what depends on data alone is computed once per refresh.
+
+All terms of one shape in one model: index arrays settled once, data re-read at each refresh, derivatives evaluated together.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from formulations.ipopt.codegen import generate, hoist
 from formulations.ipopt.differentiate import gradient, hessian_sparsity, split_linear
-from formulations.ipopt.graph import UNARY, Graph
-from formulations.ipopt.hessian_products import generate_by_products, product_nodes
+from formulations.ipopt.graph import CONSTANT, DATUM, SEED, UNARY, VARIABLE, Graph
+from formulations.ipopt.read import Bucket
+
+_INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
+_NUMPY = {
+    "exp": "exp", "log": "log", "log10": "log10", "sqrt": "sqrt", "sin": "sin", "cos": "cos", "tan": "tan",
+    "asin": "arcsin", "acos": "arccos", "atan": "arctan", "sinh": "sinh", "cosh": "cosh", "tanh": "tanh",
+    "asinh": "arcsinh", "acosh": "arccosh", "atanh": "arctanh",
+}  # fmt: skip
+
+
+def _softplus(z):
+    return np.logaddexp(0.0, z)
+
+
+def _logistic(z):
+    """1 / (1 + exp(-z)), to full relative accuracy on both sides (and without SciPy, whose import costs 0.9 CPU s once Pyomo is there)."""
+    small = np.exp(-np.abs(z))
+    return np.where(z >= 0.0, 1.0, small) / (1.0 + small)
+
+
+def _sech2(z):
+    """1 / cosh(z)**2, which overflows for no z."""
+    c = np.cosh(z)
+    return (1.0 / c) / c
+
+
+def _falling_power(base, exponent, order):
+    """p (p-1) .. (p-order+1) base**(p-order), and 0 where the factor is 0 (so that x**p at x = 0 is right for p = 0, 1, 2, ..)."""
+    factor = np.ones_like(exponent)
+    for k in range(int(order)):
+        factor = factor * (exponent - k)
+    return np.where(factor == 0.0, 0.0, factor * np.power(base, exponent - order))
+
+
+_NAMESPACE = {
+    "softplus": _softplus, "logistic": _logistic, "sech2": _sech2, "falling_power": _falling_power, "power": np.power, "divide": np.divide,
+    "negative": np.negative, "inf": np.inf, "nan": np.nan, **{f"{name}_": getattr(np, target) for name, target in _NUMPY.items()},
+}  # fmt: skip
+
+
+def _name(graph: Graph, node: int, hoisted: Mapping[int, int]) -> str:
+    if graph.op[node] == CONSTANT:
+        value = repr(graph.args[node][0])
+        return f"({value})" if value.startswith("-") else value
+    return f"p[{hoisted[node]}]" if node in hoisted else f"t{node}"
+
+
+def _statement(graph: Graph, node: int, hoisted: Mapping[int, int], row: Mapping[int, int]) -> str:
+    op, args = graph.op[node], graph.args[node]
+    if op == VARIABLE:
+        return f"t{node} = x[{row[args[0]]}]"
+    if op == SEED:
+        return f"t{node} = seed[{row[args[0]]}]"
+    names = [_name(graph, a, hoisted) for a in args]
+    if op == "div" and all(graph.op[a] == CONSTANT for a in args):  # Python would raise where numpy gives inf or NaN
+        return f"t{node} = divide({names[0]}, {names[1]})"
+    if op in _INFIX:
+        return f"t{node} = {names[0]} {_INFIX[op]} {names[1]}"
+    if op == "neg":
+        return f"t{node} = -{names[0]}"
+    if op == "pow":
+        return f"t{node} = power({names[0]}, {names[1]})"
+    if op in _NUMPY:
+        return f"t{node} = {op}_({names[0]})"
+    return f"t{node} = {op}({', '.join(names)})"
+
+
+def hoist(graph: Graph, roots: Sequence[int]) -> list[int]:
+    """Data nodes, structural constants apart, that the roots use directly: computed once per refresh and handed in as `p`."""
+    needed: set[int] = set()
+    seen = set(roots)
+    stack = list(roots)
+    while stack:
+        node = stack.pop()
+        if graph.op[node] == CONSTANT:
+            continue
+        if graph.is_data[node]:
+            needed.add(node)
+            continue
+        if graph.is_leaf(node):
+            continue
+        for operand in graph.args[node]:
+            if operand not in seen:
+                seen.add(operand)
+                stack.append(operand)
+    return sorted(needed)
+
+
+def generate(graph: Graph, outputs: Sequence[int], hoisted: Sequence[int], row: Mapping[int, int], name: str) -> Callable[..., None]:
+    """A function `(x, p, out, seed=None)` that writes outputs[k] to out[k].
+
+    `hoisted` are the data nodes that p holds, in order; `row[i]` is the row of x (and of seed) that holds variable i.
+    """
+    slot = {node: k for k, node in enumerate(hoisted)}
+    order: list[int] = []
+    seen = set(outputs)
+    stack = list(seen)
+    while stack:
+        node = stack.pop()
+        if node in slot or graph.op[node] == CONSTANT:
+            continue
+        order.append(node)
+        if graph.is_leaf(node):
+            if graph.op[node] == DATUM:
+                raise ValueError(f"datum {graph.args[node][0]} is used by a generated function but was not hoisted")
+            continue
+        for operand in graph.args[node]:
+            if operand not in seen:
+                seen.add(operand)
+                stack.append(operand)
+    lines = [f"def {name}(x, p, out, seed=None):"]
+    lines += [f"    {_statement(graph, node, slot, row)}" for node in sorted(order)]
+    lines += [f"    out[{k}] = {_name(graph, node, slot)}" for k, node in enumerate(outputs)]
+    lines.append("    return")
+    namespace = dict(_NAMESPACE)
+    exec(compile("\n".join(lines), f"<term shape: {name}>", "exec"), namespace)  # source made above from numbers and known names
+    return namespace[name]
+
+
+# Working set of one block of directions [numbers]: 64 MB.
+_BLOCK = 8_000_000
+# A pattern with a larger filled share than this is taken as dense: looking for columns without a common row would cost and find none.
+_DENSE_SHARE = 0.1
+
+
+def product_nodes(graph: Graph, slopes: dict[int, int]) -> dict[int, int]:
+    """{i: node of sum_j H[i, j] seed[j]}, by differentiating the directional derivative once more."""
+    along = graph.zero
+    for slot, slope in slopes.items():
+        along = graph.add(along, graph.mul(slope, graph.seed(slot)))
+    return gradient(graph, along)
+
+
+def column_groups(pairs: np.ndarray, size: int) -> np.ndarray:
+    """(size,) group of each column, such that two columns of a group have no common row; pairs (2, entries) is one triangle."""
+    groups = np.arange(size)
+    if pairs.shape[1] > _DENSE_SHARE * size * size:
+        return groups
+    rows_of: list[list[int]] = [[] for _ in range(size)]
+    for i, j in pairs.T.tolist():
+        rows_of[j].append(i)
+        if i != j:
+            rows_of[i].append(j)
+    taken: list[set[int]] = [set() for _ in range(size)]  # groups that already have an entry in this row
+    for column in range(size):
+        group = 0
+        while any(group in taken[row] for row in rows_of[column]):
+            group += 1
+        groups[column] = group
+        for row in rows_of[column]:
+            taken[row].add(group)
+    return groups
+
+
+def generate_by_products(
+    graph: Graph, products: dict[int, int], pairs: np.ndarray, hoisted: list[int], row: dict[int, int], operations: int
+) -> Callable[..., None]:
+    """A function `(x, p, out)` that writes the Hessian entry of local pair pairs[:, k] to out[k]; `row` as in codegen."""
+    order = list(products)
+    product = generate(graph, [products[i] for i in order], hoisted, row, "hessian_product")
+    size = len(row)
+    place = np.full(size, -1, dtype=np.intp)
+    place[[row[slot] for slot in order]] = np.arange(len(order))
+    groups = column_groups(pairs, size)
+    count = int(groups.max()) + 1
+    entry_place, entry_group = place[pairs[0]], groups[pairs[1]]
+    by_group = np.argsort(entry_group, kind="stable")
+    starts = np.searchsorted(entry_group[by_group], np.arange(count + 1))
+
+    def hessian(x: np.ndarray, p: list[np.ndarray], out: np.ndarray) -> None:
+        instances = out.shape[1]
+        block = max(1, min(count, _BLOCK // max(1, operations * instances)))
+        for start in range(0, count, block):
+            stop = min(count, start + block)
+            seed = (groups[:, None] == np.arange(start, stop)).astype(float)[:, :, None]
+            columns = np.empty((len(order), stop - start, instances))
+            product(x, p, columns, seed)
+            mine = by_group[starts[start] : starts[stop]]
+            at = entry_place[mine]
+            out[mine] = np.where((at >= 0)[:, None], columns[at, entry_group[mine] - start], 0.0)
+
+    return hessian
+
 
 # Above this product of variables and operations a symbolic Hessian would cost more source than it saves; the Hessian is then evaluated
 # through one generated Hessian-vector product. 20 000 operations compile in about 0.3 s.
@@ -179,3 +372,84 @@ def _symbolic_hessian(graph: Graph, slopes: dict[int, int]) -> dict[tuple[int, i
             if j <= i and node != graph.zero:
                 nodes[i, j] = node
     return nodes
+
+
+class TermGroup:
+    """N instances of a shape. Arrays over instances are the last axis.
+
+    rows, weights: (N,) the row of the model each term belongs to, and the number it is multiplied by there
+    columns: (slots, N) the variable in each slot
+    """
+
+    def __init__(self, shape: Shape, bucket: Bucket) -> None:
+        self.shape = shape
+        self.rows = np.array(bucket.rows, dtype=np.intp)
+        self.weights = np.array(bucket.weights, dtype=float)
+        count = len(self.rows)
+        self.columns = np.array(bucket.slots, dtype=np.intp).reshape(count, -1).T.copy()
+        self._numbers = np.array(bucket.numbers, dtype=float).reshape(count, -1).T
+        self._params = np.array(bucket.params, dtype=np.intp).reshape(count, -1).T
+        self._curved = self.columns[list(shape.curved)]
+        self._prepared = np.empty((shape.prepared, count))
+        self._hoisted: list[np.ndarray] = []
+
+    # -- structure --------------------------------------------------------------------------------------------------------------
+
+    @property
+    def affine_entries(self) -> tuple[np.ndarray, np.ndarray]:
+        """(rows, columns) of the affine part, slot after slot; values in `affine_values` after a refresh."""
+        slots = list(self.shape.linear)
+        return np.tile(self.rows, len(slots)), self.columns[slots].ravel()
+
+    @property
+    def slope_entries(self) -> tuple[np.ndarray, np.ndarray]:
+        """(rows, columns) of the nonlinear part's gradient entries."""
+        slots = list(self.shape.slope_slots)
+        return np.tile(self.rows, len(slots)), self._curved[slots].ravel()
+
+    @property
+    def curvature_entries(self) -> tuple[np.ndarray, np.ndarray]:
+        """(larger column, smaller column) of each Hessian entry."""
+        first, second = (self._curved[slots].ravel() for slots in self.shape.hessian_pairs)
+        return np.maximum(first, second), np.minimum(first, second)
+
+    # -- values -----------------------------------------------------------------------------------------------------------------
+
+    def refresh(self, data: np.ndarray) -> None:
+        """Compute everything that depends on data alone; data: (number of data,)."""
+        rows = [*self._numbers, *data[self._params]]
+        self.shape.prepare(rows, self._prepared)
+        self._hoisted = list(self._prepared[1 + len(self.shape.linear) :])
+
+    @property
+    def constants(self) -> np.ndarray:
+        """(N,) weighted constant parts."""
+        return self.weights * self._prepared[0]
+
+    @property
+    def affine_values(self) -> np.ndarray:
+        return (self.weights * self._prepared[1 : 1 + len(self.shape.linear)]).ravel()
+
+    @property
+    def is_curved(self) -> bool:
+        return self.shape.value is not None
+
+    def values(self, x: np.ndarray) -> np.ndarray:
+        """(N,) weighted values of the nonlinear parts at x (n,)."""
+        out = np.empty((1, len(self.rows)))
+        self.shape.value(x[self._curved], self._hoisted, out)  # pyright: ignore[reportOptionalCall] - asked only where is_curved
+        return self.weights * out[0]
+
+    def slopes(self, x: np.ndarray) -> np.ndarray:
+        """Weighted gradient entries, in the order of `slope_entries`."""
+        out = np.empty((len(self.shape.slope_slots), len(self.rows)))
+        if self.shape.slope is not None:
+            self.shape.slope(x[self._curved], self._hoisted, out)
+        return (self.weights * out).ravel()
+
+    def curvatures(self, x: np.ndarray, multipliers: np.ndarray) -> np.ndarray:
+        """Hessian entries times weight times the multiplier of each term's row, in the order of `curvature_entries`."""
+        out = np.empty((self.shape.hessian_pairs.shape[1], len(self.rows)))
+        if self.shape.hessian is not None:
+            self.shape.hessian(x[self._curved], self._hoisted, out)
+        return (self.weights * multipliers[self.rows] * out).ravel()

@@ -1,24 +1,164 @@
-"""Solve a compiled problem, and judge the answer before believing it."""
+"""A start for Ipopt out of what the caller has: a point, perhaps multipliers, perhaps only some of them.
+
+One run of Ipopt, through cyipopt.
+
+Solve a compiled problem, and judge the answer before believing it.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
+import cyipopt
 import numpy as np
 
-from formulations.ipopt.evaluations import Evaluations
-from formulations.ipopt.linear_solver import MUMPS, linear_solver
-from formulations.ipopt.options import DEFAULTS, checked_options
-from formulations.ipopt.problem import IpoptProblem
-from formulations.ipopt.residuals import FEASIBILITY, UNKNOWN, Residuals, residuals
-from formulations.ipopt.result import IpoptResult, Iteration, Seconds
-from formulations.ipopt.run import Answer, run, version
-from formulations.ipopt.status import NOT_SENT, name_of, outcome_of
-from formulations.ipopt.warm_start import Start, complete_start, warm_options
+from formulations.ipopt.errors import UnknownOptionError
+from formulations.ipopt.linear_solver import MUMPS, linear_solver, settings
+from formulations.ipopt.options import DEFAULTS, WARM_START_DEFAULTS, checked_options
+from formulations.ipopt.problem import Evaluations, IpoptProblem
+from formulations.ipopt.result import (
+    FEASIBILITY,
+    NOT_SENT,
+    UNKNOWN,
+    IpoptResult,
+    Iteration,
+    Residuals,
+    Seconds,
+    name_of,
+    outcome_of,
+    residuals,
+)
 from formulations.solution import Outcome
+
+# Limits of the barrier parameter that a primal-dual start begins with: Ipopt's own first value, and about its last.
+_MU_LARGEST, _MU_SMALLEST = 0.1, 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class Start:
+    """x (n,); multipliers lagrange (m,), zl, zu (n,) in Ipopt's signs, or None for a primal start."""
+
+    x: np.ndarray
+    lagrange: np.ndarray | None = None
+    zl: np.ndarray | None = None
+    zu: np.ndarray | None = None
+
+
+def complete_start(problem: IpoptProblem, given: Start | None) -> tuple[Start, int]:
+    """(start with all multipliers or none, number of variables that had no value).
+
+    Missing lagrange are 0; missing zl and zu are what stationarity leaves to them. Raises ValueError for a wrong shape or a NaN.
+    """
+    if given is None:
+        x, missing = problem.start()
+        return Start(x=x), missing
+    x = _checked("x", given.x, problem.n)
+    if given.lagrange is None and given.zl is None and given.zu is None:
+        return Start(x=x), 0
+    lagrange = np.zeros(problem.m) if given.lagrange is None else _checked("lagrange", given.lagrange, problem.m)
+    zl = None if given.zl is None else _checked("zl", given.zl, problem.n)
+    zu = None if given.zu is None else _checked("zu", given.zu, problem.n)
+    if zl is None or zu is None:
+        slope = np.nan_to_num(_lagrangian_slope(problem, x, lagrange), nan=0.0, posinf=0.0, neginf=0.0)
+        if zl is None:
+            zl = np.where(np.isfinite(problem.lower), np.maximum(slope, 0.0), 0.0)
+        if zu is None:
+            zu = np.where(np.isfinite(problem.upper), np.maximum(-slope, 0.0), 0.0)
+    return Start(x=x, lagrange=lagrange, zl=zl, zu=zu), 0
+
+
+def _checked(name: str, values: np.ndarray, size: int) -> np.ndarray:
+    array = np.array(values, dtype=float)
+    if array.shape != (size,):
+        raise ValueError(f"warm_start.{name} has shape {array.shape}, the problem needs ({size},)")
+    if not np.all(np.isfinite(array)):
+        raise ValueError(f"warm_start.{name} holds a number that is not finite")
+    return array
+
+
+def _lagrangian_slope(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray) -> np.ndarray:
+    gradient, jacobian = problem.split_entries(problem.entries_at(x))
+    rows, columns = problem.jacobianstructure()
+    return gradient + np.bincount(columns, jacobian * lagrange[rows], problem.n)
+
+
+def warm_options(problem: IpoptProblem, start: Start) -> dict[str, str | int | float]:
+    """Options of a primal-dual start; the barrier parameter is the mean complementarity of what was given."""
+    if start.lagrange is None or start.zl is None or start.zu is None:
+        return {}
+    g = problem.constraints(start.x)
+    inequality = problem.constraint_lower < problem.constraint_upper
+    products = np.concatenate([
+        _products(start.x - problem.lower, start.zl, np.isfinite(problem.lower)),
+        _products(problem.upper - start.x, start.zu, np.isfinite(problem.upper)),
+        _products(g - problem.constraint_lower, np.maximum(-start.lagrange, 0.0), inequality & np.isfinite(problem.constraint_lower)),
+        _products(problem.constraint_upper - g, np.maximum(start.lagrange, 0.0), inequality & np.isfinite(problem.constraint_upper)),
+    ])  # fmt: skip
+    products = products[np.isfinite(products)]
+    mean = float(np.mean(products)) if products.size else _MU_SMALLEST
+    return {**WARM_START_DEFAULTS, "mu_init": min(_MU_LARGEST, max(_MU_SMALLEST, mean))}
+
+
+def _products(distance: np.ndarray, multiplier: np.ndarray, where: np.ndarray) -> np.ndarray:
+    return np.abs(distance[where] * multiplier[where])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """Where Ipopt ended: its status code, the point and its multipliers in Ipopt's signs; a message only where Ipopt was not needed."""
+
+    status: int
+    message: str = ""
+    x: np.ndarray
+    lagrange: np.ndarray
+    zl: np.ndarray
+    zu: np.ndarray
+
+
+def ipopt_version() -> tuple[int, ...]:
+    return tuple(int(part) for part in cyipopt.IPOPT_VERSION)
+
+
+def version() -> str:
+    return f"cyipopt {cyipopt.__version__}, Ipopt {'.'.join(str(part) for part in ipopt_version())}"
+
+
+def run(problem: IpoptProblem, functions: Evaluations, start: Start, options: Mapping[str, str | int | float]) -> Answer:
+    """Raises UnknownOptionError for a value that Ipopt does not take, and what a callback raised, as it was."""
+    nlp = cyipopt.Problem(
+        n=problem.n,
+        m=problem.m,
+        problem_obj=functions,
+        lb=problem.lower,
+        ub=problem.upper,
+        cl=problem.constraint_lower,
+        cu=problem.constraint_upper,
+    )
+    try:
+        for name, value in options.items():
+            for part, setting in settings(name, value):
+                try:
+                    nlp.add_option(part, setting)
+                except TypeError as error:
+                    raise UnknownOptionError(f"Ipopt does not accept {value!r} for the option '{name}'") from error
+        duals = {} if start.lagrange is None else {"lagrange": start.lagrange, "zl": start.zl, "zu": start.zu}
+        x, info = nlp.solve(start.x, **duals)
+    finally:
+        nlp.close()
+    if functions.error is not None:
+        raise functions.error
+    return Answer(
+        status=int(info["status"]),
+        x=np.array(x, dtype=float),
+        lagrange=np.array(info["mult_g"], dtype=float).reshape(problem.m),
+        zl=np.array(info["mult_x_L"], dtype=float),
+        zu=np.array(info["mult_x_U"], dtype=float),
+    )
+
 
 # Multipliers of constraints that repeat each other grow without end where rounding hides it. Of 1210 solves of random quadratic programs with repeated
 # equations 21 did not end, 18 of them with more than this; of those that ended one did. With perturb_always_cd all ended.

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from formulations.method import Kind, Method, Session
-from formulations.options import option
+from formulations.method import Kind, Method, Session, option
 from formulations.transcription.method import TranscriptionOptions
 
 if TYPE_CHECKING:
@@ -46,7 +45,7 @@ class Collocation(Method[CollocationOptions]):
         return why_not(scene)
 
     def session(self, scene: Scene, options: CollocationOptions, opening: tuple[float, float]) -> Session:
-        from formulations.windows.stage_modes import CollocationSession
+        from formulations.contact_modes.collocation import CollocationSession
 
         return CollocationSession(self, scene, options, opening)
 

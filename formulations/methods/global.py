@@ -6,8 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from formulations.method import Kind, Method, Session
-from formulations.options import Options, option
+from formulations.method import Kind, Method, Options, Session, option
 
 if TYPE_CHECKING:
     from models.scene import Scene
@@ -37,8 +36,7 @@ class Global(Method[GlobalOptions]):
                 f"scene {scene.name} has {decisions} contact decisions ({scene.nc} a step), and a proof is tried up to {_MOST}; "
                 "`python -m benchmarks proof` in a checkout says what is reached beyond."
             )
-        from formulations.proof.extra import missing_solver
-        from formulations.proof.prove import why_no_proof
+        from formulations.proof.prove import missing_solver, why_no_proof
 
         return why_no_proof(scene) or missing_solver()
 

@@ -9,8 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from formulations.method import Kind, Method, Session
-from formulations.options import Options, option
+from formulations.method import Kind, Method, Options, Session, option
 
 if TYPE_CHECKING:
     from models.scene import Scene
@@ -88,12 +87,12 @@ class Mpcc(Method[MpccOptions]):
     options = MpccOptions
 
     def accepts(self, scene: Scene) -> str | None:
-        from formulations.windows.applies import why_not
+        from formulations.contact_modes.applies import why_not
 
         return why_not(scene)
 
     def session(self, scene: Scene, options: MpccOptions, opening: tuple[float, float]) -> Session:
-        from formulations.windows.session import MpccSession
+        from formulations.contact_modes.session import MpccSession
 
         return MpccSession(self, scene, options, opening)
 

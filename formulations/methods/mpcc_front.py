@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from formulations.method import Kind, Method, Session
-from formulations.options import Options, option
+from formulations.method import Kind, Method, Options, Session, option
 
 if TYPE_CHECKING:
     from models.scene import Scene
@@ -36,14 +35,14 @@ class MpccFront(Method[MpccFrontOptions]):
     options = MpccFrontOptions
 
     def accepts(self, scene: Scene) -> str | None:
-        from formulations.windows.applies import why_not
+        from formulations.contact_modes.applies import why_not
 
         if not scene.task.has_goal:
             return f"scene {scene.name} leaves its end free, so there is no terminal error to trade for cost."
         return why_not(scene)
 
     def session(self, scene: Scene, options: MpccFrontOptions, opening: tuple[float, float]) -> Session:
-        from formulations.windows.front_session import FrontSession
+        from formulations.contact_modes.front import FrontSession
 
         return FrontSession(self, scene, options, opening)
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from formulations.method import Kind
-from formulations.options import OptionError, option
+from formulations.method import Kind, OptionError, option
 from formulations.shooting.method import LbfgsOptions, QuasiNewtonMethod
 from models.contact_law import ContactLaw
 
@@ -38,8 +37,7 @@ class RandomisedSmoothing(QuasiNewtonMethod[RandomisedSmoothingOptions]):
     options = RandomisedSmoothingOptions
 
     def objective(self, kernel: Kernel, eps: float | None, options: RandomisedSmoothingOptions) -> Objective:
-        from formulations.shooting.objective import Objective, Weights
-        from formulations.shooting.smoothed import noise
+        from formulations.shooting.objective import Objective, Weights, noise
 
         drawn = noise(
             kernel.scene,

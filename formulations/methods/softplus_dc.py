@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from formulations.method import Kind
-from formulations.options import option
+from formulations.method import Kind, option
 from formulations.transcription.method import TranscriptionMethod, TranscriptionOptions
 
 if TYPE_CHECKING:

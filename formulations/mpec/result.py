@@ -1,17 +1,80 @@
-"""What a solve hands back, and the explicit step that writes it into the user's model."""
+"""How a solve ended, in words: every claim is held against residuals first.
+
+What one strategy hands on to be judged.
+
+What a solve hands back, and the explicit step that writes it into the user's model.
+
+From columns of the shadow back to the user's variables, constraints and complementarities.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from pyomo.common.collections import ComponentMap
 from pyomo.core.staleflag import StaleFlagManager
 
-from formulations.mpec.certificate.certificate import Certificate
-from formulations.mpec.homotopy import Step
+from formulations.mpec.branching import Branch
+from formulations.mpec.certificate.certificate import Certificate, Multipliers
+from formulations.mpec.homotopy import Account, Point, Step
+from formulations.mpec.lifted import BoxCondition, Lifted, SimpleCondition
+from formulations.mpec.settings import Settings
+from formulations.mpec.strategy import Strategy
+from formulations.mpec.workspace import Columns, Workspace
 from formulations.solution import Outcome
+
+
+def verdict(candidate: Candidate, residual: float, certificate: Certificate | None, settings: Settings) -> tuple[Outcome, str]:
+    """Outcome and sentence of a candidate that has a point."""
+    told = f"{candidate.strategy.name}: " + (
+        certificate.sentence if certificate else f"complementarity {residual:.1e}, no certificate asked for"
+    )
+    if candidate.branch is None and candidate.outcome is not Outcome.SOLVED:
+        return candidate.outcome, f"{candidate.message}; {told}"
+    if certificate is not None and certificate.lives_on_tolerance:
+        told = (
+            f"violated by {certificate.forced:.1e} if the pairs held exactly" if certificate.forced < math.inf else "unknown at exact pairs"
+        )
+        return Outcome.STALLED, f"the point holds only because complementarity is not exact (constraints {told}); {certificate.sentence}"
+    if certificate is not None and not certificate.feasible:
+        worst = f" (worst: {certificate.worst})" if certificate.worst else ""
+        return Outcome.STALLED, f"the point found is not feasible{worst}; {told}"
+    if residual > settings.complementarity_tolerance:
+        return Outcome.STALLED, f"the pairs could not be decided; {told}"
+    if certificate is not None and certificate.b_stationary is False:
+        if candidate.unbounded:
+            return Outcome.DIVERGED, f"a branch of the problem is unbounded, and a direction goes down towards it; {told}"
+        return Outcome.STALLED, f"the point is feasible, but a direction goes down; {told}"
+    return Outcome.SOLVED, told
+
+
+def outcome_without_point(outcome: Outcome, message: str, account: Account) -> tuple[Outcome, str]:
+    """Outcome and sentence where no relaxation could be solved."""
+    if account.is_over:
+        return Outcome.TIME_LIMIT, f"the time limit was reached before any relaxation was solved; {message}"
+    if outcome is Outcome.SOLVED:
+        return Outcome.FAILED, "no relaxation was solved, for no known reason"
+    return outcome, message
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidate:
+    """What one strategy found: a branch, or only a point of its relaxation, or neither; and whether it met a branch without a lower bound."""
+
+    strategy: Strategy
+    lifted: Lifted
+    work: Workspace
+    branch: Branch | None
+    point: Point | None
+    outcome: Outcome
+    message: str
+    steps: tuple[Step, ...]
+    unbounded: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,3 +141,148 @@ def load(result: MpecResult) -> None:
     for variable, number in zip(result.variables, result.x.tolist(), strict=True):
         variable.set_value(number, skip_validation=True)
     StaleFlagManager.mark_all_as_stale(delayed=True)
+
+
+def result_of(
+    candidate: Candidate,
+    columns: Columns | None,
+    x: np.ndarray | None,
+    outcome: Outcome,
+    message: str,
+    settings: Settings,
+    account: Account,
+    seconds: float,
+) -> MpecResult:
+    """columns, x: where the point is; None if there is none."""
+    work, branch = candidate.work, candidate.branch
+    problem = (columns or work.branches).problem
+    mine = _own(candidate)
+    keep = np.array([k for k, variable in enumerate(problem.variables) if id(variable) not in mine], dtype=np.intp)
+    rows = _user_rows(candidate)
+    point = np.full(len(keep), np.nan) if x is None else x[keep]
+    lagrange, zl, zu = np.full(len(rows), np.nan), np.full(len(keep), np.nan), np.full(len(keep), np.nan)
+    objective = float("nan")
+    if branch is not None and x is not None:
+        given = dict(zip((id(row) for row in problem.equations), branch.lagrange, strict=True))
+        lagrange = np.array([given.get(id(row), 0.0) for row in rows])
+        slope = branch.slope[keep]
+        zl, zu = np.maximum(slope, 0.0), np.maximum(-slope, 0.0)
+        held_low = np.isclose(point, problem.lower[keep], rtol=0.0, atol=1e-9)
+        zl, zu = np.where(held_low, slope, zl), np.where(held_low, 0.0, zu)  # a side held at 0 keeps its sign: that is what classes look at
+        objective = branch.objective
+    elif candidate.point is not None:
+        objective = _user_objective(candidate, candidate.point.x)
+    return MpecResult(
+        outcome=outcome,
+        message=message,
+        strategy=candidate.strategy.name,
+        variables=tuple(problem.variables[k] for k in keep),
+        x=point,
+        rows=rows,
+        lagrange=lagrange,
+        zl=zl,
+        zu=zu,
+        sense=work.branches.problem.sense,
+        objective=objective,
+        has_objective=work.branches.problem.layout.objective is not None,
+        polished=branch is not None,
+        has_multipliers=branch is not None,
+        residual=float("nan"),
+        pairs=() if columns is None or x is None else pair_states(candidate, columns, x),
+        steps=candidate.steps,
+        iterations=account.iterations,
+        solves=account.solves,
+        seconds=seconds,
+        options=MappingProxyType({
+            "strategy": candidate.strategy.name, "eps_start": settings.eps_start or candidate.strategy.first,
+            "eps_end": settings.eps_end or candidate.strategy.last, "complementarity_tolerance": settings.complementarity_tolerance,
+            "polish": settings.polish, "certificate": settings.certificate, "max_biactive": settings.max_biactive, "search": settings.search,
+            "step_iterations": settings.step_iterations, **settings.ipopt,
+        }),
+    )  # fmt: skip
+
+
+def without_multipliers(result: MpecResult) -> MpecResult:
+    """The same result with NaN for every multiplier."""
+    nothing = float("nan")
+    return replace(
+        result,
+        has_multipliers=False,
+        lagrange=np.full_like(result.lagrange, nothing),
+        zl=np.full_like(result.zl, nothing),
+        zu=np.full_like(result.zu, nothing),
+        pairs=tuple(replace(pair, first_multiplier=nothing, second_multiplier=nothing) for pair in result.pairs),
+    )
+
+
+def pair_states(candidate: Candidate, columns: Columns, x: np.ndarray) -> tuple[PairState, ...]:
+    """One per pair of the shadow: a box has two."""
+    lifted = candidate.lifted
+    first, second = columns.pair_values(x)
+    nu, mu = np.full(len(first), np.nan), np.full(len(first), np.nan)
+    if candidate.branch is not None:
+        slope = candidate.branch.slope
+        nu, mu = slope[columns.first], slope[columns.second]
+    states = []
+    for k, owner in enumerate(lifted.owners):
+        sides = ((first[k], nu[k]), (second[k], mu[k]))
+        (a, a_multiplier), (b, b_multiplier) = sides[::-1] if lifted.swapped[k] else sides
+        name = lifted.conditions[owner].data.name
+        states.append(PairState(name=name, first=a, second=b, first_multiplier=a_multiplier, second_multiplier=b_multiplier))
+    return tuple(states)
+
+
+def multipliers_of(candidate: Candidate) -> Multipliers:
+    """The branch's multipliers by the user's components, in the certificate's signs."""
+    branch, lifted, columns = candidate.branch, candidate.lifted, candidate.work.branches
+    assert branch is not None
+    problem = columns.problem
+    slope = branch.slope
+    mine = _own(candidate)
+    users = {id(row) for row in _user_rows(candidate)}
+    rows = ComponentMap((row, -value) for row, value in zip(problem.equations, branch.lagrange.tolist(), strict=True) if id(row) in users)
+    bounds = ComponentMap((v, z) for v, z in zip(problem.variables, slope.tolist(), strict=True) if id(v) not in mine)
+    given = dict(zip((id(row) for row in problem.equations), branch.lagrange.tolist(), strict=True))
+    pairs: Any = ComponentMap((condition.data, (0.0, 0.0)) for condition in lifted.conditions)
+    for owner, argument, row in lifted.imposed:
+        _add(pairs, lifted.conditions[owner].data, argument, -given.get(id(row), 0.0))
+    for k, owner in enumerate(lifted.owners):
+        condition, second = lifted.conditions[owner], lifted.seconds[k]
+        nu, mu = float(slope[columns.first[k]]), float(slope[columns.second[k]])
+        if id(second) not in mine:  # the user's own variable: its multiplier belongs to the first pair it is in, once
+            mu = bounds.pop(second, 0.0)
+        if lifted.twins[k] is not None:
+            nu = bounds.pop(lifted.twins[k], 0.0)
+        if isinstance(condition, BoxCondition):
+            is_lower = lifted.owners.index(owner) == k
+            _add(pairs, condition.data, condition.argument, nu if is_lower else -nu)
+            _add(pairs, condition.data, 1 - condition.argument, mu if is_lower else 0.0)
+        elif isinstance(condition, SimpleCondition):
+            first, second_value = (mu, nu) if lifted.swapped[k] else (nu, mu)
+            _add(pairs, condition.data, 0, condition.first_flip * first)
+            _add(pairs, condition.data, 1, condition.second_flip * second_value)
+    return Multipliers(rows=rows, bounds=bounds, pairs=pairs)
+
+
+def _add(pairs: Any, data: Any, argument: int, multiplier: float) -> None:
+    both = list(pairs[data])
+    both[argument] += multiplier
+    pairs[data] = (both[0], both[1])
+
+
+def _own(candidate: Candidate) -> set[int]:
+    """Variables that exist in the shadow only."""
+    shadow = candidate.lifted.shadow
+    extra = [shadow.elastic] if shadow.component("elastic") is not None else []
+    return {id(variable) for variable in (*shadow.slack.values(), *candidate.lifted.firsts, *extra)}
+
+
+def _user_rows(candidate: Candidate) -> tuple[Any, ...]:
+    rows = candidate.lifted.shadow.component("user_rows")
+    return () if rows is None else tuple(rows.values())
+
+
+def _user_objective(candidate: Candidate, x: np.ndarray) -> float:
+    """The user's objective (without a strategy's penalty) at a point of the relaxation."""
+    problem = candidate.work.branches.problem
+    return problem.sense * problem.objective(candidate.work.branch_point(x))

@@ -15,14 +15,20 @@ from typing import Any
 import numpy as np
 
 from formulations.mpec.branching import Branch, Branching
-from formulations.mpec.candidate import Candidate
 from formulations.mpec.certificate.certificate import certify
-from formulations.mpec.certificate.evaluation import values_set
+from formulations.mpec.certificate.derivatives import values_set
 from formulations.mpec.homotopy import Account, Path, Point, Step
 from formulations.mpec.lifted import lift
-from formulations.mpec.outcome import outcome_without_point, verdict
-from formulations.mpec.report import multipliers_of, result_of, without_multipliers
-from formulations.mpec.result import MpecResult, is_feasible
+from formulations.mpec.result import (
+    Candidate,
+    MpecResult,
+    is_feasible,
+    multipliers_of,
+    outcome_without_point,
+    result_of,
+    verdict,
+    without_multipliers,
+)
 from formulations.mpec.settings import Settings
 from formulations.mpec.strategy import Strategy
 from formulations.mpec.workspace import Workspace, natural_residual

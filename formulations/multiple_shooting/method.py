@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from formulations.method import Method, Session
-from formulations.options import Options, option
+from formulations.method import Method, Options, Session, option
 from models.contact_law import ContactLaw
 
 if TYPE_CHECKING:

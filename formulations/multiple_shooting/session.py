@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from formulations.method import OptionError, Session
-from formulations.multiple_shooting.costs import Costs
-from formulations.multiple_shooting.goal import GoalTerm
+from formulations.multiple_shooting.costs import Costs, GoalTerm
 from formulations.multiple_shooting.solver import Found, Solver
+from formulations.shooting.diagnosis import measure_growth
 from formulations.shooting.ending import arrived, first_inputs, plan_residuals
-from formulations.shooting.growth import measure_growth
 from formulations.solution import Seconds, Solution
 from models.codegen.kernel import load_kernel
 from models.codegen.steps import load_steps

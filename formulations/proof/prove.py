@@ -1,4 +1,16 @@
-"""Scene -> Proof: the cheapest exact plan found, and a cost below which no plan exists.
+"""The solver of the extra `[global]`; where it is missing one sentence says so.
+
+The exact planning problem of a linear scene as a mixed-integer quadratic program in Pyomo, with one binary variable a pair.
+
+    model = build_miqp(scene, bounds)
+    pyo.SolverFactory("scip_direct").solve(model)          # or Gurobi, or whatever Pyomo knows
+
+    lam <= k h+ b,     lam - k phi <= -k l- (1 - b),     lam >= 0,     lam - k phi >= 0,     b in {0, 1}
+
+on top of the plain model of `build_model` (same names). `mpec.simple_disjunction` and a big-M transformation make two binaries a pair and one
+M for all; `python -m benchmarks proof --disjunction` says what that costs.
+
+Scene -> Proof: the cheapest exact plan found, and a cost below which no plan exists.
 
     proof = prove(scene, incumbent=mpcc.trajectory, time_limit=200.0)
     proof.cost, proof.bound, proof.gap, proof.seconds, proof.nodes
@@ -11,6 +23,7 @@ optimality.
 
 from __future__ import annotations
 
+import importlib.util
 from dataclasses import dataclass
 from enum import Enum
 from time import perf_counter, process_time
@@ -18,20 +31,70 @@ from typing import Any
 
 import clarabel
 import numpy as np
+import pyomo.environ as pyo
 
+from formulations.contact_modes.goal import land
+from formulations.contact_modes.linear import linear_scene, why_not_linear
+from formulations.contact_modes.quadratic import ModesProblem
 from formulations.proof.bounds import PairBounds, pair_bounds
-from formulations.proof.extra import missing_solver
-from formulations.proof.miqp import build_miqp
+from formulations.transcription.build import build_model
+from formulations.transcription.contact import ContactLaw, ModelError, SceneExpressions
 from formulations.transcription.residuals import PlanResiduals
-from formulations.windows.landing import land
-from formulations.windows.linear_scene import linear_scene, why_not_linear
-from formulations.windows.quadratic import ModesProblem
 from models.codegen.kernel import load_kernel
+from models.dynamics import derive
 from models.errors import MachineError, SceneError
 from models.goal import distance, goal_state
 from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
+
+
+def missing_solver() -> str | None:
+    """None, or the sentence that says what is not installed and how to install it."""
+    if importlib.util.find_spec("pyscipopt") is not None:
+        return None
+    return "a proof needs pyscipopt (SCIP, for mixed-integer programs); install with: pip install 'touchstone-contact[global]'."
+
+
+def build_miqp(scene: Scene, bounds: PairBounds) -> pyo.ConcreteModel:
+    """See the module docstring. The objective is `variable_cost`, at least the cost and at most the ceiling of the bounds.
+
+    Raises ModelError for bounds that are infinite: they are the big-M.
+    """
+    if not bounds.is_finite:
+        raise ModelError(
+            f"scene {scene.name}: a penetration has no finite bound, so there is no big-M; bound the inputs or give a ceiling."
+        )
+    model: Any = build_model(scene, ContactLaw.COMPLEMENTARITY)
+    model.objective_cost.deactivate()
+    model.variable_cost = pyo.Var(bounds=(None, bounds.ceiling if bounds.ceiling < float("inf") else None))
+    model.constraint_cost = pyo.Constraint(expr=model.variable_cost >= model.expression_cost)
+    model.objective_bound = pyo.Objective(expr=model.variable_cost)
+    if scene.nc:
+        _add_pairs(model, scene, bounds)
+    return model
+
+
+def _add_pairs(model: Any, scene: Scene, bounds: PairBounds) -> None:
+    law = SceneExpressions(derive(scene))
+    p = list(model.parameter_scene.values()) if scene.parameters else []
+    k = [float(pyo.value(entry)) for entry in law.stiffness(p)]
+    model.complementarity_contact.deactivate()
+    model.variable_closed = pyo.Var(model.set_steps, model.set_contacts, domain=pyo.Binary)
+    model.constraint_pair = pyo.ConstraintList()
+    for t in model.set_steps:
+        phi = law.penetration([model.variable_q[t, name] for name in model.set_coordinates], p)
+        for i, name in enumerate(model.set_contacts):
+            force, closed = model.variable_lam[t, name], model.variable_closed[t, name]
+            low, high = k[i] * min(float(bounds.lower[t, i]), 0.0), k[i] * max(float(bounds.upper[t, i]), 0.0)
+            force.setub(high)
+            if bounds.decided[t, i]:
+                closed.fix(1 if bounds.lower[t, i] >= 0.0 and bounds.upper[t, i] > 0.0 else 0)
+            separation = force - k[i] * phi[i]
+            model.constraint_pair.add(force <= high * closed)
+            model.constraint_pair.add(separation >= 0.0)
+            model.constraint_pair.add(separation <= -low * (1 - closed))
+
 
 GAP = 1e-5  # relative, below which a plan counts as proved optimal: SCIP keeps the quadratic cost row to 1e-6 of its size
 CEILING = 1e-5  # relative: by so much plans may be dearer than the one known, so that rounding does not cut it off

@@ -20,7 +20,7 @@ import clarabel
 import numpy as np
 import scipy.sparse as sp
 
-from formulations.windows.linear_scene import LinearScene
+from formulations.contact_modes.linear import LinearScene
 
 SLACK = 1e-6  # relative, and absolute for bounds below 1: a hundred times Clarabel's own tolerance
 

@@ -6,8 +6,7 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
-from formulations.method import Method, Session
-from formulations.options import OptionError, Options, option
+from formulations.method import Method, OptionError, Options, Session, option
 from models.contact_law import ContactLaw
 
 if TYPE_CHECKING:

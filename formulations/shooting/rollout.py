@@ -1,4 +1,6 @@
-"""The compiled time step of a scene as a PyTorch function that can be differentiated once.
+"""What a user of the shooting package can do wrong.
+
+The compiled time step of a scene as a PyTorch function that can be differentiated once.
 
     q, v, lam, cost, end = rollout(scene, u)                                  # true (ReLU) contact
     plan = rollout(scene, u, start, law=ContactLaw.SOFTPLUS, eps=1e-3)
@@ -24,11 +26,15 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from formulations.shooting.errors import ShootingError
 from formulations.shooting.reference import reference_cost, reference_rollout
 from models.codegen.kernel import Kernel, KernelError, load_kernel
 from models.contact_law import ContactLaw
+from models.errors import TouchstoneError
 from models.scene import Scene
+
+
+class ShootingError(TouchstoneError):
+    """Tensors that the compiled rollout cannot take, or a derivative that it does not have."""
 
 
 class RolloutTensors(NamedTuple):

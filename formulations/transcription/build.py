@@ -41,10 +41,7 @@ from pyomo.mpec import Complementarity
 
 from formulations.transcription import equations
 from formulations.transcription.collocation import add_collocation
-from formulations.transcription.contact_laws import ContactLaw, ModelError, relax
-from formulations.transcription.damping import add_springs, damped_softplus
-from formulations.transcription.expressions import SceneExpressions
-from formulations.transcription.friction import add_friction
+from formulations.transcription.contact import ContactLaw, ModelError, SceneExpressions, add_friction, add_springs, damped_softplus, relax
 from models.catalog import load_scene
 from models.contact_law import sharpness
 from models.dynamics import derive

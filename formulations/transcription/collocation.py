@@ -25,8 +25,7 @@ import pyomo.environ as pyo
 from pyomo.mpec import Complementarity
 
 from formulations.transcription import equations
-from formulations.transcription.contact_laws import ContactLaw, ModelError, settle_separation
-from formulations.transcription.expressions import SceneExpressions
+from formulations.transcription.contact import ContactLaw, ModelError, SceneExpressions, settle_separation
 from models.dynamics import derive
 from models.scene import Scene
 from models.schemes import Scheme, Tableau, tableau

@@ -6,8 +6,7 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
-from formulations.method import Method
-from formulations.options import Options, option
+from formulations.method import Method, Options, option
 
 if TYPE_CHECKING:
     from formulations.transcription.session import TranscriptionSession

@@ -17,11 +17,9 @@ from typing import TYPE_CHECKING, Any, cast
 
 from formulations.grids import coarse_scene, on_grid
 from formulations.solution import Outcome
-from formulations.transcription.contact_laws import ContactLaw
-from formulations.transcription.plans import load_first_guess, load_plan
-from formulations.transcription.session import Ending, cold_barrier
-from formulations.transcription.tightened import TightenedSession, Work
-from formulations.transcription.workbench import Account, Workbench
+from formulations.transcription.contact import ContactLaw
+from formulations.transcription.session import Ending, TightenedSession, Work, cold_barrier
+from formulations.transcription.workbench import Account, Workbench, load_first_guess, load_plan
 from models.codegen.kernel import load_kernel
 from models.stability import step_stability
 from models.trajectory import Trajectory

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any, cast
 
 from formulations.ipopt.linear_solver import band_options
 from formulations.solution import Outcome
-from formulations.transcription.contact_laws import ContactLaw
-from formulations.transcription.opening import Watch
-from formulations.transcription.reach import Patience
-from formulations.transcription.tightened import TightenedSession, Work
+from formulations.transcription.contact import ContactLaw
+from formulations.transcription.feasibility import Patience
+from formulations.transcription.session import TightenedSession, Watch, Work
 from formulations.transcription.workbench import Account, Workbench
 from models.contact_law import ContactLaw as ForceLaw
 from models.contact_law import sharpness

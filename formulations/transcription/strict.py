@@ -20,13 +20,9 @@ import numpy as np
 from formulations.ipopt import IpoptProblem, IpoptResult
 from formulations.method import Method
 from formulations.solution import Outcome
-from formulations.transcription.contact_laws import ContactLaw, hold_modes, release_modes, sides, tighten
-from formulations.transcription.friction import pressed_columns
-from formulations.transcription.plans import load_first_guess, load_plan, read_plan
-from formulations.transcription.session import Ending, TranscriptionSession, cold_barrier
-from formulations.transcription.size import size_on_paper
-from formulations.transcription.tightened import Work
-from formulations.transcription.workbench import Account, Workbench, primal_dual
+from formulations.transcription.contact import ContactLaw, hold_modes, pressed_columns, release_modes, sides, tighten
+from formulations.transcription.session import Ending, TranscriptionSession, Work, cold_barrier
+from formulations.transcription.workbench import Account, Workbench, load_first_guess, load_plan, primal_dual, read_plan, size_on_paper
 from models.codegen.kernel import Kernel, load_kernel
 from models.dynamics import derive
 from models.goal import distance, goal_state

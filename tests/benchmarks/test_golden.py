@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import golden
-from formulations.pipeline import pipeline_names
+from formulations.pipelines import pipeline_names
 from models.catalog import scene_names
 from reports.load import load
 

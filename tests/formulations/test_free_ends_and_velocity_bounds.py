@@ -8,7 +8,7 @@ import numpy as np
 import pyomo.environ as pyo
 import pytest
 
-from formulations.catalog import load_method
+from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
 from formulations.transcription.build import build_model
 from models.catalog import load_scene

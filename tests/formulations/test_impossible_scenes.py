@@ -9,7 +9,7 @@ import pytest
 import sympy as sp
 
 from formulations import ContactLaw, build_model
-from formulations.catalog import load_method, method_names
+from formulations.pipelines import load_method, method_names
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.errors import SceneError

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from formulations.catalog import load_method, method_names
 from formulations.method import Kind, Method, OptionError
+from formulations.pipelines import load_method, method_names
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.errors import TrajectoryError

@@ -5,9 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from formulations.catalog import load_method
 from formulations.method import Kind, OptionError
-from formulations.pipeline import PIPELINES, pipelines_for
+from formulations.pipelines import PIPELINES, load_method, pipelines_for
 from formulations.solution import Outcome
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel

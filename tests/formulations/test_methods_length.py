@@ -10,16 +10,16 @@ import pytest
 import sympy as sp
 import torch
 
-from formulations.catalog import load_method
+from formulations.contact_modes import collocation as stage_modes
+from formulations.contact_modes.goal import land_by_softplus
+from formulations.contact_modes.nonlinear import SoftplusHomotopy
+from formulations.pipelines import load_method
 from formulations.shooting.reference import reference_rollout
 from formulations.solution import Outcome
 from formulations.transcription.build import build_model
-from formulations.transcription.contact_laws import ContactLaw, tighten
-from formulations.transcription.plans import load_plan
+from formulations.transcription.contact import ContactLaw, tighten
 from formulations.transcription.residuals import PlanResiduals
-from formulations.windows import stage_modes
-from formulations.windows.homotopy import SoftplusHomotopy
-from formulations.windows.landing import land_by_softplus
+from formulations.transcription.workbench import load_plan
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.codegen.steps import load_steps

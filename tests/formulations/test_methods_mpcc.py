@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from formulations.catalog import load_method
+from formulations.contact_modes.search import windows_of
 from formulations.method import OptionError
 from formulations.mpec.certificate.plan import certify_plan, certify_solution
+from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
-from formulations.windows.moves import windows_of
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.scene import Scene

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from formulations.catalog import load_method
 from formulations.method import OptionError
+from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
 from formulations.transcription import strict
-from formulations.transcription.contact_laws import ContactLaw as TranscribedLaw
+from formulations.transcription.contact import ContactLaw as TranscribedLaw
 from formulations.transcription.residuals import PlanResiduals
-from formulations.transcription.size import size_on_paper
+from formulations.transcription.session import Work
 from formulations.transcription.strict import StrictSession
-from formulations.transcription.tightened import Work
+from formulations.transcription.workbench import size_on_paper
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw, worst_case_violation

@@ -6,10 +6,10 @@ from dataclasses import asdict, dataclass
 
 import pytest
 
-from formulations.catalog import load_method
+from formulations.method import OptionError, Options, option, read_options
 from formulations.methods.mpcc import MpccOptions
 from formulations.methods.softplus_dc import SoftplusDCOptions
-from formulations.options import OptionError, Options, option, read_options
+from formulations.pipelines import load_method
 
 
 @dataclass(frozen=True, kw_only=True)

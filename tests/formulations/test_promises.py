@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 import pytest
 
-from formulations.catalog import load_method
+from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
 from formulations.transcription.residuals import PlanResiduals
 from models.catalog import load_scene

@@ -9,7 +9,7 @@ import pytest
 import sympy as sp
 from scipy.integrate import dblquad
 
-from formulations.transcription.expressions import SceneExpressions
+from formulations.transcription.contact import SceneExpressions
 from models.catalog import load_scene
 from models.codegen.emit import emit_model
 from models.codegen.kernel import Kernel, load_kernel

@@ -14,7 +14,7 @@ from scipy.optimize import minimize, minimize_scalar
 
 from formulations import ContactLaw, build_model
 from formulations.shooting.reference import _acceleration, reference_rollout
-from formulations.transcription.expressions import SceneExpressions
+from formulations.transcription.contact import SceneExpressions
 from models.catalog import load_scene, scene_names
 from models.codegen.emit import emit_model
 from models.codegen.kernel import Kernel, load_kernel

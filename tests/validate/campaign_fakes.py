@@ -15,8 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from formulations.method import Kind, Leg, Method, Pipeline, Session
-from formulations.options import Options, option
+from formulations.method import Kind, Leg, Method, Options, Pipeline, Session, option
 from formulations.solution import Outcome, Solution
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from formulations.pipeline import find_pipeline, stage_plan
+from formulations.pipelines import find_pipeline, stage_plan
 from models.catalog import load_scene
 from validate.plan import Campaign, CampaignFile, ConfigError, read_campaign
 from validate.plan.runs import Settings, select

@@ -10,7 +10,7 @@ import pytest
 
 from formulations.method import Leg, Pipeline
 from formulations.mpec import certify_plan
-from formulations.pipeline import STARTS, cells_of, find_pipeline, pipeline_from_json, pipeline_to_json, stage_plan
+from formulations.pipelines import STARTS, cells_of, find_pipeline, pipeline_from_json, pipeline_to_json, stage_plan
 from formulations.solution import Attempt, FrontPoint, Outcome, Solution
 from models.catalog import load_scene, scene_names
 from models.codegen.kernel import load_kernel

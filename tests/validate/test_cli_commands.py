@@ -13,7 +13,7 @@ from pathlib import Path
 import click
 import pytest
 
-from formulations.pipeline import pipeline_names
+from formulations.pipelines import pipeline_names
 from reports.rule import RESULTS, RULE
 from validate.cli.group import _COMMANDS, run
 from validate.cli.table import short

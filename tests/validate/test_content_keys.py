@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from formulations.catalog import load_method, method_names
 from formulations.method import Leg, Pipeline
+from formulations.pipelines import load_method, method_names
 from validate.execution.campaign import Settings, select
 from validate.store import provenance
 from validate.tasks.examination import Examination

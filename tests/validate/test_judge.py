@@ -298,7 +298,7 @@ def test_a_dataframe_says_no_more_and_no_less_than_its_numbers(held):
 
 
 def test_our_methods_declare_their_scheme():
-    from formulations.catalog import load_method
+    from formulations.pipelines import load_method
 
     scene = load_scene("three_cart")
     with load_method("strict_lcp").open(scene, {}) as session:

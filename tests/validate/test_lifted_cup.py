@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from formulations.catalog import load_method
+from formulations.pipelines import load_method
 from formulations.solution import Solution
 from models.catalog import load_scene
 from validate.judge.judgement import judge

@@ -2,8 +2,16 @@
 
 import pytest
 
-from formulations.catalog import load_method
-from formulations.pipeline import PIPELINES, QUICK, find_pipeline, pipeline_from_json, pipeline_names, pipeline_to_json, stage_plan
+from formulations.pipelines import (
+    PIPELINES,
+    QUICK,
+    find_pipeline,
+    load_method,
+    pipeline_from_json,
+    pipeline_names,
+    pipeline_to_json,
+    stage_plan,
+)
 from models.errors import UnknownNameError
 from reports.paper import TABLE_1
 from validate.tasks.paper import paper_row, table_rows

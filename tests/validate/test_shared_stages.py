@@ -12,8 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from formulations.catalog import load_method
-from formulations.pipeline import find_pipeline
+from formulations.pipelines import find_pipeline, load_method
 from models.catalog import load_scene
 from models.trajectory_netcdf import read_netcdf
 from reports.record import RunRecord

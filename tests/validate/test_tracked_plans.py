@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from formulations.catalog import load_method
+from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.fmu import build_fmu

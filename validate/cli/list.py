@@ -24,8 +24,7 @@ Exit codes: 0 listed; 2 usage.
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
 def command(as_json: bool) -> int:
     """Scenes, pipelines, methods and hard cases, with what each is."""
-    from formulations.catalog import method_names
-    from formulations.pipeline import PIPELINES, QUICK
+    from formulations.pipelines import PIPELINES, QUICK, method_names
     from models.catalog import scene_names, scene_path
     from validate.stress.case import case_names, describe_case
 

@@ -66,7 +66,7 @@ def ipopt(request: Any, arrays: Any) -> str:
 
     import formulations.ipopt  # noqa: F401 - registers the solver
     from formulations.ipopt.linear_solver import linear_solver
-    from formulations.ipopt.run import version
+    from formulations.ipopt.solve import version
 
     model = pyo.ConcreteModel()
     model.x = pyo.Var(range(4), bounds=(1.0, 5.0), initialize={0: 1.0, 1: 5.0, 2: 5.0, 3: 1.0})

@@ -52,7 +52,7 @@ MODULES = (
     ),
     *("models.catalog", "models.scene_checks", "models.codegen.kernel", "models.fmu", "models.trajectory_netcdf"),
     *("reports.examination_record", "reports.telling", "formulations.mpec", "formulations.ipopt", "formulations.transcription.strict"),
-    *("formulations.windows.session", "formulations.multiple_shooting.session"),
+    *("formulations.contact_modes.session", "formulations.multiple_shooting.session"),
 )
 # What one cell in four imports, in 3 CPU s and half a gigabyte that all children then share: PyTorch, and what its optimisers import at their first
 # use (1.1 s). Worth it from so many cells on.

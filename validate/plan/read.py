@@ -79,7 +79,7 @@ def read_campaign(path: Path, tools: str = DEFAULT_TOOLS) -> Campaign:
 
 def _known(tools: Tools, scenes: list[SceneReference]) -> list[Pipeline]:
     """All pipelines there are for these scenes; all of ours where no scene can be read."""
-    from formulations.pipeline import PIPELINES
+    from formulations.pipelines import PIPELINES
 
     found = {pipeline.name: pipeline for reference in scenes for pipeline in tools.pipelines_for(reference.scene)}
     return list(found.values()) or list(PIPELINES)

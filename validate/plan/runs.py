@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from formulations.pipeline import cells_of
+from formulations.pipelines import cells_of
 from models.catalog import load_scene, scene_names, scene_path
 from models.errors import TouchstoneError
 from validate.plan.selection import matches

@@ -16,8 +16,7 @@ from validate.tasks.judging import Solved
 from validate.tasks.profile import Profile
 
 if TYPE_CHECKING:
-    from formulations.method import Method, Session
-    from formulations.options import Options
+    from formulations.method import Method, Options, Session
     from models.scene import Scene
     from models.trajectory import Trajectory
     from validate.tasks.plugins import Tools

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from formulations.pipeline import PAPER, PIPELINES, stage_plan
+from formulations.pipelines import PAPER, PIPELINES, stage_plan
 from reports.paper import SCENE, TABLE_1, PaperRow
 from reports.record import ViolationPoint
 from validate.store.disk import write_durably

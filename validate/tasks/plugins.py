@@ -30,13 +30,13 @@ EXAMINATIONS: tuple[str, ...] = ("validate.tasks.fmu_examination:examinations", 
 
 
 def _load_method(name: str) -> Method:
-    from formulations.catalog import load_method
+    from formulations.pipelines import load_method
 
     return load_method(name)
 
 
 def _pipelines_for(scene: Scene) -> tuple[Pipeline, ...]:
-    from formulations.pipeline import pipelines_for
+    from formulations.pipelines import pipelines_for
 
     return pipelines_for(scene)
 
@@ -124,7 +124,7 @@ class Tools:
     write_pages: Callable[[Path], Path] = _write_pages
 
     def quick_names(self) -> tuple[str, ...]:
-        from formulations.pipeline import QUICK
+        from formulations.pipelines import QUICK
 
         return QUICK if self.quick is None else self.quick
 

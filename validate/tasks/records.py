@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from formulations.pipeline import stage_plan
+from formulations.pipelines import stage_plan
 from formulations.solution import Bound, Outcome, Seconds, Solution
 from reports.record import (
     BoundRecord,
@@ -37,9 +37,8 @@ from validate.tasks.paper import paper_row
 from validate.tasks.scene_record import plan_trace, replay_trace, thin
 
 if TYPE_CHECKING:
-    from formulations.method import Method, Pipeline
+    from formulations.method import Method, Options, Pipeline
     from formulations.mpec import Certificate
-    from formulations.options import Options
     from formulations.solution import Solution
     from models.scene import Scene
     from models.trajectory import Trajectory

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from formulations.method import Pipeline
-from formulations.pipeline import pipeline_from_json, pipeline_to_json
+from formulations.pipelines import pipeline_from_json, pipeline_to_json
 from validate.store.store import LOG, progress
 from validate.tasks.profile import Profile
 from validate.tasks.shared_stages import Beginning

@@ -1,4 +1,24 @@
-"""Multipliers of a point by least squares: a sparse factorisation instead of linear programs.
+"""The questions of a certificate as linear programs (HiGHS), for where linear algebra (`decision`) leaves them open.
+
+Do multipliers with given signs leave at most a tolerance of the gradient? Both answers come with what proves them.
+
+Yes: multipliers y. No: a vector p with p' gradient > tolerance |p|_1 that all conditions allow (-p points down, and no y makes up for it):
+
+    |p|_1 |gradient - A y|_max >= p' (gradient - A y) >= p' gradient - across |y|_1        across: by how much p breaks a condition, at most
+
+The projection of the gradient (`projection`) gives both. Where the largest component of its rest is above the tolerance and its p proves nothing
+yet, components are weighed by what was left of them (Lawson's way to the smallest largest residual: University of California, 1961).
+
+The gradient of the objective projected onto the cone that the active gradients span with the signs their multipliers may have.
+
+    minimise |gradient - A y|^2   over the y with the right signs:   gradient = A y + rest
+
+Either the rest vanishes, and y are multipliers; or -rest leaves every active condition where it is or on its good side, and the objective falls
+along it (Moreau's decomposition, the lemma of Farkas). Found by a primal-dual interior point method with predictor and corrector (Mehrotra, SIAM
+J. Optimization 2, 1992) on the sparse system [I A; A' -D]: some twenty factorisations, which are cheap where time couples neighbours only.
+Nothing rests on its having converged: whoever asks judges y and rest themselves.
+
+Multipliers of a point by least squares: a sparse factorisation instead of linear programs.
 
     minimise |gradient - A y|^2   ->   [I  A; A' 0] (r, y) = (gradient, 0)
 
@@ -10,11 +30,275 @@ Optimization 14, 1976), finds one that leaves as little. Where its signs are rig
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sparse
+from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 from scipy.sparse.linalg import LinearOperator, onenormest, splu
+
+from formulations.mpec.certificate.active import ActiveSet
+
+# Share of the tolerance that a linear program may use: HiGHS holds a row to 1e-7 only.
+_SHARE = 0.98
+_INFEASIBLE = 2  # HiGHS's status
+
+
+def multipliers_within(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndarray, high: np.ndarray, tolerance: float) -> Decision:
+    """Arguments as in `decision.decide`; undecided where the program fails.
+
+    Tolerances on both sides of each row are a far easier program than the smallest residual (`least_residual`), whose variable is in all rows.
+    """
+    columns = matrix.shape[1]
+    if not all(matrix.shape):
+        residual = float(np.max(np.abs(gradient), initial=0.0))
+        return Decision(exists=residual <= tolerance, residual=residual, y=np.zeros(columns))
+    rows = LinearConstraint(matrix, gradient - _SHARE * tolerance, gradient + _SHARE * tolerance)
+    answer = milp(np.zeros(columns), constraints=rows, bounds=Bounds(low, high))
+    if answer.x is None:
+        return Decision(exists=False if answer.status == _INFEASIBLE else None, residual=np.inf, y=np.zeros(columns))
+    y = np.clip(answer.x, low, high)
+    used = np.flatnonzero(y)
+    residual = float(np.max(np.abs(gradient - matrix @ y)))
+    better = signed_least_squares(matrix[:, used], gradient, low[used], high[used], 0.0)  # a program stops at the tolerance
+    if better is not None and float(np.max(np.abs(better.rest))) < residual:
+        y, residual = np.zeros(columns), float(np.max(np.abs(better.rest)))
+        y[used] = better.y
+    return Decision(exists=residual <= tolerance, residual=residual, y=y)
+
+
+def least_residual(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndarray, high: np.ndarray, tolerance: float) -> Decision:
+    """The smallest residual that there is: min t with -t <= gradient - matrix y <= t."""
+    n, columns = matrix.shape
+    if not n or not columns:
+        residual = float(np.max(np.abs(gradient), initial=0.0))
+        return Decision(exists=residual <= tolerance, residual=residual, y=np.zeros(columns))
+    ones = sparse.csr_matrix(np.ones((n, 1)))
+    system = sparse.vstack([sparse.hstack([matrix, -ones]), sparse.hstack([-matrix, -ones])], format="csr")
+    cost = np.zeros(columns + 1)
+    cost[-1] = 1.0
+    sides = [*zip(low.tolist(), high.tolist(), strict=True), (0.0, None)]
+    answer = linprog(cost, A_ub=system, b_ub=np.concatenate([gradient, -gradient]), bounds=sides, method="highs")
+    if answer.status != 0:
+        return Decision(exists=None, residual=np.inf, y=np.zeros(columns))
+    return Decision(exists=float(answer.fun) <= tolerance, residual=float(answer.fun), y=answer.x[:-1])
+
+
+def steepest_direction(active: ActiveSet, first_held: np.ndarray, second_held: np.ndarray) -> tuple[float, np.ndarray | None]:
+    """min gradient' d over |d| <= 1, relative to the scale: of the biactive pairs the held sides (masks) stay 0, the other sides do not go below
+    0. NaN if the program, which has d = 0, fails."""
+    n = len(active.gradient)
+    if n == 0:
+        return 0.0, None
+    held_first = np.concatenate([active.first_only, active.both[first_held]])
+    held_second = np.concatenate([active.second_only, active.both[second_held]])
+    equal = [active.first_normals[:, held_first].T, active.second_normals[:, held_second].T]
+    rising = [active.first_normals[:, active.both[~first_held]].T, active.second_normals[:, active.both[~second_held]].T]
+    kinds = np.array([0 if a is None and b is None else 1 if b is None else -1 for a, b in active.limits], dtype=int)
+    rows = active.normals.T.tocsr()
+    equal.append(rows[kinds == 0])
+    rising += [rows[kinds == 1], -rows[kinds == -1]]
+    a_eq, a_ub = sparse.vstack(equal, format="csr"), -sparse.vstack(rising, format="csr")
+    answer = linprog(
+        active.gradient / active.scale,
+        A_ub=a_ub if a_ub.shape[0] else None,
+        b_ub=np.zeros(a_ub.shape[0]) if a_ub.shape[0] else None,
+        A_eq=a_eq if a_eq.shape[0] else None,
+        b_eq=np.zeros(a_eq.shape[0]) if a_eq.shape[0] else None,
+        bounds=(-1.0, 1.0),
+        method="highs",
+    )
+    return (float(answer.fun), answer.x) if answer.status == 0 else (np.nan, None)
+
+
+# Sum of multipliers (of the gradient divided by its scale) up to which they are excluded before it is said that there are none, by a vector that
+# breaks no condition by more than this share of its largest component. (A linear program of HiGHS excludes with 1e-7.)
+_LARGEST, _ACROSS = 1e6, 1e-10
+# Weighings before it is left undecided, and the smallest weight.
+_DECISION_ROUNDS, _LIGHTEST = 6, 1e-6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Decision:
+    """exists: None where it is not decided. residual: largest component that the best multipliers found leave, total: the sum of all; y
+    (columns,): these multipliers. polar (n,): proves that there are none; slope: of the gradient along -polar, of largest component 1."""
+
+    exists: bool | None
+    residual: float
+    y: np.ndarray
+    total: float = np.inf
+    polar: np.ndarray | None = None
+    slope: float = 0.0
+
+
+def decide(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndarray, high: np.ndarray, tolerance: float) -> Decision:
+    """matrix (n, columns): active gradients; low, high (columns,): limits of their multipliers, each 0 or infinite."""
+    weights = np.ones(len(gradient))
+    best = Decision(exists=None, residual=np.inf, y=np.zeros(matrix.shape[1]))
+    for _ in range(_DECISION_ROUNDS):
+        root = np.sqrt(weights)
+        found = project((sparse.diags(root) @ matrix).tocsc(), root * gradient, low, high)
+        if found is None:
+            break
+        rest = gradient - matrix @ found.y
+        residual = float(np.max(np.abs(rest), initial=0.0))
+        if residual < best.residual:
+            best = Decision(exists=True if residual <= tolerance else None, residual=residual, y=found.y, total=float(np.sum(np.abs(rest))))
+        if best.exists:
+            break
+        polar = root * found.polar
+        if excludes(gradient, polar, found.across, tolerance):
+            return replace(best, exists=False, polar=polar, slope=-float(polar @ gradient) / float(np.max(np.abs(polar))))
+        weights = np.maximum(weights * np.abs(rest) / residual, _LIGHTEST)
+        weights /= np.max(weights)
+    return best
+
+
+def excludes(gradient: np.ndarray, polar: np.ndarray, across: float, tolerance: float) -> bool:
+    """Whether a vector that breaks conditions by at most `across` proves that no multipliers leave as little as the tolerance."""
+    enough = float(polar @ gradient) > tolerance * float(np.sum(np.abs(polar))) + _LARGEST * across
+    return enough and across <= _ACROSS * float(np.max(np.abs(polar)))
+
+
+# Of a step in y with columns of length 1: keeps the system regular where gradients depend on each other, and is gone where steps end.
+_DAMPING = 1e-10
+_ITERATIONS, _TO_THE_BOUNDARY = 60, 0.995
+# The first y and z are at least this share of the gradient's length away from 0.
+_INSIDE = 1e-2
+# Solved where the sum of y z is this share of |rest|^2 and the conditions hold to this share of |rest|; or this share of the gradient is left.
+_GAP, _DUAL, _NOTHING_LEFT = 1e-12, 1e-10, 1e-10
+# Where the sum of y z is that small, but gradients depend on each other so nearly that the damping holds y back (for 60 steps and more), least squares
+# with the columns that count may be the answer already: to this share of the lengths that are subtracted.
+_ROUNDING = 1e-14
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Projection:
+    """y (columns,) with the right signs, and rest (n,) = gradient - A y: of what was found, that whose largest component is smallest. polar (n,):
+    of what was found, the rest that is nearest to leaving every condition on its good side; across: by how much it puts one on its bad side, at most."""
+
+    y: np.ndarray
+    rest: np.ndarray
+    polar: np.ndarray
+    across: float
+
+
+def project(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndarray, high: np.ndarray) -> Projection | None:
+    """low, high (columns,): limits of y, each 0 or infinite. None where a factorisation fails."""
+    chosen = np.flatnonzero((low < 0.0) | (high > 0.0))
+    free, falling = (low[chosen] < 0.0) & (high[chosen] > 0.0), high[chosen] <= 0.0
+    part = (matrix[:, chosen] @ sparse.diags(np.where(falling, -1.0, 1.0))).tocsc()
+    length = column_lengths(part)
+    columns = len(chosen)
+    candidates: list[np.ndarray] = [] if columns else [np.zeros(0)]
+    used = np.ones(columns, dtype=bool)
+    if not np.all(free):
+        found = _interior_point((part @ sparse.diags(1.0 / length)).tocsc(), gradient, np.flatnonzero(~free))
+        if found is None:
+            return None
+        candidates, used = [found[0] / length], found[1]
+    exact = proximal_least_squares(part[:, used], gradient)
+    if exact is not None:
+        candidates.append(np.zeros(columns))
+        candidates[-1][used] = exact
+    if not candidates:
+        return None
+    signed = [np.where(free, y, np.maximum(y, 0.0)) for y in candidates]
+    rests, polars = ([gradient - part @ y for y in ys] for ys in (signed, candidates))
+    across = [float(np.max(np.where(free, np.abs(products), products), initial=0.0)) for products in (part.T @ p for p in polars)]
+    best = int(np.argmin([np.max(np.abs(rest), initial=0.0) for rest in rests]))
+    straight = int(np.argmin(across))
+    y = np.zeros(matrix.shape[1])
+    y[chosen] = np.where(falling, -1.0, 1.0) * signed[best]
+    return Projection(y=y, rest=rests[best], polar=polars[straight], across=across[straight])
+
+
+def _interior_point(matrix: sparse.csc_matrix, gradient: np.ndarray, signed: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """(y, which columns count: all but those whose y vanishes); columns of length 1, y[signed] >= 0. None where a factorisation fails."""
+    columns = matrix.shape[1]
+    size, count = float(np.linalg.norm(gradient)), len(signed)
+    if size == 0.0:
+        return np.zeros(columns), np.zeros(columns, dtype=bool)
+    diagonal = np.full(columns, _DAMPING)
+    diagonal[signed] = 1.0
+    solve = _factorised(matrix, diagonal)
+    if solve is None:
+        return None
+    y = solve(gradient, np.zeros(columns))
+    z = np.maximum(np.abs(matrix[:, signed].T @ (gradient - matrix @ y)), _INSIDE * size)
+    y[signed] = np.maximum(np.abs(y[signed]), _INSIDE * size)
+    looked_at = np.zeros(0, dtype=bool)
+    for _ in range(_ITERATIONS):
+        rest = gradient - matrix @ y
+        off = matrix.T @ rest
+        off[signed] += z
+        left, gap = float(np.linalg.norm(rest)), float(y[signed] @ z)
+        if left <= _NOTHING_LEFT * size or (gap <= _GAP * left**2 and np.max(np.abs(off)) <= _DUAL * left):
+            break
+        counts = y[signed] > z
+        if gap <= _GAP * left**2 and not np.array_equal(counts, looked_at):
+            looked_at = counts
+            exact = _settled(matrix, gradient, signed, counts)
+            if exact is not None:
+                return exact
+        diagonal[signed] = z / y[signed] + _DAMPING
+        solve = _factorised(matrix, diagonal)
+        if solve is None:
+            break
+        target = np.zeros(count)  # of y z: 0 for the predictor
+        for is_corrector in (False, True):
+            right = np.zeros(columns)
+            right[signed] = -target / y[signed]
+            step = solve(rest, right)
+            change = step[signed]
+            z_change = (target - z * change) / y[signed] - z
+            reach = min(_reach(y[signed], change), _reach(z, z_change))
+            if not is_corrector:
+                ahead = float((y[signed] + min(1.0, reach) * change) @ (z + min(1.0, reach) * z_change))
+                target = gap / count * (ahead / gap) ** 3 - change * z_change
+        if not np.all(np.isfinite(step)):
+            break
+        along = min(1.0, _TO_THE_BOUNDARY * reach)
+        y, z = y + along * step, z + along * z_change
+    used = np.ones(columns, dtype=bool)
+    used[signed] = y[signed] > z
+    return y, used
+
+
+def _settled(
+    matrix: sparse.csc_matrix, gradient: np.ndarray, signed: np.ndarray, counts: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Least squares with the signed columns that count and all others, and which these are; None where that is not the projection."""
+    used = np.ones(matrix.shape[1], dtype=bool)
+    used[signed] = counts
+    part = proximal_least_squares(matrix[:, used], gradient)
+    if part is None:
+        return None
+    y = np.zeros(len(used))
+    y[used] = part
+    rest = gradient - matrix @ y
+    products = matrix.T @ rest
+    products[used] = np.abs(products[used])  # of the others only those that would shorten the rest count
+    lengths = float(np.linalg.norm(gradient)) + float(np.max(np.abs(y), initial=0.0))
+    enough = max(_DUAL * float(np.linalg.norm(rest)), _ROUNDING * lengths)
+    return (y, used) if np.all(y[signed] >= 0.0) and np.max(products, initial=0.0) <= enough else None
+
+
+def _factorised(matrix: sparse.csc_matrix, diagonal: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray] | None:
+    """Solves s + A dy = first, A' s - diagonal dy = second for dy. None where the factorisation fails."""
+    n = matrix.shape[0]
+    try:
+        factors = splu(sparse.bmat([[sparse.identity(n), matrix], [matrix.T, -sparse.diags(diagonal)]], format="csc"))
+    except RuntimeError:
+        return None
+    return lambda first, second: factors.solve(np.concatenate([first, second]))[n:]
+
+
+def _reach(values: np.ndarray, change: np.ndarray) -> float:
+    """How far to go along a change until one of the values, which are positive, is 0."""
+    falls = change < 0.0
+    return float(np.min(-values[falls] / change[falls], initial=np.inf))
+
 
 _REFINEMENTS = 3  # of the solution of the augmented system; the first brings three plans of 500 to 5000 steps from 1e-9 to 1e-14
 # Of the proximal point method with columns of length 1: eps, most steps of one solution, and how often multipliers of the wrong sign are left out

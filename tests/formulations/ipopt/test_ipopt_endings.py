@@ -10,9 +10,10 @@ import pyomo.environ as pyo
 import pytest
 from cyipopt import CyIpoptEvaluationError
 
-from formulations.ipopt import STATUS_MAP, STATUS_NAMES, Start, compile_model, outcome_of, residuals, solve
-from formulations.ipopt.evaluations import Evaluations
-from formulations.ipopt.run import Answer
+from formulations.ipopt import STATUS_MAP, STATUS_NAMES, Start, compile_model, outcome_of, solve
+from formulations.ipopt import result as residuals
+from formulations.ipopt.problem import Evaluations
+from formulations.ipopt.solve import Answer
 from formulations.solution import Outcome
 
 

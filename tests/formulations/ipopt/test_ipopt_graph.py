@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from formulations.ipopt.codegen import generate, hoist
 from formulations.ipopt.differentiate import hessian_sparsity
 from formulations.ipopt.graph import Graph
+from formulations.ipopt.shapes import generate, hoist
 
 X, P = 0.625, -1.75
 PLAIN = {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv, "pow": operator.pow}

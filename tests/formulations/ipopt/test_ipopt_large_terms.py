@@ -7,7 +7,7 @@ import pyomo.environ as pyo
 import pytest
 
 from formulations.ipopt import compile_model, shapes
-from formulations.ipopt.hessian_products import column_groups
+from formulations.ipopt.shapes import column_groups
 
 
 def model_with(count, initial):

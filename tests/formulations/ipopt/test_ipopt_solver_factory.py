@@ -12,7 +12,7 @@ from pyomo.opt import SolverStatus, TerminationCondition
 
 import formulations.ipopt
 from formulations.ipopt import ModelRefusedError, UnknownOptionError, compile_model
-from formulations.ipopt.pyomo_suffixes import dual_start
+from formulations.ipopt.pyomo_solver import dual_start
 
 
 @pytest.fixture

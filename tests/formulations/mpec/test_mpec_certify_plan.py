@@ -12,11 +12,13 @@ import scipy.sparse as sparse
 from pyomo.mpec import Complementarity, complements
 from scipy.optimize import OptimizeResult
 
-from formulations.catalog import load_method
 from formulations.mpec import Certificate, Stationarity, certify, certify_plan, certify_solution
-from formulations.mpec.certificate import decision, programs, stationarity
+from formulations.mpec.certificate import multipliers as decision
+from formulations.mpec.certificate import multipliers as programs
+from formulations.mpec.certificate import stationarity
 from formulations.mpec.certificate.multipliers import least_squares
 from formulations.mpec.certificate.plan import PlanJudge
+from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.errors import TrajectoryError

@@ -9,14 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import nnls
 
-from formulations.mpec.certificate import pieces, projection, stationarity
-from formulations.mpec.certificate.active import ActiveSet
-from formulations.mpec.certificate.decision import decide
-from formulations.mpec.certificate.pieces import steepest_piece
-from formulations.mpec.certificate.programs import least_residual, multipliers_within
-from formulations.mpec.certificate.projection import project
-from formulations.mpec.certificate.signs import CHOICES, Stationarity, class_of, limits, pairs_of
-from formulations.mpec.certificate.stationarity import classify
+from formulations.mpec.certificate import multipliers as projection
+from formulations.mpec.certificate import stationarity
+from formulations.mpec.certificate import stationarity as pieces
+from formulations.mpec.certificate.active import CHOICES, ActiveSet, Stationarity, class_of, limits, pairs_of
+from formulations.mpec.certificate.multipliers import decide, least_residual, multipliers_within, project
+from formulations.mpec.certificate.stationarity import classify, steepest_piece
 
 TOLERANCE = 1e-5
 _SEEDS = st.integers(0, 2**32 - 1)

@@ -8,10 +8,9 @@ import pytest
 from pyomo.mpec import Complementarity, complements
 
 from formulations.ipopt import MissingValueError
-from formulations.ipopt.term_group import TermGroup
+from formulations.ipopt.shapes import TermGroup
 from formulations.mpec import certify
-from formulations.mpec.certificate.evaluation import number_of
-from formulations.mpec.certificate.gradients import gradients_of, pyomo_gradient
+from formulations.mpec.certificate.derivatives import gradients_of, number_of, pyomo_gradient
 
 
 def _model() -> pyo.ConcreteModel:

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from formulations.catalog import load_method
 from formulations.multiple_shooting.costs import Costs
-from formulations.multiple_shooting.riccati import Stages
-from formulations.pipeline import MULTIPLE_SHOOTING_EPS
+from formulations.multiple_shooting.solver import Stages
+from formulations.pipelines import MULTIPLE_SHOOTING_EPS, load_method
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel

@@ -11,17 +11,16 @@ import numpy as np
 import pyomo.environ as pyo
 import pytest
 
-from formulations.catalog import load_method
+from formulations.contact_modes.linear import linear_scene
+from formulations.contact_modes.quadratic import ModesProblem
 from formulations.method import OptionError
+from formulations.pipelines import load_method
 from formulations.proof import PairBounds, ProofStatus, build_miqp, pair_bounds, prove, relaxed_bound
-from formulations.proof.bounds import physical_bounds
-from formulations.proof.energy import energy_bound
+from formulations.proof.bounds import energy_bound, physical_bounds
 from formulations.proof.prove import GAP, is_exact
 from formulations.proof.relaxation import _lowered
 from formulations.solution import Outcome
-from formulations.transcription.contact_laws import ModelError
-from formulations.windows.linear_scene import linear_scene
-from formulations.windows.quadratic import ModesProblem
+from formulations.transcription.contact import ModelError
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.errors import MachineError, SceneError

@@ -12,7 +12,7 @@ SHORTEST_WINDOW, WINDOW_SHARE, NOTHING_LEFT, RUNAWAY = 50, 4, 1e-20, 2.0
 
 
 def progress(losses: list[float], tolerance: float) -> str:
-    """After so many losses: descending, settled or runaway; see formulations/shooting/stopping.py."""
+    """After so many losses: descending, settled or runaway; see formulations/shooting/descent.py."""
     best, window = min(losses), max(SHORTEST_WINDOW, len(losses) // WINDOW_SHARE)
     if best <= NOTHING_LEFT * losses[0]:
         return "settled"

@@ -10,9 +10,9 @@ import torch
 from descent_in_python import descend_in_python
 
 from formulations.shooting.descent import descend
-from formulations.shooting.errors import ShootingError
 from formulations.shooting.method import DescentOptions
 from formulations.shooting.objective import Objective, Weights
+from formulations.shooting.rollout import ShootingError
 from formulations.solution import Outcome
 from models.catalog import load_scene, scene_names
 from models.codegen.kernel import load_kernel
@@ -123,7 +123,7 @@ def test_pytorch_is_imported_where_something_is_descended_and_not_before():
     import subprocess
 
     code = (
-        "import sys; from formulations.catalog import load_method\n"
+        "import sys; from formulations.pipelines import load_method\n"
         "for name in ('relu_gd', 'softplus_lbfgs', 'randomised_smoothing'): load_method(name)\n"
         "sys.exit('torch' in sys.modules)"
     )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from formulations.catalog import load_method
+from formulations.pipelines import load_method
 from formulations.shooting.diagnosis import sensitivity, stable_rate
 from formulations.shooting.objective import Objective
 from formulations.solution import Outcome, Solution

@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from formulations.catalog import load_method
-from formulations.shooting.diagnosis import sensitivity
-from formulations.shooting.growth import Growth, measure_growth
+from formulations.pipelines import load_method
+from formulations.shooting.diagnosis import Growth, measure_growth, sensitivity
 from formulations.shooting.objective import Objective
 from formulations.solution import Outcome
 from models.catalog import load_scene

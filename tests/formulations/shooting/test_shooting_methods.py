@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from formulations.catalog import load_method
 from formulations.method import Kind, OptionError
+from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel

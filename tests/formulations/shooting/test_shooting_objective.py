@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from formulations.shooting.errors import ShootingError
-from formulations.shooting.objective import GoalLoss, Objective, Weights
+from formulations.shooting.objective import GoalLoss, Objective, Weights, noise
 from formulations.shooting.reference import reference_cost, reference_rollout
-from formulations.shooting.rollout import RolloutTensors, rollout
-from formulations.shooting.smoothed import noise
+from formulations.shooting.rollout import RolloutTensors, ShootingError, rollout
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw

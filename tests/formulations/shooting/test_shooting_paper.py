@@ -9,7 +9,7 @@ the authors' code in its last rounding, and the sixth row starts from a collocat
 import numpy as np
 import pytest
 
-from formulations.catalog import load_method
+from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel

@@ -6,12 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from formulations.catalog import load_method
 from formulations.method import OptionError
+from formulations.pipelines import load_method
 from formulations.shooting.method import QuasiNewtonOptions
-from formulations.shooting.objective import Objective, Weights
+from formulations.shooting.objective import Objective, Weights, noise
 from formulations.shooting.quasi_newton import minimise
-from formulations.shooting.smoothed import noise
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel

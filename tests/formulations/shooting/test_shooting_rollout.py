@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from formulations.shooting.errors import ShootingError
 from formulations.shooting.reference import reference_rollout
-from formulations.shooting.rollout import rollout
+from formulations.shooting.rollout import ShootingError, rollout
 from models.catalog import load_scene, scene_names
 from models.contact_law import ContactLaw, RelaxationError
 from models.scene import Scene

@@ -6,7 +6,7 @@ import math
 import pytest
 from descent_in_python import progress as written_out
 
-from formulations.shooting.stopping import Losses, Progress
+from formulations.shooting.descent import Losses, Progress
 
 
 def _stops(losses, tolerance: float = 1e-4, limit: int = 100000) -> tuple[int, Progress]:

@@ -10,8 +10,8 @@ import pyomo.environ as pyo
 import pytest
 
 from formulations import ContactLaw, ModelError, build_model, load_plan, read_plan
-from formulations.catalog import load_method
 from formulations.ipopt import compile_model, load, solve
+from formulations.pipelines import load_method
 from formulations.solution import Outcome
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel

@@ -7,13 +7,12 @@ import pyomo.environ as pyo
 import pytest
 import sympy as sp
 
-from formulations.catalog import load_method
+from formulations.pipelines import load_method
 from formulations.solution import Outcome
 from formulations.transcription.build import build_model
-from formulations.transcription.contact_laws import ContactLaw, pairs
-from formulations.transcription.plans import load_plan
+from formulations.transcription.contact import ContactLaw, pairs
 from formulations.transcription.residuals import PlanResiduals
-from formulations.transcription.size import size_on_paper
+from formulations.transcription.workbench import load_plan, size_on_paper
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw as ForceLaw
 from models.contacts import Contact, DampingLaw

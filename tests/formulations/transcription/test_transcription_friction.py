@@ -6,9 +6,9 @@ import pytest
 import sympy as sp
 
 from formulations import ContactLaw, build_model, load_plan, read_plan, relax
-from formulations.catalog import load_method
+from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
-from formulations.transcription.contact_laws import sides
+from formulations.transcription.contact import sides
 from formulations.transcription.residuals import PlanResiduals
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw as ForceLaw

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from formulations.catalog import load_method
+from formulations.pipelines import load_method
 from formulations.solution import Outcome
 from formulations.transcription import relaxed
 from formulations.transcription.relaxed import RelaxedSession

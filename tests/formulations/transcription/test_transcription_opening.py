@@ -9,14 +9,13 @@ import pyomo.environ as pyo
 import pytest
 
 from formulations import ContactLaw, build_model, load_plan
-from formulations.catalog import load_method
 from formulations.ipopt import Iteration, compile_model
+from formulations.pipelines import load_method
 from formulations.solution import Outcome
 from formulations.transcription import relaxed, softplus
-from formulations.transcription.contact_laws import tighten
-from formulations.transcription.opening import Watch, plan_with_goal_released
+from formulations.transcription.contact import tighten
 from formulations.transcription.residuals import PlanResiduals
-from formulations.transcription.tightened import Work
+from formulations.transcription.session import Watch, Work, plan_with_goal_released
 from formulations.transcription.workbench import Account, Workbench
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from formulations import ContactLaw, PlanResiduals, build_model, load_plan, read_plan
-from formulations.transcription.contact_laws import hold_modes, release_modes
-from formulations.transcription.plans import load_first_guess
+from formulations.transcription.contact import hold_modes, release_modes
+from formulations.transcription.workbench import load_first_guess
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw as ForceLaw

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from formulations.catalog import load_method
 from formulations.ipopt import Iteration
+from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
-from formulations.transcription.reach import Patience, nearest
+from formulations.transcription.feasibility import Patience, nearest
 from formulations.transcription.workbench import Account, Workbench
 from models.catalog import load_scene
 from models.scene import Scene

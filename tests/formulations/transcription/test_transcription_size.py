@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 
 from formulations import build_model
-from formulations.catalog import load_method
 from formulations.ipopt import compile_model
+from formulations.pipelines import load_method
 from formulations.solution import ModelSize
-from formulations.transcription.contact_laws import ContactLaw
-from formulations.transcription.size import size_on_paper
+from formulations.transcription.contact import ContactLaw
+from formulations.transcription.workbench import size_on_paper
 from models.catalog import load_scene, scene_names
 
 

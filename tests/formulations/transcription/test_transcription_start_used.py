@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from formulations.catalog import load_method
+from formulations.pipelines import load_method
 from formulations.solution import Outcome
 from formulations.transcription import strict
 from formulations.transcription.strict import StrictSession

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 import sympy as sp
 
-from formulations.catalog import load_method
+from formulations.pipelines import load_method
 from models import dynamics
 from models.catalog import load_scene
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from formulations.windows.approach import approach
-from formulations.windows.landing import land, land_by_softplus, miss_of
-from formulations.windows.linear_scene import linear_scene
-from formulations.windows.moves import closed_of
-from formulations.windows.quadratic import ModesProblem
+from formulations.contact_modes.goal import approach, land, land_by_softplus, miss_of
+from formulations.contact_modes.linear import linear_scene
+from formulations.contact_modes.quadratic import ModesProblem
+from formulations.contact_modes.search import closed_of
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 

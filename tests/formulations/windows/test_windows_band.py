@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from formulations.windows.band import BandedLU
+from formulations.contact_modes.linear import BandedLU
 
 
 def random_band(seed: int, size: int, width: int) -> tuple[np.ndarray, np.ndarray]:

@@ -7,14 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from formulations.catalog import load_method
+from formulations.contact_modes.front import front, told
+from formulations.contact_modes.quadratic import cheapest_in_ball
+from formulations.contact_modes.session import MpccSession
 from formulations.method import OptionError
 from formulations.mpec import certify_solution
+from formulations.pipelines import load_method
 from formulations.solution import FrontPoint, Outcome, Solution
-from formulations.windows.front import front
-from formulations.windows.front_session import told
-from formulations.windows.goal_ball import cheapest_in_ball
-from formulations.windows.session import MpccSession
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.goal import goal_state

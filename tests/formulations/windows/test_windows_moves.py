@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from formulations.windows.moves import (
+from formulations.contact_modes.search import (
     Add,
     Drop,
     Merge,
@@ -18,13 +18,14 @@ from formulations.windows.moves import (
     Translate,
     closed_of,
     fewer,
+    follow_pulls,
     onwards,
     rearrangements,
     repetitions,
+    search_windows,
     shifts,
     windows_of,
 )
-from formulations.windows.search import follow_pulls, search_windows
 
 STEPS = 40
 modes = st.lists(st.tuples(st.booleans(), st.booleans()), min_size=STEPS, max_size=STEPS).map(lambda rows: np.array(rows))

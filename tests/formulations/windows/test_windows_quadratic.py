@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from formulations.contact_modes.dual_active_set import active_set
+from formulations.contact_modes.linear import linear_scene, why_not_linear
+from formulations.contact_modes.nonlinear import NonlinearModes
+from formulations.contact_modes.quadratic import ActiveSet, ModesProblem
+from formulations.contact_modes.search import closed_of
 from formulations.transcription.workbench import Account
-from formulations.windows.interior_point import active_set
-from formulations.windows.linear_scene import linear_scene, why_not_linear
-from formulations.windows.moves import closed_of
-from formulations.windows.nonlinear import NonlinearModes
-from formulations.windows.quadratic import ActiveSet, ModesProblem
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.scene import Scene

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from formulations.catalog import load_method
+from formulations.contact_modes import finder
+from formulations.contact_modes.finder import descended_plan, mirrored, random_plan
+from formulations.contact_modes.quadratic import ModesProblem
 from formulations.method import OptionError
+from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
-from formulations.windows import finder
-from formulations.windows.quadratic import ModesProblem
-from formulations.windows.starts import descended_plan, mirrored, random_plan
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.goal import goal_state

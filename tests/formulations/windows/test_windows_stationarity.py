@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from formulations.windows.linear_scene import linear_scene
-from formulations.windows.moves import closed_of
-from formulations.windows.quadratic import ModesProblem
-from formulations.windows.stationarity import classify
+from formulations.contact_modes.linear import linear_scene
+from formulations.contact_modes.quadratic import ModesProblem, classify
+from formulations.contact_modes.search import closed_of
 from models.catalog import load_scene
 
 SCENE = load_scene("three_cart")

@@ -7,9 +7,9 @@ from typing import cast
 
 import pytest
 
-from formulations.catalog import load_method
+from formulations.contact_modes.session import MpccSession
+from formulations.pipelines import load_method
 from formulations.transcription import workbench
-from formulations.windows.session import MpccSession
 from models.catalog import load_scene
 
 ARM = load_scene(str(Path(__file__).parents[2] / "scenes" / "two_link_arm.py"))  # nonlinear: its modes are solved by Ipopt

@@ -8,10 +8,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from formulations.catalog import load_method
+from formulations.contact_modes import multistart as throws
+from formulations.contact_modes.multistart import final_cost, thrown_plans
+from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
-from formulations.windows import throws
-from formulations.windows.throws import final_cost, thrown_plans
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.scene import Scene

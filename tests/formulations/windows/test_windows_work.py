@@ -8,12 +8,12 @@ from typing import Any, cast
 import pyomo.environ as pyo
 import pytest
 
-from formulations.catalog import load_method
+from formulations.contact_modes.finder import Search
+from formulations.contact_modes.multistart import MultiStart
 from formulations.methods.mpcc import MpccOptions
+from formulations.pipelines import load_method
 from formulations.solution import Outcome
 from formulations.transcription.workbench import Account, Workbench
-from formulations.windows.finder import Search
-from formulations.windows.multistart import MultiStart
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 

@@ -9,7 +9,7 @@ import re
 
 import pytest
 
-from formulations.catalog import method_names
+from formulations.pipelines import method_names
 from models.catalog import scene_names
 from models.errors import UnknownNameError
 from reports.examination_record import ExaminationRecord

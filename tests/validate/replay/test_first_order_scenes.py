@@ -16,7 +16,7 @@ import sympy as sp
 from scipy.integrate import solve_ivp
 
 from formulations.transcription.build import build_model
-from formulations.transcription.contact_laws import ContactLaw as ExactLaw
+from formulations.transcription.contact import ContactLaw as ExactLaw
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.codegen.steps import load_steps

@@ -16,8 +16,7 @@ from typing import cast
 import numpy as np
 import sympy as sp
 
-from formulations.catalog import load_method
-from formulations.pipeline import SOFTPLUS_EPS
+from formulations.pipelines import SOFTPLUS_EPS, load_method
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.scene import Parameter, Scene

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from formulations.catalog import load_method
+from formulations.pipelines import load_method
 from formulations.solution import Outcome
 from models.catalog import load_scene
 from validate.stress.case import Finding, HardCase, at_most, none_of

@@ -9,7 +9,7 @@ import numpy as np
 
 from formulations import ContactLaw as Transcription
 from formulations import build_model
-from formulations.catalog import load_method
+from formulations.pipelines import load_method
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw, contact_force

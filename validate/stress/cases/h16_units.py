@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from formulations.catalog import load_method
+from formulations.pipelines import load_method
 from formulations.solution import Solution
 from models.catalog import load_scene
 from models.scene import Scene

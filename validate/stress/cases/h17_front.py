@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from formulations.catalog import load_method
 from formulations.mpec import certify_solution
+from formulations.pipelines import load_method
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.goal import distance, goal_state

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from formulations.catalog import load_method
+from formulations.pipelines import load_method
 from models.catalog import load_scene
 from models.errors import TouchstoneError
 from models.scene import Scene

@@ -7,9 +7,8 @@ import math
 import numpy as np
 import torch
 
-from formulations.shooting.errors import ShootingError
 from formulations.shooting.reference import reference_rollout
-from formulations.shooting.rollout import rollout
+from formulations.shooting.rollout import ShootingError, rollout
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from validate.stress.case import Finding, HardCase, at_least, at_most, none_of

@@ -1,0 +1,394 @@
+"""Banded LU with row pivoting in compiled C: milliseconds for a plan of some hundred steps, always one thread.
+
+    band = BandedLU(size, width)
+    band.factor(matrix)                 # (2*width + 1, size), Fortran order: entry (i, j) at [width + i - j, j]; False where singular
+    x = band.solve(right)               # right (size,) or (size, m)
+
+LAPACK's gbtrf and gbtrs do the same through SciPy. Measured on three_cart x mpcc_front they took 1.7 times the CPU of the whole solve: their loop over
+the columns calls the BLAS twice for each, for ten numbers; and where the threads of the BLAS are not limited, these spin, three times.
+
+A linear scene in numbers: z = (q, v) moves by z[t+1] = A z[t] + B u[t] + c + E lam[t], and lam_i = k_i phi_i(z) where contact i is closed.
+
+    linear = linear_scene(scene)          # raises nothing: ask `why_not_linear(scene)` first
+    linear.A @ z + linear.B @ u + linear.c + linear.E @ lam
+
+The running cost is 1/2 x' H x + g' x + constant with x = (q, v, u). With the contact modes fixed, what is left of the planning problem
+is a convex quadratic program.
+
+The optimality conditions of a plan with fixed contact modes, as one banded matrix, factorised in milliseconds.
+
+Unknowns, time by time: y[t] (multipliers of the time step), u[t], z[t+1], mu[t+1] (multipliers of phi = 0 where that is imposed), and w, the
+multipliers of the goal, last. All that a change of modes or active bounds does is change numbers in the band: its shape is settled once.
+
+    kkt = BandedKKT(linear)
+    kkt.factor(closed, held, touching)             # which contacts push, which inputs lie on a bound, where phi = 0 is imposed
+    point = kkt.solve(kkt.right_side(closed, held, bound, touching, goal))
+
+Lagrangian: L = sum_t cost(z[t], u[t]) + y[t]' (A[t] z[t] + B u[t] + c[t] - z[t+1]) + mu[t]' (P z[t] + p) + w' (z[T] - goal).
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import sympy as sp
+
+from models.codegen.cache import cached
+from models.codegen.compiler import FLAGS, compile_shared, find_compiler
+from models.dynamics import Dynamics, derive
+from models.goal import goal_state
+from models.scene import Scene
+
+_SOURCE = Path(__file__).with_name("band.c")
+_INT, _POINTER = ctypes.c_int, ctypes.c_void_p
+_SIGNATURES = {
+    "band_factor": (_INT, (_INT, _INT, _POINTER, _POINTER)),
+    "band_solve": (None, (_INT, _INT, _POINTER, _POINTER, _POINTER)),
+    "band_product": (None, (_INT, _INT, _POINTER, _POINTER, _POINTER)),
+}
+
+
+@lru_cache(maxsize=1)
+def _library() -> ctypes.CDLL:
+    """Compiled once and cached on disk. Raises MachineError without a compiler."""
+    compiler, text = find_compiler(), _SOURCE.read_text(encoding="utf-8")
+    key = "\n".join([compiler.describe(), " ".join((*FLAGS, "-O3")), text])
+    library = ctypes.CDLL(str(cached(key, ".so", lambda path: compile_shared(compiler, {"band.c": text}, path, extra_flags=("-O3",)))))
+    for name, (result, arguments) in _SIGNATURES.items():
+        function = getattr(library, name)
+        function.restype, function.argtypes = result, list(arguments)
+    return library
+
+
+class BandedLU:
+    """See the module docstring."""
+
+    def __init__(self, size: int, width: int) -> None:
+        self._size, self._width = size, width
+        self._library = _library()
+        self._matrix = np.zeros((2 * width + 1, size), order="F")
+        self._factors, self._pivots = np.zeros((3 * width + 1, size), order="F"), np.zeros(size, dtype=np.intc)
+
+    def factor(self, matrix: np.ndarray) -> bool:
+        """Factorise; False where a pivot is exactly zero. The matrix is kept, and must not be written to afterwards."""
+        self._matrix = np.asfortranarray(matrix, dtype=np.float64)
+        self._factors[: self._width], self._factors[self._width :] = 0.0, matrix
+        return self._library.band_factor(self._size, self._width, self._factors.ctypes.data, self._pivots.ctypes.data) == 0
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """Solution of the factorised system for right (size,) or (size, m), refined once by its own residual."""
+        found = self._back(right)
+        return found + self._back(right - self.product(found))
+
+    def product(self, x: np.ndarray) -> np.ndarray:
+        """The matrix of the last factorisation times x (size,) or (size, m)."""
+        columns = np.array(x.T, dtype=np.float64, order="C", ndmin=2)
+        found = np.empty_like(columns)
+        for column, row in zip(columns, found, strict=True):
+            self._library.band_product(self._size, self._width, self._matrix.ctypes.data, column.ctypes.data, row.ctypes.data)
+        return found.T.reshape(x.shape)
+
+    def _back(self, right: np.ndarray) -> np.ndarray:
+        columns = np.array(right.T, dtype=np.float64, order="C", ndmin=2)
+        for column in columns:
+            self._library.band_solve(self._size, self._width, self._factors.ctypes.data, self._pivots.ctypes.data, column.ctypes.data)
+        return columns.T.reshape(right.shape)
+
+
+# A Hessian of the running cost counts as convex down to this part of its largest eigenvalue: rounding, and nothing more.
+_CONVEX = 1e-12
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LinearScene:
+    """n = 2*nq states z = (q, v). A (n, n), B (n, nu), c (n,), E (n, nc) [per N]; phi = P z + p, P (nc, n), p (nc,) [m]; k (nc,) [N/m].
+
+    H (n+nu, n+nu), g (n+nu,), constant: the running cost; lower, upper (nu,); start, goal (n,), NaN where the end is free; step [s], steps.
+    The first `contacts` of the nc rows of P are contacts. The others are bounds of velocities, phi <= 0: contacts that push with no force
+    (E = 0) and are never closed.
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    c: np.ndarray
+    E: np.ndarray
+    P: np.ndarray
+    p: np.ndarray
+    k: np.ndarray
+    H: np.ndarray
+    g: np.ndarray
+    constant: float
+    lower: np.ndarray
+    upper: np.ndarray
+    start: np.ndarray
+    goal: np.ndarray
+    step: float
+    steps: int
+    contacts: int
+
+    @property
+    def aimed(self) -> np.ndarray:
+        """(n,) whether a component of the end is given."""
+        return ~np.isnan(self.goal)
+
+    def with_bounds(self, closed: np.ndarray) -> np.ndarray:
+        """(steps, nc) modes of contacts (steps, contacts) with those of the bounds: open."""
+        return np.hstack([closed, np.zeros((len(closed), self.nc - self.contacts), dtype=bool)])
+
+    @property
+    def n(self) -> int:
+        return len(self.c)
+
+    @property
+    def nu(self) -> int:
+        return self.B.shape[1]
+
+    @property
+    def nc(self) -> int:
+        return len(self.p)
+
+    def penetration(self, z: np.ndarray) -> np.ndarray:
+        """phi (rows, nc) [m] at states z (rows, n)."""
+        return z @ self.P.T + self.p
+
+    def cost(self, z: np.ndarray, u: np.ndarray) -> float:
+        """Sum of the running cost; z (steps, n), u (steps, nu)."""
+        x = np.hstack([z, u])
+        return float(0.5 * ((x @ self.H) * x).sum() + (x @ self.g).sum() + self.constant * len(x))
+
+
+def why_not_linear(scene: Scene) -> str | None:
+    """None, or the reason why fixed contact modes do not leave a convex quadratic program."""
+    dynamics = derive(scene)
+    if not dynamics.structure.linear:
+        return f"scene {scene.name} is not linear in q, v and u"
+    if dynamics.final_cost != 0:
+        return f"scene {scene.name} has a final cost"
+    hessian = _cost_hessian(dynamics)
+    if hessian.free_symbols:
+        return f"the running cost of scene {scene.name} is not quadratic"
+    eigenvalues = np.linalg.eigvalsh(np.array(hessian, dtype=float)) if hessian.rows else np.zeros(1)
+    if eigenvalues[0] < -_CONVEX * max(1.0, eigenvalues[-1]):
+        return f"the running cost of scene {scene.name} is not convex"
+    return None
+
+
+def linear_scene(scene: Scene) -> LinearScene:
+    """The numbers of a scene for which `why_not_linear` is None."""
+    d, task, nq = derive(scene), scene.task, scene.nq
+    inverse = np.linalg.inv(_numbers(d, d.mass_matrix))
+    slope = {name: inverse @ _slopes(d, d.tau, symbols) for name, symbols in (("q", d.q), ("v", d.v), ("u", d.u))}
+    rest = inverse @ _at_zero(d, d.tau)
+    push = inverse @ _numbers(d, d.gap_jacobian).reshape(scene.nc, nq).T
+    h, eye = task.step, np.eye(nq)
+    velocity = np.hstack([h * slope["q"], eye + h * slope["v"]])  # v[t+1] = velocity z + ..., q[t+1] = q + h v[t+1]
+    position = np.hstack([eye, np.zeros((nq, nq))]) + h * velocity
+    x = [*d.q, *d.v, *d.u]
+    cost = sp.Matrix([d.running_cost])
+    P, p = _velocity_bounds(scene)
+    return LinearScene(
+        A=np.vstack([position, velocity]),
+        B=np.vstack([h * h * slope["u"], h * slope["u"]]),
+        c=np.concatenate([h * h * rest, h * rest]),
+        E=np.hstack([np.vstack([h * h * push, h * push]), np.zeros((2 * nq, len(p)))]),
+        P=np.vstack([np.hstack([_slopes(d, d.penetration, d.q), np.zeros((scene.nc, nq))]), P]),
+        p=np.concatenate([_at_zero(d, d.penetration), p]),
+        k=np.concatenate([_numbers(d, d.stiffness).ravel(), np.ones(len(p))]),
+        H=np.array(_cost_hessian(d), dtype=float),
+        g=_numbers(d, cost.jacobian(x).subs(dict.fromkeys(x, 0))).ravel(),
+        constant=float(_at_zero(d, cost)[0]),
+        lower=np.array([item.lower for item in scene.inputs], dtype=float),
+        upper=np.array([item.upper for item in scene.inputs], dtype=float),
+        start=np.array(task.start),
+        goal=goal_state(task),
+        step=h,
+        steps=task.steps,
+        contacts=scene.nc,
+    )
+
+
+def _velocity_bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """P (bounds, 2*nq), p (bounds,): P z + p <= 0 is the bound."""
+    rows, offsets = [], []
+    for index, coordinate in enumerate(scene.coordinates):
+        for sign, bound in ((-1.0, coordinate.velocity_lower), (1.0, coordinate.velocity_upper)):
+            if np.isfinite(bound):
+                rows.append(sign * np.eye(2 * scene.nq)[scene.nq + index])
+                offsets.append(-sign * bound)
+    return np.array(rows).reshape(len(rows), 2 * scene.nq), np.array(offsets)
+
+
+def _cost_hessian(d: Dynamics) -> sp.Matrix:
+    return sp.hessian(d.running_cost.subs(d.scene.parameter_values), [*d.q, *d.v, *d.u])
+
+
+def _numbers(d: Dynamics, matrix: sp.Matrix) -> np.ndarray:
+    return np.array(matrix.subs(d.scene.parameter_values), dtype=float).reshape(matrix.shape)
+
+
+def _slopes(d: Dynamics, matrix: sp.Matrix, symbols: Sequence[sp.Symbol]) -> np.ndarray:
+    """(rows, len(symbols)) derivatives of a column of affine expressions."""
+    return _numbers(d, matrix.jacobian(list(symbols))) if matrix.rows else np.zeros((0, len(symbols)))
+
+
+def _at_zero(d: Dynamics, matrix: sp.Matrix) -> np.ndarray:
+    """(rows,) values at q = v = u = 0."""
+    return _numbers(d, matrix.subs(dict.fromkeys([*d.q, *d.v, *d.u], 0))).ravel()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Point:
+    """A solution of the optimality system: z (steps+1, n), u (steps, nu), y (steps, n), mu (steps, nc) with mu[0] = 0, w (n,)."""
+
+    z: np.ndarray
+    u: np.ndarray
+    y: np.ndarray
+    mu: np.ndarray
+    w: np.ndarray
+
+
+class BandedKKT:
+    """See the module docstring."""
+
+    def __init__(self, linear: LinearScene) -> None:
+        self._linear = linear
+        n, nu, nc, T = linear.n, linear.nu, linear.nc, linear.steps
+        self._block = 2 * n + nu + nc
+        self.size = T * self._block + n
+        block = self._block * np.arange(T)[:, None]
+        self._y, self.rows_u = block + np.arange(n), block + n + np.arange(nu)
+        self.rows_z, self.rows_mu = block + n + nu + np.arange(n), block + 2 * n + nu + np.arange(nc)  # row t: z[t+1], mu[t+1]
+        self.rows_w = T * self._block + np.arange(n)
+        self._closing = np.einsum("ic,c,cj->cij", linear.E, linear.k, linear.P)  # what a closed contact adds to A
+        self._settle_band()
+
+    def _settle_band(self) -> None:
+        """The constant part of the matrix, and the places of what changes."""
+        lin, n = self._linear, self._linear.n
+        q, s, r = lin.H[:n, :n], lin.H[:n, n:], lin.H[n:, n:]
+        ones = np.eye(n)
+        entries: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+
+        def add(rows: np.ndarray, columns: np.ndarray, values: np.ndarray) -> None:
+            """The same dense block at each time: rows (times, a), columns (times, b), values (a, b)."""
+            i, j = np.nonzero(values)
+            at = np.broadcast_to(values[i, j], (len(rows), len(i)))
+            entries.append((rows[:, i].ravel(), columns[:, j].ravel(), at.ravel()))
+
+        add(self._y, self.rows_z, -ones)
+        add(self.rows_z, self._y, -ones)
+        add(self._y, self.rows_u, lin.B)
+        add(self.rows_z[:-1], self.rows_z[:-1], q)
+        add(self.rows_z[:-1], self.rows_u[1:], s)
+        add(self.rows_z[:-1], self.rows_mu[:-1], lin.P.T)
+        aimed = np.diag(lin.aimed.astype(float))  # a free component of the end has no multiplier: w = 0
+        add(self.rows_z[-1:], self.rows_w[None], aimed)
+        add(self.rows_w[None], self.rows_z[-1:], aimed)
+        add(self.rows_w[None], self.rows_w[None], ones - aimed)
+        rows, columns, values = (np.concatenate(part) for part in zip(*entries, strict=True))
+
+        pattern = (lin.A != 0) | (self._closing != 0).any(axis=0)
+        self._step = np.nonzero(pattern)
+        i, j = self._step
+        forward = self._y[1:, i], self.rows_z[:-1, j]
+        held = [(self.rows_u, self.rows_u, r), (self.rows_u, self._y, lin.B.T), (self.rows_u[1:], self.rows_z[:-1], s.T)]
+        moving = [forward, *((a[:, v.nonzero()[0]], b[:, v.nonzero()[1]]) for a, b, v in held)]
+        moving += [
+            (self.rows_u, self.rows_u),
+            (self.rows_mu[:-1, lin.P.nonzero()[0]], self.rows_z[:-1, lin.P.nonzero()[1]]),
+            (self.rows_mu, self.rows_mu),
+        ]
+        reach = [rows - columns, *((a - b).ravel() for a, b in moving)]
+        width = max(int(np.abs(part).max(initial=0)) for part in reach)
+        self._width, self._height = width, 2 * width + 1  # as many diagonals below as above
+        self._lu = BandedLU(self.size, width)
+        self._constant = np.zeros((self._height, self.size), order="F")
+        flat = self._constant.reshape(-1, order="F")
+        np.add.at(flat, self._place(rows, columns), values)
+        self._at_forward, self._at_backward = self._place(*forward), self._place(forward[1], forward[0])
+        self._at_held = [(self._place(a[:, v.nonzero()[0]], b[:, v.nonzero()[1]]), v.nonzero()[0], v[v.nonzero()]) for a, b, v in held]
+        self._at_u = self._place(self.rows_u, self.rows_u)
+        self._at_touch = self._place(self.rows_mu[:-1, lin.P.nonzero()[0]], self.rows_z[:-1, lin.P.nonzero()[1]])
+        self._at_mu = self._place(self.rows_mu, self.rows_mu)
+        self._at_w = self._place(self.rows_w, self.rows_w)
+
+    def _place(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Positions in the band, column by column (Fortran order)."""
+        return columns * self._height + self._width + rows - columns
+
+    def transition(self, closed: np.ndarray) -> np.ndarray:
+        """A[t] (rows, n, n) with the contacts of closed (rows, nc) pushing."""
+        return self._linear.A + np.tensordot(closed.astype(float), self._closing, axes=1)
+
+    def drift(self, closed: np.ndarray) -> np.ndarray:
+        """c[t] (steps, n)."""
+        return self._linear.c + (closed * (self._linear.k * self._linear.p)) @ self._linear.E.T
+
+    def factor(self, closed: np.ndarray, held: np.ndarray, touching: np.ndarray, *, softness: float = 0.0) -> bool:
+        """Factorise with these closed contacts (steps, nc), inputs held on a bound (steps, nu) and phi = 0 imposed (steps, nc; row 0 unused).
+
+        softness: instead of z[T] = goal, the cost 1/2 |z[T] - goal|^2 / softness is added.
+        False where the matrix is singular: the goal cannot be steered to, or conditions contradict each other.
+        """
+        band = self._constant.copy(order="F")
+        flat = band.reshape(-1, order="F")
+        i, j = self._step
+        slopes = self._linear.A[i, j] + closed[1:].astype(float) @ self._closing[:, i, j]
+        flat[self._at_forward] = slopes
+        flat[self._at_backward] += slopes
+        free = (~held).astype(float)
+        for place, row, value in self._at_held:
+            late = free if len(place) == len(free) else free[1:]
+            flat[place] += late[:, row] * value
+        flat[self._at_u] += held
+        imposed = np.vstack([touching[1:], np.zeros((1, touching.shape[1]), dtype=bool)])
+        contact, state = self._linear.P.nonzero()
+        flat[self._at_touch] += imposed[:-1, contact] * self._linear.P[contact, state]
+        flat[self._at_mu] += ~imposed
+        flat[self._at_w] -= softness * self._linear.aimed
+        return self._lu.factor(band)
+
+    def right_side(self, closed: np.ndarray, held: np.ndarray, bound: np.ndarray, touching: np.ndarray, goal: np.ndarray) -> np.ndarray:
+        """(size,) right-hand side; bound (steps, nu): the values of held inputs; goal (n,): where z[T] is to be."""
+        lin, n = self._linear, self._linear.n
+        right = np.zeros(self.size)
+        step = -self.drift(closed)
+        step[0] -= self.transition(closed[:1])[0] @ lin.start
+        slope = np.tile(-lin.g[n:], (lin.steps, 1))
+        slope[0] -= lin.H[n:, :n] @ lin.start
+        right[self._y], right[self.rows_u] = step, np.where(held, bound, slope)
+        right[self.rows_z[:-1]] = -lin.g[:n]
+        right[self.rows_mu[:-1]] = np.where(touching[1:], -lin.p, 0.0)
+        right[self.rows_w] = np.where(lin.aimed, goal, 0.0)
+        return right
+
+    def goal_columns(self) -> np.ndarray:
+        """(size, number of given components) right-hand sides of a goal moved by one in each of their directions."""
+        rows = self.rows_w[self._linear.aimed]
+        columns = np.zeros((self.size, len(rows)), order="F")
+        columns[rows, np.arange(len(rows))] = 1.0
+        return columns
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """Solution of the factorised system for right (size,) or (size, m), refined once by its own residual."""
+        return self._lu.solve(right)
+
+    def product(self, x: np.ndarray) -> np.ndarray:
+        """The matrix of the last factorisation times x (size,)."""
+        return self._lu.product(x)
+
+    def point(self, x: np.ndarray) -> Point:
+        """A solution by name."""
+        lin = self._linear
+        return Point(
+            z=np.vstack([lin.start, x[self.rows_z]]),
+            u=x[self.rows_u],
+            y=x[self._y],
+            mu=np.vstack([np.zeros((1, lin.nc)), x[self.rows_mu[:-1]]]),
+            w=x[self.rows_w],
+        )

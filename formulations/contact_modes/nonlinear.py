@@ -1,0 +1,319 @@
+"""Softplus contact that grows sharper, b L = 7, 14, .., 448: where the contacts will be, from a cold start.
+
+L is the length that the scene counts eps in, 1 m unless it says otherwise: a scene in other units, or a tenth as large, has the same schedule.
+
+Softplus acts at a distance with k ln 2 / b at the touch. Where that exceeds what the inputs can hold against, the contact begins softer:
+k is a hundredth, a fiftieth, .. of its value, and reaches it with the last stage.
+
+Each stage starts from the one before; multipliers are handed on once the plan no longer moves much. A plan is the last stage's, of a law that is
+nearly but not quite the true one: only its contact modes are used.
+
+The planning problem of any scene with its contact modes fixed: a smooth problem without complementarity, solved by Ipopt.
+
+The same question as `quadratic` answers for linear scenes, at the price of an Ipopt run; its answers are local.
+
+The models that a window search asks for, built and translated once for a scene: other starts and other radii of its goal change numbers in them.
+
+A model is put into the same state before every use (`load_plan`, `load_first_guess`, modes, ball, sharpness): what is found with it does not depend on
+what it was used for before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import sympy as sp
+
+from formulations.contact_modes.linear import linear_scene, why_not_linear
+from formulations.contact_modes.quadratic import ModesProblem, Stationarity, classify
+from formulations.ipopt import IpoptResult
+from formulations.solution import Outcome
+from formulations.transcription.build import build_model
+from formulations.transcription.contact import ContactLaw, hold_modes, tighten
+from formulations.transcription.residuals import PlanResiduals
+from formulations.transcription.workbench import (
+    Account,
+    Workbench,
+    load_first_guess,
+    load_plan,
+    move_ball,
+    open_goal,
+    primal_dual,
+    read_plan,
+)
+from models.codegen.kernel import Kernel
+from models.scene import Scene
+from models.schemes import Scheme
+from models.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from formulations.mpec.certificate.plan import PlanJudge
+
+# From this sharpness b L on a stage takes the multipliers of the one before: earlier the plan still moves too far
+# for them (three carts: 64 iterations in all; 140 from the second stage on, 75 without any).
+_DUALS_FROM = 100.0
+# Largest softplus force of touching bodies, in parts of the strongest input: 3 N of 10 N for the three carts, k = 30 and b = 7.
+_TOUCH = 0.3
+# Most iterations of a stage once there is a plan: those that ended well mostly took up to 83 (chains of 2 to 5 carts); one that needs more has
+# lost its way in restoration, and the plans before it are worth more than the time it takes.
+PATIENCE = 200
+
+
+class SoftplusHomotopy:
+    """The softplus model of one scene, built once. schedule: b L of its stages; ball: radius of the goal, as in `quadratic`; scheme, integrate_cost: as in `build_model`."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        ball: float,
+        schedule: tuple[float, ...],
+        *,
+        scheme: Scheme = Scheme.SEMI_IMPLICIT_EULER,
+        integrate_cost: bool = False,
+    ) -> None:
+        model = build_model(scene, ContactLaw.SOFTPLUS, eps=_eps(schedule[0]), scheme=scheme, integrate_cost=integrate_cost)
+        self._stiffness = _own_stiffness(scene)
+        self._stages = tuple(_stages(scene, schedule, bool(self._stiffness))) if scene.nc else ((schedule[0], 1.0),)
+        open_goal(model, ball)
+        self._bench = Workbench(model)
+
+    @property
+    def bench(self) -> Workbench:
+        """The model, which holds the last stage's plan."""
+        return self._bench
+
+    def move_ball(self, ball: float) -> None:
+        """Another radius of the goal: positive if it was built with one, else 0."""
+        move_ball(self._bench.model, ball)
+
+    def run(
+        self,
+        account: Account,
+        options: Mapping[str, Any],
+        start: Trajectory | None,
+        keep: Callable[[Trajectory], None],
+        patience: int = 10**9,
+    ) -> tuple[Outcome, str]:
+        """How the last stage ended, and in words. keep: called with the plan of every stage that was solved; patience: most iterations of a
+        stage once there is a plan."""
+        model = self._bench.model
+        if start is None:
+            load_first_guess(model)
+        else:
+            load_plan(model, start)
+        plan, before = None, None
+        outcome, message = Outcome.FAILED, ""
+        options = {**options, "max_iter": account.iterations + options["max_iter"]}  # those of other runs do not count
+        for sharpness, share in self._stages:
+            if len(self._stages) > 1:
+                tighten(model, _eps(sharpness))
+            for name, value in self._stiffness.items():
+                model.parameter_scene[name] = share * value
+            warm = primal_dual(before) if before is not None and sharpness >= _DUALS_FROM else None
+            allowed = options if plan is None else {**options, "max_iter": min(options["max_iter"], account.iterations + patience)}
+            result = self._bench.run(account, allowed, warm)
+            if not result.solved and warm is not None and plan is not None and not account.is_over:
+                load_plan(model, plan)
+                result = self._bench.run(account, allowed)
+            outcome, message = result.outcome, result.message
+            if not result.solved:
+                break
+            before, plan = result, read_plan(model)
+            keep(plan)
+        return outcome, message
+
+
+def schedule(first: float, last: float, growth: float) -> tuple[float, ...]:
+    """b L by b L, from the first to the last by a constant factor."""
+    count = int(np.floor(np.log(max(last / first, 1.0)) / np.log(growth) + 1e-9)) + 1
+    return tuple(first * growth**index for index in range(count))
+
+
+def _own_stiffness(scene: Scene) -> dict[str, float]:
+    """Parameters that are the stiffness of contacts and nothing else; empty unless all contacts have such."""
+    symbols = {contact.stiffness for contact in scene.contacts}
+    parameters = {parameter.symbol: parameter for parameter in scene.parameters}
+    physics = [scene.kinetic_energy, scene.potential_energy, *scene.forces, scene.task.running_cost, scene.task.final_cost]
+    elsewhere = set().union(*(sp.sympify(e).free_symbols for e in (*physics, *(contact.penetration for contact in scene.contacts))))
+    if not all(symbol in parameters and symbol not in elsewhere for symbol in symbols):
+        return {}
+    return {parameters[symbol].name: parameters[symbol].value for symbol in parameters if symbol in symbols}
+
+
+def _stages(scene: Scene, schedule: tuple[float, ...], may_soften: bool) -> Iterator[tuple[float, float]]:
+    """(sharpness b L, part of the stiffness) stage by stage."""
+    stiffest = max(float(sp.sympify(contact.stiffness).subs(scene.parameter_values)) for contact in scene.contacts)
+    strongest = max(max(abs(item.lower), abs(item.upper)) for item in scene.inputs)
+    share = 1.0
+    for sharpness in schedule:
+        touch = stiffest * scene.length * np.log(2.0) / sharpness
+        share = min(1.0, _TOUCH * strongest / touch) if may_soften else 1.0
+        yield sharpness, share
+    while share < 1.0:
+        share = min(1.0, 2.0 * share)
+        yield schedule[-1], share
+
+
+def _eps(sharpness: float) -> float:
+    """The eps whose |ln eps| is this sharpness."""
+    return float(np.exp(-sharpness))
+
+
+_BIACTIVE = 1e-6  # [N] force and separation below which a pair touches without pressing; Ipopt keeps them to 1e-8
+_PATIENCE = 50  # most iterations for a neighbour of a plan: it needs 5 to 20
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NlpAnswer:
+    """A local optimum for these modes."""
+
+    closed: np.ndarray
+    plan: Trajectory
+    phi: np.ndarray
+    cost: float
+    result: IpoptResult
+    of_force: np.ndarray
+    of_separation: np.ndarray
+    stiffness: np.ndarray
+
+    @property
+    def u(self) -> np.ndarray:
+        return self.plan.u
+
+    @property
+    def dual_infeasibility(self) -> float:
+        return self.result.residuals.dual_infeasibility
+
+    def stationarity(self) -> Stationarity:
+        """The class of the pairs that touch without pressing."""
+        return classify(self.of_force, self.of_separation, self._biactive())
+
+    @property
+    def pull(self) -> np.ndarray:
+        """(steps, nc) what holds a touching pair in its mode, 0 elsewhere: where it is negative the other mode is cheaper."""
+        return np.where(self._biactive(), np.minimum(0.0, np.minimum(self.of_force, self.of_separation)), 0.0)
+
+    def _biactive(self) -> np.ndarray:
+        lam, separation = self.plan.lam, self.plan.lam - self.stiffness * self.phi
+        biactive = (lam <= _BIACTIVE) & (separation <= _BIACTIVE)
+        biactive[:1] = False  # the start is no choice
+        return biactive
+
+
+class NonlinearModes:
+    """One model, whose modes are moved by bounds. guess: the plan that the first solve starts from."""
+
+    def __init__(self, scene: Scene, kernel: Kernel, ball: float, account: Account, options: Mapping[str, Any]) -> None:
+        self._scene, self._kernel = scene, kernel
+        # The bound is never used: products are switched off as soon as modes are held.
+        model = build_model(scene, ContactLaw.COMPLEMENTARITY, eps=1.0 if scene.nc else None)
+        open_goal(model, ball)
+        self._bench, self._residuals = Workbench(model), PlanResiduals(scene)
+        self.begin(ball, account, options)
+
+    def begin(self, ball: float, account: Account, options: Mapping[str, Any]) -> None:
+        """As if built anew; ball: positive if it was built with one, else 0."""
+        move_ball(self._bench.model, ball)
+        self._account, self._options = account, {**options, "bound_relax_factor": 0.0}
+        self.guess: Trajectory | None = None
+        self.solves, self.unsolved = 0, 0
+
+    def solve(self, closed: np.ndarray, *, near: NlpAnswer | None = None, below: float = np.inf) -> NlpAnswer | None:
+        """The optimum near the plan of `near`, or None where none was found that costs less than `below`."""
+        model, scene = self._bench.model, self._scene
+        guess = self.guess if near is None else near.plan
+        closed = np.array(closed, dtype=bool)
+        if scene.nc:
+            closed[0] = self._kernel.penetration(np.array([scene.task.start[: scene.nq]]))[0] > 0.0
+        if guess is None:
+            load_first_guess(model)
+        else:
+            load_plan(model, guess)
+        if scene.nc:
+            hold_modes(model, closed)
+        self.solves += 1
+        most = self._options["max_iter"] if near is None else min(self._options["max_iter"], _PATIENCE)
+        result = self._bench.run(self._account, {**self._options, "max_iter": self._account.iterations + most})
+        if not result.solved:
+            self.unsolved += 1
+            return None
+        plan = read_plan(model)
+        cost = self._residuals.cost(plan)
+        if not cost < below:
+            return None
+        slope = self._slope(result)
+        phi = self._kernel.penetration(plan.q[:-1])
+        return NlpAnswer(
+            closed=closed,
+            plan=plan,
+            phi=phi,
+            cost=cost,
+            result=result,
+            of_force=slope[0],
+            of_separation=slope[1],
+            stiffness=self._kernel.stiffness(),
+        )
+
+    def _slope(self, result: IpoptResult) -> np.ndarray:
+        """(2, steps, nc) derivative of the Lagrangian without its bounds, by lam and by v = lam - k phi: the multipliers of their bounds."""
+        model, problem = self._bench.model, self._bench.problem(self._account)
+        if not self._scene.nc:
+            return np.zeros((2, self._scene.task.steps, 0))
+        place = {id(variable): column for column, variable in enumerate(problem.variables)}
+        rows, columns = problem.jacobianstructure()
+        slope = problem.gradient(result.x) + np.bincount(columns, problem.jacobian(result.x) * result.lagrange[rows], problem.n)
+        lam = [place[id(variable)] for variable in model.variable_lam.values()]
+        separation = [place[id(pair.v)] for pair in model.complementarity_contact.values()]
+        return slope[np.array([lam, separation])].reshape(2, -1, self._scene.nc)
+
+
+class Structures:
+    """Of one scene. A goal that is a point and one that is a ball are two models, balls of any radius one."""
+
+    def __init__(self, scene: Scene, kernel: Kernel) -> None:
+        self._scene, self._kernel = scene, kernel
+        self._homotopies: dict[tuple[bool, tuple[float, ...]], SoftplusHomotopy] = {}
+        self._nonlinear: dict[bool, NonlinearModes] = {}
+        self._linear: ModesProblem | None = None
+        self._coarser: dict[int, Structures] = {}
+        self._judge: PlanJudge | None = None
+        self.is_linear = why_not_linear(scene) is None
+
+    def coarser(self, scene: Scene) -> Structures:
+        """Those of the same scene with fewer steps."""
+        if scene.task.steps not in self._coarser:
+            self._coarser[scene.task.steps] = Structures(scene, self._kernel)
+        return self._coarser[scene.task.steps]
+
+    def homotopy(self, ball: float, schedule: tuple[float, ...]) -> SoftplusHomotopy:
+        """The softplus homotopy with this ball around the goal."""
+        key = (ball > 0.0, schedule)
+        if key not in self._homotopies:
+            self._homotopies[key] = SoftplusHomotopy(self._scene, ball, schedule)
+        self._homotopies[key].move_ball(ball)
+        return self._homotopies[key]
+
+    def modes(self, ball: float, account: Account, options: Mapping[str, Any]) -> ModesProblem | NonlinearModes:
+        """The problem with modes fixed, with this ball; account, options: of the runs of Ipopt that a nonlinear scene needs."""
+        if self.is_linear:
+            if self._linear is None:
+                self._linear = ModesProblem(linear_scene(self._scene), ball)
+            self._linear.ball = ball
+            return self._linear
+        is_ball = ball > 0.0
+        if is_ball not in self._nonlinear:
+            self._nonlinear[is_ball] = NonlinearModes(self._scene, self._kernel, ball, account, options)
+        else:
+            self._nonlinear[is_ball].begin(ball, account, options)
+        return self._nonlinear[is_ball]
+
+    def judge(self) -> PlanJudge:
+        """What certifies plans of this scene."""
+        if self._judge is None:
+            from formulations.mpec.certificate.plan import PlanJudge
+
+            self._judge = PlanJudge(self._scene)
+        return self._judge

@@ -1,0 +1,301 @@
+"""What the multipliers of the fixed modes say about the contact problem itself.
+
+With G = lam >= 0 and H = lam - k phi >= 0 and one of them zero at each step, the problem with fixed modes has multipliers s_G and s_H per
+newton (L = ... - s_G G - s_H H). Where one of G and H is positive its multiplier is zero and the other may have any sign. Where both are zero (a
+biactive pair: the bodies touch without pressing) the signs decide:
+
+    S  both >= 0: no mode of these pairs is cheaper to first order       M  both > 0, or one of them zero
+    C  the product is >= 0      A  one of them >= 0      W  neither
+
+The cheapest end state within a ball around the goal: with e = z[T] - goal the optimal cost is a convex quadratic of e,
+
+    J(e) = J(0) - w(0)' e - 1/2 e' W e,     w(e) = w(0) + W e the multipliers of the goal,
+
+so that |e| <= ball leaves a problem of 2*nq numbers, solved by one eigenvalue decomposition and one scalar equation.
+
+The planning problem of a linear scene with its contact modes fixed: a convex quadratic program, solved to rounding.
+
+    problem = ModesProblem(linear)
+    answer = problem.solve(closed)                       # closed (steps, nc): True where lam = k phi, False where lam = 0
+    answer.z, answer.u, answer.cost
+
+    minimise sum_t cost   subject to   the time step,  lower <= u <= upper,  phi >= 0 where closed,  phi <= 0 where open,
+                                       |z[T] - goal| <= ball   (ball = 0: z[T] = goal)
+
+A dual active-set method (`dual_rounds`) names the active conditions; where it finds too many of them an interior-point method (`interior_point`)
+does. Then the equality problem is solved once more by a factorisation that holds them, and every sign is checked: the answer is exact or
+there is none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from hashlib import blake2b
+
+import numpy as np
+
+from formulations.contact_modes.dual_active_set import DualAnswer, DualRounds, active_set
+from formulations.contact_modes.linear import BandedKKT, LinearScene, Point
+from models.goal import miss
+
+_ZERO = 1e-6  # part of the largest multiplier that counts as zero
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stationarity:
+    """letter: the strongest class that holds; biactive: number of pairs; least: their smallest multiplier (0 without pairs)."""
+
+    letter: str
+    biactive: int
+    least: float
+
+    @property
+    def sentence(self) -> str:
+        if not self.biactive:
+            return "S-stationary: no contact touches without pressing."
+        pairs = "pair touches" if self.biactive == 1 else "pairs touch"
+        return f"{self.letter}-stationary: {self.biactive} {pairs} without pressing, with multipliers of at least {self.least:.3g}."
+
+
+def classify(of_force: np.ndarray, of_separation: np.ndarray, biactive: np.ndarray) -> Stationarity:
+    """of_force, of_separation: multipliers s_G, s_H (steps, nc) per newton; biactive (steps, nc): whether both G and H are zero."""
+    pairs = np.stack([of_force[biactive], of_separation[biactive]])
+    if not pairs.size:
+        return Stationarity(letter="S", biactive=0, least=0.0)
+    zero = _ZERO * max(1.0, float(np.abs(np.stack([of_force, of_separation])).max()))
+    low, high = pairs.min(axis=0), pairs.max(axis=0)
+    is_zero = (np.abs(pairs) <= zero).any(axis=0)
+    classes = (("S", low >= -zero), ("M", (low > zero) | is_zero), ("C", (low * high >= 0.0) | is_zero), ("A", high >= -zero))
+    letter = next((letter for letter, holds in classes if holds.all()), "W")
+    return Stationarity(letter=letter, biactive=int(biactive.sum()), least=float(low.min()))
+
+
+_HALVINGS = 80  # of the interval in which the logarithm of the multiplier lies: below rounding
+
+
+def nearest_goal(kkt: BandedKKT, x: np.ndarray, columns: np.ndarray, right: np.ndarray, ball: float) -> tuple[np.ndarray, np.ndarray]:
+    """(solution, right-hand side) with the goal moved by the best e. x: solution for the goal itself; columns: per unit of e."""
+    moved = kkt.goal_columns()
+    place = np.nonzero(moved)[0]
+    curvature = -columns[place]
+    e = cheapest_in_ball(-x[place], 0.5 * (curvature + curvature.T), ball)
+    return x + columns @ e, right + moved @ e
+
+
+def cheapest_in_ball(slope: np.ndarray, curvature: np.ndarray, radius: float) -> np.ndarray:
+    """argmin over |e| <= radius of slope' e + 1/2 e' curvature e, for a positive semidefinite curvature (n, n)."""
+    values, vectors = np.linalg.eigh(curvature)
+    values = np.maximum(values, 0.0)
+    along = vectors.T @ slope
+
+    def length(shift: float) -> float:
+        return float(np.linalg.norm(along / (values + shift)))
+
+    smallest = np.finfo(float).tiny + 1e-15 * values[-1]
+    if length(smallest) <= radius:
+        return -vectors @ (along / (values + smallest))
+    low, high = np.log(smallest), np.log(np.linalg.norm(along) / radius) + 1.0  # beyond the upper end the length is below the radius
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if length(np.exp(middle)) > radius else (low, middle)
+    return -vectors @ (along / (values + np.exp(high)))
+
+
+_ROUNDS = 12  # of the active set before it counts as going in circles; from a neighbour's set 2 to 4 are needed
+# From a neighbour's set so many rounds (a factorisation each), before the dual method is asked (one factorisation, and a back substitution for
+# each condition): worth it where that set has more conditions than this.
+_WARM_ROUNDS, _MANY = 5, 12
+_VIOLATED = 1e-12  # [m], [N]: rounding of the banded solution
+_PULLING = 1e-9  # a multiplier below minus this asks for its condition to be dropped
+_BIACTIVE = 1e-11  # [m] penetration or gap below which a pair touches without pressing
+_ENORMOUS = 1e100  # what a singular matrix that was not found out leaves
+_SAME = 1e-10  # part of a cost by which two are the same
+_SOLVED = 1e-8  # largest residual of the linear system that still counts as a solution
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ActiveSet:
+    """side (steps, nu): -1 on the lower bound, 1 on the upper, 0 free; touching (steps, nc): phi = 0 is imposed."""
+
+    side: np.ndarray
+    touching: np.ndarray
+
+    @property
+    def count(self) -> int:
+        return int(np.count_nonzero(self.side) + np.count_nonzero(self.touching))
+
+    def same_as(self, other: ActiveSet) -> bool:
+        return np.array_equal(self.side, other.side) and np.array_equal(self.touching, other.touching)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ModesAnswer:
+    """The optimum for these modes: states, inputs and multipliers (see `kkt`), active conditions, and phi (steps, nc) [m]."""
+
+    closed: np.ndarray
+    point: Point
+    active: ActiveSet
+    cost: float
+    phi: np.ndarray
+    of_force: np.ndarray
+    of_separation: np.ndarray
+    dual_infeasibility: float
+
+    @property
+    def u(self) -> np.ndarray:
+        return self.point.u
+
+    def stationarity(self) -> Stationarity:
+        """The class of the pairs that touch without pressing."""
+        return classify(self.of_force, self.of_separation, self._biactive())
+
+    @property
+    def pull(self) -> np.ndarray:
+        """(steps, nc) what holds a touching pair in its mode, 0 elsewhere: where it is negative the other mode is cheaper."""
+        return np.where(self._biactive(), np.minimum(0.0, np.minimum(self.of_force, self.of_separation)), 0.0)
+
+    def _biactive(self) -> np.ndarray:
+        biactive = np.abs(self.phi) <= _BIACTIVE
+        biactive[:1] = False  # the start is no choice
+        return biactive
+
+
+class ModesProblem:
+    """See the module docstring. `ball` and `softness` may be moved between solves.
+
+    softness: where positive, the goal need not be met: |z[T] - goal|^2 / (2 softness) is added to the cost. The modes of any rollout have a plan
+    then.
+    """
+
+    def __init__(self, linear: LinearScene, ball: float = 0.0) -> None:
+        self.linear, self.ball = linear, ball
+        self.kkt = BandedKKT(linear)
+        self.solves, self.softness = 0, 0.0
+        self._floors: dict[tuple[float, float, bytes], float] = {}  # by ball, softness and modes: no plan costs less
+        self._dual = DualRounds(linear, self.kkt)
+
+    def empty_set(self) -> ActiveSet:
+        lin = self.linear
+        return ActiveSet(side=np.zeros((lin.steps, lin.nu), dtype=int), touching=np.zeros((lin.steps, lin.nc), dtype=bool))
+
+    def solve(self, closed: np.ndarray, *, near: ModesAnswer | None = None, below: float = np.inf) -> ModesAnswer | None:
+        """The optimum, or None where these modes have no plan of a cost below `below`. near: the answer of similar modes.
+
+        What modes were found to cost at least is kept, since searches from other starts end among the same windows."""
+        closed = self._whole(closed)
+        self.solves += 1
+        key = (self.ball, self.softness, blake2b(np.packbits(closed).tobytes(), digest_size=16).digest())
+        floor = self._floors.get(key, -np.inf)
+        if floor == np.inf or (np.isfinite(below) and floor >= below - _SAME * abs(below)):
+            return None
+        found = self._optimum(closed, near, below)
+        self._floors[key] = max(floor, below if found is None else found.cost)
+        return found
+
+    def _optimum(self, closed: np.ndarray, near: ModesAnswer | None, below: float) -> ModesAnswer | None:
+        if near is not None and near.active.count > _MANY:
+            found = self._rounds(closed, near.active, _WARM_ROUNDS, below)
+            if found is not None:
+                return found if found.cost < below else None
+        softness = self.softness if self.ball == 0.0 or near is None else self._softness(near)
+        guess = self.empty_set()
+        if self.ball == 0.0 or softness > 0.0:
+            # with a ball: by weak duality cost + (|e|^2 - ball^2)/(2 softness) never exceeds the optimum, whatever the softness
+            credit = 0.5 * self.ball**2 / softness if softness > 0.0 else 0.0
+            dual = self._dual.run(closed, self.linear.goal, below + credit, softness)
+            if dual == "infeasible" or (isinstance(dual, DualAnswer) and dual.is_cut):
+                return None
+            if isinstance(dual, DualAnswer):
+                guess = ActiveSet(side=dual.side, touching=dual.touching)
+        found = self._rounds(closed, guess)
+        if found is None:
+            named = active_set(self.linear, closed, self.ball, self.softness)
+            found = None if named is None else self._rounds(closed, ActiveSet(side=named[0], touching=named[1]))
+        return found if found is not None and found.cost < below else None
+
+    def _softness(self, near: ModesAnswer) -> float:
+        """ball / |w|: the softness at which a penalty ends on the sphere of the ball, for modes like those of `near`."""
+        size = float(np.linalg.norm(near.point.w))
+        return self.ball / size if size > 0.0 else 0.0
+
+    def _whole(self, closed: np.ndarray) -> np.ndarray:
+        """The same modes with those of the first step, which the start decides, and those of the bounds of velocities, never closed."""
+        fixed = self.linear.with_bounds(np.array(closed, dtype=bool))
+        fixed[0] = self.linear.penetration(self.linear.start[None])[0] > 0.0
+        return fixed
+
+    def solve_without_signs(self, closed: np.ndarray) -> Point | None:
+        """The same problem with nothing asked of phi and u: what an iteration over modes starts from."""
+        return self._equality(self._whole(closed), self.empty_set())
+
+    def slopes(self, point: Point) -> np.ndarray:
+        """(steps, nu) derivative of the Lagrangian with respect to u: 0 where u is free, the multiplier of its bound elsewhere."""
+        lin, n = self.linear, self.linear.n
+        x = np.hstack([point.z[:-1], point.u])
+        return x @ lin.H[:, n:] + lin.g[n:] + point.y @ lin.B
+
+    def _rounds(self, closed: np.ndarray, active: ActiveSet, most: int = _ROUNDS, below: float = np.inf) -> ModesAnswer | None:
+        """The optimum, from a guess of its active set; or None. An answer of a cost of `below` or more may only be a lower bound: conditions
+        that are imposed and all pull the right way are those of a problem with fewer."""
+        sign = np.where(closed, 1.0, -1.0)
+        active = ActiveSet(side=active.side, touching=active.touching & (np.arange(len(closed)) > 0)[:, None])
+        for _ in range(most):
+            point = self._equality(closed, active)
+            if point is None:
+                return None
+            better = self._next(point, sign, active)
+            is_bound = not ((better.side != active.side) & (active.side != 0)).any() and not (active.touching & ~better.touching).any()
+            if better.same_as(active) or (is_bound and self._cost(point) >= below):
+                return self._answer(closed, point, active)
+            active = better
+        return None
+
+    def _answer(self, closed: np.ndarray, point: Point, active: ActiveSet) -> ModesAnswer:
+        """With the multipliers of lam >= 0 and lam - k phi >= 0 (see `stationarity`): their sum is that of lam in the time step."""
+        lin = self.linear
+        both, own = point.y @ lin.E, point.mu / np.where(lin.k > 0.0, lin.k, 1.0)
+        of_force = np.where(closed, -own, both - own)
+        contacts = slice(lin.contacts)
+        return ModesAnswer(
+            closed=closed[:, contacts],
+            point=point,
+            active=active,
+            cost=self._cost(point),
+            phi=lin.penetration(point.z[:-1])[:, contacts],
+            of_force=of_force[:, contacts],
+            of_separation=(both - of_force)[:, contacts],
+            dual_infeasibility=float(np.abs(np.where(active.side == 0, self.slopes(point), 0.0)).max(initial=0.0)),
+        )
+
+    def _cost(self, point: Point) -> float:
+        cost = self.linear.cost(point.z[:-1], point.u)
+        return cost if self.softness == 0.0 else cost + 0.5 / self.softness * float((miss(point.z[-1], self.linear.goal) ** 2).sum())
+
+    def _next(self, point: Point, sign: np.ndarray, active: ActiveSet) -> ActiveSet:
+        lin, side = self.linear, active.side
+        slope = self.slopes(point)
+        keeps = side * slope <= _PULLING  # the lower bound pushes up (slope >= 0), the upper one down
+        moved = np.where(
+            side == 0, np.sign((point.u > lin.upper + _VIOLATED).astype(int) - (point.u < lin.lower - _VIOLATED)), side * keeps
+        )
+        reach = sign * lin.penetration(point.z[:-1])
+        touching = np.where(active.touching, -sign * point.mu >= -_PULLING, reach < -_VIOLATED)
+        touching[0] = False
+        return ActiveSet(side=moved.astype(int), touching=touching)
+
+    def _equality(self, closed: np.ndarray, active: ActiveSet) -> Point | None:
+        lin, held = self.linear, active.side != 0
+        if not self.kkt.factor(closed, held, active.touching, softness=self.softness):
+            return None
+        bound = np.where(active.side > 0, lin.upper, np.where(active.side < 0, lin.lower, 0.0))
+        right = self.kkt.right_side(closed, held, bound, active.touching, lin.goal)
+        x = self.kkt.solve(right)
+        if self.ball > 0.0:
+            columns = self.kkt.solve(self.kkt.goal_columns())
+            if not max(np.abs(x).max(), np.abs(columns).max()) < _ENORMOUS:
+                return None
+            x, right = nearest_goal(self.kkt, x, columns, right, self.ball)
+        residual = np.abs(self.kkt.product(x) - right).max()
+        if not residual <= _SOLVED * max(1.0, np.abs(right).max()):  # NaN counts as no solution
+            return None
+        return self.kkt.point(x)

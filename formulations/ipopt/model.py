@@ -1,0 +1,217 @@
+"""What of a Pyomo model belongs where in the compiled problem.
+
+What is active on a model: its constraints and its objective, and a refusal for everything that would otherwise be dropped in silence.
+
+Reading the model again: data, bounds, and whether the structure is still the one that was compiled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pyomo.core.base import Block, Constraint, Expression, ExternalFunction, Objective, Param, RangeSet, Set, Suffix, Var, minimize
+from pyomo.core.base.block import BlockData
+from pyomo.core.base.component import ActiveComponent
+from pyomo.core.expr import value
+from pyomo.core.expr.relational_expr import EqualityExpression, InequalityExpression, RangedExpression
+
+from formulations.ipopt.errors import MissingValueError, ModelRefusedError, StructureChangedError
+from formulations.ipopt.graph import EvaluatedExpression
+
+# A side of all constraints: the numbers by row, and (row, expression) of the bounds that are expressions of data.
+Deferred = tuple[np.ndarray, tuple[tuple[int, Any], ...]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Layout:
+    """What of the Pyomo model belongs where. All constraints are listed, those without a variable too.
+
+    variables: by column; data: Params, fixed variables and data expressions by data number; named: (named expression, content when
+    compiled); lower, upper: numbers and the bounds that are expressions of data.
+    """
+
+    model: Any
+    constraints: tuple[Any, ...]
+    expressions: tuple[Any, ...]
+    objective: Any | None
+    sense: int
+    lower: Deferred
+    upper: Deferred
+    variables: tuple[Any, ...]
+    data: tuple[Any, ...]
+    named: tuple[tuple[Any, Any], ...]
+
+
+_TREATED = frozenset({Block, Constraint, Objective, Var, Param, Expression, Set, RangeSet, Suffix, ExternalFunction})
+
+# A component of another kind changes the problem if it can be active, or if it is a special variable or expression (a derivative that has
+# not been discretised would be a free variable).
+_MATTERS = (ActiveComponent, Var, Expression)
+
+# What Pyomo marks a row with that stands for a whole complementarity in a file for another solver: as a row it says only half.
+_HALF_COMPLEMENTARITY = ("_complementarity", "_complementarity_type")
+
+_WHAT_TO_DO = {
+    "DerivativeVar": "apply a dae transformation such as 'dae.collocation' first",
+    "Integral": "apply a dae transformation such as 'dae.collocation' first",
+    "Complementarity": "apply a transformation such as 'mpec.simple_nonlinear' to a clone first, or use SolverFactory('mpec_ipopt')",
+    "Disjunction": "apply a gdp transformation first; its binary variables then need a mixed-integer solver",
+    "Disjunct": "apply a gdp transformation first; its binary variables then need a mixed-integer solver",
+    "LogicalConstraint": "logic needs binary variables and a mixed-integer solver",
+    "SOSConstraint": "special ordered sets need a mixed-integer solver",
+    "Port": "apply 'network.expand_arcs' first",
+    "Arc": "apply 'network.expand_arcs' first",
+}
+
+
+def refuse_unknown_components(model: Any, *, also: frozenset[type] = frozenset()) -> None:
+    """Raise ModelRefusedError if the model holds an active component that is neither an equation, an objective nor data.
+
+    also: component types that the caller treats itself
+    """
+    if not isinstance(model, BlockData):
+        raise ModelRefusedError(f"expected a Pyomo ConcreteModel or Block, got {type(model).__name__}")
+    if not model.is_constructed():
+        raise ModelRefusedError(f"the model '{model.name}' is abstract: call create_instance() first")
+    for block in model.block_data_objects(active=True, descend_into=Block):
+        for ctype in block.collect_ctypes(active=None, descend_into=False):
+            if ctype in _TREATED or ctype in also or not issubclass(ctype, _MATTERS):
+                continue
+            for component in block.component_data_objects(ctype, active=True, descend_into=False):
+                name = ctype.__name__
+                advice = _WHAT_TO_DO.get(name, "deactivate it, or transform it into Constraints")
+                raise ModelRefusedError(f"'{component.name}' is an active {name}, which Ipopt cannot treat: {advice}")
+    if not model.active:
+        raise ModelRefusedError(f"the model '{model.name}' is deactivated")
+    for row in active_constraints(model):
+        if any(hasattr(row, mark) for mark in _HALF_COMPLEMENTARITY):
+            raise ModelRefusedError(
+                f"constraint '{row.name}' is what 'mpec.nl' or 'mpec.standard_form' left of a complementarity, which it does not hold by itself: "
+                "give the model before that transformation to SolverFactory('mpec_ipopt'), or apply 'mpec.simple_nonlinear' instead"
+            )
+
+
+def active_constraints(model: Any) -> list[Any]:
+    """Active constraint data in declaration order, nested blocks included."""
+    return list(model.component_data_objects(Constraint, active=True, descend_into=Block))
+
+
+def active_objective(model: Any) -> Any | None:
+    """The one active objective; None for a feasibility problem."""
+    objectives = list(model.component_data_objects(Objective, active=True, descend_into=Block))
+    if len(objectives) > 1:
+        names = ", ".join(f"'{o.name}'" for o in objectives[:3])
+        raise ModelRefusedError(
+            f"{len(objectives)} objectives are active ({names}{', ..' if len(objectives) > 3 else ''}): deactivate all but one"
+        )
+    return objectives[0] if objectives else None
+
+
+def sense_of(objective: Any | None) -> int:
+    """+1 to minimise (also without objective), -1 to maximise."""
+    return 1 if objective is None or objective.sense == minimize else -1
+
+
+def _can_vary(side: Any) -> bool:
+    return hasattr(side, "is_potentially_variable") and side.is_potentially_variable()
+
+
+def sides_of(constraint: Any) -> tuple[Any, Any | None, Any, Any]:
+    """(body, body to subtract or None, lower, upper): lower <= body - subtracted <= upper; bounds are numbers, data expressions or None."""
+    expression = constraint.expr
+    kind = expression.__class__
+    if kind is EqualityExpression or kind is InequalityExpression:
+        left, right = expression.args
+        equal = kind is EqualityExpression
+        if not _can_vary(right):
+            return left, None, right if equal else None, right
+        if not _can_vary(left):
+            return right, None, left, left if equal else None
+        return left, right, 0.0 if equal else None, 0.0
+    if kind is RangedExpression:
+        lower, body, upper = expression.args
+        for bound in (lower, upper):
+            if _can_vary(bound) and not bound.is_fixed():
+                raise ModelRefusedError(f"constraint '{constraint.name}' is a range with a variable bound: write it as two constraints")
+        return body, None, lower, upper
+    lower, body, upper = constraint.to_bounded_expression()
+    if body is None:
+        raise ModelRefusedError(f"constraint '{constraint.name}' has no expression")
+    return body, None, lower, upper
+
+
+def check_structure(layout: Layout) -> None:
+    """Raise StructureChangedError, naming the first difference."""
+    again = "compile the model again"
+    constraints = active_constraints(layout.model)
+    if len(constraints) != len(layout.constraints):
+        raise StructureChangedError(f"{len(constraints)} constraints are active, {len(layout.constraints)} were compiled: {again}")
+    for now, then, expression in zip(constraints, layout.constraints, layout.expressions, strict=True):
+        if now is not then:
+            raise StructureChangedError(f"constraint '{now.name}' is active where '{then.name}' was compiled: {again}")
+        if now.expr is not expression:
+            raise StructureChangedError(f"constraint '{now.name}' has another expression than the compiled one: {again}")
+    objective = active_objective(layout.model)
+    if objective is not layout.objective or sense_of(objective) != layout.sense:
+        raise StructureChangedError(f"another objective (or sense) is active than the compiled one: {again}")
+    for named, inside in layout.named:
+        if named.args[0] is not inside:
+            raise StructureChangedError(f"expression '{named.name}' has another content than the compiled one: {again}")
+    for variable in layout.variables:
+        if variable.fixed:
+            raise StructureChangedError(f"variable '{variable.name}' is fixed now: {again}")
+    for source in layout.data:
+        if source.__class__ is not EvaluatedExpression and source.is_variable_type() and not source.fixed:
+            raise StructureChangedError(f"variable '{source.name}' was fixed and is free now: {again}")
+
+
+def read_data(sources: tuple[Any, ...]) -> np.ndarray:
+    """(number of data,) current numbers."""
+    try:
+        numbers = np.array([s.value for s in sources], dtype=float)
+    except (TypeError, ValueError, ArithmeticError):
+        numbers = np.array([_read_one(s) for s in sources], dtype=float)
+    for k in np.flatnonzero(np.isnan(numbers)):
+        raise MissingValueError(f"'{sources[k].name}' has no value (or not a number), and the model needs one")
+    return numbers
+
+
+def _read_one(source: Any) -> float:
+    try:
+        return float(source.value)
+    except (TypeError, ValueError, ArithmeticError) as error:
+        raise MissingValueError(f"'{source.name}' has no value, and the model needs one ({' '.join(str(error).split())})") from error
+
+
+def read_bounds(variables: tuple[Any, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """(lower (n,), upper (n,)), infinite where there is none."""
+    pairs = [v.bounds for v in variables]
+    lower = np.array([-np.inf if low is None else low for low, _ in pairs], dtype=float)
+    upper = np.array([np.inf if high is None else high for _, high in pairs], dtype=float)
+    return lower, upper
+
+
+def read_constraint_bounds(layout: Layout) -> tuple[np.ndarray, np.ndarray]:
+    known: dict[int, float] = {}
+    sides = []
+    for (numbers, later), unbounded in ((layout.lower, -np.inf), (layout.upper, np.inf)):
+        side = numbers.copy()
+        for row, expression in later:
+            number = known.get(id(expression))
+            if number is None:
+                number = known[id(expression)] = _bound(expression, layout.constraints[row], unbounded)
+            side[row] = number
+        for row in np.flatnonzero(np.isnan(side) | (side == -unbounded)):
+            raise MissingValueError(f"constraint '{layout.constraints[row].name}' has the bound {side[row]}")
+        sides.append(side)
+    return sides[0], sides[1]
+
+
+def _bound(expression: Any, constraint: Any, unbounded: float) -> float:
+    try:
+        number = value(expression, exception=True)
+    except (TypeError, ValueError, ArithmeticError) as error:
+        raise MissingValueError(f"a bound of constraint '{constraint.name}' has no value ({' '.join(str(error).split())})") from error
+    return unbounded if number is None else float(number)

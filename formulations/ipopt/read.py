@@ -1,0 +1,402 @@
+"""Which Pyomo classes mean which operation. Exact classes are looked up; a class met for the first time is asked what it is.
+
+Tokens of a term too long to be read as a tree: operands first, every shared subexpression once.
+
+Same alphabet as `TermReader`, with `"shared"` in front and `("ref", k)` for the k-th operation already written.
+
+Pyomo expressions -> linear triplets and nonlinear terms, in one pass over each expression and without recursion.
+
+    m.p * x[1] + 3 * x[2] - sin(x[1] * x[2]) + 4
+
+gives the triplet (row, x[2], 3), the constant 4, and two terms: ("*", "p", 0) with weight 1 (its slope is data, so it is read again at each
+refresh) and ("sin", "*", 0, 1) with weight -1. Terms of one signature are collected in one `Bucket`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from pyomo.common.numeric_types import native_numeric_types, native_types
+from pyomo.core.base.expression import ExpressionData, ScalarExpression
+from pyomo.core.base.objective import ObjectiveData, ScalarObjective
+from pyomo.core.base.param import ParamData, ScalarParam
+from pyomo.core.base.var import ScalarVar, VarData
+from pyomo.core.expr import numeric_expr as pe
+from pyomo.core.expr.visitor import identify_variables
+
+from formulations.ipopt.errors import ModelRefusedError
+from formulations.ipopt.graph import UNARY, EvaluatedExpression, as_data
+
+NUMBER, LEAF, MONOMIAL, SUM, PRODUCT, DIVISION, NEGATION, POWER, FUNCTION, NAMED, OTHER = range(11)
+
+KIND: dict[type, int] = {
+    VarData: LEAF, ScalarVar: LEAF, ParamData: LEAF, ScalarParam: LEAF,
+    pe.MonomialTermExpression: MONOMIAL,
+    pe.SumExpression: SUM, pe.LinearExpression: SUM, pe.NPV_SumExpression: SUM,
+    pe.ProductExpression: PRODUCT, pe.NPV_ProductExpression: PRODUCT,
+    pe.DivisionExpression: DIVISION, pe.NPV_DivisionExpression: DIVISION,
+    pe.NegationExpression: NEGATION, pe.NPV_NegationExpression: NEGATION,
+    pe.PowExpression: POWER, pe.NPV_PowExpression: POWER,
+    pe.UnaryFunctionExpression: FUNCTION, pe.NPV_UnaryFunctionExpression: FUNCTION,
+    ExpressionData: NAMED, ScalarExpression: NAMED, ObjectiveData: NAMED, ScalarObjective: NAMED,
+}  # fmt: skip
+
+
+def is_data(node: Any) -> bool:
+    return node.__class__ in native_types or not node.is_potentially_variable()
+
+
+def kind_of(node: Any) -> int:
+    """The kind of an expression node or leaf."""
+    known = KIND.get(node.__class__)
+    return classify(node, node.__class__) if known is None else known
+
+
+def classify(node: Any, cls: type) -> int:
+    """The kind of a class that was not met before; remembered unless it depends on the object."""
+    if cls in native_numeric_types:
+        KIND[cls] = NUMBER
+        return NUMBER
+    if not hasattr(node, "is_numeric_type") or not node.is_numeric_type():
+        raise ModelRefusedError(f"{str(node)!r} of type {cls.__name__} is not a number, a Param, a variable or a numeric expression")
+    if node.is_variable_type() or node.is_parameter_type():
+        return LEAF
+    if node.is_named_expression_type():
+        return NAMED
+    return OTHER
+
+
+class Places(Protocol):
+    """Where leaves belong: what a `TermReader` knows of the model it reads."""
+
+    where: Any
+
+    def place(self, leaf: Any) -> int:
+        """Column of a free variable, or ~k for the k-th datum."""
+        ...
+
+    def open_named(self, named: Any) -> Any:
+        """What a named expression holds."""
+        ...
+
+
+def read_shared(reader: Places, root: Any) -> tuple[tuple, list[int], list[float], list[int]]:
+    tokens: list[Any] = ["shared"]
+    numbers: list[float] = []
+    params: list[int] = []
+    slot: dict[int, int] = {}
+    written: dict[int, int] = {}  # id(expression) -> number of the operation that computes it
+    operations = 0
+    stack: list[tuple[Any, Any]] = [(root, None)]
+    while stack:
+        node, operator = stack.pop()
+        if operator is not None:
+            tokens.append(operator)
+            written[id(node)] = operations
+            operations += 1
+            continue
+        code = kind_of(node)
+        if code == NAMED:
+            stack.append((reader.open_named(node), None))
+            continue
+        if code == NUMBER:
+            tokens.append(("c", 1.0) if node == 1 else "n")
+            if node != 1:
+                numbers.append(node)
+            continue
+        if code == LEAF:
+            where = reader.place(node)
+            if where >= 0:
+                tokens.append(slot.setdefault(where, len(slot)))
+            else:
+                tokens.append("p")
+                params.append(~where)
+            continue
+        if id(node) in written:
+            tokens.append(("ref", written[id(node)]))
+            continue
+        operands = list(node.args) if code != OTHER else []
+        if code == SUM:
+            operator = ("+", len(operands))
+        elif code in (PRODUCT, MONOMIAL):
+            operator = "*"
+        elif code == DIVISION:
+            operator = "/"
+        elif code == NEGATION:
+            operator = "neg"
+        elif code == POWER:
+            constant = operands[1].__class__ in native_numeric_types
+            operator = ("^", float(operands.pop())) if constant else "^"
+        elif code == FUNCTION and node.getname() in UNARY:
+            operator = node.getname()
+        else:
+            tokens.append("p")
+            params.append(~reader.place(as_data(node, reader.where)))
+            continue
+        stack.append((node, operator))
+        stack.extend((operand, None) for operand in reversed(operands))
+    return tuple(tokens), list(slot), numbers, params
+
+
+_SUMS = tuple(("+", n) for n in range(64))
+_ONE = ("c", 1.0)
+_SQUARE = ("^", 2.0)
+# A data factor is carried into a sum with more summands than this, so that p * (x1**2 + .. + x5000**2) is 5000 small terms, not a huge one.
+_WIDE_SUM = 16
+_SHORT_LOOK = 64
+# A sum that is met again and again inside one expression (e = e + 0.1 * e, sixty times) is a small graph but an astronomically large tree:
+# after this many repeated summands, sums are handed on whole to the reader of shared terms.
+_REPEATED = 100_000
+# A term longer than this is read again with every shared subexpression written once: expressions built by repeated substitution
+# (x_next = f(x), five hundred times) are small graphs but astronomically large trees.
+_LONG_TERM = 4_000
+
+
+@dataclass
+class Bucket:
+    """All terms of one signature: parallel flat lists, `slots` has a fixed number of entries a term, likewise numbers and params."""
+
+    rows: list[int] = field(default_factory=list)
+    weights: list[float] = field(default_factory=list)
+    slots: list[int] = field(default_factory=list)
+    numbers: list[float] = field(default_factory=list)
+    params: list[int] = field(default_factory=list)
+
+
+class TermReader:
+    """Reads expressions of one model. Variables get columns in order of first appearance; Params and fixed variables get data numbers."""
+
+    def __init__(self) -> None:
+        self.variables: list[Any] = []
+        self.data: list[Any] = []  # Params, fixed variables, EvaluatedExpressions: all have `.value`
+        self.named: dict[int, tuple[Any, Any]] = {}  # named expressions and what they held when they were read
+        self.buckets: dict[tuple, Bucket] = {}
+        self.rows: list[int] = []
+        self.columns: list[int] = []
+        self.slopes: list[float] = []
+        self.constants: list[float] = []
+        self._place: dict[int, int] = {}  # id(leaf) -> column >= 0, or ~(data number)
+        self._domains: dict[int, tuple[Any, bool]] = {}
+        self.where: Any = None
+
+    # -- leaves ---------------------------------------------------------------------------------------------------------------
+
+    def place(self, leaf: Any) -> int:
+        """Column of a free variable, or ~k for the k-th datum."""
+        known = self._place.get(id(leaf))
+        if known is not None:
+            return known
+        if leaf.__class__ is EvaluatedExpression:
+            for variable in identify_variables(leaf.expression, include_fixed=True):
+                self.place(variable)  # so that a refresh notices when it is unfixed
+        elif leaf.is_variable_type() and not leaf.fixed:
+            self._require_continuous(leaf)
+            self._place[id(leaf)] = len(self.variables)
+            self.variables.append(leaf)
+            return len(self.variables) - 1
+        self._place[id(leaf)] = ~len(self.data)
+        self.data.append(leaf)
+        return ~(len(self.data) - 1)
+
+    def _require_continuous(self, variable: Any) -> None:
+        domain = variable.domain
+        known = self._domains.get(id(domain))
+        if known is None:
+            known = self._domains[id(domain)] = (domain, variable.is_continuous())
+        if not known[1]:
+            raise ModelRefusedError(
+                f"variable '{variable.name}' has the domain {variable.domain.name}: Ipopt treats continuous variables only "
+                "(fix it, relax it with core.relax_integer_vars, or use a mixed-integer solver)"
+            )
+
+    # -- top level: a sum of terms ------------------------------------------------------------------------------------------------
+
+    def read(self, row: int, expression: Any, sign: float, where: Any) -> None:
+        """Add sign * expression to a row; `where` is the component, for messages. constants[row] must exist."""
+        self.where = where
+        place, kind = self._place.get, KIND.get
+        rows, columns, slopes = self.rows, self.columns, self.slopes
+        met: set[int] = set()
+        repeated = 0
+        stack: list[tuple[Any, float, Any]] = [(expression, sign, None)]  # (summand, number, data or None): their product
+        while stack:
+            node, weight, data = stack.pop()
+            code = kind(node.__class__)
+            if code is None:
+                code = kind_of(node)
+            if code == MONOMIAL and data is None:
+                factor, variable = node._args_ if node.__class__ is pe.MonomialTermExpression else node.args
+                if factor.__class__ in native_numeric_types:
+                    column = place(id(variable))
+                    if column is None:
+                        column = self.place(variable)
+                    if column >= 0:
+                        rows.append(row)
+                        columns.append(column)
+                        slopes.append(weight * factor)
+                        continue
+                self._term(row, weight, node, None)
+            elif code == LEAF and data is None:
+                column = place(id(node))
+                if column is None:
+                    column = self.place(node)
+                if column >= 0:
+                    rows.append(row)
+                    columns.append(column)
+                    slopes.append(weight)
+                else:
+                    self._term(row, weight, node, None)
+            elif code == SUM:
+                if repeated > _REPEATED:
+                    self._term(row, weight, node, data)
+                    continue
+                children = node.args
+                if id(node) in met:
+                    repeated += len(children)
+                met.add(id(node))
+                stack.extend((child, weight, data) for child in reversed(children))
+            elif code == NUMBER and data is None:
+                self.constants[row] += weight * node
+            elif code == NEGATION:
+                stack.append((node.args[0], -weight, data))
+            elif code == NAMED:
+                stack.append((self.open_named(node), weight, data))
+            elif code in (PRODUCT, DIVISION):
+                self._factor(row, node, weight, data, stack)
+            else:
+                self._term(row, weight, node, data)
+
+    def _factor(self, row: int, node: Any, weight: float, data: Any, stack: list[tuple[Any, float, Any]]) -> None:
+        """A product or quotient on the top level: carry numbers into the weight, and data into wide sums."""
+        inside, factor, divides = _data_factor(node)
+        if factor.__class__ in native_numeric_types and not (divides and factor == 0):
+            stack.append((inside, weight / factor if divides else weight * factor, data))
+        elif factor is not None and (data is not None or _leads_to_wide_sum(inside)):
+            carried = 1.0 if data is None else data
+            stack.append((inside, weight, carried / factor if divides else carried * factor))
+        else:
+            self._term(row, weight, node, data)
+
+    def open_named(self, named: Any) -> Any:
+        inside = named.args[0]
+        self.named[id(named)] = (named, inside)
+        if inside is None:
+            raise ModelRefusedError(f"'{self.where.name}' uses the expression '{named.name}', which has not been given a value")
+        return inside
+
+    def _term(self, row: int, weight: float, node: Any, data: Any) -> None:
+        if data is not None:
+            node = data * node
+        signature, slots, numbers, params = self._tokens(node)
+        bucket = self.buckets.get(signature)
+        if bucket is None:
+            bucket = self.buckets[signature] = Bucket()
+        bucket.rows.append(row)
+        bucket.weights.append(weight)
+        bucket.slots += slots
+        bucket.numbers += numbers
+        bucket.params += params
+
+    # -- one term: tokens, operator first -----------------------------------------------------------------------------------------
+
+    def _tokens(self, root: Any) -> tuple[tuple, list[int], list[float], list[int]]:
+        place, kind = self._place.get, KIND.get
+        tokens: list[Any] = []
+        numbers: list[float] = []
+        params: list[int] = []
+        slot: dict[int, int] = {}
+        stack = [root]
+        while stack:
+            node = stack.pop()
+            code = kind(node.__class__)
+            if code is None:
+                code = kind_of(node)
+            if code == LEAF:
+                where = place(id(node))
+                if where is None:
+                    where = self.place(node)
+                if where >= 0:
+                    tokens.append(slot.setdefault(where, len(slot)))
+                else:
+                    tokens.append("p")
+                    params.append(~where)
+            elif code == NUMBER:
+                if node == 1:
+                    tokens.append(_ONE)
+                else:
+                    tokens.append("n")
+                    numbers.append(node)
+            elif code in (PRODUCT, MONOMIAL):
+                tokens.append("*")
+                left, right = node.args
+                stack.append(right)
+                stack.append(left)
+            elif code == SUM:
+                count = node.nargs()
+                tokens.append(_SUMS[count] if count < 64 else ("+", count))
+                stack.extend(reversed(node.args))
+            elif code == POWER:
+                base, exponent = node.args
+                if exponent.__class__ in native_numeric_types:
+                    tokens.append(_SQUARE if exponent == 2 else ("^", float(exponent)))
+                else:
+                    tokens.append("^")
+                    stack.append(exponent)
+                stack.append(base)
+            elif code == NAMED:
+                stack.append(self.open_named(node))
+            else:
+                self._push(node, code, tokens, stack, params)
+            if len(tokens) > _LONG_TERM:
+                return read_shared(self, root)
+        return tuple(tokens), list(slot), numbers, params
+
+    def _push(self, node: Any, code: int, tokens: list[Any], stack: list[Any], params: list[int]) -> None:
+        if code == NEGATION:
+            tokens.append("neg")
+            stack.append(node.args[0])
+        elif code == DIVISION:
+            tokens.append("/")
+            stack.extend(reversed(node.args))
+        elif code == FUNCTION and node.getname() in UNARY:
+            tokens.append(node.getname())
+            stack.append(node.args[0])
+        else:
+            tokens.append("p")
+            params.append(~self.place(as_data(node, self.where)))
+
+
+def _data_factor(node: Any) -> tuple[Any, Any, bool]:
+    """(rest, data, whether it divides) of a product or quotient; (node, None, False) if neither operand is data."""
+    left, right = node.args
+    if kind_of(node) == DIVISION:
+        return (left, right, True) if is_data(right) else (node, None, False)
+    if left.__class__ in native_numeric_types:
+        return right, left, False
+    if right.__class__ in native_numeric_types:
+        return left, right, False
+    if is_data(left):
+        return right, left, False
+    return (left, right, False) if is_data(right) else (node, None, False)
+
+
+def _leads_to_wide_sum(node: Any) -> bool:
+    """Whether nothing but sums, signs, names, numbers and data stands between the node and a wide sum, as far as a short look tells."""
+    stack = [node]
+    for _ in range(_SHORT_LOOK):
+        if not stack:
+            return False
+        node = stack.pop()
+        code = kind_of(node)
+        if code == SUM:
+            if node.nargs() > _WIDE_SUM:
+                return True
+            stack.extend(node.args)
+        elif code in (NEGATION, NAMED):
+            stack.append(node.args[0])
+        elif code in (PRODUCT, DIVISION):
+            inside, factor, _ = _data_factor(node)
+            if factor is not None:
+                stack.append(inside)
+    return False

@@ -1,0 +1,281 @@
+"""Finds methods by file name, and knows the pipelines. Nothing heavy is imported until a method is loaded.
+
+The pipelines: chains of methods with their eps schedules, as data. Nothing heavy is imported.
+
+    find_pipeline("softplus_dc+strict").legs
+    # (Leg(method="softplus_dc", schedule=(1e-3, 1e-5, 1e-7)), Leg(method="strict_lcp"))
+
+A name is `warm starter + finisher`; the first eight are the rows of the paper's Table I. The others are ours.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from formulations.method import Leg, Method, Pipeline
+from models.errors import UnknownNameError
+
+if TYPE_CHECKING:
+    from models.scene import Scene
+
+_FOLDER = Path(__file__).parent / "methods"
+
+
+def method_names() -> tuple[str, ...]:
+    """Names of all methods, sorted; reads file names only."""
+    return tuple(sorted(path.stem for path in _FOLDER.glob("*.py") if not path.stem.startswith("_")))
+
+
+def load_method(name: str) -> Method:
+    """The method of that name. Raises UnknownNameError."""
+    if name not in method_names():
+        close = difflib.get_close_matches(name, method_names(), n=1)
+        hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(method_names())}."
+        raise UnknownNameError(f"there is no method {name!r}; {hint}")
+    module = importlib.import_module(f"formulations.methods.{name}")
+    method = module.METHOD
+    if method.name != name:
+        raise UnknownNameError(f"method file {name}.py: METHOD.name is {method.name!r} but must equal the file's name.")
+    return method
+
+
+PAPER = "Suh and Wang, Table I"
+FREE_MOTION = "free_motion"
+
+RELAXED_EPS = (1e-2, 1e-3, 1e-4)
+SOFTPLUS_EPS = (1e-3, 1e-5, 1e-7)
+
+# Gradient steps of the paper's rows. It prints none: these were recovered from its costs (149.17 / 166.45 / 215.14 for softplus,
+# 542.56 for cold ReLU, 309.42 and 360.31 for ReLU after softplus GD and after softplus DC).
+SOFTPLUS_GD_COUNTS = (15, 14, 11)
+RELU_GD_COLD_COUNT = 200
+RELU_GD_AFTER_SOFTPLUS_GD = 10
+RELU_GD_AFTER_SOFTPLUS_DC = 6
+# The paper does not say how many steps follow the relaxed LCP, and its cost there (492.06) starts from a plan we cannot have:
+# the number after softplus GD is taken.
+RELU_GD_AFTER_RELAXED = 10
+
+# Multiple shooting goes from far softer to far harder contact than the paper: each stage moves its plan little, and costs a fraction of a second.
+MULTIPLE_SHOOTING_EPS = (1e-3, 1e-6, 1e-12, 1e-24, 1e-48)
+# Iterations of each of these stages: the next one starts as well from a plan that is nearly settled.
+MULTIPLE_SHOOTING_COUNT = 60
+# Standard deviation of the random inputs, in half ranges of the inputs.
+NOISE = (0.3, 0.1, 0.03)
+
+
+# Starts of mpcc_multistart, and how many of them a cell runs: beside them, starting a process and replaying its best plan costs little.
+STARTS, STARTS_EACH = 20, 5
+# Work of such a cell, in millions (option `work` of mpcc): 5 to 10 CPU s of Ipopt, of which a start may take half of what is left. More finds the
+# same best plans, and more of the starts end: docs/campaigns.md has the figures, and how to ask for more.
+STARTS_WORK = 12.0
+
+
+def _counts(*iterations: int) -> tuple[Mapping[str, object], ...]:
+    return tuple({"iterations": count} for count in iterations)
+
+
+_RELAXED = Leg(method="relaxed_lcp", schedule=RELAXED_EPS)
+_SOFTPLUS_DC = Leg(method="softplus_dc", schedule=SOFTPLUS_EPS)
+_SOFTPLUS_GD = Leg(method="softplus_gd", schedule=SOFTPLUS_EPS, stage_options=_counts(*SOFTPLUS_GD_COUNTS))
+_STRICT = Leg(method="strict_lcp")
+_RELU_LBFGS = Leg(method="relu_lbfgs")
+
+
+def _relu_gd(iterations: int) -> Leg:
+    return Leg(method="relu_gd", stage_options=_counts(iterations))
+
+
+PIPELINES: tuple[Pipeline, ...] = (
+    Pipeline(name="strict", title="Strict LCP from a cold start", legs=(_STRICT,), source=PAPER),
+    Pipeline(
+        name="relu_gd", title="Gradient descent on ReLU contact from a cold start", legs=(_relu_gd(RELU_GD_COLD_COUNT),), source=PAPER
+    ),
+    Pipeline(name="relaxed+strict", title="Relaxed LCP, tightened, then strict LCP", legs=(_RELAXED, _STRICT), source=PAPER),
+    Pipeline(
+        name="relaxed+relu_gd",
+        title="Relaxed LCP, tightened, then gradient descent on ReLU contact",
+        legs=(_RELAXED, _relu_gd(RELU_GD_AFTER_RELAXED)),
+        source=f"{PAPER}; the number of gradient steps is ours (the paper gives none)",
+    ),
+    Pipeline(
+        name="softplus_dc+strict", title="Softplus collocation, tightened, then strict LCP", legs=(_SOFTPLUS_DC, _STRICT), source=PAPER
+    ),
+    Pipeline(
+        name="softplus_dc+relu_gd",
+        title="Softplus collocation, tightened, then gradient descent on ReLU contact",
+        legs=(_SOFTPLUS_DC, _relu_gd(RELU_GD_AFTER_SOFTPLUS_DC)),
+        source=PAPER,
+    ),
+    Pipeline(
+        name="softplus_gd+strict",
+        title="Softplus gradient descent, tightened, then strict LCP",
+        legs=(_SOFTPLUS_GD, _STRICT),
+        source=PAPER,
+    ),
+    Pipeline(
+        name="softplus_gd+relu_gd",
+        title="Softplus gradient descent, tightened, then gradient descent on ReLU contact",
+        legs=(_SOFTPLUS_GD, _relu_gd(RELU_GD_AFTER_SOFTPLUS_GD)),
+        source=PAPER,
+    ),
+    Pipeline(
+        name="gd_converged",
+        title="Softplus gradient descent, then ReLU, each until our own stopping rule says stop",
+        legs=(Leg(method="softplus_gd", schedule=SOFTPLUS_EPS), Leg(method="relu_gd")),
+        source="ours: what the paper's gradient descent reaches when it is not cut off",
+    ),
+    Pipeline(
+        name="lbfgs",
+        title="L-BFGS on softplus contact, tightened, then on ReLU contact",
+        legs=(Leg(method="softplus_lbfgs", schedule=SOFTPLUS_EPS), _RELU_LBFGS),
+        source="ours: the loss of gradient descent, a method that learns its curvature, and the goal met by multipliers",
+    ),
+    Pipeline(
+        name="softplus_dc+lbfgs",
+        title="Softplus collocation, tightened, then fine tuning by L-BFGS on softplus and on ReLU contact",
+        legs=(_SOFTPLUS_DC, Leg(method="softplus_lbfgs", schedule=SOFTPLUS_EPS[-1:]), _RELU_LBFGS),
+        source="ours: the outlook of the paper, collocation followed by fine tuning on what is simulated",
+    ),
+    Pipeline(
+        name="randomised_smoothing",
+        title="L-BFGS on ReLU contact averaged over random inputs, with ever less noise, then without",
+        legs=(Leg(method="randomised_smoothing", schedule=NOISE), _RELU_LBFGS),
+        source="ours: another relaxation, by noise; bundled gradients of Suh, Pang and Tedrake",
+    ),
+    Pipeline(
+        name="multiple_shooting",
+        title="Multiple shooting on softplus contact, tightened, then on ReLU contact",
+        legs=(
+            Leg(method="softplus_multiple_shooting", schedule=MULTIPLE_SHOOTING_EPS, options={"max_iterations": MULTIPLE_SHOOTING_COUNT}),
+            Leg(method="relu_multiple_shooting"),
+        ),
+        source="ours: for unstable and long scenes, whose gradients explode in single shooting",
+    ),
+    Pipeline(
+        name="mpcc",
+        title="Exact contact from a cold start, by its windows",
+        legs=(Leg(method="mpcc"),),
+        source="ours: softplus homotopy, contact modes read off, what is left solved exactly, windows searched",
+    ),
+    Pipeline(
+        name="collocation",
+        title="Exact contact by collocation of order 3, from a cold start",
+        legs=(Leg(method="collocation"),),
+        source="ours: Radau IIA with two stages on the scene's own grid, contact modes by a softplus homotopy; frictionless scenes",
+    ),
+    Pipeline(
+        name="mpcc_multistart",
+        title="Exact contact from twenty starts, the cheapest kept",
+        legs=(Leg(method="mpcc"),),
+        source="ours: as mpcc, from the paper's first guess, softplus chain and gradient descent, both mirrored, and fifteen seeded random plans",
+        parts=tuple({"starts": STARTS_EACH, "first_start": first, "work": STARTS_WORK} for first in range(0, STARTS, STARTS_EACH)),
+    ),
+    Pipeline(
+        name="mpcc_front",
+        title="Exact contact, least cost within each terminal tolerance",
+        legs=(Leg(method="mpcc_front"),),
+        source="ours: the honest comparison, a cost never without its terminal error",
+    ),
+    Pipeline(
+        name=FREE_MOTION,
+        title="Free motion, for scenes without inputs: nothing is planned",
+        legs=(Leg(method="free_motion"),),
+        source="ours: the replay of the start, held against the scene's closed forms",
+    ),
+    Pipeline(
+        name="global",
+        title="Exact contact by its windows, then a proof of how much cheaper a plan could be",
+        legs=(Leg(method="mpcc"), Leg(method="global")),
+        source="ours: one binary variable a contact and step, bounds from convex relaxations, SCIP; where a proof is possible",
+    ),
+)
+
+# What `--quick` runs: the cheapest collocation chain that ends in a direct method, the cheapest gradient chain, and all that a scene
+# without inputs has.
+QUICK: tuple[str, ...] = ("softplus_dc+strict", "softplus_gd+relu_gd", FREE_MOTION)
+
+
+def pipeline_names() -> tuple[str, ...]:
+    return tuple(pipeline.name for pipeline in PIPELINES)
+
+
+def pipelines_for(scene: Scene) -> tuple[Pipeline, ...]:
+    """The pipelines tried on a scene, in the order of the table: all of them; a method that does not apply says so itself.
+
+    Only the free motion is not tried where there are inputs: it is no way to find a plan, but all that a scene without inputs has.
+    """
+    return tuple(pipeline for pipeline in PIPELINES if pipeline.name != FREE_MOTION) if scene.nu else PIPELINES
+
+
+def find_pipeline(name: str) -> Pipeline:
+    """The pipeline of that name. Raises UnknownNameError."""
+    for pipeline in PIPELINES:
+        if pipeline.name == name:
+            return pipeline
+    close = difflib.get_close_matches(name, pipeline_names(), n=1)
+    hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(pipeline_names())}."
+    raise UnknownNameError(f"there is no pipeline {name!r}; {hint}")
+
+
+def stage_plan(pipeline: Pipeline) -> tuple[tuple[Leg, float | None, dict[str, object]], ...]:
+    """The stages of a pipeline in order: its leg, eps and options (those of the leg overridden by those of the stage)."""
+    stages = []
+    for leg in pipeline.legs:
+        for index, eps in enumerate(leg.schedule):
+            own = leg.stage_options[index] if index < len(leg.stage_options) else {}
+            stages.append((leg, eps, {**leg.options, **own}))
+    return tuple(stages)
+
+
+def cells_of(pipeline: Pipeline) -> tuple[Pipeline, ...]:
+    """The pipelines that are run for this one, each in a cell of its own: itself, or its parts."""
+    return tuple(
+        replace(
+            pipeline,
+            legs=tuple(replace(leg, options={**leg.options, **own}) for leg in pipeline.legs),
+            parts=(),
+            part=(number, len(pipeline.parts)),
+        )
+        for number, own in enumerate(pipeline.parts, 1)
+    ) or (pipeline,)
+
+
+def pipeline_to_json(pipeline: Pipeline) -> dict[str, Any]:
+    """Plain data: what a child process is given and what the key of a cell is made of."""
+    return {
+        "name": pipeline.name,
+        "title": pipeline.title,
+        "source": pipeline.source,
+        "part": None if pipeline.part is None else list(pipeline.part),
+        "legs": [
+            {
+                "method": leg.method,
+                "schedule": list(leg.schedule),
+                "options": dict(leg.options),
+                "stage_options": [dict(options) for options in leg.stage_options],
+            }
+            for leg in pipeline.legs
+        ],
+    }
+
+
+def pipeline_from_json(data: Mapping[str, Any]) -> Pipeline:
+    """The inverse of `pipeline_to_json`, of a pipeline that is run as one cell."""
+    legs = tuple(
+        Leg(
+            method=leg["method"],
+            schedule=tuple(leg["schedule"]),
+            options=dict(leg["options"]),
+            stage_options=tuple(dict(options) for options in leg["stage_options"]),
+        )
+        for leg in data["legs"]
+    )
+    part = data["part"]
+    return Pipeline(
+        name=data["name"], title=data["title"], source=data["source"], legs=legs, part=None if part is None else (part[0], part[1])
+    )

@@ -1,0 +1,358 @@
+"""SymPy equations of a scene -> functions of Pyomo variables and Params.
+
+    equations = SceneExpressions(derive(scene))
+    equations.penetration(q, p)        # [Pyomo expression per contact]
+
+Arguments are sequences in the scene's order: q, v (nq), u (nu), lam (nc), p (np). Entries that are zero for the scene are the number 0,
+so that nothing is written for what is not there.
+
+How a plan's model writes contact, and how it is tightened without building the model again.
+
+Damped contacts in a plan's model. Their rates of penetration r are those at the start of the step, as their penetrations are.
+
+    variable_lam[t, name]            the contact force: 0 <= lam  complements  lam - push >= 0, so lam = max(push, 0)
+    variable_spring[t, name]         sigma = k max(phi, 0) [N]
+    variable_touch[t, name]          w, Kelvin-Voigt only: 1 where phi > 0, 0 where phi < 0, and between where it touches
+
+    Hunt-Crossley    push = sigma (1 + d r)       0 <= sigma  complements  sigma - k phi >= 0
+    Kelvin-Voigt     push = sigma + c w r         0 <= sigma  complements  1 - w >= 0,    0 <= w  complements  sigma - k phi >= 0
+
+The force of Kelvin-Voigt jumps where it touches, so no formulation without a switch is exact: k phi + c r may be positive before anything
+touches. What the two pairs of the switch say: where sigma > 0, w = 1; where w > 0, sigma = k phi; so phi > 0 gives sigma = k phi and w = 1, and
+phi < 0 gives w = 0 and sigma = 0. Softplus (models/codegen/damping.h) needs neither variable.
+
+Dry friction in a plan's model. Its forces belong to the slip speed at the end of the step, s = S(q[t]) v[t+1]: only so can a step stick.
+
+    variable_friction[t, name]       the friction force f [N]
+    regularised (softplus):          f = -mu N tanh(|ln eps| s / (2 nominal)), a logistic function of the slip
+    complementarity:                 s = s_forward - s_backward,  0 <= s_forward  complements  mu N + f >= 0,
+                                                                  0 <= s_backward complements  mu N - f >= 0
+
+In the plane this is the model of Stewart and Trinkle (maximal dissipation) with one variable less: whoever slips forward is held back
+by all of mu N, and whoever is held by less does not slip.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from enum import Enum
+from typing import Any
+
+import numpy as np
+import pyomo.environ as pyo
+import sympy as sp
+from pyomo.mpec import Complementarity
+
+from formulations.transcription import equations
+from formulations.transcription.smooth import SMOOTH, check_smooth
+from models.contact_law import sharpness
+from models.contacts import DampingLaw
+from models.dynamics import Dynamics
+from models.errors import TouchstoneError
+from models.scene import Scene
+
+_NAMESPACE = {**{name: getattr(pyo, name) for name in SMOOTH}, "pi": math.pi, "E": math.e}
+
+Entries = Callable[..., Sequence[Any]]
+
+
+class SceneExpressions:
+    """The functions a transcription needs. Raises SceneError for a function that Pyomo does not have (erf, atan2 ..)."""
+
+    def __init__(self, dynamics: Dynamics) -> None:
+        d = dynamics
+        self.nq, self.nc = len(d.q), len(d.lam)
+        self.mass = _function(d, "the mass matrix", list(d.mass_matrix), d.q, d.p)  # row by row, nq*nq entries
+        self.force = _function(d, "the generalised force", list(d.generalised_force), d.q, d.v, d.u, (*d.lam, *d.f), d.p)
+        self.penetration = _function(d, "a penetration", list(d.penetration), d.q, d.p)
+        self.stiffness = _function(d, "a stiffness", list(d.stiffness), d.p)
+        self.damping = _function(d, "a damping", list(d.damping), d.p)
+        self.penetration_rate = _function(d, "a rate of penetration", list(-d.gap_jacobian * sp.Matrix(d.v)), d.q, d.v, d.p)
+        self.slip = _function(d, "a slip", list(d.slip), d.q, d.v, d.p)
+        self.friction_limit = _function(d, "a friction coefficient or normal force", list(d.friction_limit), d.q, d.lam, d.p)
+        self.running_cost = _function(d, "the running cost", [d.running_cost], d.q, d.v, d.u, d.p)
+        self.final_cost = _function(d, "the final cost", [] if d.final_cost == 0 else [d.final_cost], d.q, d.v, d.p)  # 0 or 1 entry
+
+
+def _function(dynamics: Dynamics, what: str, expressions: list[sp.Expr], *groups: Sequence[sp.Symbol]) -> Entries:
+    check_smooth(dynamics.scene, what, expressions)
+    return sp.lambdify([list(group) for group in groups], expressions, modules=[_NAMESPACE], cse=True)
+
+
+_TRANSFORMATION = "mpec.simple_nonlinear"
+
+
+class ContactLaw(Enum):
+    """SOFTPLUS: smooth force at a distance, eps in (0, 1). COMPLEMENTARITY: lam (lam - k phi) <= eps [N^2], eps = 0 is the true law."""
+
+    SOFTPLUS = "softplus"
+    COMPLEMENTARITY = "complementarity"
+
+
+class ModelError(TouchstoneError):
+    """A model is asked for something it was not built for; one sentence says what and what to do instead."""
+
+
+def relax(block: Any, eps: float) -> None:
+    """Replace the complementarity of a built block by Pyomo's own relaxation lam * v <= mpec_bound, v = lam - k phi (mpec.simple_nonlinear).
+
+    In place, once: the transformation applied again would silently disconnect the first bound, hence a ModelError. To keep the
+    untransformed model, relax a clone: `relaxed = model.clone(); relax(relaxed, 1e-2)`.
+    """
+    if not _families(block):
+        raise ModelError(f"{_name(block)} has no complementarity to relax; build it with contact=ContactLaw.COMPLEMENTARITY and eps=None.")
+    if hasattr(block, "mpec_bound"):
+        raise ModelError(f"{_name(block)} is relaxed already; move its bound with tighten(model, eps).")
+    bound = _checked_bound(block, eps)
+    pyo.TransformationFactory(_TRANSFORMATION).apply_to(block, mpec_bound=bound)
+    for _, pair in pairs(block):
+        pair.c.deactivate()  # that a force or slip is not negative is its bound already; as a row it would cost a slack each
+    settle_separation(block)  # the transformation leaves v without a value
+
+
+def settle_separation(block: Any) -> None:
+    """Give the separation force v = lam - k phi (friction: the reserve mu N - |f| either way) of each relaxed pair the value that its own
+    equation asks for (at least 0), and slip speeds and springs theirs."""
+    settle_slip(block)
+    settle_springs(block)
+    if not is_relaxed(block):
+        return
+    for _, pair in pairs(block):
+        pair.v.set_value(0.0, skip_validation=True)
+        pair.v.set_value(max(0.0, -pyo.value(pair.ve.body)), skip_validation=True)  # ve: v - (lam - k phi) == 0
+
+
+def tighten(block: Any, eps: float) -> None:
+    """Set the relaxation of a built block: sharpness b = |ln eps| for softplus, the bound eps [N^2] for complementarity (0 allowed)."""
+    if hasattr(block, "parameter_sharpness"):
+        block.parameter_sharpness.value = sharpness(eps, pyo.value(block.parameter_length))
+    elif hasattr(block, "mpec_bound"):
+        block.mpec_bound.value = _checked_bound(block, eps)
+    else:
+        raise ModelError(f"{_name(block)} has no relaxation to tighten; build it with an eps, or relax(model, eps) first.")
+
+
+def pairs(block: Any) -> list[tuple[Any, Any]]:
+    """(variable, pair) of every complementarity, contacts, frictions, then springs and switches of damped contacts, each by step: (lam, its
+    pair), (slip one way, its pair)."""
+    return [item for family in _families(block) for item in zip(family[0].values(), family[1].values(), strict=True)]
+
+
+def sides(block: Any) -> list[tuple[Any, Any]]:
+    """The two variables of every pair of a relaxed block, of which one is zero, step by step as in `hold_modes`: (lam, lam - k phi) of
+    the contacts, then (slip forward, mu N + f), (slip backward, mu N - f) of the frictions, then the pairs of `damping`: springs, switches."""
+    steps = len(block.set_steps)
+    rows: list[list[tuple[Any, Any]]] = [[] for _ in range(steps)]
+    for variables, components in _families(block):
+        couples = [(variable, pair.v) for variable, pair in zip(variables.values(), components.values(), strict=True)]
+        width = len(couples) // steps
+        for t, row in enumerate(rows):
+            row += couples[t * width : (t + 1) * width]
+    return [couple for row in rows for couple in row]
+
+
+def _families(block: Any) -> list[tuple[Any, Any]]:
+    kinds = (("lam", "contact"), ("slip", "friction"), ("spring", "spring"), ("touch", "touch"))
+    names = [(f"variable_{variable}", f"complementarity_{pair}") for variable, pair in kinds]
+    found = [(block.component(variable), block.component(pair)) for variable, pair in names]
+    return [(variable, pair) for variable, pair in found if pair is not None]
+
+
+def hold_modes(block: Any, closed: np.ndarray) -> None:
+    """Decide every pair of a relaxed block; the products are switched off.
+
+    closed (steps, nc + 2 nf + springs + switches) is True where a contact is closed (lam = k phi; else lam = 0), then, for each friction, where it may slip
+    forward against f = -mu N (else it does not), and where backward; then whether each damped contact touches, for its spring and for its
+    switch. What is left has no complementarity: for a linear scene without
+    friction a convex quadratic program.
+
+    Of a friction whose contact is open nothing is decided, whatever `closed` says: it has no force, and slips as it will.
+    """
+    for _, pair in pairs(block):
+        pair.ccon.deactivate()
+    couples = sides(block)
+    for (force, separation), is_closed in zip(couples, closed.ravel().tolist(), strict=True):
+        force.setlb(0.0)
+        separation.setlb(0.0)
+        force.setub(None if is_closed else 0.0)
+        separation.setub(0.0 if is_closed else None)
+    free_unpressed(block, couples, closed)
+
+
+def release_modes(block: Any) -> None:
+    """Undo `hold_modes`: the pairs are open to choice again, and their products are bounded by mpec_bound."""
+    for variable, pair in pairs(block):
+        pair.ccon.activate()
+        for side in (variable, pair.v):
+            side.setlb(0.0)
+            side.setub(None)
+
+
+def is_relaxed(block: Any) -> bool:
+    """Whether the block's complementarity went through `relax`."""
+    return hasattr(block, "mpec_bound")
+
+
+def _checked_bound(block: Any, eps: Any) -> float:
+    if isinstance(eps, bool) or not isinstance(eps, (int, float)) or not 0.0 <= eps < math.inf:
+        raise ModelError(f"{_name(block)}: eps is {eps!r}, but the bound of lam (lam - k phi) must be a finite number of at least 0 N^2.")
+    return float(eps)
+
+
+def _name(block: Any) -> str:
+    return f"model {block.name}"
+
+
+def damped_softplus(scene: Scene, contact: int, phi: Any, rate: Any, k: Any, c: Any, b: Any) -> Any:
+    """The smoothed force of a damped contact [N]."""
+    if scene.contacts[contact].damping_law is DampingLaw.KELVIN_VOIGT:
+        return equations.expression_kelvin_voigt_softplus(phi, rate, k, c, b)
+    return equations.expression_hunt_crossley_softplus(phi, rate, k, c, b, scene.length)
+
+
+def add_springs(
+    block: Any, scene: Scene, law: SceneExpressions, phi: list[Any], q: list[Any], v: list[Any], parameters: list[Any]
+) -> list[dict[int, Any]]:
+    """Variables and pairs of the damped contacts; phi: penetrations by step; returns the push of each damped contact, by step."""
+    names = [scene.contacts[index].name for index in scene.damped]
+    switched = [scene.contacts[index].name for index in scene.damped if scene.contacts[index].damping_law is DampingLaw.KELVIN_VOIGT]
+    k, c = law.stiffness(parameters), law.damping(parameters)
+    rate = [law.penetration_rate(q_now, v_now, parameters) for q_now, v_now in zip(q[:-1], v[:-1], strict=True)]
+    place = {contact.name: index for index, contact in enumerate(scene.contacts)}
+    block.set_damped = pyo.Set(initialize=names)
+    block.variable_spring = pyo.Var(block.set_steps, block.set_damped, bounds=(0.0, None), initialize=0.0)
+    block.expression_spring = pyo.Expression(
+        block.set_steps, block.set_damped, rule=lambda _, t, name: k[place[name]] * phi[t][place[name]]
+    )
+    if switched:
+        block.set_switched = pyo.Set(initialize=switched)
+        block.variable_touch = pyo.Var(block.set_steps, block.set_switched, bounds=(0.0, None), initialize=0.0)
+
+    def spring(b: Any, t: int, name: str) -> Any:
+        i = place[name]
+        force = b.variable_spring[t, name]
+        if name in switched:
+            return equations.complementarity_switch(force, b.variable_touch[t, name])
+        return equations.complementarity_contact(force, k[i] * phi[t][i])
+
+    def touch(b: Any, t: int, name: str) -> Any:
+        i = place[name]
+        return equations.complementarity_touch(b.variable_touch[t, name], b.variable_spring[t, name], k[i] * phi[t][i])
+
+    block.complementarity_spring = Complementarity(block.set_steps, block.set_damped, rule=spring)
+    if switched:
+        block.complementarity_touch = Complementarity(block.set_steps, block.set_switched, rule=touch)
+    pushes: list[dict[int, Any]] = []
+    for t in block.set_steps:
+        row = {}
+        for name in names:
+            i, force = place[name], block.variable_spring[t, name]
+            if name in switched:
+                row[i] = equations.expression_kelvin_voigt(force, block.variable_touch[t, name], c[i], rate[t][i])
+            else:
+                row[i] = equations.expression_hunt_crossley(force, c[i], rate[t][i])
+        pushes.append(row)
+    return pushes
+
+
+def settle_springs(block: Any) -> None:
+    """Give the springs and switches of a block the values that their penetrations ask for."""
+    if block.component("variable_spring") is None:
+        return
+    for index, expression in block.expression_spring.items():
+        force = pyo.value(expression)
+        block.variable_spring[index].set_value(max(force, 0.0), skip_validation=True)
+        if block.component("variable_touch") is not None and index in block.variable_touch:
+            block.variable_touch[index].set_value(1.0 if force > 0.0 else 0.0, skip_validation=True)
+
+
+FORWARD, BACKWARD = "forward", "backward"
+
+
+def add_friction(
+    block: Any, scene: Scene, law: SceneExpressions, sharpness: float | None, plan: tuple[list, list, list], parameters: list[Any]
+) -> list[list[Any]]:
+    """The friction forces and their law; plan: q, v (nodes) and lam (steps) as rows of variables; returns the variables f[t][friction].
+
+    sharpness: b of the regularised law, or None for complementarity.
+    """
+    q, v, lam = plan
+    names = [friction.name for friction in scene.frictions]
+    block.set_frictions = pyo.Set(initialize=names)
+    block.set_pressed = pyo.Set(initialize=[(item.name, item.contact) for item in scene.frictions if item.contact is not None], dimen=2)
+    block.variable_friction = pyo.Var(block.set_steps, block.set_frictions, initialize=0.0)
+    force: list[list[Any]] = [[] for _ in range(scene.task.steps)]
+    for (t, _), data in block.variable_friction.items():
+        force[t].append(data)
+    slip = [law.slip(q_now, v_next, parameters) for q_now, v_next in zip(q[:-1], v[1:], strict=True)]
+    limit = [law.friction_limit(q_now, lam_now, parameters) for q_now, lam_now in zip(q[:-1], lam, strict=True)]
+    place = {name: index for index, name in enumerate(names)}
+    if sharpness is not None:
+        nominal = {friction.name: friction.nominal for friction in scene.frictions}
+        if not scene.nc:
+            block.parameter_sharpness = pyo.Param(initialize=sharpness, mutable=True)
+
+        def regularised(b: Any, t: int, name: str) -> Any:
+            i = place[name]
+            steepness = b.parameter_sharpness / (2.0 * nominal[name] / scene.length)
+            return equations.constraint_friction_regularised(force[t][i], limit[t][i], slip[t][i], steepness)
+
+        block.constraint_friction_regularised = pyo.Constraint(block.set_steps, block.set_frictions, rule=regularised)
+        return force
+
+    block.set_ways = pyo.Set(initialize=[FORWARD, BACKWARD])
+    block.variable_slip = pyo.Var(block.set_steps, block.set_frictions, block.set_ways, bounds=(0.0, None), initialize=0.0)
+
+    def split(b: Any, t: int, name: str) -> Any:
+        forward, backward = b.variable_slip[t, name, FORWARD], b.variable_slip[t, name, BACKWARD]
+        return equations.constraint_slip(forward, backward, slip[t][place[name]])
+
+    def complementarity(b: Any, t: int, name: str, way: str) -> Any:
+        i = place[name]
+        against = force[t][i] if way == FORWARD else -force[t][i]
+        return equations.complementarity_friction(b.variable_slip[t, name, way], limit[t][i] + against)
+
+    block.constraint_slip = pyo.Constraint(block.set_steps, block.set_frictions, rule=split)
+    block.complementarity_friction = Complementarity(block.set_steps, block.set_frictions, block.set_ways, rule=complementarity)
+    return force
+
+
+def settle_slip(block: Any) -> None:
+    """Give the two slip speeds of each friction the values that their own equation asks for (one of them zero)."""
+    if block.component("constraint_slip") is None:
+        return
+    for (t, name), row in block.constraint_slip.items():
+        forward, backward = (block.variable_slip[t, name, way] for way in (FORWARD, BACKWARD))
+        for data in (forward, backward):
+            data.set_value(0.0, skip_validation=True)
+        slip = -(pyo.value(row.body) - pyo.value(row.upper))  # forward - backward - s == 0
+        forward.set_value(max(slip, 0.0), skip_validation=True)
+        backward.set_value(max(-slip, 0.0), skip_validation=True)
+
+
+def pressed_columns(block: Any) -> list[tuple[int, int]]:
+    """For each friction pressed by a contact: the columns, as in `contact_laws.hold_modes`, of that contact and of its way forward (backward
+    is the next)."""
+    if block.component("set_pressed") is None:
+        return []
+    contacts, frictions = list(block.component("set_contacts") or ()), list(block.set_frictions)
+    return [(contacts.index(contact), len(contacts) + 2 * frictions.index(friction)) for friction, contact in block.set_pressed]
+
+
+def free_unpressed(block: Any, couples: list[tuple[Any, Any]], closed: np.ndarray) -> None:
+    """Bounds of frictions whose contact is open; couples: (slip, reserve) of all pairs and closed as in `contact_laws.hold_modes`.
+
+    One equation for the force, mu N + f = 0 with N = 0, and one variable for the slip, of either sign. That mu N - f >= 0 then follows; kept as a
+    bound it would leave an interior-point method no interior, and a way decided for a slip that nothing holds would be a constraint on
+    the flight.
+    """
+    for contact, forward in pressed_columns(block):
+        for t in np.flatnonzero(~closed[:, contact]).tolist():
+            (slip, reserve), (other_slip, other_reserve) = couples[t * closed.shape[1] + forward : t * closed.shape[1] + forward + 2]
+            slip.setlb(None)
+            slip.setub(None)
+            reserve.setub(0.0)
+            other_slip.setub(0.0)
+            other_reserve.setlb(None)
+            other_reserve.setub(None)
