@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 
 import pytest
@@ -96,3 +97,21 @@ def test_a_cost_below_the_best_exact_one_is_never_told_without_its_error(factory
     assert "row 12 (360.31 at 0.047)" in told
     assert "row 17 (309.42 at 0.047)" in told
     assert "row 11" not in told
+
+
+@pytest.mark.parametrize(("costs", "wide"), [((490.0, 500.0, 600.0), False), ((4.9, 50.0, 600.0), True), ((-1.0, 50.0, 600.0), False)])
+def test_costs_far_apart_are_drawn_on_a_logarithmic_axis_and_others_are_not(factory, tmp_path, costs, wide):
+    scene = factory.scene().model_copy(update={"answers": ()})
+    runs = []
+    for number, cost in enumerate(costs):
+        run = factory.run("strict", None, "strict_lcp", key=f"strict-{number}")
+        stages = tuple(stage.model_copy(update={"cost": cost, "options": {"start": number}}) for stage in run.stages)
+        runs.append(run.model_copy(update={"pipeline": f"p{number}", "stages": stages, "scene": scene}))
+    section = front.build(report_of(factory, tmp_path / "all", runs))
+    assert section is not None
+    for plot in section.values["fronts"][0].plots:
+        assert (plot.x.log, plot.y.log) == (True, wide)
+        assert plot.y.low < min(costs) < max(costs) < plot.y.high
+        # A tenth of what is drawn is left on either side, by decades on a logarithmic axis.
+        low, high, least, most = (math.log10(value) if wide else value for value in (plot.y.low, plot.y.high, min(costs), max(costs)))
+        assert (least - low, high - most) == pytest.approx((0.1 * (most - least), 0.1 * (most - least)), rel=0.02)

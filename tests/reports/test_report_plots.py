@@ -185,7 +185,7 @@ def test_a_tracked_replay_is_shown_where_it_is_judged(factory):
     stage = factory.run("strict", None, "strict_lcp").stages[0]
     opened = stage.replay_trace
     calm = dict(opened.columns)
-    calm["position_error"] = tuple(1e-3 for _ in opened.t)
+    calm["position_error"] = tuple(np.linspace(3e-3, 1e-3, len(opened.t)))
     calm["q1"] = tuple(0.5 for _ in opened.t)
     calm["u1"] = tuple(0.25 for _ in opened.t)
     feedback = TrackedRecord(error_estimate=1e-9, rms=(0.1,), peak=(0.3,), rms_share=0.02, peak_share=0.06)
@@ -194,7 +194,7 @@ def test_a_tracked_replay_is_shown_where_it_is_judged(factory):
     plots = {plot.title: plot for plot in stage_plots(factory.scene(), both).motion}
     title = "Position error: inputs alone and with feedback"
     assert "Inputs alone: at most" in plots[title].words
-    assert "With feedback: at most 0.0010 m, at the end 0.0010 m." in plots[title].words
+    assert "With feedback: at most 0.0030 m, at the end 0.0010 m." in plots[title].words
     assert "u1 with feedback" in str(plots["Inputs of the plan (dotted) and with feedback"].markup())
     assert "The replay ends at q1 0.5" in plots["Positions: plan dotted, replay solid"].words
     only = stage_plots(factory.scene(), stage)

@@ -3,6 +3,7 @@
 import ast
 import math
 from dataclasses import replace
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -20,6 +21,7 @@ from validate.tasks.records import _history, _plain, finite
 from validate.tasks.scene_record import plan_trace, presentation, scene_record, thin
 
 SCENE = load_scene("three_cart")
+OSCILLATOR = Path(__file__).parents[1] / "scenes" / "oscillator.py"
 
 
 def _plan(steps: int = 500) -> Trajectory:
@@ -130,3 +132,20 @@ def test_whatever_writes_records_is_part_of_their_keys():
     # a cell's record holds columns of numbers and the paper's figures
     assert {"reports/record.py", "reports/trace_record.py", "reports/paper.py"} <= set(source_digests(["strict_lcp"]))
     assert "reports/chart_record.py" not in source_digests(["strict_lcp"])
+
+
+def test_an_equation_of_motion_has_its_accelerations_on_the_left():
+    for equation in scene_record(SCENE).equations[:3]:
+        left, _, right = equation.mathml.partition("<mo>=</mo>")
+        assert ("mfrac" in left, "mfrac" in right) == (True, False)
+        assert ("&#955;" in left, "&#955;" in right) == (False, True)
+
+
+def test_a_scene_without_contacts_or_inputs_has_a_trace_of_its_motion_alone():
+    scene = load_scene(str(OSCILLATOR))
+    assert (scene.nc, scene.nu) == (0, 0)
+    nodes = 4
+    q = np.linspace(0.0, 0.3, nodes)[:, None]
+    trace = plan_trace(scene, Trajectory(t=uniform_grid(0.1, 3), q=q, v=0 * q, u=np.zeros((3, 0)), lam=np.zeros((3, 0))))
+    assert set(trace.columns) == {scene.coordinates[0].name, scene.coordinates[0].velocity_name}
+    assert trace.columns[scene.coordinates[0].name] == pytest.approx(q[:, 0])
