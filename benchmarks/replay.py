@@ -23,7 +23,7 @@ from benchmarks.options import out_option
 from benchmarks.results import store
 from models.catalog import load_scene
 from models.fmu import build_fmu, variable_names
-from models.fmu.kinds import INTEGRATORS
+from models.fmu.variables import INTEGRATORS
 from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid

@@ -1,7 +1,7 @@
 """Scene -> equations of motion, and what the scene does *not* need.
 
     M(q) dv/dt = tau(q, v, u) + J(q)' lam + S(q)' f        lam_i = k_i * max(phi_i(q), 0),   |f_j| <= mu_j N_j
-    (lam of a damped contact: models.contacts)
+    (lam of a damped contact: models.scene.contacts)
 
 derived by computer algebra from the kinetic energy T, the potential energy V and the generalised forces Q (Lagrange):
 
@@ -21,9 +21,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import sympy as sp
 
-from models.contacts import Contact, DampingLaw
 from models.scene import Scene
-from models.scene_checks import check_expressions
+from models.scene.checks import check_expressions
+from models.scene.contacts import Contact, DampingLaw
 
 _DERIVED: WeakKeyDictionary[Scene, Dynamics] = WeakKeyDictionary()
 

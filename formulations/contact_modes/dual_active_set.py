@@ -22,7 +22,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from formulations.contact_modes.linear import BandedKKT, LinearScene, Point
-from models.goal import miss
+from models.scene.goal import miss
 
 # Of the gap and of the conditions: Clarabel's own 1e-8 takes as long, and tells slack from multiplier less clearly.
 _TOLERANCE = 1e-10

@@ -22,8 +22,8 @@ from formulations.transcription.feasibility import nearest
 from formulations.transcription.workbench import Account
 from models.codegen.kernel import Kernel
 from models.contact_law import ContactLaw
-from models.goal import goal_state, miss
 from models.scene import Scene
+from models.scene.goal import goal_state, miss
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 

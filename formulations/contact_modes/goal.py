@@ -23,10 +23,10 @@ import numpy as np
 
 from formulations.contact_modes.quadratic import ModesAnswer, ModesProblem
 from formulations.contact_modes.search import search_windows
-from models import goal as goals
 from models.codegen.kernel import Kernel, Rollout
 from models.contact_law import ContactLaw
-from models.goal import distance
+from models.scene import goal as goals
+from models.scene.goal import distance
 
 _GOOD_ENOUGH = 1e-13  # relative to the size of the goal: what a rollout of some hundred steps rounds to
 _MOST = 150  # steps tried; the plan of a solver needs one or two, a softplus plan with many contacts up to a hundred

@@ -41,8 +41,8 @@ import sympy as sp
 from models.codegen.cache import cached
 from models.codegen.compiler import FLAGS, compile_shared, find_compiler
 from models.dynamics import Dynamics, derive
-from models.goal import goal_state
 from models.scene import Scene
+from models.scene.goal import goal_state
 
 _SOURCE = Path(__file__).with_name("band.c")
 _INT, _POINTER = ctypes.c_int, ctypes.c_void_p

@@ -36,7 +36,7 @@ import numpy as np
 
 from formulations.contact_modes.dual_active_set import DualAnswer, DualRounds, active_set
 from formulations.contact_modes.linear import BandedKKT, LinearScene, Point
-from models.goal import miss
+from models.scene.goal import miss
 
 _ZERO = 1e-6  # part of the largest multiplier that counts as zero
 

@@ -24,8 +24,8 @@ from formulations.transcription.residuals import PlanResiduals
 from formulations.transcription.workbench import Account
 from models.codegen.kernel import load_kernel
 from models.errors import TrajectoryError
-from models.goal import distance, goal_state
 from models.scene import Scene
+from models.scene.goal import distance, goal_state
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 

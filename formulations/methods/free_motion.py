@@ -10,8 +10,8 @@ import numpy as np
 from formulations.method import Kind, Method, Session
 from formulations.solution import Outcome, Seconds, Solution
 from models.codegen.kernel import Kernel, load_kernel
-from models.goal import distance, goal_state
 from models.scene import Scene
+from models.scene.goal import distance, goal_state
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 

@@ -11,8 +11,8 @@ import numpy as np
 import sympy as sp
 
 from models.dynamics import derive
-from models.goal import goal_state, miss
 from models.scene import Scene
+from models.scene.goal import goal_state, miss
 
 
 class GoalTerm:

@@ -14,8 +14,7 @@ from formulations.multiple_shooting.solver import Found, Solver
 from formulations.shooting.diagnosis import measure_growth
 from formulations.shooting.ending import arrived, first_inputs, plan_residuals
 from formulations.solution import Seconds, Solution
-from models.codegen.kernel import load_kernel
-from models.codegen.steps import load_steps
+from models.codegen.kernel import load_kernel, load_steps
 from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid

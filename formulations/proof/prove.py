@@ -43,8 +43,8 @@ from formulations.transcription.residuals import PlanResiduals
 from models.codegen.kernel import load_kernel
 from models.dynamics import derive
 from models.errors import MachineError, SceneError
-from models.goal import distance, goal_state
 from models.scene import Scene
+from models.scene.goal import distance, goal_state
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from formulations.shooting.objective import Objective
-from models.codegen.steps import Steps
+from models.codegen.kernel import Steps
 from models.contact_law import ContactLaw
 from models.scene import Scene
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from formulations.solution import Outcome
 from models.errors import TrajectoryError
-from models.goal import goal_state, miss
 from models.scene import Scene
+from models.scene.goal import goal_state, miss
 from models.trajectory import Trajectory, uniform_grid
 
 # Beyond a velocity bound by less [m/s, rad/s] is rounding.

@@ -38,8 +38,8 @@ from torch import Tensor
 from formulations.shooting.rollout import RolloutTensors, ShootingError, rollout
 from models.codegen.kernel import Kernel
 from models.contact_law import ContactLaw
-from models.goal import miss
 from models.scene import Scene
+from models.scene.goal import miss
 
 PAPER_INPUT_WEIGHT = 5e-6
 

@@ -28,9 +28,9 @@ import torch
 from torch import Tensor
 
 from models.contact_law import ContactLaw, sharpness
-from models.contacts import DampingLaw
 from models.dynamics import derive
 from models.scene import Scene
+from models.scene.contacts import DampingLaw
 
 _SWEEPS = 10000
 _SETTLED = 1e-15  # change of a force in parts of its limit
@@ -156,7 +156,7 @@ def _contact_law(law: ContactLaw, eps: float | None, length: float) -> Callable[
 
 
 def _damped_forces(scene: Scene, law: ContactLaw, eps: float | None, **kind: Any) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
-    """(lam, q, v) -> lam with the forces of the damped contacts (laws and smoothing: models.contacts, models/codegen/damping.h)."""
+    """(lam, q, v) -> lam with the forces of the damped contacts (laws and smoothing: models.scene.contacts, models/codegen/damping.h)."""
     d = derive(scene)
     rate = -d.gap_jacobian * sp.Matrix(d.v)
     quantities = (sp.Matrix([d.penetration, d.stiffness, d.damping, rate]), d.q, d.v)

@@ -13,8 +13,7 @@ from formulations.shooting.diagnosis import measure_growth, told
 from formulations.shooting.ending import arrived, given_inputs, plan_residuals
 from formulations.shooting.method import DescentOptions, LbfgsOptions, ShootingMethod
 from formulations.solution import Outcome, Seconds, Solution
-from models.codegen.kernel import load_kernel
-from models.codegen.steps import load_steps
+from models.codegen.kernel import load_kernel, load_steps
 from models.contact_law import ContactLaw
 from models.scene import Scene
 from models.schemes import Scheme

@@ -47,10 +47,10 @@ from pyomo.mpec import Complementarity
 from formulations.transcription import equations
 from formulations.transcription.smooth import SMOOTH, check_smooth
 from models.contact_law import sharpness
-from models.contacts import DampingLaw
 from models.dynamics import Dynamics
 from models.errors import TouchstoneError
 from models.scene import Scene
+from models.scene.contacts import DampingLaw
 
 _NAMESPACE = {**{name: getattr(pyo, name) for name in SMOOTH}, "pi": math.pi, "E": math.e}
 

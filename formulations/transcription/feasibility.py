@@ -24,8 +24,8 @@ from formulations.transcription.build import build_model
 from formulations.transcription.contact import ContactLaw
 from formulations.transcription.workbench import Account, read_plan, release_goal
 from models.codegen.kernel import load_kernel
-from models.goal import goal_state, miss
 from models.scene import Scene
+from models.scene.goal import goal_state, miss
 from models.trajectory import Trajectory
 
 # Sharpness b of the first solve in units of 1/L (L: the largest gap or penetration at start and goal), the factor between two, and the last:

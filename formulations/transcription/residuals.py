@@ -15,10 +15,10 @@ import sympy as sp
 from models.codegen.kernel import load_kernel
 from models.collocation import defect
 from models.contact_law import ContactLaw, contact_force, sharpness
-from models.contacts import DampingLaw
 from models.dynamics import derive
-from models.goal import distance, goal_state
 from models.scene import Scene
+from models.scene.contacts import DampingLaw
+from models.scene.goal import distance, goal_state
 from models.schemes import Scheme
 from models.trajectory import Trajectory
 

@@ -14,7 +14,7 @@ SMOOTH = ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "
 
 
 def check_smooth(scene: Scene, what: str, expressions: Iterable[Any]) -> None:
-    """Raises SceneError for a function that Pyomo does not have (erf, atan2 ..); scenes have none with corners (models.scene_functions)."""
+    """Raises SceneError for a function that Pyomo does not have (erf, atan2 ..); scenes have none with corners (models.scene.functions)."""
     for expression in expressions:
         for call in sp.sympify(expression).atoms(sp.Function):
             if call.func.__name__ not in SMOOTH:

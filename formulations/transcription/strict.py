@@ -25,8 +25,8 @@ from formulations.transcription.session import Ending, TranscriptionSession, Wor
 from formulations.transcription.workbench import Account, Workbench, load_first_guess, load_plan, primal_dual, read_plan, size_on_paper
 from models.codegen.kernel import Kernel, load_kernel
 from models.dynamics import derive
-from models.goal import distance, goal_state
 from models.scene import Scene
+from models.scene.goal import distance, goal_state
 from models.trajectory import Trajectory
 
 if TYPE_CHECKING:

@@ -30,9 +30,9 @@ from formulations.ipopt import IpoptProblem, IpoptResult, Iteration, Start, comp
 from formulations.solution import ModelSize, Seconds
 from formulations.transcription.collocation import forces_at_nodes, is_collocated, scheme_of, settle_stages
 from formulations.transcription.contact import ContactLaw, settle_separation
-from models.contacts import DampingLaw
 from models.errors import TrajectoryError
 from models.scene import Scene
+from models.scene.contacts import DampingLaw
 from models.trajectory import Trajectory, uniform_grid
 
 

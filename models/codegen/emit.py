@@ -1,4 +1,16 @@
-"""Scene -> `scene_model.h`: static inline C functions, common subexpressions eliminated, names kept.
+"""Solving M x = b for a mass matrix that depends on q: Cholesky, written out for the entries that are not always zero.
+
+Two fingers and a disc have seven coordinates, but only two blocks of two in their mass matrix: what is zero for every q is not computed. The
+order of operations is that of the usual loops.
+
+What a scene with damped contacts adds to the generated C: their coefficients and laws, and how the rates of penetration change.
+
+Hand-written C has it between `#ifdef DAMPING` and `#else` or `#endif`, or in one line as `DAMPED(statement;)`. `for_scene` leaves that out of the sources of a scene that has none, so that they are
+the same, byte for byte, as if there were no damping at all.
+
+What a scene with friction adds to the generated C: slips, their rates, and the limits mu N of the forces.
+
+Scene -> `scene_model.h`: static inline C functions, common subexpressions eliminated, names kept.
 
 The text depends on the scene alone (no date, no random names), so that equal scenes give equal bytes. What the scene
 does not need is not written: a constant mass matrix is inverted here, symbolically, and only a scene whose mass matrix
@@ -9,19 +21,144 @@ Within the C functions every entry of a vector has a name of its own, `<vector>_
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import sympy as sp
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
-from models.codegen.c_function import Vector, c_function
-from models.codegen.chain_rule import backward_function, forward_function, tangent
-from models.codegen.cholesky import cholesky_function
-from models.codegen.damping import damping_functions
-from models.codegen.friction import friction_functions
+from models.codegen.c_function import SceneVectors, Vector, backward_function, c_function, forward_function, tangent
 from models.codegen.kept import kept_text
-from models.codegen.vectors import SceneVectors
 from models.dynamics import derive
 from models.errors import SceneError
 from models.scene import Scene
+
+_HEAD = """\
+/* Factorises the symmetric positive definite M = L L' in place (lower triangle), then solves M x = b in place; entries that are zero for
+ * every q are left out. Returns 1 if M is not positive definite, else 0. */
+SCENE_FUNCTION int scene_solve(double M[NQ][NQ], double *b)
+{
+"""
+
+
+def cholesky_function(mass: sp.Matrix) -> str:
+    """C of `scene_solve` for a mass matrix with the zeros of this one."""
+    lower = _factor_pattern(mass)
+    n = mass.rows
+    lines: list[str] = []
+    for j in range(n):
+        lines += [f"M[{j}][{j}] -= M[{j}][{k}]*M[{j}][{k}];" for k in range(j) if (j, k) in lower]
+        lines += [f"if (!(M[{j}][{j}] > 0.0)) return 1;", f"M[{j}][{j}] = sqrt(M[{j}][{j}]);"]
+        for i in range(j + 1, n):
+            if (i, j) in lower:
+                lines += [f"M[{i}][{j}] -= M[{i}][{k}]*M[{j}][{k}];" for k in range(j) if (i, k) in lower and (j, k) in lower]
+                lines.append(f"M[{i}][{j}] /= M[{j}][{j}];")
+    for i in range(n):
+        lines += [f"b[{i}] -= M[{i}][{k}]*b[{k}];" for k in range(i) if (i, k) in lower]
+        lines.append(f"b[{i}] /= M[{i}][{i}];")
+    for i in reversed(range(n)):
+        lines += [f"b[{i}] -= M[{k}][{i}]*b[{k}];" for k in range(i + 1, n) if (k, i) in lower]
+        lines.append(f"b[{i}] /= M[{i}][{i}];")
+    return "".join([_HEAD, *(f"    {line}\n" for line in lines), "    return 0;\n}\n"])
+
+
+def _factor_pattern(mass: sp.Matrix) -> set[tuple[int, int]]:
+    """Entries (i, j), i > j, of L that are not always zero: those of M, and the fill that eliminating a column makes."""
+    n = mass.rows
+    lower = {(i, j) for i in range(n) for j in range(i) if mass[i, j] != 0}
+    for k in range(n):
+        below = [i for i in range(k + 1, n) if (i, k) in lower]
+        lower |= {(i, j) for i in below for j in below if i > j}
+    return lower
+
+
+_OPEN, _OPEN_WITHOUT, _ELSE, _CLOSE, _LINE = "#ifdef DAMPING", "#ifndef DAMPING", "#else", "#endif", "DAMPED("
+
+
+def damping_source() -> str:
+    """Text of `damping.h`, the hand-written law of a damped contact: of scenes with one."""
+    return Path(__file__).with_name("damping.h").read_text(encoding="utf-8")
+
+
+def for_scene(scene: Scene, text: str) -> str:
+    """A hand-written C source as this scene needs it: whole, or without what is for damped contacts only."""
+    if scene.damped or not ("DAMPING" in text or _LINE in text):
+        return text
+    kept: list[str] = []
+    depth, taken = 0, True  # depth within the section that is being taken apart
+    for line in text.splitlines(keepends=True):
+        words = line.strip()
+        if depth == 0 and words in (_OPEN, _OPEN_WITHOUT):
+            depth, taken = 1, words == _OPEN_WITHOUT
+        elif depth == 1 and words == _ELSE:
+            taken = True
+        elif depth == 1 and words == _CLOSE:
+            depth, taken = 0, True
+        else:
+            if depth and words.startswith("#if"):
+                depth += 1
+            elif depth and words.startswith(_CLOSE):
+                depth -= 1
+            if (
+                taken and not words.startswith(_LINE) and (words or not kept or kept[-1].strip())
+            ):  # what is left out leaves no empty line behind
+                kept.append(line)
+    return "".join(kept)
+
+
+def penetration_rate(x: SceneVectors) -> sp.Matrix:
+    """d phi / dt (nc, 1) along the velocities v [m/s]."""
+    return -x.local(x.dynamics.gap_jacobian) * x.v.column
+
+
+def damping_functions(x: SceneVectors) -> list[str]:
+    """Laws, coefficients, and derivatives of the rates of penetration; nothing for a scene without a damped contact."""
+    d = x.dynamics
+    if not d.structure.contact_damping:
+        return []
+    laws = ", ".join(str(contact.damping_law.value if contact.is_damped else 0) for contact in d.scene.contacts)
+    rate, rate_bar = penetration_rate(x), Vector.of("rate_bar", x.contacts)
+    state = (x.q, x.v)
+    return [
+        "#define DAMPING",
+        "#define DAMPED(...) __VA_ARGS__",
+        f"#define ND {len(d.scene.damped)}",
+        "/* Of each contact: 0 undamped, 1 Kelvin-Voigt, 2 Hunt-Crossley; and which contacts are damped. */",
+        f"static const int scene_damping_laws[] SCENE_UNUSED = {{{laws}}};",
+        f"static const int scene_damped[] SCENE_UNUSED = {{{', '.join(map(str, d.scene.damped))}}};",
+        "",
+        c_function("void", "scene_damping", (x.p,), "c", x.local(d.damping)),
+        forward_function("void scene_penetration_rate_jvp", (*state, x.p, *map(tangent, state)), "d_rate", rate, state),
+        backward_function("void scene_penetration_rate_vjp", (*state, x.p, rate_bar), rate, rate_bar, state),
+    ]
+
+
+def friction_source() -> str:
+    """Text of `friction.h`, the hand-written friction within a time step: of scenes with friction."""
+    return Path(__file__).with_name("friction.h").read_text(encoding="utf-8")
+
+
+def friction_functions(x: SceneVectors) -> list[str]:
+    """Slip speeds and the limits mu N of the friction forces; nothing for a scene without friction."""
+    d = x.dynamics
+    if not d.structure.friction:
+        return []
+    names = [friction.name for friction in d.scene.frictions]
+    slip, limit = x.local(d.slip), x.local(d.friction_limit)
+    slip_bar, limit_bar = Vector.of("slip_bar", names), Vector.of("limit_bar", names)
+    a = x.q.like("a")
+    return [
+        c_function("void", "scene_slip", (x.q, x.v, x.p), "slip", slip),
+        c_function("void", "scene_slip_rate", (x.q, x.v, a, x.p), "rate", slip_rate(x, a)),
+        backward_function("void scene_slip_vjp", (x.q, x.v, x.p, slip_bar), slip, slip_bar, [x.q, x.v]),
+        c_function("void", "scene_friction_limit", (x.q, x.lam, x.p), "limit", limit),
+        backward_function("void scene_friction_limit_vjp", (x.q, x.lam, x.p, limit_bar), limit, limit_bar, [x.q, x.lam]),
+    ]
+
+
+def slip_rate(x: SceneVectors, a: Vector) -> sp.Matrix:
+    """ds/dt (nf, 1) along the velocities v and the accelerations a [m/s^2]."""
+    slip = x.local(x.dynamics.slip)
+    return slip.jacobian(x.q.column) * x.v.column + slip.jacobian(x.v.column) * a.column
 
 
 def emit_model(scene: Scene, *, defaults: bool = True) -> str:

@@ -15,7 +15,7 @@ import sympy as sp
 
 from models.codegen.cache import cached
 from models.scene import Scene
-from models.scene_text import equations_text, scene_text
+from models.scene.text import equations_text, scene_text
 
 _MODELS = Path(__file__).parents[1]
 # Whatever decides the text beside the scene's own equations.

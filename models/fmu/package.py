@@ -1,4 +1,6 @@
-"""Scene -> FMU file: the sources are put together, compiled, packed and kept by content.
+"""Files of text and bytes -> a zip that has the same bytes wherever and whenever it is made.
+
+Scene -> FMU file: the sources are put together, compiled, packed and kept by content.
 
     build_fmu(scene)                                                     ->  .../a1b2....three_cart.fmu
     build_fmu(scene, version="3.0", platforms=("x86_64-linux", "win64"))
@@ -9,24 +11,34 @@ Equal scenes give equal bytes: fixed time stamps, sorted names, no path of this 
 from __future__ import annotations
 
 import tempfile
+import zipfile
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 
 from models.codegen.cache import cached
 from models.codegen.compiler import Compiler, compile_shared
-from models.codegen.damping import damping_source, for_scene
-from models.codegen.emit import model_source
-from models.codegen.friction import friction_source
+from models.codegen.emit import damping_source, for_scene, friction_source, model_source
 from models.codegen.kept import generators
-from models.fmu.archive import pack
-from models.fmu.description import describe, model_identifier, source_epoch
-from models.fmu.experiment import experiment_texts
+from models.fmu.description import Standard, describe, experiment_texts, find_standard, model_identifier, source_epoch, standard_headers
 from models.fmu.platforms import Platform, find_platforms, platform_compiler
 from models.fmu.rendering import render
 from models.fmu.sensitivity import sensitivity_source
-from models.fmu.standards import Standard, find_standard, standard_headers
 from models.scene import Scene
-from models.scene_text import scene_text
+from models.scene.text import scene_text
+
+
+def pack(path: Path, content: Mapping[str, bytes], first: str) -> None:
+    """Write `content` (name inside -> bytes) as a zip; the file `first` comes first, so that a reader of the stream finds it at once."""
+    stamp = datetime.fromtimestamp(source_epoch(), UTC).timetuple()[:6]
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+        for name in sorted(content, key=lambda name: (name != first, name)):
+            entry = zipfile.ZipInfo(name, date_time=stamp)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
+            entry.create_system = 3  # Unix, whatever machine packs it
+            archive.writestr(entry, content[name])
+
 
 _HERE = Path(__file__).parent
 _SHELL = _HERE / "shell"

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from models.codegen.compiler import FLAGS, Compiler, find_compiler, zig_compiler
 from models.errors import MachineError, UnknownNameError
-from models.fmu.standards import Standard
+from models.fmu.description import Standard
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,11 @@ from itertools import product
 import numpy as np
 import sympy as sp
 
-from models.contacts import DampingLaw
 from models.dynamics import Dynamics, derive
 from models.errors import SceneError
 from models.fmu.variables import friction_nominals
 from models.scene import Scene
+from models.scene.contacts import DampingLaw
 
 # Evaluations of the equations before a method is given up, about ten seconds of them; the scenes of the bank take 300 to 44,000.
 BUDGET = 200_000

@@ -17,12 +17,9 @@ from collections.abc import Sequence
 
 import sympy as sp
 
-from models.codegen.c_function import Vector
-from models.codegen.chain_rule import backward_function, forward_function, tangent
-from models.codegen.damping import penetration_rate
-from models.codegen.friction import slip_rate
+from models.codegen.c_function import SceneVectors, Vector, backward_function, forward_function, tangent
+from models.codegen.emit import penetration_rate, slip_rate
 from models.codegen.kept import kept_text
-from models.codegen.vectors import SceneVectors
 from models.dynamics import derive
 from models.scene import Scene
 

@@ -14,8 +14,7 @@ import sympy as sp
 
 from models.codegen.kept import kept_text
 from models.dynamics import Dynamics, derive
-from models.fmu.kinds import Kind, Variable
-from models.fmu.variables import variable_table
+from models.fmu.variables import Kind, Variable, variable_table
 from models.scene import Scene
 
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0

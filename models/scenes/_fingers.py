@@ -24,8 +24,8 @@ import math
 
 import sympy as sp
 
-from models.contacts import Friction
 from models.scene import Answer, Contact, Coordinate, Input, Parameter, Shape
+from models.scene.contacts import Friction
 
 BLUR = 1e-6
 NEAR = 0.002

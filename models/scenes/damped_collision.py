@@ -18,8 +18,8 @@ import math
 import sympy as sp
 from scipy.special import lambertw
 
-from models.contacts import DampingLaw
 from models.scene import Answer, Contact, Coordinate, Limit, Parameter, Scene, Shape, Task
+from models.scene.contacts import DampingLaw
 
 q1, q2 = sp.symbols("q1 q2", real=True)
 v1, v2 = sp.symbols("v1 v2", real=True)

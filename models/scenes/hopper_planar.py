@@ -19,8 +19,8 @@ after the 4 s, so that a plan of this grid needs feedback to hold.
 
 import sympy as sp
 
-from models.contacts import Friction
 from models.scene import Answer, Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
+from models.scene.contacts import Friction
 
 BODY, FOOT, GRAVITY, LEG = 1.0, 0.3, 9.81, 1.0
 STEP, STEPS = 0.02, 200

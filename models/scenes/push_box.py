@@ -23,8 +23,8 @@ import math
 
 import sympy as sp
 
-from models.contacts import Friction
 from models.scene import Answer, Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
+from models.scene.contacts import Friction
 
 STEP, STEPS = 0.02, 100
 HALF_LENGTH, HALF_WIDTH, FRICTION, DAMPING = 0.5, 0.25, 0.5, 10.0

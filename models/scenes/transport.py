@@ -12,8 +12,8 @@ Regularised friction lets the cargo creep where dry friction holds it: what a pl
 
 import sympy as sp
 
-from models.contacts import Friction
 from models.scene import Answer, Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
+from models.scene.contacts import Friction
 
 cargo, cart = sp.symbols("cargo cart", real=True)
 v_cargo, v_cart = sp.symbols("v_cargo v_cart", real=True)

@@ -13,9 +13,9 @@ from formulations.solution import Outcome, Solution
 from formulations.transcription.build import build_model
 from models.catalog import load_scene
 from models.errors import SceneError
-from models.goal import distance, goal_state, miss
 from models.scene import Scene
-from models.scene_annotations import goal_limits
+from models.scene.goal import distance, goal_state, miss
+from models.scene.scene import goal_limits
 from validate.judge.score import score
 
 SCENE = load_scene("wall_pendulum")

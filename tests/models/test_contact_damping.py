@@ -7,15 +7,15 @@ import pytest
 import sympy as sp
 
 from models.catalog import load_scene
-from models.codegen.damping import for_scene
+from models.codegen.emit import for_scene
 from models.codegen.kernel import kernel_sources
-from models.contacts import Contact, DampingLaw
 from models.dynamics import derive
 from models.errors import SceneError
+from models.fmu.description import find_standard
 from models.fmu.package import fmu_texts
-from models.fmu.standards import find_standard
 from models.scene import Scene
-from models.scene_checks import check_expressions
+from models.scene.checks import check_expressions
+from models.scene.contacts import Contact, DampingLaw
 from models.scenes import damped_collision
 
 t, w, s, a = sp.symbols("t w s a", positive=True)

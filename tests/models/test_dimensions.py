@@ -11,12 +11,12 @@ import pytest
 import sympy as sp
 
 from models.catalog import load_scene, scene_names
-from models.contacts import Contact, DampingLaw, Friction
-from models.dimensions import dimension_problem
 from models.errors import SceneError
 from models.scene import Coordinate, Input, Parameter, Scene, Task
-from models.scene_checks import check_expressions
-from models.scene_functions import quantities
+from models.scene.checks import check_expressions
+from models.scene.contacts import Contact, DampingLaw, Friction
+from models.scene.dimensions import dimension_problem
+from models.scene.functions import quantities
 
 q, v, theta, omega, u = sp.symbols("q v theta omega u", real=True)
 m, c, k, g, l, mu, inertia = sp.symbols("m c k g l mu inertia", positive=True)  # noqa: E741 - l is the field's name for a length

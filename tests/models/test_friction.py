@@ -6,12 +6,12 @@ import sympy as sp
 
 from models.codegen.kernel import Kernel, Rollout, load_kernel
 from models.contact_law import ContactLaw, sharpness
-from models.contacts import Contact, Friction
 from models.dynamics import derive
 from models.errors import SceneError, TrajectoryError
 from models.scene import Coordinate, Input, Parameter, Scene, Task
-from models.scene_annotations import goal_limits
-from models.scene_checks import check_expressions
+from models.scene.checks import check_expressions
+from models.scene.contacts import Contact, Friction
+from models.scene.scene import goal_limits
 from models.trajectory import Trajectory
 
 x1, x2, z, w1, w2, wz, push = sp.symbols("x1 x2 z w1 w2 wz push", real=True)

@@ -15,7 +15,7 @@ from models.codegen.emit import emit_model
 from models.codegen.kept import kept_text
 from models.errors import SceneError
 from models.scene import Scene
-from models.scene_text import equations_text, scene_text
+from models.scene.text import equations_text, scene_text
 
 SCENES = Path(__file__).parents[1] / "scenes"
 # A function of somebody's own: SymPy writes its name alone.

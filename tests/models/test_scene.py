@@ -10,12 +10,12 @@ import sympy as sp
 
 from models.catalog import load_scene, scene_names
 from models.codegen.emit import emit_model
-from models.contacts import Friction
 from models.errors import SceneError, UnknownNameError
 from models.scene import Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
-from models.scene_annotations import goal_limits
-from models.scene_checks import check_expressions
-from models.units import base_exponents
+from models.scene.checks import check_expressions
+from models.scene.contacts import Friction
+from models.scene.scene import goal_limits
+from models.scene.units import base_exponents
 
 x, vx, u = sp.symbols("x vx u", real=True)
 m, k, w = sp.symbols("m k w", positive=True)

@@ -9,7 +9,7 @@ import pytest
 
 from models.catalog import load_scene
 from models.errors import SceneError
-from models.step_dependence import step_problem
+from models.scene.step_dependence import step_problem
 
 SCENES = Path(__file__).parents[1] / "scenes"
 

@@ -2,8 +2,8 @@
 
 import sympy as sp
 
-from models.contacts import Contact, DampingLaw, Friction
 from models.scene import Coordinate, Input, Parameter, Scene, Task
+from models.scene.contacts import Contact, DampingLaw, Friction
 
 x, a, z, vx, va, vz, push, twist = sp.symbols("x a z vx va vz push twist", real=True)
 m, k, c, d, mu, g, l = sp.symbols("m k c d mu g l", positive=True)  # noqa: E741 - l is the field's name for a length

@@ -14,7 +14,7 @@ from dataclasses import replace
 import campaign_fakes
 
 from models.errors import TouchstoneError
-from models.scene_text import scene_text
+from models.scene.text import scene_text
 from reports.record import MetricRecord
 from validate.tasks.examination import Course, Examination, Found, SceneReference
 

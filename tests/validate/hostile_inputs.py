@@ -183,7 +183,7 @@ def _scene_file(rng: random.Random, folder: Path) -> Path:
 
 def _read_scene(path: Path) -> None:
     from models.catalog import load_scene
-    from models.scene_text import scene_text
+    from models.scene.text import scene_text
 
     scene_text(load_scene(str(path)))
 

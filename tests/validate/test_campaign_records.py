@@ -11,7 +11,7 @@ import pytest
 import sympy as sp
 
 from models.catalog import load_scene
-from models.scene_text import scene_text
+from models.scene.text import scene_text
 from models.trajectory import Trajectory, uniform_grid
 from reports.mathml import safe_mathml
 from validate.execution.process import ROOT

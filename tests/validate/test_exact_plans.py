@@ -8,8 +8,8 @@ import sympy as sp
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from models.contacts import DampingLaw
 from models.scene import Contact, Coordinate, Friction, Input, Parameter, Scene, Task, goal_limits
+from models.scene.contacts import DampingLaw
 from validate.judge.judgement import judge
 
 q, v, u = sp.symbols("q v u", real=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from models.catalog import load_scene
-from models.scene_text import scene_text
+from models.scene.text import scene_text
 from reports.examination_record import ExaminationRecord
 from validate.execution.campaign import CampaignError, Settings, select
 from validate.store.provenance import examination_key

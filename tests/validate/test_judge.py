@@ -14,7 +14,7 @@ from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.errors import SceneError, TrajectoryError
 from models.scene import Scene
-from models.scene_annotations import goal_limits
+from models.scene.scene import goal_limits
 from models.schemes import Scheme
 from models.trajectory import Hold, Trajectory, column_names, uniform_grid, write_csv
 from models.trajectory_netcdf import write_netcdf
@@ -104,7 +104,7 @@ def test_every_form_of_a_plan_gives_the_same_verdict(held, tmp_path: Path, form:
 
 def test_the_judge_integrates_no_reference_results(held, monkeypatch):
     """They take seconds, of a stiff scene minutes, outside of every limit; a replay has no use for them."""
-    from models.fmu import experiment
+    from models.fmu import description as experiment
 
     monkeypatch.setattr(experiment, "true_motion_and_method", lambda *arguments: pytest.fail("integrated"))
     scene, plan = held

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from models.contacts import Friction
 from models.scene import Contact, Coordinate, Input, Scene, Task
-from models.scene_annotations import goal_limits
+from models.scene.contacts import Friction
+from models.scene.scene import goal_limits
 from models.schemes import Scheme
 from models.trajectory import Hold, Trajectory, uniform_grid
 from validate.judge import score as score_room

@@ -11,9 +11,9 @@ from scipy.linalg import solve_discrete_are
 
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
-from models.contacts import Contact
 from models.scene import Coordinate, Input, Parameter, Scene, Task
-from models.scene_annotations import goal_limits
+from models.scene.contacts import Contact
+from models.scene.scene import goal_limits
 from models.trajectory import Trajectory, uniform_grid
 from validate.judge.replay.tracking import (
     TrackingError,

@@ -32,7 +32,7 @@ def doubts_of(scenes: Iterable[Scene], *, steps: bool = False) -> list[str]:
 def _unstable(scenes: Iterable[Scene]) -> Iterator[str]:
     from models.catalog import load_scene, scene_names
     from models.errors import MachineError
-    from models.scene_text import scene_text
+    from models.scene.text import scene_text
     from models.stability import step_stability
 
     bank = set(scene_names())

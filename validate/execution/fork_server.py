@@ -50,7 +50,7 @@ MODULES = (
         "validate.judge.score",
         "validate.judge.replay.run",
     ),
-    *("models.catalog", "models.scene_checks", "models.codegen.kernel", "models.fmu", "models.trajectory_netcdf"),
+    *("models.catalog", "models.scene.checks", "models.codegen.kernel", "models.fmu", "models.trajectory_netcdf"),
     *("reports.examination_record", "reports.telling", "formulations.mpec", "formulations.ipopt", "formulations.transcription.strict"),
     *("formulations.contact_modes.session", "formulations.multiple_shooting.session"),
 )

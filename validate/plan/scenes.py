@@ -100,7 +100,7 @@ def _changes(entry: SceneEntry) -> dict[_Change, list[Any]]:
 
 
 def _variants(entry: SceneEntry, scene: Scene, reference: str) -> tuple[list[SceneReference], list[str]]:
-    from models.scene_checks import check_expressions
+    from models.scene.checks import check_expressions
 
     changes = _changes(entry)
     if not changes and not entry.limits and entry.name is None:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import sympy as sp
 
-from models.scene_text import scene_text
+from models.scene.text import scene_text
 from models.stability import step_stability
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.errors import MachineError
-from models.scene_text import scene_text
+from models.scene.text import scene_text
 from validate.execution.process import ROOT, THREADS
 
 if TYPE_CHECKING:

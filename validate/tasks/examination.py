@@ -50,7 +50,7 @@ class Examination:
     """What is to be examined.
 
     function: `module:name`, called in the child with the arguments (JSON data); content: text that decides the result beside arguments and
-    sources, such as that of a scene (models.scene_text); sources: the parts of our sources that matter, as beginnings of
+    sources, such as that of a scene (models.scene.text); sources: the parts of our sources that matter, as beginnings of
     paths (nothing: all of them); methods: names of the methods it runs; scene: the name of the one it is about; quick: whether `--quick` runs it;
     words: further names for `-k`; group: what it and its like are called where only their number is told; key and time_limit [s]: filled in by the campaign.
     """

@@ -27,7 +27,7 @@ _SOURCES = (
 
 def examinations(scenes: Sequence[SceneReference]) -> list[Examination]:
     """One for each scene and version; all scenes of one version, then of the next."""
-    from models.scene_text import scene_text
+    from models.scene.text import scene_text
 
     return [
         Examination(

@@ -16,9 +16,9 @@ import sympy as sp
 from sympy.printing.mathml import mathml
 
 from models.codegen.operations import step_operations
-from models.contacts import Contact, DampingLaw
 from models.dynamics import Dynamics, derive
 from models.scene import Scene
+from models.scene.contacts import Contact, DampingLaw
 from models.trajectory import Trajectory
 from reports.record import ContactRecord, EquationRecord, QuantityRecord, SceneRecord, ShapeRecord
 from reports.trace_record import Pose, TraceRecord

@@ -16,14 +16,13 @@ from models.codegen.c_function import Vector, c_function
 from models.codegen.cache import cached
 from models.codegen.compiler import compile_shared
 from models.errors import SceneError
-from models.fmu.archive import pack
 from models.fmu.coupled.parts import ContactPart, force_unit
-from models.fmu.description import source_epoch
-from models.fmu.kinds import Kind, Variable
+from models.fmu.description import find_standard, source_epoch, standard_headers
+from models.fmu.package import pack
 from models.fmu.platforms import find_platforms, platform_compiler
 from models.fmu.rendering import render
-from models.fmu.standards import find_standard, standard_headers
-from models.units import base_exponents
+from models.fmu.variables import Kind, Variable
+from models.scene.units import base_exponents
 
 _HERE = Path(__file__).parent
 _ICON = _HERE.parent / "icon"

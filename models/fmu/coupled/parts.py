@@ -17,10 +17,10 @@ from dataclasses import dataclass
 
 import sympy as sp
 
-from models.contacts import Contact
 from models.dynamics import Dynamics, derive
 from models.errors import SceneError
 from models.scene import Coordinate, Input, Parameter, Scene, Task
+from models.scene.contacts import Contact
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,16 +12,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from models.codegen.cache import cached
-from models.fmu.archive import pack
 from models.fmu.coupled.contact import build_contact, contact_table
 from models.fmu.coupled.parts import ContactPart, Parts, split
 from models.fmu.description import source_epoch
-from models.fmu.kinds import Variable
-from models.fmu.package import build_fmu
+from models.fmu.package import build_fmu, pack
 from models.fmu.rendering import render
-from models.fmu.variables import variable_table
+from models.fmu.variables import Variable, variable_table
 from models.scene import Scene
-from models.units import base_exponents
+from models.scene.units import base_exponents
 
 STRUCTURE, PARTS_ONLY = "SystemStructure.ssd", "PartsOnly.ssd"
 

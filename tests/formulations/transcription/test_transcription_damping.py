@@ -15,11 +15,11 @@ from formulations.transcription.residuals import PlanResiduals
 from formulations.transcription.workbench import load_plan, size_on_paper
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw as ForceLaw
-from models.contacts import Contact, DampingLaw
 from models.errors import SceneError
 from models.fmu.coupled.parts import split
 from models.scene import Coordinate, Input, Parameter, Scene, Task
-from models.scene_annotations import goal_limits
+from models.scene.contacts import Contact, DampingLaw
+from models.scene.scene import goal_limits
 from models.trajectory import Trajectory, uniform_grid
 
 x, y, vx, vy, push = sp.symbols("x y vx vy push", real=True)

@@ -12,9 +12,9 @@ from formulations.transcription.contact import sides
 from formulations.transcription.residuals import PlanResiduals
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw as ForceLaw
-from models.contacts import Contact, Friction
 from models.scene import Coordinate, Input, Parameter, Scene, Task
-from models.scene_annotations import goal_limits
+from models.scene.contacts import Contact, Friction
+from models.scene.scene import goal_limits
 from models.trajectory import Trajectory, uniform_grid
 
 cargo, cart, height, vx, wx, vz, push, press = sp.symbols("cargo cart height vx wx vz push press", real=True)

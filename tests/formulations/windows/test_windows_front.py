@@ -16,8 +16,8 @@ from formulations.pipelines import load_method
 from formulations.solution import FrontPoint, Outcome, Solution
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
-from models.goal import goal_state
 from models.scene import Scene
+from models.scene.goal import goal_state
 from models.trajectory import Trajectory
 
 SCENE = load_scene("three_cart")

@@ -15,7 +15,7 @@ from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
-from models.goal import goal_state
+from models.scene.goal import goal_state
 from models.trajectory import Trajectory, uniform_grid
 
 SCENE = load_scene("three_cart")

@@ -9,9 +9,16 @@ import pytest
 import sympy as sp
 
 from models.catalog import load_scene, scene_names
-from models.codegen.c_function import Vector
-from models.codegen.chain_rule import Derivative, backward_function, forward_function, pull_back, push_forward, tangent
-from models.codegen.vectors import SceneVectors
+from models.codegen.c_function import (
+    Derivative,
+    SceneVectors,
+    Vector,
+    backward_function,
+    forward_function,
+    pull_back,
+    push_forward,
+    tangent,
+)
 from models.dynamics import derive
 
 X, P, W = Vector.of("x", ("a", "b", "c")), Vector.of("p", ("k",)), Vector.of("w", ("0", "1", "2"))

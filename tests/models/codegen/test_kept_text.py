@@ -11,7 +11,7 @@ from models.catalog import load_scene
 from models.codegen import kept
 from models.codegen.emit import emit_model, model_source
 from models.codegen.kept import kept_text
-from models.fmu import experiment
+from models.fmu import description as experiment
 from models.fmu.reference import true_motion_and_method
 from models.fmu.sensitivity import emit_sensitivity, sensitivity_source
 from models.scene import Scene

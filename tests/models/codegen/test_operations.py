@@ -9,9 +9,8 @@ import pytest
 import sympy as sp
 
 from models.catalog import load_scene
-from models.codegen.cholesky import cholesky_function
 from models.codegen.compiler import compile_shared, find_compiler
-from models.codegen.emit import emit_model
+from models.codegen.emit import cholesky_function, emit_model
 from models.codegen.operations import Operations, count_operations, step_operations
 from models.dynamics import derive
 from models.scenes.cart_chain import cart_chain

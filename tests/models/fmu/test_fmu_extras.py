@@ -13,8 +13,7 @@ import pytest
 from lxml import etree
 
 from models.fmu import build_fmu, reference, variable_names
-from models.fmu.experiment import ACCURACY, FOLDER, experiment_texts
-from models.fmu.standards import STANDARDS
+from models.fmu.description import ACCURACY, FOLDER, STANDARDS, experiment_texts
 
 both = pytest.mark.parametrize("version", STANDARDS)
 SCHEMAS = Path(fmpy.__file__).parent / "schema" / "fmi3"

@@ -12,7 +12,7 @@ from models.errors import MachineError, SceneError, TouchstoneError, UnknownName
 from models.fmu import build_fmu, variable_names
 from models.fmu.rendering import render
 from models.scene import Parameter
-from models.units import base_exponents
+from models.scene.units import base_exponents
 
 
 def test_fmpy_finds_no_problem(any_scene):

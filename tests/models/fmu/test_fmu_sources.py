@@ -11,7 +11,7 @@ import pytest
 
 from models.codegen.compiler import find_compiler
 from models.fmu import variable_names
-from models.fmu.standards import STANDARDS, standard_headers
+from models.fmu.description import STANDARDS, standard_headers
 
 STRICT = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wstrict-prototypes", "-Werror"]
 DRIVERS = {version: Path(__file__).with_name(name) for version, name in (("2.0", "driver.c"), ("3.0", "driver3.c"))}

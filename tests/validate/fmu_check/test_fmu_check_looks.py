@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 import sympy as sp
 
-from models.contacts import Contact, DampingLaw
 from models.fmu import build_fmu
 from models.scene import Coordinate, Parameter, Scene, Task
+from models.scene.contacts import Contact, DampingLaw
 from validate.fmu_check import Status, check_fmu
 
 q, v = sp.symbols("q v", real=True)

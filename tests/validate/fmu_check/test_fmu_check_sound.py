@@ -10,7 +10,7 @@ import pytest
 from models.catalog import load_scene, scene_names
 from models.codegen.compiler import compile_shared, find_compiler
 from models.fmu import build_fmu
-from models.fmu.standards import find_standard, standard_headers
+from models.fmu.description import find_standard, standard_headers
 from validate.fmu_check import Status, check_fmu
 
 _HERE = Path(__file__).parent

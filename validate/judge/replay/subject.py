@@ -20,7 +20,7 @@ import numpy as np
 from models.codegen.kernel import Kernel, load_kernel
 from models.dynamics import derive
 from models.scene import Scene
-from models.scene_annotations import Limit
+from models.scene.scene import Limit
 from validate.fmi.intake import FmuError
 from validate.fmi.package import REAL, Package
 from validate.judge.replay.reference import Run

@@ -48,8 +48,8 @@ import numpy as np
 from models.codegen.kernel import Kernel, KernelError
 from models.contact_law import ContactLaw
 from models.errors import TouchstoneError
-from models.goal import goal_state
 from models.scene import Scene
+from models.scene.goal import goal_state
 from models.trajectory import Trajectory
 from validate.execution.isolated import Limits, run_isolated
 from validate.fmi.package import Package, read_package, unpacked

@@ -8,10 +8,10 @@ import numpy as np
 
 from models import collocation
 from models.codegen.kernel import Kernel, KernelError, load_kernel
-from models.contacts import DampingLaw
 from models.dynamics import derive
-from models.goal import goal_state
 from models.scene import Scene
+from models.scene.contacts import DampingLaw
+from models.scene.goal import goal_state
 from models.schemes import Scheme
 from models.trajectory import Trajectory
 from validate.judge.replay.error_estimate import lowest_between

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.goal import goal_state
 from models.scene import Scene
+from models.scene.goal import goal_state
 from models.schemes import Scheme
 from models.trajectory import Hold
 from validate.judge.replay.subject import Subject

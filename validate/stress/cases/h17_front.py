@@ -11,7 +11,7 @@ from formulations.mpec import certify_solution
 from formulations.pipelines import load_method
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
-from models.goal import distance, goal_state
+from models.scene.goal import distance, goal_state
 from validate.stress.case import Chart, Finding, HardCase, Series, at_most, none_of
 
 TOLERANCES = (0.0, 1e-2, 0.1)

@@ -14,7 +14,7 @@ from typing import Any
 import sympy as sp
 
 from models.errors import SceneError
-from models.units import unit_problem
+from models.scene.units import unit_problem
 
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 # What SymPy must not take for granted of a quantity that moves: it would simplify by it - Abs(q) of a "positive" q to q, sin(pi*q) of an "integer" to 0.

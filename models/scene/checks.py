@@ -10,11 +10,11 @@ from weakref import WeakSet
 
 import sympy as sp
 
-from models.dimensions import dimension_problem
 from models.errors import SceneError
 from models.scene import Scene
-from models.scene_functions import function_problem
-from models.scene_values import check_text
+from models.scene.dimensions import dimension_problem
+from models.scene.functions import function_problem
+from models.scene.values import check_text
 
 # Words of C, Python and of our own generated code that may not name a quantity.
 _RESERVED = frozenset(keyword.kwlist) | {

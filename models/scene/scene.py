@@ -1,4 +1,6 @@
-"""A scene: the physics of a few bodies in contact, written once in SymPy.
+"""What a scene says beside its physics: limits of the score, known answers, how its bodies are drawn.
+
+A scene: the physics of a few bodies in contact, written once in SymPy.
 
     q, v = sp.Symbol("q"), sp.Symbol("v")
     Scene(
@@ -12,28 +14,124 @@
 
 Everything else - Pyomo models, the PyTorch rollout, the C kernel, the FMU, the equations in the report - is
 derived from this one object. All objects are frozen. Their parts are checked when they are created, their
-physics when a scene is loaded or first derived from (models.scene_checks); what is wrong is said in
+physics when a scene is loaded or first derived from (models.scene.checks); what is wrong is said in
 one sentence that names the scene and the field.
 
 Sign conventions: `penetration` phi is positive in contact; the contact force lam >= 0 pushes the bodies apart, that is,
 `M(q) dv/dt = tau(q, v, u) + J(q)' lam` with J the Jacobian of the gap (-phi). The true contact law is
-`lam = stiffness * max(phi, 0)`; a contact may also have damping (models.contacts).
+`lam = stiffness * max(phi, 0)`; a contact may also have damping (models.scene.contacts).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import InitVar, dataclass, replace
 from typing import Any
 
 import sympy as sp
 
-from models.contacts import Contact, Friction
 from models.errors import SceneError
-from models.scene_annotations import Answer, Limit, Shape
-from models.scene_annotations import goal_limits as goal_limits
-from models.scene_values import as_expression, as_number, check_moving, check_name, check_symbol, check_unit, settle, settle_bounds
+from models.scene.contacts import Contact, Friction
+from models.scene.values import (
+    as_expression,
+    as_number,
+    check_moving,
+    check_name,
+    check_symbol,
+    check_text,
+    check_unit,
+    settle,
+    settle_bounds,
+)
+
+# The shapes that are drawn, and how many lengths their size may have.
+_SHAPES = {"box": (2,), "disc": (1,), "line": (1,), "wall": (1, 2)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limit:
+    """The largest value of a metric of the score with which a plan still holds, and the reason for that number.
+
+    value: in the metric's unit; None waives the limit that the metric has by default (validate.judge.score.table), which takes a reason too.
+    """
+
+    metric: str = ""
+    value: float | None
+    reason: str
+    figure: InitVar[str | None] = None  # what `metric` was called up to version 0.1
+
+    def __post_init__(self, figure: str | None) -> None:
+        if figure is not None:
+            raise SceneError(f"limit on {figure}: figure= is now called metric=; write Limit(metric={figure!r}, value=.., reason=..).")
+        check_text("limit: metric", self.metric)
+        check_text(f"limit on {self.metric}: reason", self.reason, empty=self.value is not None)
+        if self.value is None:
+            return
+        settle(self, "value", as_number(f"limit on {self.metric}", self.value))
+        if self.value < 0.0:
+            raise SceneError(f"limit on {self.metric}: {self.value:g} is below 0, which no metric can be.")
+
+
+def goal_limits(*, position: float | None = None, velocity: float | None = None, reason: str) -> tuple[Limit, ...]:
+    """How near to the goal is near enough, the same for a plan and its replay; None where the goal asks for none.
+
+    >>> [limit.metric for limit in goal_limits(position=0.02, reason="as much as the wall shall be pressed in")]
+    ['terminal_position_error', 'replay_terminal_position_error']
+    """
+    return tuple(
+        Limit(metric=f"{of}terminal_{part}_error", value=value, reason=reason)
+        for part, value in (("position", position), ("velocity", velocity))
+        if value is not None
+        for of in ("", "replay_")
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """A known answer of the scene: what it is, its value, tolerance and source.
+
+    measure: what to hold against it in the replay of the free motion, by a name that the score knows (validate.judge.score.equations); empty: nothing.
+    """
+
+    quantity: str
+    value: float
+    tolerance: float
+    source: str
+    measure: str = ""
+
+    def __post_init__(self) -> None:
+        check_text("answer: quantity", self.quantity)
+        check_text(f"answer {self.quantity}: source", self.source, empty=True)
+        for field in ("value", "tolerance"):
+            settle(self, field, as_number(f"answer {self.quantity}: {field}", getattr(self, field)))
+        if self.tolerance <= 0.0:
+            raise SceneError(f"answer {self.quantity}: the tolerance is {self.tolerance:g}, but must be positive.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape:
+    """How a body is drawn: `kind` "box", "disc", "line" or "wall"; `x`, `y` its centre and `angle`, as expressions in q [m, rad];
+    `size`: (width, height), (radius,), or (length,) [m]."""
+
+    name: str
+    kind: str
+    x: sp.Expr
+    y: sp.Expr
+    size: tuple[sp.Expr | float, ...]
+    angle: sp.Expr = sp.S.Zero
+
+    def __post_init__(self) -> None:
+        check_text("shape: name", self.name)
+        if not isinstance(self.kind, str) or self.kind not in _SHAPES:
+            raise SceneError(f"shape {self.name}: the kind {self.kind!r} is none of {', '.join(_SHAPES)}.")
+        for field in ("x", "y", "angle"):
+            settle(self, field, as_expression(f"shape {self.name}: {field}", getattr(self, field)))
+        if not isinstance(self.size, (tuple, list)) or len(self.size) not in _SHAPES[self.kind]:
+            raise SceneError(
+                f"shape {self.name}: the size of a {self.kind} is a tuple of {' or '.join(map(str, _SHAPES[self.kind]))} lengths, not {self.size!r}."
+            )
+        settle(self, "size", tuple(as_expression(f"shape {self.name}: size", value) for value in self.size))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -224,7 +322,7 @@ class Scene:
 
     def __post_init__(self) -> None:
         from models.quasi_static import check_quasi_static, relaxation_parameter
-        from models.scene_checks import check_scene
+        from models.scene.checks import check_scene
 
         for field, kind in _PARTS.items():
             value = getattr(self, field)

@@ -27,7 +27,7 @@ from enum import Enum
 import sympy as sp
 
 from models.errors import SceneError
-from models.scene_values import as_expression, as_number, check_name, check_text, settle
+from models.scene.values import as_expression, as_number, check_name, check_text, settle
 
 
 class DampingLaw(Enum):
