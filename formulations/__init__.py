@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     from formulations.transcription.workbench import load_plan, read_plan
 
 _HOME = {
-    "ContactLaw": "contact_laws",
-    "ModelError": "contact_laws",
+    "ContactLaw": "contact",
+    "ModelError": "contact",
     "PlanResiduals": "residuals",
     "build_block": "build",
     "build_model": "build",
-    "load_plan": "plans",
-    "read_plan": "plans",
-    "relax": "contact_laws",
-    "tighten": "contact_laws",
+    "load_plan": "workbench",
+    "read_plan": "workbench",
+    "relax": "contact",
+    "tighten": "contact",
 }
 
 __all__ = ["ContactLaw", "ModelError", "PlanResiduals", "build_block", "build_model", "load_plan", "read_plan", "relax", "tighten"]

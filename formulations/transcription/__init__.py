@@ -3,6 +3,6 @@
     from formulations import ContactLaw, build_model
     model = build_model("three_cart", contact=ContactLaw.SOFTPLUS, eps=1e-3)
 
-`build` says what a model holds, `equations` what it says, `contact_laws` how it is relaxed and tightened, `plans` how a Trajectory gets in and
+`build` says what a model holds, `equations` what it says, `contact` how it is relaxed and tightened, `workbench` how a Trajectory gets in and
 out, `residuals` how far a plan is from its equations.
 """

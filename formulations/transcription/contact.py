@@ -332,7 +332,7 @@ def settle_slip(block: Any) -> None:
 
 
 def pressed_columns(block: Any) -> list[tuple[int, int]]:
-    """For each friction pressed by a contact: the columns, as in `contact_laws.hold_modes`, of that contact and of its way forward (backward
+    """For each friction pressed by a contact: the columns, as in `hold_modes`, of that contact and of its way forward (backward
     is the next)."""
     if block.component("set_pressed") is None:
         return []
@@ -341,7 +341,7 @@ def pressed_columns(block: Any) -> list[tuple[int, int]]:
 
 
 def free_unpressed(block: Any, couples: list[tuple[Any, Any]], closed: np.ndarray) -> None:
-    """Bounds of frictions whose contact is open; couples: (slip, reserve) of all pairs and closed as in `contact_laws.hold_modes`.
+    """Bounds of frictions whose contact is open; couples: (slip, reserve) of all pairs and closed as in `hold_modes`.
 
     One equation for the force, mu N + f = 0 with N = 0, and one variable for the slip, of either sign. That mu N - f >= 0 then follows; kept as a
     bound it would leave an interior-point method no interior, and a way decided for a slip that nothing holds would be a constraint on
