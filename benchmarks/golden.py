@@ -20,9 +20,9 @@ from pathlib import Path
 import click
 
 from benchmarks.options import campaign_argument
-from reports.examination_record import ExaminationRecord
-from reports.load import load
-from reports.record import HOLD, RunRecord, StageRecord
+from reports.records.check_record import ExaminationRecord
+from reports.records.load import load
+from reports.records.record import HOLD, RunRecord, StageRecord
 from reports.rule import failures
 
 GOLDEN = Path(__file__).with_suffix(".csv")

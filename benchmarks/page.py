@@ -12,9 +12,9 @@ import click
 from benchmarks.options import measured_argument
 from benchmarks.pages import cosimulation, order, replay_speed, rigid_limit, scaling, suite, tables, unstable_starts
 from benchmarks.results import stored
-from reports.load import ReportError
 from reports.pages.section import Section
 from reports.parcels import Parcels
+from reports.records.load import ReportError
 from reports.render import page, write_page
 from reports.templating import Templates
 

@@ -18,7 +18,7 @@ import click
 from benchmarks.checkout import module_at
 from benchmarks.measure import timed
 from benchmarks.options import campaign_argument, program
-from reports.load import load
+from reports.records.load import load
 from reports.render import render, write_report
 
 _TRIES = 5

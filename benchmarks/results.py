@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from benchmarks.records import AnyRecord, BenchRecord, Table, TableRecord
-from reports.load import ReportError, Unreadable, read_record
+from reports.records.load import ReportError, Unreadable, read_record
 from validate.cli.table import table
 from validate.store.disk import make_folder, write_durably
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from reports.load import ReportError
+from reports.records.load import ReportError
 from reports.render import write_report
 from reports.split import write_pages
 

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import shlex
 
-from reports.examination_record import ExaminationRecord
-from reports.record import RunRecord
+from reports.records.check_record import ExaminationRecord
+from reports.records.record import RunRecord
 
 # Options of a campaign that say where its scenes and methods come from and how long they have; and others that take a word.
 _KEPT = ("--scene", "--tools", "--time-limit")

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from reports.pages.runs import view_of
 from reports.parcels import CLOSES, OPENS, Parcels, Token
-from reports.record import RunRecord
+from reports.records.record import RunRecord
 from reports.templating import Templates
 
 TEMPLATE = "article.html"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from reports.record import RunRecord, SecondsRecord, StageRecord, StartRecord
+from reports.records.record import RunRecord, SecondsRecord, StageRecord, StartRecord
 
 # Costs that differ by less, relative to the cheapest, are one optimum: solves agree to 1e-12, windows shifted by a step differ by 1e-5.
 SAME_OPTIMUM = 1e-7

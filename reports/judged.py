@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from reports.record import MetricRecord, SceneRecord, StageRecord, TraceRecord
+from reports.records.record import MetricRecord, SceneRecord, StageRecord, TraceRecord
 from reports.wording import error, unit
 
 # As validate.judge.score has them: metrics of the replay with feedback, and of what the feedback took.

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable
 from importlib import metadata
 from pathlib import Path
 
-from reports.files import LARGEST_BYTES, record_files
+from reports.records.load import LARGEST_BYTES, record_files
 
 _HERE = Path(__file__).parent
 # A change of one of these may change a text.

@@ -17,9 +17,9 @@ from pydantic import ValidationError
 
 from reports.article import Article
 from reports.collected import collected
-from reports.examination_record import ExaminationRecord, record_of
-from reports.load import ReportError
-from reports.record import RunRecord
+from reports.records.check_record import ExaminationRecord, record_of
+from reports.records.load import ReportError
+from reports.records.record import RunRecord
 from reports.shelf import Shelf
 
 _TRACES = {"plan_trace": None, "replay_trace": None, "tracked_trace": None, "history": {}}

@@ -23,7 +23,6 @@ from markupsafe import Markup
 
 from reports.article import written
 from reports.kept import kept
-from reports.load import ReportError, Stored, load
 from reports.outlines import Outlines
 from reports.pages import (
     errata,
@@ -44,6 +43,7 @@ from reports.pages import (
 )
 from reports.pages.section import Report, Section
 from reports.parcels import Block, Parcels, Token
+from reports.records.load import ReportError, Stored, load
 from reports.shelf import Shelf
 from reports.templating import Templates
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from reports.judged import judged_metric
 from reports.paper import SCENE as PAPER_SCENE
 from reports.paper import TABLE_1, PaperRow
-from reports.record import HOLD, RunRecord, SceneRecord, StageRecord
+from reports.records.record import HOLD, RunRecord, SceneRecord, StageRecord
 from reports.wording import small
 
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
-# As reports.record has them, which would cost pydantic.
+# As reports.records.record has them, which would cost pydantic.
 HOLD = ("holds", "holds with feedback")
 
 if TYPE_CHECKING:  # the words are shown by --help, which must not cost pydantic
-    from reports.examination_record import ExaminationRecord
-    from reports.record import RunRecord, StageRecord
+    from reports.records.check_record import ExaminationRecord
+    from reports.records.record import RunRecord, StageRecord
 
 # What fails a campaign, each ending a sentence that begins "A campaign fails if".
 RULE = (
@@ -69,14 +69,14 @@ def _is_of_the_time_step(stage: StageRecord) -> bool:
 
 def fails(record: RunRecord | ExaminationRecord) -> bool:
     """Whether a campaign fails because of this cell alone."""
-    from reports.examination_record import ExaminationRecord
+    from reports.records.check_record import ExaminationRecord
 
     return not record.passed if isinstance(record, ExaminationRecord) else bool(_cell_failure(record))
 
 
 def failed_keys(records: Iterable[RunRecord | ExaminationRecord]) -> frozenset[str]:
     """Keys of the cells because of which a campaign of these records fails; of a scene on which nothing holds, all by direct methods."""
-    from reports.examination_record import divided
+    from reports.records.check_record import divided
 
     runs, examinations = divided(records)
     failed = {record.key for record in (*runs, *examinations) if fails(record)}

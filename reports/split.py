@@ -15,8 +15,8 @@ import re
 from pathlib import Path
 
 from reports.kept import kept
-from reports.load import ReportError
 from reports.pages.section import Section
+from reports.records.load import ReportError
 from reports.render import Drawn, draw, write_page
 
 INDEX = "index.html"

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from reports.record import SceneRecord, TraceRecord
+from reports.records.record import SceneRecord, TraceRecord
 
 # A planned force below this is none: a thousandth of the smallest force worth drawing [N].
 _FORCE_OF_CONTACT = 1e-3

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from reports.examination_record import ExaminationRecord, FmuRecord
 from reports.pages.section import Report, Section
+from reports.records.check_record import ExaminationRecord, FmuRecord
 from reports.wording import count, listing
 
 KIND = "FMU"

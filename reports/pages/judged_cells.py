@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from reports.record import HOLD, RunRecord, StageRecord
+from reports.records.record import HOLD, RunRecord, StageRecord
 from reports.wording import VERDICTS, capital, count, error, listing, verdict
 
 # An outcome that came back with what was asked for; a limit of iterations is the paper's own stopping rule for gradient descent.

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from reports.judged import end_of
 from reports.pages.section import Report, Section
-from reports.record import HOLD, RunRecord
+from reports.records.record import HOLD, RunRecord
 from reports.wording import VERDICTS
 
 

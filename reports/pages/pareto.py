@@ -15,7 +15,7 @@ from reports.pages.front import unbeaten
 from reports.pages.section import Report, Section
 from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
-from reports.record import MetricRecord, SceneRecord
+from reports.records.record import MetricRecord, SceneRecord
 from reports.rows import Row
 from reports.wording import cost, count, error, listing, seconds, spaced, times
 

@@ -12,7 +12,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from reports.judged import is_tracked, judged_trace
-from reports.record import ContactRecord, RunRecord, ShapeRecord, StageRecord, TraceRecord
+from reports.records.record import ContactRecord, RunRecord, ShapeRecord, StageRecord, TraceRecord
 from reports.traces import at_all, force, gap
 
 # Frames of a film: smooth at the speed of the clock for a few seconds of motion.

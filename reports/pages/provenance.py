@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from reports.pages.section import Report, Section
-from reports.record import ProvenanceRecord
+from reports.records.record import ProvenanceRecord
 
 _SAME = ("touchstone", "commit", "python", "platform", "cpu", "compiler")
 

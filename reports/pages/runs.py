@@ -10,7 +10,7 @@ from reports.pages.player import Film, film
 from reports.pages.section import Report, Section
 from reports.pages.stage_plots import StagePlots, is_empty, stage_plots
 from reports.pages.starts import Spread, spread
-from reports.record import RunRecord, SceneRecord, StageRecord
+from reports.records.record import RunRecord, SceneRecord, StageRecord
 from reports.wording import tail
 
 # So many runs are shown open; of more, a reader wants the list first.

@@ -9,7 +9,7 @@ from markupsafe import Markup
 from reports.mathml import safe_mathml
 from reports.pages.section import Report, Section
 from reports.pages.sizes import method_sizes
-from reports.record import SceneRecord
+from reports.records.record import SceneRecord
 from reports.wording import listing, number
 
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Protocol
 
-from reports.load import Stored
 from reports.parcels import Parcels, Token
-from reports.record import RunRecord, SceneRecord, StageRecord
+from reports.records.load import Stored
+from reports.records.record import RunRecord, SceneRecord, StageRecord
 from reports.rows import Row, rows_of, run_anchors, scenes_of
 from reports.shelf import Shelf
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from reports.pages.section import Report
-from reports.record import SizeRecord
+from reports.records.record import SizeRecord
 
 
 @dataclass(frozen=True)

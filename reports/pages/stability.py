@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from reports.chart_record import AxisRecord, ChartRecord
-from reports.examination_record import ExaminationRecord
 from reports.pages.section import Report, Section
 from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
-from reports.record import MetricRecord
+from reports.records.check_record import AxisRecord, ChartRecord, ExaminationRecord
+from reports.records.record import MetricRecord
 from reports.wording import Sign, capital, count, number, spaced, unit
 
 KIND = "hard case"

@@ -10,7 +10,7 @@ import numpy as np
 from reports.judged import is_tracked, judged_trace
 from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
-from reports.record import QuantityRecord, SceneRecord, StageRecord, TraceRecord
+from reports.records.record import QuantityRecord, SceneRecord, StageRecord, TraceRecord
 from reports.traces import column, contact_phases, force, gap, position_error
 from reports.wording import clean, error, number
 

@@ -9,7 +9,7 @@ from reports.collected import optima
 from reports.pages.tolerance import windows_text
 from reports.plots.axis import Axis
 from reports.plots.figure import Plot
-from reports.record import StageRecord, StartRecord
+from reports.records.record import StageRecord, StartRecord
 from reports.wording import cost, count, percent
 
 _BINS = 40  # across the range of costs

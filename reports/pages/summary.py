@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from reports.examination_record import ExaminationRecord
 from reports.judged import end_of
-from reports.load import Unreadable
 from reports.pages.judged_cells import Sentence, direct, failure, scene_by_scene, solved_scenes
 from reports.pages.section import Report, Section
-from reports.record import HOLD, RunRecord
+from reports.records.check_record import ExaminationRecord
+from reports.records.load import Unreadable
+from reports.records.record import HOLD, RunRecord
 from reports.rows import Row
 from reports.rule import RESULTS, RULE, failures, findings
 from reports.wording import VERDICTS, capital, cost, count, error, listing, seconds

@@ -13,7 +13,7 @@ from reports.pages.section import Report, Section
 from reports.paper import TIGHTENING_FIGURES
 from reports.plots.axis import Axis
 from reports.plots.figure import Drawing, Key, Plot
-from reports.record import QuantityRecord, SceneRecord, TraceRecord
+from reports.records.record import QuantityRecord, SceneRecord, TraceRecord
 from reports.rows import Row
 from reports.traces import column, force, gap
 from reports.wording import error, number, small

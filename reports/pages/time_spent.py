@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from reports.pages.section import Report, Section
-from reports.record import RunRecord
+from reports.records.record import RunRecord
 from reports.wording import count, listing, seconds, spaced
 
 _SLOWEST = 10

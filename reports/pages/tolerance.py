@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from reports.pages.section import Report, Section
 from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
-from reports.record import FrontPointRecord, RunRecord, SceneRecord
+from reports.records.record import FrontPointRecord, RunRecord, SceneRecord
 from reports.rows import Row
 from reports.wording import cost, count, error, percent
 

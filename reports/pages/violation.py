@@ -7,7 +7,7 @@ import math
 from reports.pages.section import Report, Section
 from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
-from reports.record import ViolationPoint
+from reports.records.record import ViolationPoint
 from reports.wording import error, number, small
 
 _LAWS = {

@@ -9,7 +9,7 @@ import pytest
 from benchmarks import golden
 from formulations.pipelines import pipeline_names
 from models.catalog import scene_names
-from reports.load import load
+from reports.records.load import load
 
 
 def row(**words: str) -> golden.Row:

@@ -9,7 +9,7 @@ from benchmarks.page import render
 from benchmarks.pages.cosimulation import at, reached
 from benchmarks.records import Table
 from benchmarks.results import store_tables, stored, tables_of
-from reports.load import ReportError
+from reports.records.load import ReportError
 
 
 @pytest.fixture

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from reports.record import EquationRecord, MetricRecord, RunRecord, ShapeRecord
+from reports.records.record import EquationRecord, MetricRecord, RunRecord, ShapeRecord
 
 
 def crashed(factory) -> RunRecord:

@@ -9,7 +9,7 @@ import math
 from pathlib import Path
 
 from reports.paper import TABLE_1
-from reports.record import (
+from reports.records.record import (
     CampaignRecord,
     ContactRecord,
     EquationRecord,

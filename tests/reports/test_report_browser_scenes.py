@@ -6,7 +6,7 @@ import csv
 
 import pytest
 
-from reports.examination_record import ExaminationRecord
+from reports.records.check_record import ExaminationRecord
 from reports.render import render, write_report
 
 # A4 across, less the margins of 12 mm, in pixels of CSS.

@@ -6,8 +6,8 @@ import html
 import re
 from pathlib import Path
 
-from reports.examination_record import CheckRow, ExaminationRecord, FmuRecord, StoredRecord
-from reports.load import load
+from reports.records.check_record import CheckRow, ExaminationRecord, FmuRecord, StoredRecord
+from reports.records.load import load
 from reports.render import write_report
 from reports.rule import failures
 

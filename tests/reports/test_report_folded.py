@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from reports.load import ReportError
 from reports.parcels import Parcels, line_bytes
+from reports.records.load import ReportError
 from reports.render import LARGEST_PLAIN, render
 from reports.split import write_pages
 

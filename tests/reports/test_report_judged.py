@@ -11,10 +11,9 @@ from pydantic import ValidationError
 from reports.judged import end_of, judged_metric, questions_of
 from reports.pages.judged_cells import direct, scene_by_scene
 from reports.pages.table1 import conclude
-from reports.record import MetricRecord, TraceRecord
+from reports.records.record import MetricRecord, TraceRecord, TrackedRecord
 from reports.render import write_report
 from reports.rows import rows_of
-from reports.tracked_record import TrackedRecord
 
 
 def ended(factory, number: int, scene: str, verdict: str, **changes):

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from reports.load import ReportError, load
+from reports.records.load import ReportError, load
 from reports.render import write_report
 
 _BROKEN = {

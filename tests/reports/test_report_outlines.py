@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from reports import kept as room
 from reports import render as page
 from reports import split
-from reports.examination_record import record_of
-from reports.load import ReportError, load
 from reports.outlines import Outlines
+from reports.records.check_record import record_of
+from reports.records.load import ReportError, load
 from reports.render import render
 from reports.shelf import PLACE, Shelf
 

@@ -8,10 +8,10 @@ import shlex
 import pytest
 
 from reports.again import again
-from reports.load import load
 from reports.pages import front, table1, tightening
 from reports.pages.section import Report
 from reports.paper import TABLE_1
+from reports.records.load import load
 from reports.rows import lacking
 from validate.plan.selection import matches
 

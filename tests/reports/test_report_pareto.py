@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from reports.load import Stored
 from reports.pages import pareto
 from reports.pages.section import Report
-from reports.record import MetricRecord, RunRecord
+from reports.records.load import Stored
+from reports.records.record import MetricRecord, RunRecord
 from reports.render import render
 from tests.reports import record_factory as factory
 

@@ -16,9 +16,8 @@ from reports.pages.stage_plots import stage_plots
 from reports.plots.axis import Axis
 from reports.plots.figure import Plot
 from reports.plots.simplify import seen
-from reports.record import QuantityRecord, TraceRecord
+from reports.records.record import QuantityRecord, TraceRecord, TrackedRecord
 from reports.traces import contact_phases
-from reports.tracked_record import TrackedRecord
 from reports.wording import cost, error, number, percent, product, seconds, small
 
 _HEIGHTS = st.lists(st.floats(-300, 300), min_size=2, max_size=200)

@@ -12,8 +12,8 @@ from html.parser import HTMLParser
 
 import pytest
 
-from reports.load import ReportError
-from reports.record import StageRecord, TraceRecord
+from reports.records.load import ReportError
+from reports.records.record import StageRecord, TraceRecord
 from reports.render import write_report
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from reports.record import MetricRecord
+from reports.records.record import MetricRecord
 from reports.render import write_report
 from reports.rule import RESULTS, RULE, failures, findings
 

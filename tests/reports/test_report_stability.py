@@ -5,11 +5,9 @@ import re
 
 import pytest
 
-from reports.chart_record import AxisRecord, ChartRecord, SeriesRecord
-from reports.examination_record import ExaminationRecord
-from reports.record import MetricRecord
+from reports.records.check_record import AxisRecord, ChartRecord, ExaminationRecord, SeriesRecord
+from reports.records.record import MetricRecord, TimeStepRecord
 from reports.render import render
-from reports.time_step_record import TimeStepRecord
 
 
 def figure(name: str, value: float | None, limit: float | None, **changes) -> MetricRecord:

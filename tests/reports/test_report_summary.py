@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from reports.load import Stored
 from reports.pages import summary
 from reports.pages.section import Report
+from reports.records.load import Stored
 
 
 def _sentences(*runs) -> list[str]:

@@ -3,9 +3,9 @@
 import html
 import re
 
-from reports.load import load
 from reports.pages import time_spent
 from reports.pages.section import Report
+from reports.records.load import load
 from reports.render import render
 
 

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from reports.examination_record import StoredRecord
-from reports.record import TraceRecord
+from reports.records.check_record import StoredRecord
+from reports.records.record import TraceRecord
 
 _FINITE = st.floats(allow_nan=False, allow_infinity=False)
 

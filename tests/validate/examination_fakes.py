@@ -15,7 +15,7 @@ import campaign_fakes
 
 from models.errors import TouchstoneError
 from models.scene.text import scene_text
-from reports.record import MetricRecord
+from reports.records.record import MetricRecord
 from validate.tasks.examination import Course, Examination, Found, SceneReference
 
 

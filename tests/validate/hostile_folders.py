@@ -15,7 +15,7 @@ from hostile_mutations import spoilt_data, spoilt_text
 from hostile_records import KEY, good_record, spoilt_campaign
 
 from models.errors import TouchstoneError
-from reports.load import ReportError
+from reports.records.load import ReportError
 
 _PLAN = b"no plan, and not read: no stage says that it has one"
 
@@ -63,7 +63,7 @@ def _entry() -> Any:
 
 
 def resume(path: Path) -> None:
-    from reports.load import load
+    from reports.records.load import load
     from validate.plan.runs import Settings, reasons, with_stored
     from validate.plan.warnings import time_steps
     from validate.store.compare import compare

@@ -38,7 +38,7 @@ from hostile_results import (
 )
 
 from models.errors import TouchstoneError
-from reports.load import ReportError
+from reports.records.load import ReportError
 
 HANG = 20.0  # [s of CPU]; every good file is read in less than a tenth
 _ASLEEP = 600.0  # [s]; whoever waits for something needs no CPU

@@ -59,7 +59,7 @@ def read_record(path: Path) -> None:
     import contextlib
     import os
 
-    from reports.load import load
+    from reports.records.load import load
     from validate.cli.show import command
     from validate.store.results import results_text
     from validate.store.store import Store

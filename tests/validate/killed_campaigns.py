@@ -192,13 +192,13 @@ def _look_at_words(out: Path, code: int, told: str, before: dict[str, bytes], se
 
 
 def _outcomes(content: bytes) -> set[str]:
-    from reports.examination_record import StoredRecord
+    from reports.records.check_record import StoredRecord
 
     return {stage.outcome for stage in getattr(StoredRecord.model_validate_json(content).root, "stages", ())}
 
 
 def _look(out: Path, before: dict[str, bytes], seen: Kills) -> None:
-    from reports.examination_record import StoredRecord
+    from reports.records.check_record import StoredRecord
 
     until = time.monotonic() + _PATIENCE
     while (left := family(out)) and time.monotonic() < until:

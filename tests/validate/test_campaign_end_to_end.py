@@ -10,7 +10,7 @@ import pytest
 from models.catalog import load_scene
 from models.trajectory import write_csv
 from models.trajectory_netcdf import read_netcdf
-from reports.record import RunRecord
+from reports.records.record import RunRecord
 from reports.shelf import PLACE, Shelf
 from validate.execution import child
 from validate.tasks.plugins import Tools

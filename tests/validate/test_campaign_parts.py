@@ -146,7 +146,7 @@ def test_starts_and_front_become_records_and_files(tmp_path, factory_run) -> Non
 @pytest.fixture
 def factory_run():
     """A run record with these starts and front, from as little as the schema allows."""
-    from reports.record import ProvenanceRecord, RunRecord, SceneRecord, StageRecord
+    from reports.records.record import ProvenanceRecord, RunRecord, SceneRecord, StageRecord
 
     scene = SceneRecord(
         name="three_cart", title="", source="", coordinates=(), velocities=(), inputs=(), contacts=(), parameters=(), start=(), goal=(), step=0.01,

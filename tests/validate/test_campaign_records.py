@@ -125,13 +125,13 @@ def _imported_reports(name: str) -> set[str]:
 def test_whatever_writes_records_is_part_of_their_keys():
     """Of the files that count, each imports of the room of reports only what counts too, or what tells of records that are written already."""
     counted = provenance._source_digests()
-    telling = {"reports/load.py", "reports/render.py", "reports/split.py", "reports/telling.py"}
+    telling = {"reports/records/load.py", "reports/render.py", "reports/split.py", "reports/telling.py"}
     imported = {name: _imported_reports(name) for name in counted if name.endswith(".py")}
-    assert "reports/trace_record.py" in imported["reports/record.py"]
+    assert "reports/records/record.py" in imported["reports/records/record.py"]
     assert {name: missing for name, modules in imported.items() if (missing := modules - set(counted) - telling)} == {}
     # a cell's record holds columns of numbers and the paper's figures
-    assert {"reports/record.py", "reports/trace_record.py", "reports/paper.py"} <= set(source_digests(["strict_lcp"]))
-    assert "reports/chart_record.py" not in source_digests(["strict_lcp"])
+    assert {"reports/records/record.py", "reports/paper.py"} <= set(source_digests(["strict_lcp"]))
+    assert "reports/records/check_record.py" not in source_digests(["strict_lcp"])
 
 
 def test_an_equation_of_motion_has_its_accelerations_on_the_left():

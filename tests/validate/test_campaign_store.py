@@ -9,7 +9,7 @@ import socket
 import pytest
 
 from models.errors import MachineError
-from reports.record import RunRecord
+from reports.records.record import RunRecord
 from validate.execution.campaign import Settings, select, with_stored
 from validate.execution.worker import Lost
 from validate.plan.runs import reasons

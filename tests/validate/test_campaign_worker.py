@@ -13,7 +13,7 @@ import pytest
 from killed_campaigns import HERE, processes, unfinished, untimed
 from standing_cluster import come
 
-from reports.record import RunRecord
+from reports.records.record import RunRecord
 from validate.cli.narrator import PlainNarrator
 from validate.execution.campaign import Settings, run_campaign
 from validate.execution.process import interrupts_wait

@@ -17,7 +17,7 @@ import pytest
 
 from models.codegen.compiler import find_compiler
 from models.errors import MachineError
-from reports.record import RunRecord
+from reports.records.record import RunRecord
 from validate.execution.campaign import Settings, select
 from validate.execution.fork_server import MODULES, ForkServer
 from validate.execution.process import Watchdog

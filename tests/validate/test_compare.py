@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from reports.load import load
-from reports.record import RunRecord
+from reports.records.load import load
+from reports.records.record import RunRecord
 from validate.store.compare import Comparison, Kind, compare
 
 _FACTORY = importlib.util.spec_from_file_location("record_factory_of_compare", Path(__file__).parents[1] / "reports" / "record_factory.py")

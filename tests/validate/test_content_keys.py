@@ -104,7 +104,7 @@ DECIDES = {
     "models/scenes/three_cart.py": (False, False, False),
     "validate/tasks/examination.py": (False, True, True),
     "validate/judge/score/measures.py": (True, False, True),
-    "reports/record.py": (True, True, True),
+    "reports/records/record.py": (True, True, True),
 }
 
 

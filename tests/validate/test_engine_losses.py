@@ -16,7 +16,7 @@ import pytest
 from killed_campaigns import finished, processes, unfinished, untimed
 from standing_cluster import come, standing_cluster
 
-from reports.record import RunRecord
+from reports.records.record import RunRecord
 
 pytestmark = pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="distributed is not installed (the extra `dask`)")
 FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")

@@ -13,7 +13,7 @@ from killed_campaigns import finished, processes, unfinished, untimed
 from standing_cluster import come, standing_cluster
 
 from models.errors import MachineError
-from reports.record import RunRecord
+from reports.records.record import RunRecord
 from validate.execution.engine import EngineError, check_engine
 
 FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")

@@ -11,7 +11,7 @@ import pytest
 
 from models.catalog import load_scene
 from models.scene.text import scene_text
-from reports.examination_record import ExaminationRecord
+from reports.records.check_record import ExaminationRecord
 from validate.execution.campaign import CampaignError, Settings, select
 from validate.store.provenance import examination_key
 from validate.tasks.examination import Examination, SceneReference

@@ -12,7 +12,7 @@ import pytest
 
 import models.fmu
 from models.catalog import load_scene, scene_names
-from reports.examination_record import StoredRecord
+from reports.records.check_record import StoredRecord
 from validate.execution.campaign import Settings, select
 from validate.tasks.examination import Course
 from validate.tasks.fmu_examination import VERSIONS, examine

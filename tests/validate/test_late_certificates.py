@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from reports.record import RunRecord
+from reports.records.record import RunRecord
 from validate.execution import worker as module
 from validate.execution.dask import _lost
 from validate.execution.fork_server import ForkServer

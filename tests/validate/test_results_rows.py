@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from reports.examination_record import ExaminationRecord
-from reports.record import MetricRecord, ReplayRecord, RunRecord, SecondsRecord, StageRecord
+from reports.records.check_record import ExaminationRecord
+from reports.records.record import MetricRecord, ReplayRecord, RunRecord, SecondsRecord, StageRecord
 from tests.reports import record_factory as factory
 from validate.store.results import COLUMNS, examinations_text, results_text, rows
 

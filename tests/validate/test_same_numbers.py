@@ -16,7 +16,7 @@ from standing_cluster import come
 
 from models.catalog import load_scene
 from models.trajectory_netcdf import read_netcdf
-from reports.record import RunRecord
+from reports.records.record import RunRecord
 from validate.cli.narrator import PlainNarrator
 from validate.execution import campaign
 from validate.execution.campaign import Settings, run_campaign

@@ -15,7 +15,7 @@ import pytest
 from formulations.pipelines import find_pipeline, load_method
 from models.catalog import load_scene
 from models.trajectory_netcdf import read_netcdf
-from reports.record import RunRecord
+from reports.records.record import RunRecord
 from validate.execution.engine import LocalEngine
 from validate.store.store import Store
 from validate.tasks.records import planned_stages

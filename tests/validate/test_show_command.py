@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from reports.record import MetricRecord
-from reports.tracked_record import TrackedRecord
+from reports.records.record import MetricRecord, TrackedRecord
 from validate.store.store import Store
 from validate.store.stored import stored_names, title_of
 

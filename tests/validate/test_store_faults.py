@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from models.errors import MachineError
-from reports.record import RunRecord
+from reports.records.record import RunRecord
 from validate.cli.narrator import PlainNarrator
 from validate.execution.campaign import Settings, run_campaign, select
 from validate.store import disk as disk_module

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from reports.record import SCHEMA_VERSION
+from reports.records.record import SCHEMA_VERSION
 from validate.store.store import Store
 from validate.store.stored import CAMPAIGN, CampaignError, earlier_schema, only_last_failed
 

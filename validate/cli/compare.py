@@ -75,7 +75,7 @@ def command(before: Path, after: Path, as_json: bool) -> int:
 
 
 def _loaded(folder: Path):
-    from reports.load import ReportError, load
+    from reports.records.load import ReportError, load
 
     try:
         stored = load(folder)

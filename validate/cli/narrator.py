@@ -14,8 +14,8 @@ import click
 from validate.cli.table import one_line
 
 if TYPE_CHECKING:
-    from reports.examination_record import ExaminationRecord
-    from reports.record import RunRecord
+    from reports.records.check_record import ExaminationRecord
+    from reports.records.record import RunRecord
     from validate.execution.engine import Running
 
 
@@ -129,7 +129,7 @@ def in_words(seconds: float) -> str:
 
 
 def _summary(record: RunRecord | ExaminationRecord) -> str:
-    from reports.examination_record import ExaminationRecord
+    from reports.records.check_record import ExaminationRecord
 
     if isinstance(record, ExaminationRecord):
         return _examined(record)

@@ -49,7 +49,7 @@ def command(folder: Path, split: bool, as_json: bool) -> int:
 
 def _tables(folder: Path) -> dict[str, Any]:
     """What is told beside the report: the texts of the tables, their rows, and how many cells are missing. Raises CampaignError."""
-    from reports.load import ReportError, Stored
+    from reports.records.load import ReportError, Stored
     from reports.render import outlined
     from validate.execution.campaign import EXAMINATIONS, RESULTS, VIOLATION
     from validate.store.results import examination_rows, examinations_text, results_text, rows

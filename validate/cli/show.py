@@ -11,8 +11,8 @@ import click
 from validate.cli.table import one_line, short, table, use_colour
 
 if TYPE_CHECKING:
-    from reports.examination_record import ExaminationRecord
-    from reports.record import MetricRecord, RunRecord, StageRecord
+    from reports.records.check_record import ExaminationRecord
+    from reports.records.record import MetricRecord, RunRecord, StageRecord
 
 _EPILOG = """\b
 Examples:
@@ -42,7 +42,7 @@ _LOG_LINES = 15
 @click.option("--json", "as_json", is_flag=True, help="The stored record, whole, as JSON.")
 def command(run: str, folder: Path, as_json: bool) -> int:
     """One run: its stages, verdict, questions, metrics, options, the end of its log, and the command that runs it again."""
-    from reports.examination_record import ExaminationRecord
+    from reports.records.check_record import ExaminationRecord
     from reports.rule import fails
 
     folder, record = _found(run, folder)

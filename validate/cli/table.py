@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from reports.record import RunRecord
+    from reports.records.record import RunRecord
 
 # From here on decimals would fill the line: a diverged plan may cost 1e200.
 _LARGE = 1e9

@@ -27,9 +27,8 @@ from validate.tasks.plugins import DEFAULT_TOOLS, load_tools
 from validate.tasks.shared_stages import beginnings_of, forget, must_wait, wanted_of
 
 if TYPE_CHECKING:
-    from reports.examination_record import ExaminationRecord
-    from reports.record import CampaignRecord, ProvenanceRecord, RunRecord, ViolationPoint
-    from reports.time_step_record import TimeStepRecord
+    from reports.records.check_record import ExaminationRecord
+    from reports.records.record import CampaignRecord, ProvenanceRecord, RunRecord, TimeStepRecord, ViolationPoint
 
 __all__ = ["CampaignError", "Narrator", "Outcome", "Settings", "run_campaign", "select", "stored_campaign", "with_stored"]
 
@@ -70,7 +69,7 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
     """
     from models.codegen.compiler import find_compiler
     from reports.collected import collected
-    from reports.examination_record import divided
+    from reports.records.check_record import divided
     from reports.rule import fails, failures, findings
     from validate.plan.warnings import doubts
     from validate.store.provenance import gather
@@ -92,7 +91,7 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
     records = {entry.cell.key: entry.stored for entry in entries if entry.stored is not None}
 
     def campaign() -> CampaignRecord:
-        from reports.record import CampaignRecord
+        from reports.records.record import CampaignRecord
 
         return CampaignRecord(
             title=settings.title or TITLE,

@@ -36,7 +36,7 @@ def main(folder: Path) -> int:
     import numpy as np
 
     from models.errors import MachineError
-    from reports.record import ProvenanceRecord
+    from reports.records.record import ProvenanceRecord
     from validate.store.disk import disk_error, disk_refuses, write_durably
     from validate.store.provenance import SEED
     from validate.store.store import RECORD, REQUEST

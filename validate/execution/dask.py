@@ -49,8 +49,8 @@ from validate.store.disk import disk_error, write_durably
 from validate.store.store import LOG, PROGRESS, RECORD, REQUEST, Store
 
 if TYPE_CHECKING:
-    from reports.examination_record import ExaminationRecord
-    from reports.record import ProvenanceRecord, RunRecord
+    from reports.records.check_record import ExaminationRecord
+    from reports.records.record import ProvenanceRecord, RunRecord
     from validate.execution.fork_server import ForkServer
     from validate.execution.worker import Job, Lost
 
@@ -156,7 +156,7 @@ def job_from_json(data: Mapping[str, Any]) -> Job:
 def run_on_worker(request: Mapping[str, Any]) -> dict[str, str]:
     """Run one cell to its end. request: cell and provenance (JSON), folder, its mark, the campaign's token, fingerprint of its sources,
     cells: how many will come to one thread, which may be worth a fork server, name: by which the campaign counts how often the cell was begun."""
-    from reports.record import ProvenanceRecord
+    from reports.records.record import ProvenanceRecord
     from validate.execution.process import shared_watchdog
     from validate.execution.worker import Worker
 
@@ -418,7 +418,7 @@ class DaskEngine:
         """What came of a cell; None if it is to be given to Dask anew."""
         from distributed import KilledWorker  # pyright: ignore[reportMissingImports]
 
-        from reports.examination_record import StoredRecord
+        from reports.records.check_record import StoredRecord
 
         try:
             answer = future.result()

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 from models.errors import MachineError, TouchstoneError
 
 if TYPE_CHECKING:
-    from reports.examination_record import ExaminationRecord
-    from reports.record import ProvenanceRecord, RunRecord
+    from reports.records.check_record import ExaminationRecord
+    from reports.records.record import ProvenanceRecord, RunRecord
     from validate.execution.worker import Job, Lost, Worker
     from validate.store.store import Store
 

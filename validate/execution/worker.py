@@ -29,8 +29,8 @@ from validate.store.store import LOG, MACHINE, PROGRESS, RECORD, REQUEST, Store
 from validate.tasks.provisional import recovered
 
 if TYPE_CHECKING:
-    from reports.examination_record import ExaminationRecord
-    from reports.record import ProvenanceRecord, RunRecord
+    from reports.records.check_record import ExaminationRecord
+    from reports.records.record import ProvenanceRecord, RunRecord
 
 _TAIL_BYTES = 20_000
 _TEMPORARY = "tmp"
@@ -150,7 +150,7 @@ class Worker:
         """The child's record if it is whole, else one that says how the child ended."""
         from pydantic import ValidationError
 
-        from reports.examination_record import StoredRecord
+        from reports.records.check_record import StoredRecord
 
         problem = ""
         try:

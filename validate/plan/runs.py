@@ -30,8 +30,8 @@ from validate.tasks.shared_stages import Signature, beginnings, common, restarts
 if TYPE_CHECKING:
     from formulations.method import Pipeline
     from models.scene import Scene
-    from reports.examination_record import ExaminationRecord
-    from reports.record import ProvenanceRecord, RunRecord
+    from reports.records.check_record import ExaminationRecord
+    from reports.records.record import ProvenanceRecord, RunRecord
     from validate.execution.worker import Lost
     from validate.tasks.records import Planned
 

@@ -22,12 +22,12 @@ from models.stability import step_stability
 
 if TYPE_CHECKING:
     from models.scene import Scene
-    from reports.time_step_record import TimeStepRecord
+    from reports.records.record import TimeStepRecord
 
 
 def time_steps(scenes: Iterable[Scene], campaign: Path) -> tuple[TimeStepRecord, ...]:
     """campaign: campaign.json of the folder, which need not be there. Raises MachineError without a compiler."""
-    from reports.time_step_record import TimeStepRecord
+    from reports.records.record import TimeStepRecord
 
     known = {(item.scene, item.digest): item for item in _stored(campaign)}
     found = []
@@ -55,7 +55,7 @@ def time_steps(scenes: Iterable[Scene], campaign: Path) -> tuple[TimeStepRecord,
 def _stored(campaign: Path) -> tuple[TimeStepRecord, ...]:
     from pydantic import ValidationError
 
-    from reports.record import CampaignRecord
+    from reports.records.record import CampaignRecord
 
     try:
         return CampaignRecord.model_validate_json(campaign.read_bytes()).time_steps

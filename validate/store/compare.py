@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, TypeVar
 
-from reports.examination_record import ExaminationRecord
-from reports.load import Stored
-from reports.record import HOLD, RunRecord, StageRecord
+from reports.records.check_record import ExaminationRecord
+from reports.records.load import Stored
+from reports.records.record import HOLD, RunRecord, StageRecord
 
 # Verdicts from worst to best; a relaxed stage is expected to violate, and is neither better nor worse for it. "not applicable" and "consistent" are
 # no steps of the ladder: a change to or from them is neither better nor worse.

@@ -25,7 +25,7 @@ from validate.execution.process import ROOT, THREADS
 
 if TYPE_CHECKING:
     from models.scene import Scene
-    from reports.record import ProvenanceRecord
+    from reports.records.record import ProvenanceRecord
     from validate.tasks.examination import Examination
 
 SEED = 0
@@ -49,19 +49,10 @@ _OF_EXAMINATIONS = (
     "validate/tasks/fmu_examination.py",
     "validate/fmu_check/",
     "validate/stress/",
-    "reports/examination_record.py",
-    "reports/chart_record.py",
+    "reports/records/check_record.py",
 )
 # Parts of the room of reports that decide what is in a record: its form, how columns are written, and the paper's numbers beside ours.
-_RECORDS = (
-    "record",
-    "trace_record",
-    "tracked_record",
-    "time_step_record",
-    "paper",
-    "examination_record",
-    "chart_record",
-)
+_RECORDS = ("records/record", "records/check_record", "paper")
 # Scenes and methods count one by one: a cell depends on its own.
 _ONE_BY_ONE = ("models/scenes", "formulations/methods")
 _SOURCE_SUFFIXES = frozenset({".py", ".c", ".h", ".template", ".jinja", ".j2", ".xml"})
@@ -189,7 +180,7 @@ def now() -> str:
 
 def gather(command: str) -> ProvenanceRecord:
     """The provenance of a campaign that starts now."""
-    from reports.record import ProvenanceRecord
+    from reports.records.record import ProvenanceRecord
 
     try:
         version = metadata.version("touchstone-contact")

@@ -14,8 +14,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from reports.examination_record import ExaminationRecord
-from reports.record import CertificateRecord, RunRecord, StageRecord
+from reports.records.check_record import ExaminationRecord
+from reports.records.record import CertificateRecord, RunRecord, StageRecord
 from validate.store.disk import remove, write_durably
 
 _METRICS_FIRST = (

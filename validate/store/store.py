@@ -23,8 +23,8 @@ from models.errors import TouchstoneError
 from validate.store.disk import PARTIAL, aside_name, disk_error, fsync, remove
 
 if TYPE_CHECKING:
-    from reports.examination_record import ExaminationRecord
-    from reports.record import RunRecord
+    from reports.records.check_record import ExaminationRecord
+    from reports.records.record import RunRecord
 
 RECORD, LOG, REQUEST, PROGRESS, MACHINE = "record.json", "log.txt", "cell.json", "progress.txt", "machine.txt"
 # Names and sizes [bytes] of a run's NetCDF files, so that it is seen where one is gone or cut off.
@@ -87,7 +87,7 @@ class Store:
     def read(self, key: str) -> RunRecord | ExaminationRecord | None:
         """The stored record of a cell, or None if there is none that can be read."""
 
-        from reports.examination_record import record_of
+        from reports.records.check_record import record_of
 
         try:
             record = record_of((self.runs / key / RECORD).read_bytes())

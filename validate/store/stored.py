@@ -15,8 +15,8 @@ from validate.plan.runs import CampaignError, Entry, Examined, identity
 from validate.store.store import Store
 
 if TYPE_CHECKING:
-    from reports.examination_record import ExaminationRecord
-    from reports.record import CampaignRecord, RunRecord
+    from reports.records.check_record import ExaminationRecord
+    from reports.records.record import CampaignRecord, RunRecord
 
 CAMPAIGN = "campaign.json"
 
@@ -56,7 +56,7 @@ def campaign_of(folder: Path) -> CampaignRecord:
     """The campaign of a folder. Raises CampaignError."""
     from pydantic import ValidationError
 
-    from reports.record import CampaignRecord
+    from reports.records.record import CampaignRecord
 
     path = folder / CAMPAIGN
     try:
@@ -75,7 +75,7 @@ def campaign_of(folder: Path) -> CampaignRecord:
 
 def earlier_schema(folder: Path) -> str:
     """Why nothing of a folder is used again whose campaign was recorded by another version; empty where there is none, or it is of this one."""
-    from reports.record import SCHEMA_VERSION
+    from reports.records.record import SCHEMA_VERSION
 
     try:
         version = json.loads((folder / CAMPAIGN).read_bytes())["schema_version"]

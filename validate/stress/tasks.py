@@ -14,8 +14,8 @@ from validate.stress.case import case_names, describe_case, load_case
 from validate.tasks.examination import Course, Examination, Found, SceneReference
 
 if TYPE_CHECKING:
-    from reports.chart_record import ChartRecord
-    from reports.record import MetricRecord
+    from reports.records.check_record import ChartRecord
+    from reports.records.record import MetricRecord
     from validate.stress.case import Chart, Figure, Finding
 
 KIND = "hard case"
@@ -73,7 +73,7 @@ def found_of(finding: Finding) -> Found:
 
 
 def _figure(figure: Figure) -> MetricRecord:
-    from reports.record import MetricRecord
+    from reports.records.record import MetricRecord
 
     return MetricRecord(
         name=figure.name,
@@ -88,7 +88,7 @@ def _figure(figure: Figure) -> MetricRecord:
 
 
 def _chart(chart: Chart) -> ChartRecord:
-    from reports.chart_record import AxisRecord, ChartRecord, SeriesRecord
+    from reports.records.check_record import AxisRecord, ChartRecord, SeriesRecord
 
     series = []
     for item in chart.series:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from formulations.solution import Outcome
     from models.scene import Scene
     from models.trajectory import Trajectory
-    from reports.record import RunRecord, StageRecord
+    from reports.records.record import RunRecord, StageRecord
     from validate.tasks.plugins import Tools
     from validate.tasks.records import Planned
     from validate.tasks.run import Cell

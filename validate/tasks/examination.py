@@ -25,8 +25,8 @@ from validate.store.store import LOG, PROGRESS
 
 if TYPE_CHECKING:
     from models.scene import Scene
-    from reports.examination_record import ExaminationRecord
-    from reports.record import MetricRecord, ProvenanceRecord
+    from reports.records.check_record import ExaminationRecord
+    from reports.records.record import MetricRecord, ProvenanceRecord
     from validate.execution.worker import Lost
     from validate.tasks.variant import Variant
 
@@ -149,7 +149,7 @@ def lost_examination(examination: Examination, provenance: ProvenanceRecord, los
 def _record(
     examination: Examination, provenance: ProvenanceRecord, found: Found, outcome: str, message: str, wall: float, cpu: float, log: str
 ) -> ExaminationRecord:
-    from reports.examination_record import ExaminationRecord
+    from reports.records.check_record import ExaminationRecord
 
     return ExaminationRecord(
         key=examination.key,

@@ -52,7 +52,7 @@ def examine(arguments: Mapping[str, Any], course: Course) -> Found:
     """Export and check. Raises MachineError, SceneError for a scene whose names an FMU cannot carry."""
     from models.catalog import load_scene
     from models.fmu import build_fmu
-    from reports.examination_record import CheckRow, FmuRecord
+    from reports.records.check_record import CheckRow, FmuRecord
     from validate.fmu_check import CHECK_SECONDS, Status, check_fmu
 
     began = time.perf_counter()

@@ -25,7 +25,7 @@ import numpy as np
 
 from formulations.pipelines import PAPER, PIPELINES, stage_plan
 from reports.paper import SCENE, TABLE_1, PaperRow
-from reports.record import ViolationPoint
+from reports.records.record import ViolationPoint
 from validate.store.disk import write_durably
 
 if TYPE_CHECKING:

@@ -80,7 +80,7 @@ def _write_replay(path: Path, replay: Any, scene: Scene) -> None:
 
 
 def _write_report(folder: Path) -> Path:
-    from reports.load import ReportError
+    from reports.records.load import ReportError
     from reports.render import write_report
 
     try:
@@ -96,7 +96,7 @@ def _tell(folder: Path, text: bytes) -> None:
 
 
 def _write_pages(folder: Path) -> Path:
-    from reports.load import ReportError
+    from reports.records.load import ReportError
     from reports.split import write_pages
 
     try:

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 from validate.store.disk import write_durably
 
 if TYPE_CHECKING:
-    from reports.examination_record import ExaminationRecord
-    from reports.record import RunRecord, StageRecord
+    from reports.records.check_record import ExaminationRecord
+    from reports.records.record import RunRecord, StageRecord
     from validate.execution.worker import Lost
 
 _PROVISIONAL = "provisional.json"
@@ -32,7 +32,7 @@ def set_aside(folder: Path, record: RunRecord, awaiting: Sequence[int]) -> None:
 def recovered(folder: Path, key: str, lost: Lost) -> RunRecord | None:
     """The record that was set aside, with a sentence why certificates are missing. A cell that ran out of time has the outcome of its last
     stage, one that crashed has crashed, its plans, replays and scores kept."""
-    from reports.record import RunRecord
+    from reports.records.record import RunRecord
     from validate.tasks.records import LOG_LINES
 
     try:

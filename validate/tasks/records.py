@@ -1,6 +1,6 @@
 """Certificate, starts and front of a Solution -> their records.
 
-Solution, Score and Replay -> the records that are stored and told (reports.record).
+Solution, Score and Replay -> the records that are stored and told (reports.records.record).
 
 Numbers that are not finite never get into a record: a cost that is not a number is missing, and says so.
 """
@@ -17,7 +17,7 @@ import numpy as np
 
 from formulations.pipelines import stage_plan
 from formulations.solution import Bound, Outcome, Seconds, Solution
-from reports.record import (
+from reports.records.record import (
     BoundRecord,
     CertificateRecord,
     FrontPointRecord,
@@ -30,9 +30,9 @@ from reports.record import (
     SizeRecord,
     StageRecord,
     StartRecord,
+    TrackedRecord,
     Verdict,
 )
-from reports.tracked_record import TrackedRecord
 from validate.tasks.paper import paper_row
 from validate.tasks.scene_record import plan_trace, replay_trace, thin
 
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from formulations.solution import Solution
     from models.scene import Scene
     from models.trajectory import Trajectory
-    from reports.record import ProvenanceRecord, StageRecord
+    from reports.records.record import ProvenanceRecord, StageRecord
     from validate.execution.worker import Lost
     from validate.tasks.run import Cell
 

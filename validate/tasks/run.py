@@ -24,7 +24,7 @@ from validate.tasks.shared_stages import Beginning
 from validate.tasks.variant import Variant, varied
 
 if TYPE_CHECKING:
-    from reports.record import ProvenanceRecord, RunRecord
+    from reports.records.record import ProvenanceRecord, RunRecord
 
 # Of a cell's time limit, what is kept for certificates, replaying and scoring: a quarter, but no more than 60 s. The paper's scene needs 2 s;
 # the certificate of two fingers takes 3 CPU s.

@@ -20,8 +20,7 @@ from models.dynamics import Dynamics, derive
 from models.scene import Scene
 from models.scene.contacts import Contact, DampingLaw
 from models.trajectory import Trajectory
-from reports.record import ContactRecord, EquationRecord, QuantityRecord, SceneRecord, ShapeRecord
-from reports.trace_record import Pose, TraceRecord
+from reports.records.record import ContactRecord, EquationRecord, Pose, QuantityRecord, SceneRecord, ShapeRecord, TraceRecord
 
 if TYPE_CHECKING:
     from validate.judge.replay.result import Replay

@@ -32,7 +32,7 @@ from validate.store.store import Store
 if TYPE_CHECKING:
     from models.scene import Scene
     from models.trajectory import Trajectory
-    from reports.record import StageRecord
+    from reports.records.record import StageRecord
     from validate.tasks.records import Planned
 
 _CONTENT = "stages.json"
@@ -159,7 +159,7 @@ def take_over(wanted: Sequence[Beginning], scene: Scene, stages: int, folder: Pa
 
 def _read(source: Path, item: Beginning, scene: Scene, stages: int, folder: Path) -> TakenOver:
     from models.trajectory_netcdf import read_netcdf
-    from reports.record import StageRecord
+    from reports.records.record import StageRecord
 
     content = json.loads((source / _CONTENT).read_bytes())
     records = tuple(StageRecord.model_validate(record) for record in content["stages"])

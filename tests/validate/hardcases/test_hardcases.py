@@ -12,8 +12,8 @@ import pytest
 from formulations.pipelines import method_names
 from models.catalog import scene_names
 from models.errors import UnknownNameError
-from reports.examination_record import ExaminationRecord
-from reports.record import ProvenanceRecord
+from reports.records.check_record import ExaminationRecord
+from reports.records.record import ProvenanceRecord
 from reports.rule import failures
 from validate.stress.case import FOLDER, Finding, HardCase, Series, at_least, at_most, case_names, describe_case, load_case, none_of, told
 from validate.stress.tasks import examinations, found_of

@@ -1,4 +1,6 @@
-"""Reads the records of a campaign's folder. A record that cannot be read is listed with a sentence, and the rest is shown.
+"""The files of a campaign's folder that are told of.
+
+Reads the records of a campaign's folder. A record that cannot be read is listed with a sentence, and the rest is shown.
 
 stored = load(Path("runs/all"));  stored.campaign, stored.runs, stored.unreadable, stored.missing
 """
@@ -13,10 +15,23 @@ from typing import TypeVar
 from pydantic import BaseModel, ValidationError
 
 from reports.collected import collected, grouped
-from reports.examination_record import ExaminationRecord, divided, record_of
-from reports.files import LARGEST_BYTES, record_files
-from reports.record import SCHEMA_VERSION, CampaignRecord, RunRecord
+from reports.records.check_record import ExaminationRecord, divided, record_of
+from reports.records.record import SCHEMA_VERSION, CampaignRecord, RunRecord
 from reports.wording import clean
+
+# A record holds thinned traces only: 64 MB is ten times the largest thinkable one, and what is larger is not a record.
+LARGEST_BYTES = 64 * 1024 * 1024
+
+
+def record_files(folder: Path) -> list[Path]:
+    """record.json of each run, sorted by key; it need not be there."""
+    runs = folder / "runs"
+    if not runs.is_dir():
+        return []
+    # Folders whose name begins with a dot or ends in .tmp are runs that are being written.
+    folders = sorted(path for path in runs.iterdir() if path.is_dir() and not path.name.startswith(".") and path.suffix != ".tmp")
+    return [path / "record.json" for path in folders]
+
 
 _ANOTHER_SCHEMA = (
     f"it is of another version's record schema (this one reads {SCHEMA_VERSION}), whose verdicts follow another rule; run it again."

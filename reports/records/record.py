@@ -1,25 +1,120 @@
-"""RunRecord: what is stored of one cell (scene x pipeline), and all that the report knows.
+"""TimeStepRecord: whether the time step of a scene is stable while contacts are closed, found out before anything ran.
+
+TraceRecord: thinned arrays of a plan or a replay, for plots and the player.
+
+Columns of numbers are tuples in memory and in JSON the base64 of their bytes (float64, little-endian, row by row): read ten times as fast as digits, and
+a third as long. A list of numbers is read as well.
+
+What is stored of a replay with feedback, beside the one of the inputs alone.
+
+RunRecord: what is stored of one cell (scene x pipeline), and all that the report knows.
 
     record = RunRecord.model_validate_json(path.read_text())
 
-Numbers are plain JSON, columns of numbers texts (reports.trace_record): NaN and infinities are refused when written and when read. Arrays of trajectories
+Numbers are plain JSON, columns of numbers texts (reports.records.record): NaN and infinities are refused when written and when read. Arrays of trajectories
 do not live here but in the NetCDF files beside the record; `thin` copies for plots (at most 1500 points a trace) do.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import base64
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat, PlainSerializer, model_validator
 
-from reports.time_step_record import TimeStepRecord
-from reports.trace_record import Floats, TraceRecord
-from reports.tracked_record import TrackedRecord
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class TimeStepRecord(BaseModel):
+    """radius: spectral radius of the step's Jacobian with these contacts closed; growth [1/s] of the motion itself there.
+
+    largest_step [s]: below it the step is stable with every set of contacts (None: always); warning: a sentence, empty where it is stable; digest:
+    of the scene, so that it is looked at once.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    scene: str
+    digest: str
+    step: Finite
+    radius: Finite
+    contacts: tuple[str, ...]
+    growth: Finite
+    largest_step: Finite | None
+    warning: str = ""
+
+
+Pose = tuple[float, float, float]
+_TYPE = "<f8"
+
+
+def _text(values: Sequence[Any]) -> str:
+    return base64.b64encode(np.asarray(values, _TYPE).tobytes()).decode("ascii")
+
+
+def _floats(value: Any) -> Any:
+    """The numbers of a text, which raises ValueError where it holds none; anything else as it is."""
+    return tuple(np.frombuffer(base64.b64decode(value, validate=True), _TYPE).tolist()) if isinstance(value, str) else value
+
+
+def _poses(value: Any) -> Any:
+    return tuple(map(tuple, np.reshape(_floats(value), (-1, 3)).tolist())) if isinstance(value, str) else value
+
+
+_written = PlainSerializer(_text, return_type=str, when_used="json")
+Floats = Annotated[tuple[FiniteFloat, ...], BeforeValidator(_floats), _written]
+Poses = Annotated[tuple[tuple[FiniteFloat, FiniteFloat, FiniteFloat], ...], BeforeValidator(_poses), _written]
+
+
+class TraceRecord(BaseModel):
+    """Thinned arrays of one stage for plots: plan and replay on their own thinned times, at most 1500 of them.
+
+    Columns: coordinates, velocities and inputs by their own names; per contact `lam_<contact>` [N] and `gap_<contact>` [m]
+    (gap = -penetration); per friction its force [N] by its own name; in a replay also `position_error`, the largest over the coordinates against the plan. Each column is
+    as long as `t` or shorter (quantities of steps: one less); what is missing is shown as missing.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    t: Floats
+    columns: dict[str, Floats]
+    poses: dict[str, Poses] = {}  # shape -> (x, y, angle) per thinned time
+
+    @model_validator(mode="after")
+    def _is_not_longer_than_its_times(self) -> Self:
+        for name, values in (*self.columns.items(), *self.poses.items()):
+            if len(values) > len(self.t):
+                raise ValueError(f"{name} has {len(values)} values at {len(self.t)} times")
+        return self
+
+
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class TrackedRecord(BaseModel):
+    """rms, peak: what the feedback added to the plan's inputs, of each input in its unit; rms_share, peak_share: the largest over the inputs as a share of
+    half the input's range; plan_share: of all, as a share of the plan's own inputs (None: those are 0); saturated: share of the steps at a bound by the feedback; the rest as in ReplayRecord."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    error_estimate: _Finite | None
+    events: int = 0
+    seconds_reference: _Finite = 0.0
+    seconds_everyday: _Finite = 0.0
+    message: str = ""
+    rms: tuple[_Finite, ...] = ()
+    peak: tuple[_Finite, ...] = ()
+    rms_share: _Finite = 0.0
+    peak_share: _Finite = 0.0
+    plan_share: _Finite | None = 0.0
+    saturated: _Finite = 0.0
+
 
 # 3: metrics, questions and the words of the verdict; records of earlier versions are of another rule, and are refused.
 SCHEMA_VERSION = 3
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 Verdict = Literal["holds", "holds with feedback", "violates", "undecided", "no plan", "not applicable", "consistent"]
 # Verdicts of plans that hold.
 HOLD = ("holds", "holds with feedback")

@@ -1,4 +1,6 @@
-"""ExaminationRecord: what is stored of a cell that is no scene x pipeline - a question with an expected answer, and what was found.
+"""ChartRecord: the data of one plot that an examination draws itself - curves on two axes, and how to read them.
+
+ExaminationRecord: what is stored of a cell that is no scene x pipeline - a question with an expected answer, and what was found.
 
 record = record_of(path.read_bytes())      # a RunRecord or an ExaminationRecord
 runs, examinations = divided(records)
@@ -12,12 +14,38 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Discriminator, RootModel, Tag
 
-from reports.chart_record import ChartRecord
-from reports.record import SCHEMA_VERSION, Finite, MetricRecord, ProvenanceRecord, RunRecord
+from reports.records.record import SCHEMA_VERSION, Finite, MetricRecord, ProvenanceRecord, RunRecord
 
 
 class _Model(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class AxisRecord(_Model):
+    quantity: str
+    unit: str = ""
+    log: bool = False
+
+
+class SeriesRecord(_Model):
+    """x, y: of equal length; line: joined, else points alone."""
+
+    name: str
+    x: tuple[Finite, ...]
+    y: tuple[Finite, ...]
+    line: bool = True
+
+
+class ChartRecord(_Model):
+    """level: a horizontal line, with its words; words: what the plot shows, as a sentence."""
+
+    title: str
+    x: AxisRecord
+    y: AxisRecord
+    series: tuple[SeriesRecord, ...]
+    level: Finite | None = None
+    level_words: str = ""
+    words: str = ""
 
 
 class CheckRow(_Model):
