@@ -11,8 +11,8 @@ import numpy as np
 from formulations.method import OptionError, Session
 from formulations.multiple_shooting.costs import Costs, GoalTerm
 from formulations.multiple_shooting.solver import Found, Solver
-from formulations.shooting.diagnosis import measure_growth
 from formulations.shooting.ending import arrived, first_inputs, plan_residuals
+from formulations.shooting.growth import measure_growth
 from formulations.solution import Seconds, Solution
 from models.codegen.kernel import load_kernel, load_steps
 from models.scene import Scene

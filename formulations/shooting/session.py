@@ -9,8 +9,8 @@ import numpy as np
 
 from formulations.method import OptionError, Session
 from formulations.shooting.descent import Descent
-from formulations.shooting.diagnosis import measure_growth, told
 from formulations.shooting.ending import arrived, given_inputs, plan_residuals
+from formulations.shooting.growth import measure_growth, told
 from formulations.shooting.method import DescentOptions, LbfgsOptions, ShootingMethod
 from formulations.solution import Outcome, Seconds, Solution
 from models.codegen.kernel import load_kernel, load_steps

@@ -111,7 +111,7 @@ def _silent() -> Iterator[str]:
 _ASKED = """
 import sys
 from models.errors import MachineError
-from validate import dask_cluster
+from validate.execution import dask as dask_cluster
 dask_cluster._CONNECT = 1.0
 for where in sys.argv[1:]:
     try:

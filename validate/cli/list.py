@@ -26,7 +26,7 @@ def command(as_json: bool) -> int:
     """Scenes, pipelines, methods and hard cases, with what each is."""
     from formulations.pipelines import PIPELINES, QUICK, method_names
     from models.catalog import scene_names, scene_path
-    from validate.stress.case import case_names, describe_case
+    from validate.stress.catalog import case_names, describe_case
 
     cases = [describe_case(name) for name in case_names()]
     methods = Path(__file__).resolve().parents[2] / "formulations" / "methods"

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from models.catalog import scene_path
-from validate.stress.case import case_names, describe_case, load_case
+from validate.stress.catalog import case_names, describe_case, load_case
 from validate.tasks.examination import Course, Examination, Found, SceneReference
 
 if TYPE_CHECKING:

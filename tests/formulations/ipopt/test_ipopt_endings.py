@@ -10,8 +10,7 @@ import pyomo.environ as pyo
 import pytest
 from cyipopt import CyIpoptEvaluationError
 
-from formulations.ipopt import STATUS_MAP, STATUS_NAMES, Start, compile_model, outcome_of, solve
-from formulations.ipopt import result as residuals
+from formulations.ipopt import STATUS_MAP, STATUS_NAMES, Start, compile_model, outcome_of, residuals, solve
 from formulations.ipopt.problem import Evaluations
 from formulations.ipopt.solve import Answer
 from formulations.solution import Outcome

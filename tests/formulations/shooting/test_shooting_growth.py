@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from formulations.pipelines import load_method
-from formulations.shooting.diagnosis import Growth, measure_growth, sensitivity
+from formulations.shooting.diagnosis import sensitivity
+from formulations.shooting.growth import Growth, measure_growth
 from formulations.shooting.objective import Objective
 from formulations.solution import Outcome
 from models.catalog import load_scene

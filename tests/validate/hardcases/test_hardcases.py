@@ -15,7 +15,8 @@ from models.errors import UnknownNameError
 from reports.records.check_record import ExaminationRecord
 from reports.records.record import ProvenanceRecord
 from reports.rule import failures
-from validate.stress.case import FOLDER, Finding, HardCase, Series, at_least, at_most, case_names, describe_case, load_case, none_of, told
+from validate.stress.case import Finding, HardCase, Series, at_least, at_most, none_of, told
+from validate.stress.catalog import FOLDER, case_names, describe_case, load_case
 from validate.stress.tasks import examinations, found_of
 
 NAMES = case_names()

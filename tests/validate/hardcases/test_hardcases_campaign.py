@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from validate.stress.case import case_names, describe_case
+from validate.stress.catalog import case_names, describe_case
 
 
 @pytest.fixture(scope="module")
