@@ -32,7 +32,7 @@ ROOT = Path(__file__).resolve().parents[1]
 ROOMS = {
     "judge": (("validate/judge/**/*.py", "validate/fmi/*.py", "validate/tasks/judging.py", "validate/tasks/paper.py"),
               ("tests/validate/test_score*.py", "tests/validate/test_replay*.py", "tests/validate/test_tracked*.py", "tests/validate/test_judge.py",
-               "tests/validate/test_exact*.py", "tests/validate/replay/*.py", "tests/validate/test_verdict*.py", "tests/validate/test_campaign_violation.py")),
+               "tests/validate/test_exact*.py", "tests/validate/judge/**/*.py", "tests/validate/test_verdict*.py", "tests/validate/test_campaign_violation.py")),
     "record": (("validate/tasks/*record*.py", "validate/store/results.py", "reports/records/*.py"),
                ("tests/validate/test_results*.py", "tests/validate/test_campaign*.py", "tests/validate/test_same*.py", "tests/reports/test_re*_[!b]*.py")),
     "certificate": (("formulations/mpec/certificate/*.py",), ("tests/formulations/mpec/**/test_*.py", "tests/formulations/test_methods_mpcc.py")),
