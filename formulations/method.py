@@ -1,12 +1,4 @@
-"""Options of methods: a frozen dataclass each, whose fields say what they mean and which values they take.
-
-    @dataclass(frozen=True, kw_only=True)
-    class GlobalOptions(Options):
-        seconds: float = option(200.0, "time after which the best bound is reported", unit="s", lower=1e-3, upper=1e7)
-
-A value is kept as it was given, a whole number also where any number will do: keys of stored results are made from it.
-
-A method: one way to find a plan. ONE FILE = ONE METHOD in formulations/methods; the file defines `METHOD`.
+"""A method: one way to find a plan. ONE FILE = ONE METHOD in formulations/methods; the file defines `METHOD`.
 
     class SoftplusDC(Method):
         name = "softplus_dc"
@@ -21,6 +13,14 @@ A method is opened once on a scene and may then be run for several eps, so that 
         for eps in (1e-3, 1e-5, 1e-7):
             solution = session.solve(eps=eps, warm_start=plan, time_limit=60.0)
             plan = solution.trajectory
+
+Options of methods: a frozen dataclass each, whose fields say what they mean and which values they take.
+
+    @dataclass(frozen=True, kw_only=True)
+    class GlobalOptions(Options):
+        seconds: float = option(200.0, "time after which the best bound is reported", unit="s", lower=1e-3, upper=1e7)
+
+A value is kept as it was given, a whole number also where any number will do: keys of stored results are made from it.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Finds methods by file name, and knows the pipelines. Nothing heavy is imported until a method is loaded.
-
-The pipelines: chains of methods with their eps schedules, as data. Nothing heavy is imported.
+"""The pipelines: chains of methods with their eps schedules, as data. Nothing heavy is imported.
 
     find_pipeline("softplus_dc+strict").legs
     # (Leg(method="softplus_dc", schedule=(1e-3, 1e-5, 1e-7)), Leg(method="strict_lcp"))
 
 A name is `warm starter + finisher`; the first eight are the rows of the paper's Table I. The others are ours.
+
+Finds methods by file name, and knows the pipelines. Nothing heavy is imported until a method is loaded.
 """
 
 from __future__ import annotations

@@ -1,16 +1,16 @@
-"""Modules that a scene's file imports from beside it, and the digest of a file with all it imported that anybody may change.
+"""Finds scenes: those of this package by name, anybody's by path.
+
+    load_scene("three_cart")          load_scene("my/own_scene.py")
+
+A scene file defines `SCENE`, whose name equals the file's name. Nothing is imported until a scene is loaded.
+
+Modules that a scene's file imports from beside it, and the digest of a file with all it imported that anybody may change.
 
     with loading(path):                 # `import parts` finds parts.py beside the file, whatever the folder one works in
         spec.loader.exec_module(module)
         loaded_sources()                # digest of the file and of the modules of somebody's own that are imported by now
 
 Modules from beside it are read as they are, never from kept bytecode, and forgotten afterwards: two files in two folders may each have a `parts.py`.
-
-Finds scenes: those of this package by name, anybody's by path.
-
-    load_scene("three_cart")          load_scene("my/own_scene.py")
-
-A scene file defines `SCENE`, whose name equals the file's name. Nothing is imported until a scene is loaded.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Starts, the same on every machine: rollouts of seeded random inputs, a softplus shooting solution, a plan in the mirror of the scene.
+"""From a scene to the cheapest contact windows that can be found: where the modes come from, and what is tried when they have no plan.
 
-From a scene to the cheapest contact windows that can be found: where the modes come from, and what is tried when they have no plan.
+Starts, the same on every machine: rollouts of seeded random inputs, a softplus shooting solution, a plan in the mirror of the scene.
 """
 
 from __future__ import annotations

@@ -1,18 +1,18 @@
-"""Inputs that hit the goal to rounding: what a solver's plan misses it by in its replay is taken out by steps on the true rollout.
-
-    rollout, u = land(kernel, start, goal, u, step, (lower, upper), ball)
-
-Each step is the smallest change of the inputs that moves the end state where it should be, by the adjoint of the time step (Levenberg and
-Marquardt: a Newton step where that works, as it does for a miss of 1e-9; a shorter one, along which contacts may begin and end, from further
-off). Inputs on a bound are not pushed across it.
-
-From contact modes that miss the goal to modes that reach it: the same search over windows, with the miss as a price that rises.
+"""From contact modes that miss the goal to modes that reach it: the same search over windows, with the miss as a price that rises.
 
     answer = approach(problem, closed, stride, is_over)          # closed: the modes of a rollout, whatever it ends at
 
 The modes of a rollout always have a plan if the goal need not be met. Its cost is sum_t cost + |z[T] - goal|^2 / (2 softness); windows are
 searched for less of it, the softness falls, until the modes found have a plan that meets the goal. Steering one rollout stops where a contact
 would have to begin or end; here that is a neighbour like any other, and the multipliers of touching pairs say which.
+
+Inputs that hit the goal to rounding: what a solver's plan misses it by in its replay is taken out by steps on the true rollout.
+
+    rollout, u = land(kernel, start, goal, u, step, (lower, upper), ball)
+
+Each step is the smallest change of the inputs that moves the end state where it should be, by the adjoint of the time step (Levenberg and
+Marquardt: a Newton step where that works, as it does for a miss of 1e-9; a shorter one, along which contacts may begin and end, from further
+off). Inputs on a bound are not pushed across it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,15 @@
-"""Banded LU with row pivoting in compiled C: milliseconds for a plan of some hundred steps, always one thread.
+"""The optimality conditions of a plan with fixed contact modes, as one banded matrix, factorised in milliseconds.
+
+Unknowns, time by time: y[t] (multipliers of the time step), u[t], z[t+1], mu[t+1] (multipliers of phi = 0 where that is imposed), and w, the
+multipliers of the goal, last. All that a change of modes or active bounds does is change numbers in the band: its shape is settled once.
+
+    kkt = BandedKKT(linear)
+    kkt.factor(closed, held, touching)             # which contacts push, which inputs lie on a bound, where phi = 0 is imposed
+    point = kkt.solve(kkt.right_side(closed, held, bound, touching, goal))
+
+Lagrangian: L = sum_t cost(z[t], u[t]) + y[t]' (A[t] z[t] + B u[t] + c[t] - z[t+1]) + mu[t]' (P z[t] + p) + w' (z[T] - goal).
+
+Banded LU with row pivoting in compiled C: milliseconds for a plan of some hundred steps, always one thread.
 
     band = BandedLU(size, width)
     band.factor(matrix)                 # (2*width + 1, size), Fortran order: entry (i, j) at [width + i - j, j]; False where singular
@@ -14,17 +25,6 @@ A linear scene in numbers: z = (q, v) moves by z[t+1] = A z[t] + B u[t] + c + E 
 
 The running cost is 1/2 x' H x + g' x + constant with x = (q, v, u). With the contact modes fixed, what is left of the planning problem
 is a convex quadratic program.
-
-The optimality conditions of a plan with fixed contact modes, as one banded matrix, factorised in milliseconds.
-
-Unknowns, time by time: y[t] (multipliers of the time step), u[t], z[t+1], mu[t+1] (multipliers of phi = 0 where that is imposed), and w, the
-multipliers of the goal, last. All that a change of modes or active bounds does is change numbers in the band: its shape is settled once.
-
-    kkt = BandedKKT(linear)
-    kkt.factor(closed, held, touching)             # which contacts push, which inputs lie on a bound, where phi = 0 is imposed
-    point = kkt.solve(kkt.right_side(closed, held, bound, touching, goal))
-
-Lagrangian: L = sum_t cost(z[t], u[t]) + y[t]' (A[t] z[t] + B u[t] + c[t] - z[t+1]) + mu[t]' (P z[t] + p) + w' (z[T] - goal).
 """
 
 from __future__ import annotations

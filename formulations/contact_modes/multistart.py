@@ -1,12 +1,4 @@
-"""Throws: where the end is free and has a cost, a plan that touches nothing may be a local optimum from which no slope leads to a contact.
-
-A disc at rest, and another whose place at the end is paid for: nothing done costs 0.61, a throw off the wall 0.39, and all that lies between is dearer.
-
-    constant inputs on a lattice -> those that press something and end at less final cost -> the cheapest, solved with their contact modes
-
-Windows are then searched around the best of these plans as around any other.
-
-Several starts of one scene, numbered, so that some of them can be run here and the others elsewhere; the cheapest plan is kept.
+"""Several starts of one scene, numbered, so that some of them can be run here and the others elsewhere; the cheapest plan is kept.
 
 | number | start |
 |---|---|
@@ -19,6 +11,14 @@ Several starts of one scene, numbered, so that some of them can be run here and 
 The homotopy forgets where it began, modes do not: hence both.
 
 Where the end is free, and the best of these plans touches nothing although the last state has a cost, throws are tried (`throws`).
+
+Throws: where the end is free and has a cost, a plan that touches nothing may be a local optimum from which no slope leads to a contact.
+
+A disc at rest, and another whose place at the end is paid for: nothing done costs 0.61, a throw off the wall 0.39, and all that lies between is dearer.
+
+    constant inputs on a lattice -> those that press something and end at less final cost -> the cheapest, solved with their contact modes
+
+Windows are then searched around the best of these plans as around any other.
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""Softplus contact that grows sharper, b L = 7, 14, .., 448: where the contacts will be, from a cold start.
+"""The planning problem of any scene with its contact modes fixed: a smooth problem without complementarity, solved by Ipopt.
+
+The same question as `quadratic` answers for linear scenes, at the price of an Ipopt run; its answers are local.
+
+Softplus contact that grows sharper, b L = 7, 14, .., 448: where the contacts will be, from a cold start.
 
 L is the length that the scene counts eps in, 1 m unless it says otherwise: a scene in other units, or a tenth as large, has the same schedule.
 
@@ -7,10 +11,6 @@ k is a hundredth, a fiftieth, .. of its value, and reaches it with the last stag
 
 Each stage starts from the one before; multipliers are handed on once the plan no longer moves much. A plan is the last stage's, of a law that is
 nearly but not quite the true one: only its contact modes are used.
-
-The planning problem of any scene with its contact modes fixed: a smooth problem without complementarity, solved by Ipopt.
-
-The same question as `quadratic` answers for linear scenes, at the price of an Ipopt run; its answers are local.
 
 The models that a window search asks for, built and translated once for a scene: other starts and other radii of its goal change numbers in them.
 

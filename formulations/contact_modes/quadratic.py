@@ -1,4 +1,17 @@
-"""What the multipliers of the fixed modes say about the contact problem itself.
+"""The planning problem of a linear scene with its contact modes fixed: a convex quadratic program, solved to rounding.
+
+    problem = ModesProblem(linear)
+    answer = problem.solve(closed)                       # closed (steps, nc): True where lam = k phi, False where lam = 0
+    answer.z, answer.u, answer.cost
+
+    minimise sum_t cost   subject to   the time step,  lower <= u <= upper,  phi >= 0 where closed,  phi <= 0 where open,
+                                       |z[T] - goal| <= ball   (ball = 0: z[T] = goal)
+
+A dual active-set method (`dual_rounds`) names the active conditions; where it finds too many of them an interior-point method (`interior_point`)
+does. Then the equality problem is solved once more by a factorisation that holds them, and every sign is checked: the answer is exact or
+there is none.
+
+What the multipliers of the fixed modes say about the contact problem itself.
 
 With G = lam >= 0 and H = lam - k phi >= 0 and one of them zero at each step, the problem with fixed modes has multipliers s_G and s_H per
 newton (L = ... - s_G G - s_H H). Where one of G and H is positive its multiplier is zero and the other may have any sign. Where both are zero (a
@@ -12,19 +25,6 @@ The cheapest end state within a ball around the goal: with e = z[T] - goal the o
     J(e) = J(0) - w(0)' e - 1/2 e' W e,     w(e) = w(0) + W e the multipliers of the goal,
 
 so that |e| <= ball leaves a problem of 2*nq numbers, solved by one eigenvalue decomposition and one scalar equation.
-
-The planning problem of a linear scene with its contact modes fixed: a convex quadratic program, solved to rounding.
-
-    problem = ModesProblem(linear)
-    answer = problem.solve(closed)                       # closed (steps, nc): True where lam = k phi, False where lam = 0
-    answer.z, answer.u, answer.cost
-
-    minimise sum_t cost   subject to   the time step,  lower <= u <= upper,  phi >= 0 where closed,  phi <= 0 where open,
-                                       |z[T] - goal| <= ball   (ball = 0: z[T] = goal)
-
-A dual active-set method (`dual_rounds`) names the active conditions; where it finds too many of them an interior-point method (`interior_point`)
-does. Then the equality problem is solved once more by a factorisation that holds them, and every sign is checked: the answer is exact or
-there is none.
 """
 
 from __future__ import annotations

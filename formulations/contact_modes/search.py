@@ -1,13 +1,4 @@
-"""Contact windows and the moves between neighbours.
-
-A window (first, stop) is a run of steps first <= t < stop in which a contact is closed; `Windows` holds those of each contact, in order.
-
-    windows = windows_of(closed)                       # closed (steps, nc)
-    MoveEnd(contact=0, index=0, end=0, by=-2).apply(windows, steps)     # a window begins two steps earlier
-
-A move that is not possible gives None. `undo(windows)` of a move is the move that takes its result back to `windows`.
-
-A local search over contact windows: the first neighbour that is cheaper is taken, until there is none.
+"""A local search over contact windows: the first neighbour that is cheaper is taken, until there is none.
 
 Where a pair touches and its multiplier pulls the wrong way, the other mode is cheaper to first order: such pairs are switched before anything
 is tried. Then windows that are not needed are dropped, and long strides begin, halved whenever no shift helps. Between the longest stride and
@@ -15,6 +6,15 @@ the others windows are repeated (a second push costs less than one twice as stro
 step windows are also merged, dropped, split and added. A move that helped is tried again at once. At last detours: a window is dropped, or two
 are merged, although that is dearer, and what is left is shifted for a while; two pushes become one that way, at another time. The search knows
 its problem by one question: is there a plan with these modes below this cost?
+
+Contact windows and the moves between neighbours.
+
+A window (first, stop) is a run of steps first <= t < stop in which a contact is closed; `Windows` holds those of each contact, in order.
+
+    windows = windows_of(closed)                       # closed (steps, nc)
+    MoveEnd(contact=0, index=0, end=0, by=-2).apply(windows, steps)     # a window begins two steps earlier
+
+A move that is not possible gives None. `undo(windows)` of a move is the move that takes its result back to `windows`.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""What of a Pyomo model belongs where in the compiled problem.
+"""Reading the model again: data, bounds, and whether the structure is still the one that was compiled.
+
+What of a Pyomo model belongs where in the compiled problem.
 
 What is active on a model: its constraints and its objective, and a refusal for everything that would otherwise be dropped in silence.
-
-Reading the model again: data, bounds, and whether the structure is still the one that was compiled.
 """
 
 from __future__ import annotations

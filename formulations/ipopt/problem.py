@@ -1,14 +1,14 @@
-"""The functions as cyipopt calls them: one evaluation a point, time counted, numbers that are not finite reported, no exception lost.
-
-cyipopt forgets what the Hessian raises: Ctrl-C there is swallowed and the solve runs on. So the first unexpected error of any callback is kept here,
-the solve is stopped at the next iteration, and `run` raises the error afterwards, as it was.
-
-IpoptProblem: a compiled model. Its structure is settled once; Params, fixed values, bounds and starts are read as often as one likes.
+"""IpoptProblem: a compiled model. Its structure is settled once; Params, fixed values, bounds and starts are read as often as one likes.
 
     minimise f(x)   subject to   constraint_lower <= g(x) <= constraint_upper,   lower <= x <= upper
 
 A maximised objective is handed on as -f (`sense` is -1). Evaluations return NaN or inf where the model does: Ipopt
 answers with a shorter step.
+
+The functions as cyipopt calls them: one evaluation a point, time counted, numbers that are not finite reported, no exception lost.
+
+cyipopt forgets what the Hessian raises: Ctrl-C there is swallowed and the solve runs on. So the first unexpected error of any callback is kept here,
+the solve is stopped at the next iteration, and `run` raises the error afterwards, as it was.
 """
 
 from __future__ import annotations

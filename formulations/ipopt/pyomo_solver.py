@@ -1,4 +1,19 @@
-"""Multipliers between Ipopt's signs and Pyomo's.
+"""SolverFactory("touchstone_ipopt"): this bridge behind Pyomo's own solver interface, for any smooth model.
+
+    import formulations.ipopt
+    solver = pyo.SolverFactory("touchstone_ipopt")
+    solver.options["tol"] = 1e-9
+    results = solver.solve(model, tee=True, timelimit=60)
+    pyo.assert_optimal_termination(results)
+
+Suffixes as with Pyomo's ipopt: `dual`, `ipopt_zL_out`, `ipopt_zU_out` are filled where the model imports them; with warmstart=True (or the
+option warm_start_init_point=yes) `dual`, `ipopt_zL_in`, `ipopt_zU_in` start the next solve where the model exports them. After a solve
+`solver.last_result` is the IpoptResult: history, unscaled residuals, where the time went.
+
+Where equations repeat each other Ipopt may miss an end by rounding: multipliers grow without one, or it gives up at a feasible point. Such a solve is made once more with its option
+perturb_always_cd, which its message says, and may take as many iterations again; setting the option to yes or no leaves it at one solve.
+
+Multipliers between Ipopt's signs and Pyomo's.
 
 Ipopt: L = sense*f + lagrange' g - zl' x + zu' x with zl, zu >= 0. Pyomo (as its ipopt interface reports them): a dual is the change of the
 model's objective when the constraint's bound grows by one, so that `min x, x >= 1` has dual +1; ipopt_zL_out and ipopt_zU_out likewise for
@@ -13,21 +28,6 @@ class Solver(PyomoPlugin):
     def run(self, model, *, options, tee, timelimit, **keywords): -> (SolverResults, what was solved)
     def load(self, model, solved): ...
     def carry(self, results, solved): ...
-
-SolverFactory("touchstone_ipopt"): this bridge behind Pyomo's own solver interface, for any smooth model.
-
-    import formulations.ipopt
-    solver = pyo.SolverFactory("touchstone_ipopt")
-    solver.options["tol"] = 1e-9
-    results = solver.solve(model, tee=True, timelimit=60)
-    pyo.assert_optimal_termination(results)
-
-Suffixes as with Pyomo's ipopt: `dual`, `ipopt_zL_out`, `ipopt_zU_out` are filled where the model imports them; with warmstart=True (or the
-option warm_start_init_point=yes) `dual`, `ipopt_zL_in`, `ipopt_zU_in` start the next solve where the model exports them. After a solve
-`solver.last_result` is the IpoptResult: history, unscaled residuals, where the time went.
-
-Where equations repeat each other Ipopt may miss an end by rounding: multipliers grow without one, or it gives up at a feasible point. Such a solve is made once more with its option
-perturb_always_cd, which its message says, and may take as many iterations again; setting the option to yes or no leaves it at one solve.
 """
 
 from __future__ import annotations

@@ -1,15 +1,15 @@
-"""Which Pyomo classes mean which operation. Exact classes are looked up; a class met for the first time is asked what it is.
-
-Tokens of a term too long to be read as a tree: operands first, every shared subexpression once.
-
-Same alphabet as `TermReader`, with `"shared"` in front and `("ref", k)` for the k-th operation already written.
-
-Pyomo expressions -> linear triplets and nonlinear terms, in one pass over each expression and without recursion.
+"""Pyomo expressions -> linear triplets and nonlinear terms, in one pass over each expression and without recursion.
 
     m.p * x[1] + 3 * x[2] - sin(x[1] * x[2]) + 4
 
 gives the triplet (row, x[2], 3), the constant 4, and two terms: ("*", "p", 0) with weight 1 (its slope is data, so it is read again at each
 refresh) and ("sin", "*", 0, 1) with weight -1. Terms of one signature are collected in one `Bucket`.
+
+Which Pyomo classes mean which operation. Exact classes are looked up; a class met for the first time is asked what it is.
+
+Tokens of a term too long to be read as a tree: operands first, every shared subexpression once.
+
+Same alphabet as `TermReader`, with `"shared"` in front and `("ref", k)` for the k-th operation already written.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Ipopt's return codes -> Outcome. One map; a code that is not in it is FAILED, never success.
+"""What a solve hands back, frozen; and the explicit step that writes it into the Pyomo model.
+
+Ipopt's return codes -> Outcome. One map; a code that is not in it is FAILED, never success.
 
 How far a point is from a KKT point of the model as it was written: no scaling, no relaxed bounds, nothing taken from Ipopt's report.
-
-What a solve hands back, frozen; and the explicit step that writes it into the Pyomo model.
 """
 
 from __future__ import annotations

@@ -1,4 +1,11 @@
-"""Graph -> numpy source -> function. One statement an operation, so that neither nesting nor recursion limits the size.
+"""Term shapes: a signature (what the expression walker wrote down) becomes three generated functions, once per process.
+
+    0.5 * k * (q[3] - q[1])**2   and   0.5 * k * (q[8] - q[2])**2
+
+have one signature: two variable slots, one Param slot. It is analysed once: the affine part goes to the sparse linear rows, what is
+left is differentiated exactly, and what depends on data alone is computed once per refresh.
+
+Graph -> numpy source -> function. One statement an operation, so that neither nesting nor recursion limits the size.
 
 A generated function takes `x` (one row for each variable slot), `p` (one row for each hoisted data value) and writes `out`; every row
 is an array over the instances of the shape, so that a thousand equal terms cost as many numpy calls as one.
@@ -7,13 +14,6 @@ Hessians of large terms: a generated Hessian-vector product, multiplied by few d
 
 Columns of the Hessian that share no row are read off one product (Curtis, Powell and Reid, 1974): a sum of five thousand separate terms
 needs one direction, a dense Hessian as many as it has columns.
-
-Term shapes: a signature (what the expression walker wrote down) becomes three generated functions, once per process.
-
-    0.5 * k * (q[3] - q[1])**2   and   0.5 * k * (q[8] - q[2])**2
-
-have one signature: two variable slots, one Param slot. It is analysed once: the affine part goes to the sparse linear rows, what is
-left is differentiated exactly, and what depends on data alone is computed once per refresh.
 
 All terms of one shape in one model: index arrays settled once, data re-read at each refresh, derivatives evaluated together.
 """

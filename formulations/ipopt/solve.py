@@ -1,8 +1,8 @@
-"""A start for Ipopt out of what the caller has: a point, perhaps multipliers, perhaps only some of them.
+"""Solve a compiled problem, and judge the answer before believing it.
+
+A start for Ipopt out of what the caller has: a point, perhaps multipliers, perhaps only some of them.
 
 One run of Ipopt, through cyipopt.
-
-Solve a compiled problem, and judge the answer before believing it.
 """
 
 from __future__ import annotations

@@ -1,18 +1,18 @@
-"""What a model's Complementarity components say, in words this solver works with.
-
-    complements(a, b):  both relations hold, and at least one of the inequalities holds as an equality.
-
-Pyomo accepts two finite bounds in all: one on each side (`SimpleCondition`, two expressions of which none is negative and one is zero), both on
-one side (`BoxCondition`: l <= body <= u complements a free expression that is >= 0 at l, <= 0 at u and 0 between), or an equality
-(`EqualityCondition`: it always holds as an equality, hence nothing is left to choose; the other side holds as it is written).
-
-A shadow of the user's model, in which every complementarity is a pair of variables.
+"""A shadow of the user's model, in which every complementarity is a pair of variables.
 
     0 <= v,  0 <= w,  v w = 0        v: Pyomo's own variable of the pair (v == first);  w: the user's variable where it is one, else a slack
 
 The shadow is a ConcreteModel of its own whose rows are the user's (by reference) and whose pairs went through Pyomo's own
 `mpec.simple_nonlinear`: each has `v`, its equation `ve`, and the product `ccon`: v w <= mpec_bound, a mutable Param. The user's model is
 read and never written, so there is nothing to undo after a failure or Ctrl-C.
+
+What a model's Complementarity components say, in words this solver works with.
+
+    complements(a, b):  both relations hold, and at least one of the inequalities holds as an equality.
+
+Pyomo accepts two finite bounds in all: one on each side (`SimpleCondition`, two expressions of which none is negative and one is zero), both on
+one side (`BoxCondition`: l <= body <= u complements a free expression that is >= 0 at l, <= 0 at u and 0 between), or an equality
+(`EqualityCondition`: it always holds as an equality, hence nothing is left to choose; the other side holds as it is written).
 """
 
 from __future__ import annotations

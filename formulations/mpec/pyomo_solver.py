@@ -1,6 +1,4 @@
-"""MpecResult -> Pyomo's SolverResults and suffixes.
-
-SolverFactory("mpec_ipopt"): any Pyomo model with Complementarity components.
+"""SolverFactory("mpec_ipopt"): any Pyomo model with Complementarity components.
 
     import formulations.mpec
     solver = pyo.SolverFactory("mpec_ipopt")
@@ -11,6 +9,8 @@ SolverFactory("mpec_ipopt"): any Pyomo model with Complementarity components.
 
 The model keeps its components as they were (nothing is transformed in place); values, and the suffixes `dual`, `ipopt_zL_out`,
 `ipopt_zU_out` where the model imports them, are loaded.
+
+MpecResult -> Pyomo's SolverResults and suffixes.
 """
 
 from __future__ import annotations

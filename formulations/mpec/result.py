@@ -1,8 +1,8 @@
-"""How a solve ended, in words: every claim is held against residuals first.
+"""What a solve hands back, and the explicit step that writes it into the user's model.
+
+How a solve ended, in words: every claim is held against residuals first.
 
 What one strategy hands on to be judged.
-
-What a solve hands back, and the explicit step that writes it into the user's model.
 
 From columns of the shadow back to the user's variables, constraints and complementarities.
 """

@@ -1,6 +1,6 @@
-"""The goal of a scene as an augmented Lagrangian: a multiplier and a quadratic penalty for each component that is given.
+"""Running and final cost of a scene with first and second derivatives, from its SymPy expressions, for all steps at once.
 
-Running and final cost of a scene with first and second derivatives, from its SymPy expressions, for all steps at once.
+The goal of a scene as an augmented Lagrangian: a multiplier and a quadratic penalty for each component that is given.
 """
 
 from __future__ import annotations

@@ -1,4 +1,12 @@
-"""The linear-quadratic subproblem of multiple shooting, in compiled C: linear in the number of stages.
+"""Multiple shooting by sequential linear-quadratic programming, with the steps run through the scene's own time step under feedback.
+
+Unknowns are the inputs u and the states x at every node; gap[t] = f(x[t], u[t]) - x[t+1]. In each iteration the linear-quadratic
+subproblem (riccati.py) gives inputs and feedback, and the plan is rolled out with both, the gaps closed by the length of the step. A
+step is taken if it lowers the exact penalty function  cost + goal term + nu sum |gap|,  nu above the multipliers of the gaps.
+
+The goal is met by an augmented Lagrangian (goal.py): its multipliers are updated where the iterations have settled.
+
+The linear-quadratic subproblem of multiple shooting, in compiled C: linear in the number of stages.
 
     stages = Stages(steps, nx, nu)
     stages.A, stages.B, stages.gap, stages.lx ...      # filled in by the caller
@@ -7,14 +15,6 @@
 
 The recursion is that of iLQR with gaps between the nodes; the bounds of the inputs are met stage by stage by a small quadratic program
 (Tassa, Mansard and Todorov, Control-Limited Differential Dynamic Programming, ICRA 2014; gaps as in Mastalli et al., Crocoddyl, ICRA 2020).
-
-Multiple shooting by sequential linear-quadratic programming, with the steps run through the scene's own time step under feedback.
-
-Unknowns are the inputs u and the states x at every node; gap[t] = f(x[t], u[t]) - x[t+1]. In each iteration the linear-quadratic
-subproblem (riccati.py) gives inputs and feedback, and the plan is rolled out with both, the gaps closed by the length of the step. A
-step is taken if it lowers the exact penalty function  cost + goal term + nu sum |gap|,  nu above the multipliers of the gaps.
-
-The goal is met by an augmented Lagrangian (goal.py): its multipliers are updated where the iterations have settled.
 """
 
 from __future__ import annotations

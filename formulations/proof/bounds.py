@@ -1,4 +1,14 @@
-"""A bound from physics: contact forces do no work of their own, so a plan that costs little never gets much energy.
+"""How deep and how far apart a contact can be at each step: the big-M of the mixed-integer program, valid by construction.
+
+    bounds = pair_bounds(scene, linear, ceiling=13.63)       # of all plans that cost at most the ceiling
+
+Three sources, each valid for every exact plan that costs at most the ceiling (infinite: for every exact plan):
+1. physics (`energy`), where the scene is of its form: a largest penetration, and how fast a gap can change;
+2. reach, step by step: phi[t] depends on the forces before t alone, whose bounds are known by then;
+3. again, with all bounds at once, as long as that decides more.
+2 and 3 minimise and maximise phi[t] over the convex relaxation: two second-order cone programs a pair.
+
+A bound from physics: contact forces do no work of their own, so a plan that costs little never gets much energy.
 
 For M dv/dt = -C v + B u + J' lam with M, C constant and diagonal, running cost u' R u + (what is not negative), and E = 1/2 v' M v +
 1/2 sum k max(phi, 0)^2, one semi-implicit step of length h obeys
@@ -12,16 +22,6 @@ U(q + h w) - U(q) <= -h lam' J w + h^2/2 w' J' K J w. With d = w - v: 1/2 w' M w
 Where D is positive definite, w' B u - w' D w <= 1/4 u' B' D^-1 B u <= g u' R u with g the largest eigenvalue of 1/4 R^-1/2 B' D^-1 B R^-1/2, hence
 
     E[t] <= E[0] + h g (cost).
-
-How deep and how far apart a contact can be at each step: the big-M of the mixed-integer program, valid by construction.
-
-    bounds = pair_bounds(scene, linear, ceiling=13.63)       # of all plans that cost at most the ceiling
-
-Three sources, each valid for every exact plan that costs at most the ceiling (infinite: for every exact plan):
-1. physics (`energy`), where the scene is of its form: a largest penetration, and how fast a gap can change;
-2. reach, step by step: phi[t] depends on the forces before t alone, whose bounds are known by then;
-3. again, with all bounds at once, as long as that decides more.
-2 and 3 minimise and maximise phi[t] over the convex relaxation: two second-order cone programs a pair.
 """
 
 from __future__ import annotations

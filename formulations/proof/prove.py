@@ -1,4 +1,14 @@
-"""The solver of the extra `[global]`; where it is missing one sentence says so.
+"""Scene -> Proof: the cheapest exact plan found, and a cost below which no plan exists.
+
+    proof = prove(scene, incumbent=mpcc.trajectory, time_limit=200.0)
+    proof.cost, proof.bound, proof.gap, proof.seconds, proof.nodes
+
+The plan is never SCIP's own: its contact modes are taken, the convex program with these modes is solved exactly (`windows.quadratic`), its
+inputs are rolled out through the true contact law, and its residuals recomputed. The bound is the least of SCIP's and of the ceiling under which
+the big-M hold. It is true up to floating point: Clarabel's bounds are lowered by 1e-6, SCIP works to its 1e-6 of feasibility and 1e-9 of
+optimality.
+
+The solver of the extra `[global]`; where it is missing one sentence says so.
 
 The exact planning problem of a linear scene as a mixed-integer quadratic program in Pyomo, with one binary variable a pair.
 
@@ -9,16 +19,6 @@ The exact planning problem of a linear scene as a mixed-integer quadratic progra
 
 on top of the plain model of `build_model` (same names). `mpec.simple_disjunction` and a big-M transformation make two binaries a pair and one
 M for all; `python -m benchmarks proof --disjunction` says what that costs.
-
-Scene -> Proof: the cheapest exact plan found, and a cost below which no plan exists.
-
-    proof = prove(scene, incumbent=mpcc.trajectory, time_limit=200.0)
-    proof.cost, proof.bound, proof.gap, proof.seconds, proof.nodes
-
-The plan is never SCIP's own: its contact modes are taken, the convex program with these modes is solved exactly (`windows.quadratic`), its
-inputs are rolled out through the true contact law, and its residuals recomputed. The bound is the least of SCIP's and of the ceiling under which
-the big-M hold. It is true up to floating point: Clarabel's bounds are lowered by 1e-6, SCIP works to its 1e-6 of feasibility and 1e-9 of
-optimality.
 """
 
 from __future__ import annotations

@@ -1,12 +1,4 @@
-"""When to stop descending, judged by the losses alone, whatever their scale and whatever the learning rate.
-
-The last quarter of the iterations (at least 50) is the window. It grows with the iterations because a learning rate ten times
-smaller needs ten times the iterations for the same way: a window of fixed length would call a slow descent finished.
-
-    settled      the best loss fell by less than `tolerance` (relative) over the window, or is down to rounding
-    runaway      the loss stayed above twice its best over half a window: it climbs instead of descending
-
-Gradient descent: `torch.optim.SGD` on a loss of the inputs, projected on their bounds.
+"""Gradient descent: `torch.optim.SGD` on a loss of the inputs, projected on their bounds.
 
     found = descend(Objective(load_kernel(scene), law=ContactLaw.RELU), u0, DescentOptions(learning_rate=500.0, iterations=15), time_limit=60.0)
 
@@ -15,6 +7,14 @@ projection changes nothing, not even a bit. `projected_descent` is the loop alon
 
     u = torch.randn(64, 500, 2, device="cuda", requires_grad=True)
     for _, loss in zip(range(100), projected_descent(lambda u: loss_of(rollout(kernel, u), u), u, 500.0, lower, upper)): ...
+
+When to stop descending, judged by the losses alone, whatever their scale and whatever the learning rate.
+
+The last quarter of the iterations (at least 50) is the window. It grows with the iterations because a learning rate ten times
+smaller needs ten times the iterations for the same way: a window of fixed length would call a slow descent finished.
+
+    settled      the best loss fell by less than `tolerance` (relative) over the window, or is down to rounding
+    runaway      the loss stayed above twice its best over half a window: it climbs instead of descending
 """
 
 from __future__ import annotations

@@ -1,4 +1,12 @@
-"""Dry friction in the rollout of plain PyTorch: the forces of one time step, their derivatives by the implicit function theorem.
+"""The rollout in plain PyTorch operations, written from the scene's SymPy equations: slow, simple, differentiable to any order.
+
+    q, v, lam = reference_rollout(scene, u, start)
+
+It shares nothing with the compiled kernel but the equations themselves, and is what the kernel's values and gradients are
+tested against. About a thousand times slower: use `formulations.shooting.rollout` to plan. Many plans at once (leading dimensions of u and start)
+cost little more than one, and it runs where the tensors are: it is the rollout on devices that the compiled one does not reach.
+
+Dry friction in the rollout of plain PyTorch: the forces of one time step, their derivatives by the implicit function theorem.
 
 With s(f) = s0 + h W f the slips at the end of the step, W = S M^-1 S', and the limits mu N:
 
@@ -7,14 +15,6 @@ With s(f) = s0 + h W f the slips at the end of the step, W = S M^-1 S', and the 
 
 Which forces stick, and roughly how large they are, is found without derivatives by sweeps over single forces; the equations that then hold are
 solved once more by a Newton step that PyTorch differentiates: exact first and second derivatives, away from the corners between stick and slip.
-
-The rollout in plain PyTorch operations, written from the scene's SymPy equations: slow, simple, differentiable to any order.
-
-    q, v, lam = reference_rollout(scene, u, start)
-
-It shares nothing with the compiled kernel but the equations themselves, and is what the kernel's values and gradients are
-tested against. About a thousand times slower: use `formulations.shooting.rollout` to plan. Many plans at once (leading dimensions of u and start)
-cost little more than one, and it runs where the tensors are: it is the rollout on devices that the compiled one does not reach.
 """
 
 from __future__ import annotations

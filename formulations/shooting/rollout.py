@@ -1,6 +1,4 @@
-"""What a user of the shooting package can do wrong.
-
-The compiled time step of a scene as a PyTorch function that can be differentiated once.
+"""The compiled time step of a scene as a PyTorch function that can be differentiated once.
 
     q, v, lam, cost, end = rollout(scene, u)                                  # true (ReLU) contact
     plan = rollout(scene, u, start, law=ContactLaw.SOFTPLUS, eps=1e-3)
@@ -16,6 +14,8 @@ on top. Decisions:
 - First derivatives only on the CPU; `create_graph=True` followed by a second backward raises ShootingError.
 - At a penetration of exactly zero the ReLU has slope 0, as in `torch.relu`.
 - A rollout that diverges gives NaN from there on, and NaN gradients, as PyTorch functions do.
+
+What a user of the shooting package can do wrong.
 """
 
 from __future__ import annotations

@@ -1,4 +1,14 @@
-"""SymPy equations of a scene -> functions of Pyomo variables and Params.
+"""Dry friction in a plan's model. Its forces belong to the slip speed at the end of the step, s = S(q[t]) v[t+1]: only so can a step stick.
+
+    variable_friction[t, name]       the friction force f [N]
+    regularised (softplus):          f = -mu N tanh(|ln eps| s / (2 nominal)), a logistic function of the slip
+    complementarity:                 s = s_forward - s_backward,  0 <= s_forward  complements  mu N + f >= 0,
+                                                                  0 <= s_backward complements  mu N - f >= 0
+
+In the plane this is the model of Stewart and Trinkle (maximal dissipation) with one variable less: whoever slips forward is held back
+by all of mu N, and whoever is held by less does not slip.
+
+SymPy equations of a scene -> functions of Pyomo variables and Params.
 
     equations = SceneExpressions(derive(scene))
     equations.penetration(q, p)        # [Pyomo expression per contact]
@@ -20,16 +30,6 @@ Damped contacts in a plan's model. Their rates of penetration r are those at the
 The force of Kelvin-Voigt jumps where it touches, so no formulation without a switch is exact: k phi + c r may be positive before anything
 touches. What the two pairs of the switch say: where sigma > 0, w = 1; where w > 0, sigma = k phi; so phi > 0 gives sigma = k phi and w = 1, and
 phi < 0 gives w = 0 and sigma = 0. Softplus (models/codegen/damping.h) needs neither variable.
-
-Dry friction in a plan's model. Its forces belong to the slip speed at the end of the step, s = S(q[t]) v[t+1]: only so can a step stick.
-
-    variable_friction[t, name]       the friction force f [N]
-    regularised (softplus):          f = -mu N tanh(|ln eps| s / (2 nominal)), a logistic function of the slip
-    complementarity:                 s = s_forward - s_backward,  0 <= s_forward  complements  mu N + f >= 0,
-                                                                  0 <= s_backward complements  mu N - f >= 0
-
-In the plane this is the model of Stewart and Trinkle (maximal dissipation) with one variable less: whoever slips forward is held back
-by all of mu N, and whoever is held by less does not slip.
 """
 
 from __future__ import annotations

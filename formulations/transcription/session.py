@@ -1,4 +1,6 @@
-"""A cold start of softplus contact that loses its way, and how it is begun again: with the goal let go first.
+"""A transcription method opened on a scene: the model is built once, its relaxation moved by a mutable Param, Ipopt started warm.
+
+A cold start of softplus contact that loses its way, and how it is begun again: with the goal let go first.
 
 The paper's first guess holds the start, and the goal is a constraint far from it. Where bodies can be driven past each other, the first steps do
 that, the contact no longer answers to any input, and the multipliers of the goal grow without bound: two fingers that lift a disc had none below
@@ -8,8 +10,6 @@ that, the contact no longer answers to any input, and the multipliers of the goa
 
 keeps them near the size of the cost, and takes 42 iterations; from its plan the goal itself takes 17. What Ipopt calls infeasible from the first
 guess is begun again in the same way: on the cart and pole it ended 0.06 short after 179 iterations, and this way has a plan in 85 more.
-
-A transcription method opened on a scene: the model is built once, its relaxation moved by a mutable Param, Ipopt started warm.
 
 What the methods share that are solved for ever smaller eps: a stage gets a bounded amount of work, what it leaves is handed on only if it is a
 plan, and where contact is softer and there was no plan, none is looked for.

@@ -1,4 +1,6 @@
-"""The goal of a built model as a ball instead of a point.
+"""A model on the bench: translated once, solved many times, with an account of iterations and seconds.
+
+The goal of a built model as a ball instead of a point.
 
 Plans in and out of a model: a Trajectory as first guess, the model's values as a Trajectory.
 
@@ -12,8 +14,6 @@ T steps, g of the 2 nq components of the end given:
 Complementarity adds to each contact and step its separation force and that force's definition; to each friction and step two slip speeds, two
 reserves, and the four equations that tie them to the slip and to the force; to each damped contact and step the force of its spring and that
 force's complement, its definition and their product, and with Kelvin-Voigt as much for the switch.
-
-A model on the bench: translated once, solved many times, with an account of iterations and seconds.
 """
 
 from __future__ import annotations

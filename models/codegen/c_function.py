@@ -1,4 +1,6 @@
-"""The argument vectors of the generated C, and a scene's equations written in their entries.
+"""One C function from SymPy expressions: arguments are vectors whose entries have names, common subexpressions are shared.
+
+The argument vectors of the generated C, and a scene's equations written in their entries.
 
 Derivatives of a column of expressions by the chain rule over what its entries share, as definitions to be evaluated in order.
 
@@ -10,8 +12,6 @@ Derivatives of a column of expressions by the chain rule over what its entries s
 Differentiated whole, an expression whose parts are shared many times is written out once for each of them: minutes of computer algebra for a box
 pushed by a finger, and thousands of operations that are found to be equal again afterwards.
 Griewank and Walther, Evaluating Derivatives (2008), sections 3.1 and 3.2.
-
-One C function from SymPy expressions: arguments are vectors whose entries have names, common subexpressions are shared.
 """
 
 from __future__ import annotations

@@ -1,4 +1,12 @@
-"""Solving M x = b for a mass matrix that depends on q: Cholesky, written out for the entries that are not always zero.
+"""Scene -> `scene_model.h`: static inline C functions, common subexpressions eliminated, names kept.
+
+The text depends on the scene alone (no date, no random names), so that equal scenes give equal bytes. What the scene
+does not need is not written: a constant mass matrix is inverted here, symbolically, and only a scene whose mass matrix
+depends on q gets a Cholesky factorisation.
+
+Within the C functions every entry of a vector has a name of its own, `<vector>_<name>`: `q_q1`, `lam_left`, `p_k`.
+
+Solving M x = b for a mass matrix that depends on q: Cholesky, written out for the entries that are not always zero.
 
 Two fingers and a disc have seven coordinates, but only two blocks of two in their mass matrix: what is zero for every q is not computed. The
 order of operations is that of the usual loops.
@@ -9,14 +17,6 @@ Hand-written C has it between `#ifdef DAMPING` and `#else` or `#endif`, or in on
 the same, byte for byte, as if there were no damping at all.
 
 What a scene with friction adds to the generated C: slips, their rates, and the limits mu N of the forces.
-
-Scene -> `scene_model.h`: static inline C functions, common subexpressions eliminated, names kept.
-
-The text depends on the scene alone (no date, no random names), so that equal scenes give equal bytes. What the scene
-does not need is not written: a constant mass matrix is inverted here, symbolically, and only a scene whose mass matrix
-depends on q gets a Cholesky factorisation.
-
-Within the C functions every entry of a vector has a name of its own, `<vector>_<name>`: `q_q1`, `lam_left`, `p_k`.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
-"""The versions of FMI that are offered, and the headers of the standard.
+"""Scene -> the generated texts of its FMU: C configuration, modelDescription.xml, build description, documentation.
+
+The output depends on the scene alone: no date but SOURCE_DATE_EPOCH's, and a GUID that is a hash of everything else.
+
+The versions of FMI that are offered, and the headers of the standard.
 
 Reference results inside the FMU by the layered standard FMI-LS-REF: an experiment, its inputs, and the true motion.
 
 The inputs push and pull so that contacts close and open; they are constant between knots, at which the CSV has the time
 twice. The results are those of `reference.py`, not of the FMU. They are kept: to integrate two fingers takes several CPU s, and FMUs of every
 version and platform have the same. Where the motion cannot be followed within the budget there are none, and the description says why.
-
-Scene -> the generated texts of its FMU: C configuration, modelDescription.xml, build description, documentation.
-
-The output depends on the scene alone: no date but SOURCE_DATE_EPOCH's, and a GUID that is a hash of everything else.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Files of text and bytes -> a zip that has the same bytes wherever and whenever it is made.
-
-Scene -> FMU file: the sources are put together, compiled, packed and kept by content.
+"""Scene -> FMU file: the sources are put together, compiled, packed and kept by content.
 
     build_fmu(scene)                                                     ->  .../a1b2....three_cart.fmu
     build_fmu(scene, version="3.0", platforms=("x86_64-linux", "win64"))
 
 Equal scenes give equal bytes: fixed time stamps, sorted names, no path of this machine inside.
+
+Files of text and bytes -> a zip that has the same bytes wherever and whenever it is made.
 """
 
 from __future__ import annotations

@@ -1,6 +1,4 @@
-"""What a scene says beside its physics: limits of the score, known answers, how its bodies are drawn.
-
-A scene: the physics of a few bodies in contact, written once in SymPy.
+"""A scene: the physics of a few bodies in contact, written once in SymPy.
 
     q, v = sp.Symbol("q"), sp.Symbol("v")
     Scene(
@@ -20,6 +18,8 @@ one sentence that names the scene and the field.
 Sign conventions: `penetration` phi is positive in contact; the contact force lam >= 0 pushes the bodies apart, that is,
 `M(q) dv/dt = tau(q, v, u) + J(q)' lam` with J the Jacobian of the gap (-phi). The true contact law is
 `lam = stiffness * max(phi, 0)`; a contact may also have damping (models.scene.contacts).
+
+What a scene says beside its physics: limits of the score, known answers, how its bodies are drawn.
 """
 
 from __future__ import annotations

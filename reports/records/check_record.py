@@ -1,9 +1,9 @@
-"""ChartRecord: the data of one plot that an examination draws itself - curves on two axes, and how to read them.
-
-ExaminationRecord: what is stored of a cell that is no scene x pipeline - a question with an expected answer, and what was found.
+"""ExaminationRecord: what is stored of a cell that is no scene x pipeline - a question with an expected answer, and what was found.
 
 record = record_of(path.read_bytes())      # a RunRecord or an ExaminationRecord
 runs, examinations = divided(records)
+
+ChartRecord: the data of one plot that an examination draws itself - curves on two axes, and how to read them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,11 @@
-"""TimeStepRecord: whether the time step of a scene is stable while contacts are closed, found out before anything ran.
+"""RunRecord: what is stored of one cell (scene x pipeline), and all that the report knows.
+
+    record = RunRecord.model_validate_json(path.read_text())
+
+Numbers are plain JSON, columns of numbers texts (reports.records.record): NaN and infinities are refused when written and when read. Arrays of trajectories
+do not live here but in the NetCDF files beside the record; `thin` copies for plots (at most 1500 points a trace) do.
+
+TimeStepRecord: whether the time step of a scene is stable while contacts are closed, found out before anything ran.
 
 TraceRecord: thinned arrays of a plan or a replay, for plots and the player.
 
@@ -6,13 +13,6 @@ Columns of numbers are tuples in memory and in JSON the base64 of their bytes (f
 a third as long. A list of numbers is read as well.
 
 What is stored of a replay with feedback, beside the one of the inputs alone.
-
-RunRecord: what is stored of one cell (scene x pipeline), and all that the report knows.
-
-    record = RunRecord.model_validate_json(path.read_text())
-
-Numbers are plain JSON, columns of numbers texts (reports.records.record): NaN and infinities are refused when written and when read. Arrays of trajectories
-do not live here but in the NetCDF files beside the record; `thin` copies for plots (at most 1500 points a trace) do.
 """
 
 from __future__ import annotations

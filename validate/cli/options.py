@@ -1,6 +1,6 @@
-"""What a shell offers for a value that is being typed.
+"""Numbers on the command line: nan and inf, which a range of click lets through, are refused.
 
-Numbers on the command line: nan and inf, which a range of click lets through, are refused.
+What a shell offers for a value that is being typed.
 """
 
 from __future__ import annotations

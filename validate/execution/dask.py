@@ -1,4 +1,13 @@
-"""The Dask cluster that a campaign runs on, as a client of it: one that stands somewhere, or worker processes of this machine.
+"""The engine that runs cells on the workers of a Dask cluster: one of this machine's processes, or one that stands somewhere.
+
+    with open_dask("", 2, site) as engine: ...                      # two worker processes here, which end with the campaign
+    with open_dask("tcp://10.0.0.1:8786", None, site) as engine: ...      # or the path of a scheduler file, FILE.json
+
+A cell whose worker is lost is run again by Dask's scheduler, as often as its `allowed-failures` says (3 times); then it has crashed. The scheduler also
+counts against a cell that it only waited on a worker that was lost: one that was begun less often is given to it anew. What is left of a
+worker that went without a trace is removed when the campaign ends.
+
+The Dask cluster that a campaign runs on, as a client of it: one that stands somewhere, or worker processes of this machine.
 
 quieten()
 with remote_cluster("tcp://10.0.0.1:8786") as client: ...       # or the path of a scheduler file, FILE.json
@@ -10,15 +19,6 @@ A cell on a worker of a Dask cluster: the same child process, watched by the thr
 
 The folder is reached by its path: campaign and workers share a file system. A worker that sees another folder there, or that has other sources,
 libraries or another compiler than the campaign, says so and runs nothing, since a record is filed under a key that all of them decide.
-
-The engine that runs cells on the workers of a Dask cluster: one of this machine's processes, or one that stands somewhere.
-
-    with open_dask("", 2, site) as engine: ...                      # two worker processes here, which end with the campaign
-    with open_dask("tcp://10.0.0.1:8786", None, site) as engine: ...      # or the path of a scheduler file, FILE.json
-
-A cell whose worker is lost is run again by Dask's scheduler, as often as its `allowed-failures` says (3 times); then it has crashed. The scheduler also
-counts against a cell that it only waited on a worker that was lost: one that was begun less often is given to it anew. What is left of a
-worker that went without a trace is removed when the campaign ends.
 """
 
 from __future__ import annotations

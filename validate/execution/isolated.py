@@ -1,6 +1,6 @@
-"""How an isolated run can end: a closed list.
+"""run_isolated(): one function call in a child process, with limits, its end put into words, nothing left of it afterwards.
 
-run_isolated(): one function call in a child process, with limits, its end put into words, nothing left of it afterwards.
+How an isolated run can end: a closed list.
 """
 
 from __future__ import annotations

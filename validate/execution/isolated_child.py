@@ -1,8 +1,8 @@
-"""What a child process does first: die with its parent, leave no core file, stay within its limits, and tell why it crashes if it was for memory.
-
-The child process of one isolated call: `python -m validate.execution.isolated_child FOLDER`; see validate.execution.isolated.
+"""The child process of one isolated call: `python -m validate.execution.isolated_child FOLDER`; see validate.execution.isolated.
 
 A fork of it that comes back through our code - an FMU may fork within doStep - ends silently: only the first process answers.
+
+What a child process does first: die with its parent, leave no core file, stay within its limits, and tell why it crashes if it was for memory.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""What must not be cut short by Ctrl-C: it is held back for a moment, and heard then.
-
-What every child process is given: one thread for every library, no hash randomisation, temporary files in its own folder.
-
-A child process in a session of its own: started, watched, and ended with everything it started. Cells and isolated FMUs use the same.
+"""A child process in a session of its own: started, watched, and ended with everything it started. Cells and isolated FMUs use the same.
 
 child = ChildProcess("validate.execution.child", [str(folder)], token=token, temporary=folder / "tmp", output=log)
 while not child.has_ended(): ...
 ended = child.end()                 # how, what it cost; no process of it is left
+
+What must not be cut short by Ctrl-C: it is held back for a moment, and heard then.
+
+What every child process is given: one thread for every library, no hash randomisation, temporary files in its own folder.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Doubles that C and numpy share: what FMI's functions read and write.
-
-One interface over the calls of FMI 2.0 and FMI 3.0, bound to the library directly: a call of the right-hand side costs a microsecond, not five.
+"""One interface over the calls of FMI 2.0 and FMI 3.0, bound to the library directly: a call of the right-hand side costs a microsecond, not five.
 
 FMPy loads the library and instantiates; every call here checks its status. Values go through buffers of doubles that C and numpy share.
+
+Doubles that C and numpy share: what FMI's functions read and write.
 """
 
 from __future__ import annotations

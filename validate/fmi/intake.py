@@ -1,12 +1,12 @@
-"""How large an FMU may be that is let in.
-
-What the door reads of an XML text: its root and the interfaces an FMU offers - and no DOCTYPE, whose entities can read files and fill the memory.
-
-The door: what an FMU file must be before anything of it is unpacked or loaded. Every refusal is one sentence.
+"""The door: what an FMU file must be before anything of it is unpacked or loaded. Every refusal is one sentence.
 
 intake = examine(path)        # raises IntakeError at the first problem
 problems(path)                # all that can be told, for a table
 unpack(intake, folder)        # bounded by the sizes that were examined
+
+How large an FMU may be that is let in.
+
+What the door reads of an XML text: its root and the interfaces an FMU offers - and no DOCTYPE, whose entities can read files and fill the memory.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""What a shared library of Linux exports and needs, read from the file without loading it.
+"""The file: what the intake has to say, how it is packed, and the binary for this machine.
+
+What a shared library of Linux exports and needs, read from the file without loading it.
 
 Layout: System V Application Binary Interface, chapters 4 and 5 (sections, symbol table, dynamic section).
-
-The file: what the intake has to say, how it is packed, and the binary for this machine.
 
 The model description: valid by schema and rules, and free of contradictions that no schema sees.
 """

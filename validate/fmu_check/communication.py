@@ -1,6 +1,6 @@
-"""Time: the FMU starts and ends, keeps the time it is told, and does not pass its stop time.
+"""Co-Simulation of FMI 3.0 with event mode and early return.
 
-Co-Simulation of FMI 3.0 with event mode and early return.
+Time: the FMU starts and ends, keeps the time it is told, and does not pass its stop time.
 
 What Co-Simulation tells and takes within a communication step: intermediate update of FMI 3.0, input derivatives of FMI 2.0.
 """

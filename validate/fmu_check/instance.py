@@ -1,8 +1,8 @@
-"""What keeps a check from going on: the FMU's fault, this machine's, or the FMU's right to end a simulation.
-
-One instance of an FMU, the same for FMI 2.0 and 3.0, Model Exchange and Co-Simulation, on FMPy's low-level classes.
+"""One instance of an FMU, the same for FMI 2.0 and 3.0, Model Exchange and Co-Simulation, on FMPy's low-level classes.
 
 Every FMI call that returns more than a warning raises FMPy's FMICallException; `said` keeps what the FMU logged.
+
+What keeps a check from going on: the FMU's fault, this machine's, or the FMU's right to end a simulation.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""An instance of an FMI 2.0 FMU.
+"""An instance of an FMI 3.0 FMU.
 
-An instance of an FMI 3.0 FMU.
+An instance of an FMI 2.0 FMU.
 """
 
 from __future__ import annotations

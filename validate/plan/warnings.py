@@ -1,10 +1,10 @@
-"""The time step of every scene of a campaign, looked at before anything runs: is it stable while contacts are closed?
-
-found = time_steps(scenes, Path("runs/all/campaign.json"))     # one record a scene; those of an earlier campaign are used again where the scene is the same
-
-What is possible in a scene, but hardly meant: told before anything runs, and nothing more.
+"""What is possible in a scene, but hardly meant: told before anything runs, and nothing more.
 
 scene_doubts(scene)     # ("scene own: contact wall is 0.4 deep at the start, 8 times its nominal 0.05; ...",)
+
+The time step of every scene of a campaign, looked at before anything runs: is it stable while contacts are closed?
+
+found = time_steps(scenes, Path("runs/all/campaign.json"))     # one record a scene; those of an earlier campaign are used again where the scene is the same
 """
 
 from __future__ import annotations

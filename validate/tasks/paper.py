@@ -1,17 +1,17 @@
-"""The paper's Table I beside ours: which of its rows belongs to which stage of which pipeline.
-
-    paper_row("three_cart", "softplus_dc+strict", 0)   # {"cost": 197.86, "stability": 0.0, "physics": 2445.98, "time": 11.64}
-
-The numbers stand once, in `reports.paper`. The rows of a warm starter stand once in the paper and belong to both pipelines that begin
-with it. A pipeline of ours has no row there, even where it chains the same methods.
-
-Fig. 2 of the paper: the worst-case violation D of complementarity that a relaxation permits at eps.
+"""Fig. 2 of the paper: the worst-case violation D of complementarity that a relaxation permits at eps.
 
     D = max over phi of lam * (lam - k * phi)            [N^2]
 
 For softplus contact lam is what the *compiled* contact law says, and the maximum is searched for, on a grid and then by golden
 section; beside it stands the closed form (k ln2 / ln eps)^2, reached at phi = 0. For the relaxed LCP lam is free within
 lam >= 0, lam - k*phi >= 0, lam*(lam - k*phi) <= eps, and the worst is searched for over that set; it is eps.
+
+The paper's Table I beside ours: which of its rows belongs to which stage of which pipeline.
+
+    paper_row("three_cart", "softplus_dc+strict", 0)   # {"cost": 197.86, "stability": 0.0, "physics": 2445.98, "time": 11.64}
+
+The numbers stand once, in `reports.paper`. The rows of a warm starter stand once in the paper and belong to both pipelines that begin
+with it. A pipeline of ours has no row there, even where it chains the same methods.
 """
 
 from __future__ import annotations

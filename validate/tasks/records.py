@@ -1,8 +1,8 @@
-"""Certificate, starts and front of a Solution -> their records.
-
-Solution, Score and Replay -> the records that are stored and told (reports.records.record).
+"""Solution, Score and Replay -> the records that are stored and told (reports.records.record).
 
 Numbers that are not finite never get into a record: a cost that is not a number is missing, and says so.
+
+Certificate, starts and front of a Solution -> their records.
 """
 
 from __future__ import annotations

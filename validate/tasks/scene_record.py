@@ -1,6 +1,6 @@
-"""Thin copies of plans and replays for plots: at most 1500 points, with the poses of the shapes at the same times.
+"""A scene as the report shows it: names, units, start and goal, and its equations as presentation MathML.
 
-A scene as the report shows it: names, units, start and goal, and its equations as presentation MathML.
+Thin copies of plans and replays for plots: at most 1500 points, with the poses of the shapes at the same times.
 """
 
 from __future__ import annotations

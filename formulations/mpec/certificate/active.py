@@ -1,8 +1,8 @@
-"""Classes of stationarity: which signs the multipliers of biactive pairs may have.
+"""What is active at a point, within a tolerance: gradients and the signs that their multipliers may have.
+
+Classes of stationarity: which signs the multipliers of biactive pairs may have.
 
 On biactive pairs (G = 0 = H):  S: nu, mu >= 0;  M: nu, mu > 0 or nu mu = 0;  C: nu mu >= 0;  A: nu >= 0 or mu >= 0;  W: any.
-
-What is active at a point, within a tolerance: gradients and the signs that their multipliers may have.
 """
 
 from __future__ import annotations

@@ -1,16 +1,16 @@
-"""Would the constraints still hold if the complementarity held exactly?
-
-    x y >= 1,   0 <= x complementary to y >= 0        at   x = 5e-13, y = 2e12
-
-satisfies every residual to 1e-12, and there is no solution: the row lives on the 5e-13. Here the smaller side of each pair is moved to 0, and
-the other constraints are asked how much of their violation no small step of the variables can mend.
-
-certify(model): what can be said of the point that a Pyomo model's variables hold, whoever computed it.
+"""certify(model): what can be said of the point that a Pyomo model's variables hold, whoever computed it.
 
 certificate = certify(model)
 certificate.holds                     # feasible, complementary, and no direction goes down to first order
 certificate.stationarity.letter       # S, M, C, A, W or -
 print(certificate.sentence)
+
+Would the constraints still hold if the complementarity held exactly?
+
+    x y >= 1,   0 <= x complementary to y >= 0        at   x = 5e-13, y = 2e12
+
+satisfies every residual to 1e-12, and there is no solution: the row lives on the 5e-13. Here the smaller side of each pair is moved to 0, and
+the other constraints are asked how much of their violation no small step of the variables can mend.
 """
 
 from __future__ import annotations

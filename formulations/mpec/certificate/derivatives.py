@@ -1,10 +1,10 @@
-"""Derivatives of many expressions at the current point: all terms of one shape together, and Pyomo's own differentiation to vouch for them.
+"""The model at its current values, to first order: values by `pyomo.value`; gradients of repeated shapes together, checked against Pyomo's own.
+
+Derivatives of many expressions at the current point: all terms of one shape together, and Pyomo's own differentiation to vouch for them.
 
 A scene's model has thousands of rows and a few dozen shapes. The terms are read by the compiler of `formulations.ipopt`; what it does not know,
 what is rare and what is not finite here is differentiated by Pyomo, expression by expression. Of each shape some expressions are differentiated
 by Pyomo as well, and all values are compared with Pyomo's: if any of that disagrees, Pyomo's derivatives are taken throughout.
-
-The model at its current values, to first order: values by `pyomo.value`; gradients of repeated shapes together, checked against Pyomo's own.
 """
 
 from __future__ import annotations

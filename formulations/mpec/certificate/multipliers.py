@@ -1,4 +1,12 @@
-"""The questions of a certificate as linear programs (HiGHS), for where linear algebra (`decision`) leaves them open.
+"""Multipliers of a point by least squares: a sparse factorisation instead of linear programs.
+
+    minimise |gradient - A y|^2   ->   [I  A; A' 0] (r, y) = (gradient, 0)
+
+If that matrix is regular, y is the only candidate: what its residual and signs say is the whole truth (class S and B-stationarity are then the same), and no linear program is needed.
+If it is singular there are many y, and the same with -eps I in its corner, repeated (proximal point method; Rockafellar, SIAM J. Control and
+Optimization 14, 1976), finds one that leaves as little. Where its signs are right, that is enough; where they are wrong, others may still be right.
+
+The questions of a certificate as linear programs (HiGHS), for where linear algebra (`decision`) leaves them open.
 
 Do multipliers with given signs leave at most a tolerance of the gradient? Both answers come with what proves them.
 
@@ -17,14 +25,6 @@ Either the rest vanishes, and y are multipliers; or -rest leaves every active co
 along it (Moreau's decomposition, the lemma of Farkas). Found by a primal-dual interior point method with predictor and corrector (Mehrotra, SIAM
 J. Optimization 2, 1992) on the sparse system [I A; A' -D]: some twenty factorisations, which are cheap where time couples neighbours only.
 Nothing rests on its having converged: whoever asks judges y and rest themselves.
-
-Multipliers of a point by least squares: a sparse factorisation instead of linear programs.
-
-    minimise |gradient - A y|^2   ->   [I  A; A' 0] (r, y) = (gradient, 0)
-
-If that matrix is regular, y is the only candidate: what its residual and signs say is the whole truth (class S and B-stationarity are then the same), and no linear program is needed.
-If it is singular there are many y, and the same with -eps I in its corner, repeated (proximal point method; Rockafellar, SIAM J. Control and
-Optimization 14, 1976), finds one that leaves as little. Where its signs are right, that is enough; where they are wrong, others may still be right.
 """
 
 from __future__ import annotations

@@ -1,10 +1,4 @@
-"""Is there a piece of the linearised problem - every biactive pair decided - in which a direction goes down?
-
-Where programs are small all pieces are looked at, for the steepest slope. Where they are large a tree of decisions is searched: a pair that is not decided yet
-asks only that neither side goes below 0, which holds in both its pieces. If no direction goes down there, none does in any piece below; if one does
-and happens to leave one side of each pair at 0, it lies in a piece; else the pair that both sides of leave is decided.
-
-Multipliers of a point of an MPEC, and the strongest class that they show.
+"""Multipliers of a point of an MPEC, and the strongest class that they show.
 
 By least squares where the active gradients are independent (one candidate) or the signs come out right; else by projection onto the cone of the
 active gradients, sign pattern by sign pattern, and by linear programs (HiGHS) for what that leaves open.
@@ -12,6 +6,12 @@ active gradients, sign pattern by sign pattern, and by linear programs (HiGHS) f
     gradient f = sum y gradient g + z + sum nu gradient G + sum mu gradient H,    nu = 0 where G > 0, mu = 0 where H > 0
 
 B-stationary (`pieces`): no piece of the linearised problem - every biactive pair decided - has a direction with gradient f' d < 0.
+
+Is there a piece of the linearised problem - every biactive pair decided - in which a direction goes down?
+
+Where programs are small all pieces are looked at, for the steepest slope. Where they are large a tree of decisions is searched: a pair that is not decided yet
+asks only that neither side goes below 0, which holds in both its pieces. If no direction goes down there, none does in any piece below; if one does
+and happens to leave one side of each pair at 0, it lies in a piece; else the pair that both sides of leave is decided.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""What an integrator steps over: a gap that closes and opens again between two of its steps leaves no change of sign behind.
+"""How wrong a replay may be, from simulations of the same thing, and from steps made twice.
+
+What an integrator steps over: a gap that closes and opens again between two of its steps leaves no change of sign behind.
 
     overlooked(scene, replayed)      # None, or a step [s] small enough to see it
 
@@ -9,8 +11,6 @@ What is left of the relaxation time of a scene without inertia (models.quasi_sta
 
 The motion is off by tau times its speed, and by what its forces make of that: of first order in tau, so that the run at 2 tau is as far from the judged
 one as that is from the first-order model, D v = F.
-
-How wrong a replay may be, from simulations of the same thing, and from steps made twice.
 """
 
 from __future__ import annotations

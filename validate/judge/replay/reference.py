@@ -1,9 +1,9 @@
-"""A Model Exchange FMU as a continuous model: states, their rates, gaps and events, as the reference integrator needs them.
-
-The reference integrator: CVODE over a continuous model, stopped at every gap event and at every jump of the inputs.
+"""The reference integrator: CVODE over a continuous model, stopped at every gap event and at every jump of the inputs.
 
 Between two such points the right-hand side is smooth, so the integrator's order and its error control hold; across one they
 would not. Adams' method (orders 1 to 12) needs half the evaluations of BDF here: contacts are springs, hardly damped.
+
+A Model Exchange FMU as a continuous model: states, their rates, gaps and events, as the reference integrator needs them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,20 @@
-"""An FMU linearised along a plan by its own directional derivatives: what a tracking feedback needs of an FMU without a scene.
+"""Tracking feedback: the time-varying LQR around a plan, held over each step and saturated at the bounds.
+
+    u_t = sat(u_plan_t + K_t (x_plan_t - x(t)))        at the nodes; between them the correction is held, as a robot's computer does
+
+K_t, t = T-1 .. 0, is the discrete Riccati recursion (Anderson and Moore, Optimal Control: Linear Quadratic Methods, 1990, section 2.4)
+
+    K_t = (R + B' P B)^-1 B' P A,     P <- Q + A' P (A - B K_t),     from P = Q_T
+
+with A, B the exact derivatives of the true motion over step t at the plan's state and input: ten small steps of the compiled kernel, so that a contact
+that opens or closes within the step, sticks or slips counts for as long as it does. Where the plan touches, the true law's spring is in A; where it
+does not, there is none, whatever force the plan claims.
+
+Weights, for every scene alike: Q = 1/nominal^2 of each component of the state, R = 1/scale^2 with an input's scale half the width of its bounds (without
+bounds the plan's own largest value), so that an error of the nominal size is worth all of an input. At the end Q_T = T Q, as much as all the steps before
+it, but Q alone for what the goal leaves free.
+
+An FMU linearised along a plan by its own directional derivatives: what a tracking feedback needs of an FMU without a scene.
 
     feedback, growth = design_foreign(model, package, variables, plan, units, start, limits)
 
@@ -16,22 +32,6 @@ S^-1 Phi(j, i) S over i < j, with S the scene's nominals: a finite-time Lyapunov
 
 An exact plan lies on edges: a contact just touches, friction just sticks. The derivative there is that of one side, and rounding says of which. So the
 number explains a verdict, and decides none.
-
-Tracking feedback: the time-varying LQR around a plan, held over each step and saturated at the bounds.
-
-    u_t = sat(u_plan_t + K_t (x_plan_t - x(t)))        at the nodes; between them the correction is held, as a robot's computer does
-
-K_t, t = T-1 .. 0, is the discrete Riccati recursion (Anderson and Moore, Optimal Control: Linear Quadratic Methods, 1990, section 2.4)
-
-    K_t = (R + B' P B)^-1 B' P A,     P <- Q + A' P (A - B K_t),     from P = Q_T
-
-with A, B the exact derivatives of the true motion over step t at the plan's state and input: ten small steps of the compiled kernel, so that a contact
-that opens or closes within the step, sticks or slips counts for as long as it does. Where the plan touches, the true law's spring is in A; where it
-does not, there is none, whatever force the plan claims.
-
-Weights, for every scene alike: Q = 1/nominal^2 of each component of the state, R = 1/scale^2 with an input's scale half the width of its bounds (without
-bounds the plan's own largest value), so that an error of the nominal size is worth all of an input. At the end Q_T = T Q, as much as all the steps before
-it, but Q alone for what the goal leaves free.
 """
 
 from __future__ import annotations

@@ -1,6 +1,4 @@
-"""What the judge says: metrics, the answers to its questions, and a verdict with the sentence that decided it.
-
-From metrics and limits to the answers of the questions, and from those to a verdict.
+"""From metrics and limits to the answers of the questions, and from those to a verdict.
 
 A metric is below its limit, or above it, only where ten times its error does not reach from its value to the limit,
 
@@ -14,6 +12,8 @@ where one is, else yes. Where the judge is not well nothing that the replay says
 The verdict of all: no plan | violates, if an asked question surely fails, even behind an undecided one | undecided | holds. Where question 4 fails or is
 undecided and the plan's own motion is consistent (unexplained_force of a plan without a scheme, defect of one with), limited feedback may help:
 questions 4 and 5 are then asked of the replay with feedback, with the same limits.
+
+What the judge says: metrics, the answers to its questions, and a verdict with the sentence that decided it.
 """
 
 from __future__ import annotations

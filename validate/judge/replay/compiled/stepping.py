@@ -1,9 +1,9 @@
-"""Step halving by rollback: each step made coarsely, taken back, and made again finely, from which the run goes on.
+"""A Co-Simulation through a plan by the loop of stepping.c.
+
+Step halving by rollback: each step made coarsely, taken back, and made again finely, from which the run goes on.
 
 What the two differ by is that step's local error, wherever earlier steps have brought the motion. The FMU must save and restore its state. The run
 itself is the plain one at the finer step, bit for bit.
-
-A Co-Simulation through a plan by the loop of stepping.c.
 """
 
 from __future__ import annotations
