@@ -12,7 +12,7 @@ import numpy as np
 
 from formulations.ipopt import IpoptResult, Start, solve
 from formulations.mpec.settings import Settings
-from formulations.mpec.strategy import Strategy
+from formulations.mpec.strategies import Strategy
 from formulations.mpec.workspace import Workspace, natural_residual
 from formulations.solution import Outcome
 

@@ -24,7 +24,7 @@ from formulations.mpec.certificate.certificate import Certificate, Multipliers
 from formulations.mpec.homotopy import Account, Point, Step
 from formulations.mpec.lifted import BoxCondition, Lifted, SimpleCondition
 from formulations.mpec.settings import Settings
-from formulations.mpec.strategy import Strategy
+from formulations.mpec.strategies import Strategy
 from formulations.mpec.workspace import Columns, Workspace
 from formulations.solution import Outcome
 

@@ -6,7 +6,6 @@ load(result)                                      # writes the variables
 
 from __future__ import annotations
 
-import importlib
 import logging
 import time
 from dataclasses import replace
@@ -30,7 +29,7 @@ from formulations.mpec.result import (
     without_multipliers,
 )
 from formulations.mpec.settings import Settings
-from formulations.mpec.strategy import Strategy
+from formulations.mpec.strategies import STRATEGIES, Strategy
 from formulations.mpec.workspace import Workspace, natural_residual
 from formulations.solution import Outcome
 
@@ -41,10 +40,6 @@ logger = logging.getLogger(__name__)
 _EARLY_EPS, _NEAR = 1e-3, 1e-2
 # Multipliers with a larger residual (relative) are not handed out.
 WRONG_MULTIPLIERS = 1e-4
-
-
-def load_strategy(name: str) -> Strategy:
-    return importlib.import_module(f"formulations.mpec.strategies.{name}").STRATEGY
 
 
 def solve_mpec(model: Any, settings: Settings | None = None, *, time_limit: float | None = None) -> MpecResult:
@@ -58,7 +53,7 @@ def solve_mpec(model: Any, settings: Settings | None = None, *, time_limit: floa
     steps: list[Step] = []
     solved_before = False
     for name in settings.strategies:
-        candidate = run_strategy(model, load_strategy(name), settings, account)
+        candidate = run_strategy(model, STRATEGIES[name], settings, account)
         steps += candidate.steps
         result = judged(model, candidate, settings, account, begin)
         result = replace(result, steps=tuple(steps))

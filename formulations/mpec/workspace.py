@@ -9,7 +9,7 @@ import numpy as np
 from formulations.ipopt import IpoptProblem, compile_model
 from formulations.ipopt.errors import MissingValueError
 from formulations.mpec.lifted import Lifted
-from formulations.mpec.strategy import Strategy
+from formulations.mpec.strategies import Strategy
 
 
 class Columns:

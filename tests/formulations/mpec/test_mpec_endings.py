@@ -17,7 +17,7 @@ from formulations.mpec import Multipliers, Settings, Stationarity, certify, solv
 from formulations.mpec.branching import Branching
 from formulations.mpec.homotopy import Account
 from formulations.mpec.lifted import lift
-from formulations.mpec.solve import load_strategy
+from formulations.mpec.strategies import STRATEGIES
 from formulations.mpec.workspace import Workspace
 from formulations.solution import Outcome
 
@@ -176,7 +176,7 @@ def test_biactive_and_strongly_stationary():
 def test_a_biactive_pair_that_wants_its_other_branch_gets_it():
     """With x held at 0, y ends at 0 too, and x is worth more than 0: the multiplier says so."""
     m = two(lambda m: (m.x - 1) ** 2 + (m.y + 1) ** 2)
-    work = Workspace(lift(m), load_strategy("scholtes"))
+    work = Workspace(lift(m), STRATEGIES["scholtes"])
     x = np.zeros(work.relaxed.problem.n)
     x[work.relaxed.second] = 1.0  # y > x: the branch read off holds x
     branching = Branching(work, Settings(), Account(None))

@@ -1,0 +1,154 @@
+"""Strategies: the ways to make the pairs of a shadow smooth, each steered by one number eps > 0 that goes to 0.
+
+STRATEGIES["scholtes"].attach(lifted)        # once, before the shadow is compiled
+STRATEGIES["scholtes"].set(lifted, eps)
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+import pyomo.environ as pyo
+
+from formulations.mpec.lifted import Lifted
+
+
+class Strategy(ABC):
+    """name: as chosen by option; title: what it does, for people; first, last: where eps starts and ends unless the caller says otherwise;
+    warm_below: from which eps on a step starts from the multipliers of the step before."""
+
+    name: str
+    title: str
+    first: float = 1.0
+    last: float = 1e-9
+    warm_below: float = 1e-4
+
+    @abstractmethod
+    def attach(self, lifted: Lifted) -> None:
+        """Write the relaxation into the shadow, once, before it is compiled."""
+
+    @abstractmethod
+    def set(self, lifted: Lifted, eps: float) -> None:
+        """Move its mutable Param."""
+
+
+def replace_objective(shadow: Any, penalty: Any) -> None:
+    """Add a penalty (to be kept small) to whatever the user's objective is."""
+    given = shadow.component("user_objective")
+    if given is None:
+        shadow.penalised = pyo.Objective(expr=penalty)
+        return
+    given.deactivate()
+    sign = 1.0 if given.sense == pyo.minimize else -1.0
+    shadow.penalised = pyo.Objective(expr=given.expr + sign * penalty, sense=given.sense)
+
+
+class Scholtes(Strategy):
+    """v w <= eps (Scholtes): Pyomo's own `mpec.simple_nonlinear`, whose mutable bound goes to 0."""
+
+    name = "scholtes"
+    title = "products at most eps, eps to 0"
+
+    def attach(self, lifted: Lifted) -> None:
+        lifted.products(active=True)
+
+    def set(self, lifted: Lifted, eps: float) -> None:
+        lifted.shadow.mpec_bound.value = eps
+
+
+class Smoothing(Strategy):
+    """v + w = sqrt(v^2 + w^2 + 2 eps) (Fischer-Burmeister, smoothed by Kanzow): v w = eps at every point of the path, and v, w > 0."""
+
+    name = "smoothing"
+    title = "smoothed Fischer-Burmeister equations"
+    last = 1e-10
+
+    def attach(self, lifted: Lifted) -> None:
+        lifted.products(active=False)
+        shadow = lifted.shadow
+        shadow.smoothing = pyo.Param(mutable=True, initialize=self.first)
+        sides = list(zip(lifted.firsts, lifted.seconds, strict=True))
+        shadow.fischer = pyo.Constraint(
+            range(len(sides)),
+            rule=lambda _, k: sides[k][0] + sides[k][1] - pyo.sqrt(sides[k][0] ** 2 + sides[k][1] ** 2 + 2 * shadow.smoothing) == 0,
+        )
+
+    def set(self, lifted: Lifted, eps: float) -> None:
+        lifted.shadow.smoothing.value = eps
+
+
+class Chks(Strategy):
+    """v + w = sqrt((v - w)^2 + 4 eps) (Chen, Harker, Kanzow, Smale): the same path v w = eps as Fischer-Burmeister, by another equation."""
+
+    name = "chks"
+    title = "Chen-Harker-Kanzow-Smale equations"
+    last = 1e-10
+
+    def attach(self, lifted: Lifted) -> None:
+        lifted.products(active=False)
+        shadow = lifted.shadow
+        shadow.smoothing = pyo.Param(mutable=True, initialize=self.first)
+        sides = list(zip(lifted.firsts, lifted.seconds, strict=True))
+        shadow.chks = pyo.Constraint(
+            range(len(sides)),
+            rule=lambda _, k: sides[k][0] + sides[k][1] - pyo.sqrt((sides[k][0] - sides[k][1]) ** 2 + 4 * shadow.smoothing) == 0,
+        )
+
+    def set(self, lifted: Lifted, eps: float) -> None:
+        lifted.shadow.smoothing.value = eps
+
+
+class Elastic(Strategy):
+    """f + (1 / eps) t with v w <= t, t >= 0 (elastic mode): feasible wherever the constraints without products are."""
+
+    name = "elastic"
+    title = "one elastic bound on all products, penalised"
+    last = 1e-8
+
+    def attach(self, lifted: Lifted) -> None:
+        lifted.products(active=False)
+        shadow = lifted.shadow
+        shadow.weight = pyo.Param(mutable=True, initialize=1.0)
+        shadow.elastic = pyo.Var(bounds=(0.0, None), initialize=1.0)
+        sides = list(zip(lifted.firsts, lifted.seconds, strict=True))
+        shadow.elastic_product = pyo.Constraint(range(len(sides)), rule=lambda _, k: sides[k][0] * sides[k][1] <= shadow.elastic)
+        replace_objective(shadow, shadow.weight * shadow.elastic)
+
+    def set(self, lifted: Lifted, eps: float) -> None:
+        lifted.shadow.weight.value = 1.0 / eps
+
+
+class L1Penalty(Strategy):
+    """f + (1 / eps) sum v w: the products in the objective. Exact: a finite weight is enough where the solution is strongly stationary."""
+
+    name = "l1_penalty"
+    title = "products as a penalty in the objective"
+    last = 1e-8
+
+    def attach(self, lifted: Lifted) -> None:
+        lifted.products(active=False)
+        shadow = lifted.shadow
+        shadow.weight = pyo.Param(mutable=True, initialize=1.0)
+        pairs = zip(lifted.firsts, lifted.seconds, strict=True)
+        replace_objective(shadow, sum((shadow.weight * first * second for first, second in pairs), start=0.0))
+
+    def set(self, lifted: Lifted, eps: float) -> None:
+        lifted.shadow.weight.value = 1.0 / eps
+
+
+class Direct(Strategy):
+    """v w <= 0 at once: what an NLP solver makes of the problem as it stands."""
+
+    name = "direct"
+    title = "products at most 0, in one solve"
+    first = last = 1e-8  # Ipopt's own tolerance: a bound of 0 would leave its iterates no interior at all
+
+    def attach(self, lifted: Lifted) -> None:
+        lifted.products(active=True)
+
+    def set(self, lifted: Lifted, eps: float) -> None:
+        lifted.shadow.mpec_bound.value = eps
+
+
+STRATEGIES: dict[str, Strategy] = {item.name: item for item in (Scholtes(), Smoothing(), Chks(), Elastic(), L1Penalty(), Direct())}

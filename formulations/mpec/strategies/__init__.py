@@ -1,1 +1,0 @@
-"""ONE FILE = ONE STRATEGY: how the pairs are made smooth."""
