@@ -33,6 +33,7 @@ _TRIALS = {
     "report": ("report", "What a campaign's report weighs, and how soon a browser shows it."),
     "golden": ("golden", "What a full campaign found, frozen as data, and what a change moved."),
     "rejudge": ("rejudge", "The stored plans of a campaign, judged anew."),
+    "house": ("house", "How large and how tangled the code is."),
 }
 _OF_THE_PAGE = {
     "run": ("commands", "Several benchmarks of the page one after another, then the page."),
