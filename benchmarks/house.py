@@ -27,7 +27,7 @@ CATALOGS = frozenset(
     {"models/scenes", "formulations/methods", "validate/cli", "validate/stress/cases", "reports/pages", "reports/templates"}
 )
 # Where one run begins: what is reachable from here a reader may come to.
-RUN = "validate.tasks.run"
+RUN = "validate.tasks.path"
 _QUIET = frozenset({tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER})
 _SHAPE, _UNIT, _ERRORS = re.compile(r"\([\w*+ -]+(, ?[\w*+ -]+)*,?\)"), re.compile(r"\[[\w^/ .-]+\]"), re.compile(r"[Rr]aises")
 

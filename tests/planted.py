@@ -30,7 +30,7 @@ from time import monotonic
 ROOT = Path(__file__).resolve().parents[1]
 # Room -> the files in which mistakes are made, and the tests that answer for them.
 ROOMS = {
-    "judge": (("validate/judge/**/*.py", "validate/fmi/*.py", "validate/tasks/judging.py", "validate/tasks/paper.py"),
+    "judge": (("validate/judge/**/*.py", "validate/fmi/*.py", "validate/tasks/stage.py", "validate/tasks/paper.py"),
               ("tests/validate/test_score*.py", "tests/validate/test_replay*.py", "tests/validate/test_tracked*.py", "tests/validate/test_judge.py",
                "tests/validate/test_exact*.py", "tests/validate/judge/**/*.py", "tests/validate/test_verdict*.py", "tests/validate/test_campaign_violation.py")),
     "record": (("validate/tasks/*record*.py", "validate/store/results.py", "reports/records/*.py"),

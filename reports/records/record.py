@@ -344,6 +344,24 @@ class StageRecord(_Model):
         return next((metric for metric in self.metrics if metric.name == name), None)
 
 
+class LegRecord(_Model):
+    """What a leg found (validate.tasks.leg). pipeline: in whose run it was made; stages: as if there were no other legs; files: SHA-256 of its files by name;
+    limit [s]: of the run whose time it used up, if it did; profile [s]: where the time of that run had gone when this was written."""
+
+    key: str
+    pipeline: str
+    stages: tuple[StageRecord, ...] = Field(min_length=1)
+    files: dict[str, str]
+    limit: Finite | None = None
+    profile: dict[str, Finite] = {}
+
+    @model_validator(mode="after")
+    def _has_its_stages_in_order(self) -> Self:
+        if [stage.index for stage in self.stages] != list(range(len(self.stages))):
+            raise ValueError("its stages are not in order")
+        return self
+
+
 class ProvenanceRecord(_Model):
     """Where a record came from."""
 

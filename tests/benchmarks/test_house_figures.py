@@ -14,7 +14,7 @@ FILES = {
     "models/one.py": '"""One."""\n\nfrom typing import TYPE_CHECKING\n\nif TYPE_CHECKING:\n    from models.two import Two\n\n\nclass One:\n    """A\n    class."""\n\n    two: "Two"\n',
     "models/two.py": "from models.one import One  # a comment\n\n\nclass Two(One): ...\n",
     "validate/loose.py": "def run() -> None:\n    from models import one\n\n    one.One()\n",
-    "validate/tasks/run.py": (
+    "validate/tasks/path.py": (
         'import numpy as np\n\nfrom validate import loose\n\n\nclass One: ...\n\n\ndef f(x: np.ndarray) -> np.ndarray:\n    """x (n, nq) [m]. Raises ValueError."""\n'
         "    loose.run()\n    return x\n\n\ndef g(x: np.ndarray) -> None:\n    pass\n"
     ),

@@ -93,30 +93,32 @@ class _Unspoilt(random.Random):
         return 1.0
 
 
-def spoilt_stages(rng: random.Random, folder: Path) -> Path:
-    """A beginning that several cells share, its list of contents spoilt."""
+def spoilt_stored_leg(rng: random.Random, folder: Path) -> Path:
+    """A stored leg, what it says spoilt."""
     stage = good_record()["stages"][0]
     content = {
         "key": KEY,
+        "pipeline": "p",
+        "limit": None,
+        "profile": {},
         "stages": [{**stage, "plan_trace": None}],
-        "files": {"trajectory.nc": hashlib.sha256(_PLAN).hexdigest()},
-        "late": False,
+        "files": {"trajectory_1.nc": hashlib.sha256(_PLAN).hexdigest()},
     }
-    source = folder / "stages" / KEY
+    source = folder / "legs" / KEY
     source.mkdir(parents=True, exist_ok=True)
-    (source / "trajectory.nc").write_bytes(_PLAN)
-    (source / "stages.json").write_bytes(_spoilt(rng, content))
+    (source / "trajectory_1.nc").write_bytes(_PLAN)
+    (source / "leg.json").write_bytes(_spoilt(rng, content))
     return folder
 
 
-def take_stages(path: Path) -> None:
-    from validate.tasks.shared_stages import Beginning, take_over
+def take_leg(path: Path) -> None:
+    from validate.tasks.leg import take
 
-    cell = path / "runs" / ".partial-x"
-    cell.mkdir(parents=True, exist_ok=True)
-    taken = take_over([Beginning(1, KEY)], _entry().scene, 2, cell)
-    shutil.rmtree(cell)
-    if not taken.stages:
+    run = path / "run"
+    run.mkdir(exist_ok=True)
+    taken = take(path / "legs", KEY, 1.0, 1, run / "leg_1", _entry().scene)
+    shutil.rmtree(run)
+    if taken is None:
         raise TouchstoneError("it is put aside")
 
 

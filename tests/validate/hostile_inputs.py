@@ -21,7 +21,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from hostile_folders import compare_suite, read_scheduler, resume, spoilt_folder, spoilt_scheduler, spoilt_stages, spoilt_suite, take_stages
+from hostile_folders import (
+    compare_suite,
+    read_scheduler,
+    resume,
+    spoilt_folder,
+    spoilt_scheduler,
+    spoilt_stored_leg,
+    spoilt_suite,
+    take_leg,
+)
 from hostile_mutations import spoilt_bytes, spoilt_data, spoilt_text
 from hostile_records import read_record, spoilt_campaign
 from hostile_results import (
@@ -31,8 +40,8 @@ from hostile_results import (
     read_table,
     recover,
     spoilt_answer,
+    spoilt_leg,
     spoilt_library,
-    spoilt_provisional,
     spoilt_replay,
     spoilt_table,
 )
@@ -281,12 +290,12 @@ READERS: dict[str, Reader] = {
     "NetCDF": Reader(_netcdf, _read_netcdf),
     "record JSON": Reader(spoilt_campaign, read_record),
     "campaign folder": Reader(spoilt_folder, resume),
-    "shared stages": Reader(spoilt_stages, take_stages),
+    "stored leg": Reader(spoilt_stored_leg, take_leg),
     "scheduler file": Reader(spoilt_scheduler, read_scheduler),
     "bench figures": Reader(spoilt_suite, compare_suite),
     "replay NetCDF": Reader(spoilt_replay, read_spoilt_replay),
     "foreign plan CSV": Reader(spoilt_table, read_table),
     "library": Reader(spoilt_library, read_spoilt_library),
-    "provisional record": Reader(spoilt_provisional, recover),
+    "leg of a lost run": Reader(spoilt_leg, recover),
     "isolated answer": Reader(spoilt_answer, read_answer),
 }

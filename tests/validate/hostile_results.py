@@ -147,19 +147,25 @@ def read_spoilt_library(path: Path) -> None:
 # ---- what a child left ------------------------------------------------------------------------------------------------------------------------
 
 
-def spoilt_provisional(rng: random.Random, folder: Path) -> Path:
-    """What a cell set aside before its certificate."""
-    content = {"awaiting": [0], "record": {**good_record(), "profile": {"solve": 1.0}}}
-    (folder / "provisional.json").write_bytes(_spoilt_json(rng, content))
+def spoilt_leg(rng: random.Random, folder: Path) -> Path:
+    """What a run that was lost left of its first leg."""
+    content = {
+        "key": KEY,
+        "pipeline": "p",
+        "limit": None,
+        "profile": {"solve": 1.0},
+        "files": {},
+        "stages": [{**good_record()["stages"][0], "plan_trace": None}],
+    }
+    (folder / "leg_1").mkdir(exist_ok=True)
+    (folder / "leg_1" / "leg.json").write_bytes(_spoilt_json(rng, content))
     return folder
 
 
 def recover(path: Path) -> None:
-    from validate.execution.worker import Lost
-    from validate.tasks.provisional import recovered
+    from validate.tasks.leg import PlannedLeg, legs_in
 
-    lost = Lost(outcome=("crashed", "time_limit")[len(str(path)) % 2], message="it is a test.", wall=1.0, cpu=1.0, log="")
-    if recovered(path, KEY, lost) is None:
+    if not legs_in(path, [PlannedLeg(0, 1, KEY, KEY)]):
         raise TouchstoneError("there is none")
 
 

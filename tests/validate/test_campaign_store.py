@@ -9,7 +9,7 @@ import socket
 import pytest
 
 from models.errors import MachineError
-from reports.records.record import RunRecord
+from reports.records.record import LegRecord, RunRecord
 from validate.execution.campaign import Settings, select, with_stored
 from validate.execution.worker import Lost
 from validate.plan.runs import reasons
@@ -17,7 +17,7 @@ from validate.store.disk import disk_error, write_durably
 from validate.store.provenance import gather
 from validate.store.results import COLUMNS, results_text
 from validate.store.store import Store, StoreError
-from validate.tasks.provisional import recovered, set_aside
+from validate.tasks.leg import place, write_leg
 from validate.tasks.records import run_record, unfinished_stage
 from validate.tasks.scene_record import scene_record
 
@@ -70,12 +70,13 @@ def test_what_is_used_again(tmp_path, entry, outcome, time_limit, used_again):
 def test_a_certificate_that_time_took_is_made_when_there_is_more(tmp_path, entry, time_limit, used_again):
     """The plans were kept, and with them the outcome of the last stage: it does not say that time ran out."""
     store, record = Store(tmp_path), _record(entry, "solved")
-    store.prepare()
-    partial = store.open_partial(record.key, "late")
-    set_aside(partial, record, [record.stages[-1].index])
+    partial = tmp_path / "run"
+    (leg,) = entry.cell.legs
+    place(partial, 1).mkdir(parents=True)
+    stages = tuple(stage.model_copy(update={"certificate_missing": True}) for stage in record.stages)
+    write_leg(place(partial, 1), LegRecord(key=leg.key, pipeline="relu_gd", stages=stages, files={}))
     lost = Lost(outcome="time_limit", message=f"ended at its time limit of {time_limit:g} s.", wall=time_limit, cpu=1.0, log="")
-    kept = recovered(partial, record.key, lost)
-    assert kept is not None
+    kept = entry.lost(gather("test"))(lost, partial)
     assert kept.outcome == "solved"
     _stored(store, entry, kept, time_limit)
     (found,) = with_stored([entry], store, Settings(out=tmp_path, time_limit=600.0))

@@ -94,7 +94,7 @@ def test_nothing_is_left_behind(misbehaved):
         assert names >= KEPT
         assert {Path(name).suffix for name in names - KEPT} <= {".nc"}
     told = {"campaign.json", "results.csv", "violation.csv", "report.html"}
-    assert {path.name for path in out.iterdir()} == {"runs", "stages", *told}
+    assert {path.name for path in out.iterdir()} == {"runs", "legs", *told}
     shared = [json.loads(path.read_text())["stages"][0]["shared_from"] for path in (out / "stages").glob("*/stages.json")]
     # what `broken_chain` begins with, and what `soft+good` would run again if its start were none
     assert sorted(shared) == ["only_good", "soft_alone"]

@@ -98,22 +98,22 @@ def test_each_request_of_a_cell_is_refused_in_turn(run, store):
     assert whole[:2] == ("solved", "holds")
     assert requests >= 15
     _check(store, undisturbed, whole, errno.ENOSPC)
-    shutil.rmtree(store.stages, ignore_errors=True)
+    shutil.rmtree(store.legs, ignore_errors=True)
     finished = 0
     for number in range(1, requests + 1):
         error = (errno.ENOSPC, errno.EIO, errno.EROFS)[number % 3]
         came, _ = run(store, number, number, error)
         finished += _check(store, came, whole, error)
-        shutil.rmtree(store.stages, ignore_errors=True)
+        shutil.rmtree(store.legs, ignore_errors=True)
     assert finished < requests / 2
 
 
 def test_a_disk_that_is_full_from_some_request_on_is_no_answer(run, store):
     """Nobody can say it then but the parent, whose disk is not full here: the cell has crashed, and is run again by the next campaign."""
     undisturbed, requests = run(store, _FOR_EVER, _FOR_EVER, errno.ENOSPC)
-    shutil.rmtree(store.stages, ignore_errors=True)
+    shutil.rmtree(store.legs, ignore_errors=True)
     for number in range(1, requests + 1, requests // 4):
         came, _ = run(store, number, _FOR_EVER, errno.ENOSPC)
         if isinstance(came, RunRecord) and came.outcome != "crashed":
             assert _told(came) == _told(undisturbed)
-        shutil.rmtree(store.stages, ignore_errors=True)
+        shutil.rmtree(store.legs, ignore_errors=True)

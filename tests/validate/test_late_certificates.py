@@ -15,12 +15,13 @@ from validate.execution import worker as module
 from validate.execution.dask import _lost
 from validate.execution.fork_server import ForkServer
 from validate.execution.process import shared_watchdog
-from validate.execution.worker import Lost, Worker
+from validate.execution.worker import Worker
 from validate.store.provenance import gather
 from validate.store.results import rows
 from validate.store.store import Store
-from validate.tasks.provisional import recovered
-from validate.tasks.run import Cell, run_cell
+from validate.tasks.leg import planned_legs, planned_stages
+from validate.tasks.path import run_cell
+from validate.tasks.run import Cell
 
 HERE = Path(__file__).parent
 
@@ -33,15 +34,18 @@ def in_reach(monkeypatch):
 
 
 def _cell(last: str) -> Cell:
-    from certificate_fakes import pipeline
+    from certificate_fakes import TOOLS, pipeline
 
+    chosen = pipeline(last)
+    plan = planned_stages(chosen, {leg.method: TOOLS.load_method(leg.method) for leg in chosen.legs})
     return Cell(
         key=f"key_of_{last}",
         scene="three_cart",
         scene_name="three_cart",
-        pipeline=pipeline(last),
+        pipeline=chosen,
         tools="certificate_fakes:TOOLS",
         time_limit=1e5,
+        legs=planned_legs(plan, lambda stages: "-".join(planned.name for planned in stages)),
     )
 
 
@@ -106,11 +110,3 @@ def test_a_front_is_certified_though_nothing_was_found_within_its_smallest_toler
     assert stage.plan_trace is None
     assert [point.outcome for point in stage.front] == ["infeasible", "solved"]
     assert stage.front[-1].certificate is not None
-
-
-def test_what_was_set_aside_is_believed_only_if_it_is_whole_and_of_this_cell(tmp_path):
-    lost = Lost(outcome="time_limit", message="ended.", wall=1.0, cpu=1.0, log="")
-    assert recovered(tmp_path, "key", lost) is None
-    for text in ("", "{", "[]", '{"awaiting": [0]}', '{"awaiting": 3, "record": {}}'):
-        (tmp_path / "provisional.json").write_text(text)
-        assert recovered(tmp_path, "key", lost) is None

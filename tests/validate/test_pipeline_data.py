@@ -14,8 +14,8 @@ from formulations.pipelines import (
 )
 from models.errors import UnknownNameError
 from reports.paper import TABLE_1
+from validate.tasks.leg import planned_stages
 from validate.tasks.paper import paper_row, table_rows
-from validate.tasks.records import planned_stages
 
 SHOOTING = ("lbfgs", "softplus_dc+lbfgs", "randomised_smoothing", "multiple_shooting")
 OURS = ("gd_converged", *SHOOTING, "mpcc", "collocation", "mpcc_multistart", "mpcc_front", "free_motion", "global")

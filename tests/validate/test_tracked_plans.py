@@ -23,7 +23,8 @@ from validate.judge.replay import Replay
 from validate.judge.replay.run import replay
 from validate.judge.score import Score, Verdict, score
 from validate.store.results import COLUMNS, _row
-from validate.tasks.records import Judged, Planned, stage_record
+from validate.tasks.leg import Planned
+from validate.tasks.records import Judged, stage_record
 
 
 @pytest.fixture(scope="module")
@@ -156,7 +157,7 @@ def test_a_campaign_keeps_and_tells_both(scene: Scene, plans: dict[str, Trajecto
     planned = Planned(index=0, name="strict_lcp", method=method, eps=None, options=method.read_options({}))
     told = score(scene, plan, exact)
     record = stage_record(
-        scene, "strict", planned, Solution(method="strict_lcp", outcome=Outcome.SOLVED, trajectory=plan, cost=0.2), wall=1.0, cpu=1.0, before=0.0,
+        scene, planned, Solution(method="strict_lcp", outcome=Outcome.SOLVED, trajectory=plan, cost=0.2), 0, wall=1.0, cpu=1.0, before=0.0,
         judged=Judged(replay=exact, score=told),
     )  # fmt: skip
     assert record.replay is not None

@@ -23,12 +23,14 @@ from validate.store.results import write_examinations, write_results, write_swee
 from validate.store.standing_report import campaign_text, of_content, standing_report
 from validate.store.store import Store
 from validate.store.stored import CAMPAIGN, earlier_schema, only_last_failed, stored_campaign
+from validate.tasks.leg import PlannedLeg, forget, must_wait
 from validate.tasks.plugins import DEFAULT_TOOLS, load_tools
-from validate.tasks.shared_stages import beginnings_of, forget, must_wait, wanted_of
+from validate.tasks.run import Cell
 
 if TYPE_CHECKING:
     from reports.records.check_record import ExaminationRecord
     from reports.records.record import CampaignRecord, ProvenanceRecord, RunRecord, TimeStepRecord, ViolationPoint
+    from validate.execution.worker import Job
 
 __all__ = ["CampaignError", "Narrator", "Outcome", "Settings", "run_campaign", "select", "stored_campaign", "with_stored"]
 
@@ -189,7 +191,7 @@ def _run(
     if not entries:
         return
     if settings.fresh:
-        forget((entry.cell for entry in entries), store)
+        forget((_path(entry.cell) for entry in entries), store.legs)
     by_key = {entry.cell.key: entry for entry in entries}
     crashes: Counter[str] = Counter()
 
@@ -205,7 +207,7 @@ def _run(
         provenance=provenance,
         lost=lambda cell: by_key[cell.key].lost(provenance),
         watch=narrator.runs,
-        must_wait=lambda cell, running: must_wait(wanted_of(cell), [beginnings_of(other) for other in running], store, cell.time_limit),
+        must_wait=lambda cell, running: must_wait(_path(cell), map(_path, running), store.legs, cell.time_limit),
         again=again,
         warn=narrator.warns,
     )
@@ -215,3 +217,8 @@ def _run(
     ):
         for _, record in finished:
             yield record
+
+
+def _path(job: Job) -> tuple[PlannedLeg, ...]:
+    """The legs of a run; an examination has none."""
+    return job.legs if isinstance(job, Cell) else ()

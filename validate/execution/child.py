@@ -41,7 +41,8 @@ def main(folder: Path) -> int:
     from validate.store.provenance import SEED
     from validate.store.store import RECORD, REQUEST
     from validate.tasks.examination import Examination, run_examination
-    from validate.tasks.run import Cell, run_cell
+    from validate.tasks.path import run_cell
+    from validate.tasks.run import Cell
 
     random.seed(SEED)
     np.random.seed(SEED)

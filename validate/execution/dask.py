@@ -250,32 +250,27 @@ def _here(provenance: ProvenanceRecord) -> ProvenanceRecord:
     return provenance.model_copy(update=machine())
 
 
-def _lost(job: Job, provenance: ProvenanceRecord) -> Callable[[Lost], RunRecord | ExaminationRecord]:
+def _lost(job: Job, provenance: ProvenanceRecord) -> Callable[[Lost, Path], RunRecord | ExaminationRecord]:
     """Makes the record of a child that left none."""
+    from models.catalog import load_scene
     from validate.tasks.examination import Examination, lost_examination
+    from validate.tasks.leg import planned_stages
+    from validate.tasks.path import lost_run
+    from validate.tasks.plugins import load_tools
     from validate.tasks.run import Cell
+    from validate.tasks.variant import varied
 
-    def record(lost: Lost) -> RunRecord | ExaminationRecord:
+    def record(lost: Lost, folder: Path) -> RunRecord | ExaminationRecord:
         if isinstance(job, Examination):
             return lost_examination(job, provenance, lost)
         assert isinstance(job, Cell)
-        return _lost_cell(job, provenance, lost)
+        tools, scene = load_tools(job.tools), load_scene(job.scene)
+        if job.variant is not None:
+            scene = varied(scene, job.variant)
+        plan = planned_stages(job.pipeline, {leg.method: tools.load_method(leg.method) for leg in job.pipeline.legs})
+        return lost_run(job, scene, plan, provenance, lost, folder)
 
     return record
-
-
-def _lost_cell(cell: Any, provenance: ProvenanceRecord, lost: Lost) -> RunRecord:
-    from models.catalog import load_scene
-    from validate.tasks.plugins import load_tools
-    from validate.tasks.records import lost_run, planned_stages
-    from validate.tasks.scene_record import scene_record
-    from validate.tasks.variant import varied
-
-    tools, scene = load_tools(cell.tools), load_scene(cell.scene)
-    if cell.variant is not None:
-        scene = varied(scene, cell.variant)
-    plan = planned_stages(cell.pipeline, {leg.method: tools.load_method(leg.method) for leg in cell.pipeline.legs})
-    return lost_run(cell, scene_record(scene), plan, provenance, lost)
 
 
 # Pause between two looks at what is not a cell's end [s]; a cell that ends is seen at once.
@@ -450,8 +445,8 @@ class DaskEngine:
 
         cell = submitted.cell
         wall = time.monotonic() - submitted.since
-        record = self._site.lost(cell)(Lost(outcome="crashed", message=message, wall=wall, cpu=0.0, log=""))
         folder = self._store.open_partial(cell.key, self._token + uuid.uuid4().hex[:16])
+        record = self._site.lost(cell)(Lost(outcome="crashed", message=message, wall=wall, cpu=0.0, log=""), folder)
         write_durably(folder / REQUEST, json.dumps({"cell": cell.to_json(), "provenance": self._request["provenance"]}, indent=1))
         write_durably(folder / LOG, "")
         write_durably(folder / RECORD, record.model_dump_json(indent=1))

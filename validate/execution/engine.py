@@ -57,7 +57,7 @@ class Site:
 
     store: Store
     provenance: ProvenanceRecord
-    lost: Callable[[Job], Callable[[Lost], RunRecord | ExaminationRecord]]
+    lost: Callable[[Job], Callable[[Lost, Path], RunRecord | ExaminationRecord]]
     watch: Callable[[Sequence[Running]], None]
     must_wait: Callable[[Job, Sequence[Job]], bool]
     again: Callable[[RunRecord | ExaminationRecord], bool]

@@ -43,10 +43,7 @@ MODULES = (
     *("numpy", "scipy.sparse.linalg", "scipy.linalg", "scipy.special", "sympy", "pyomo.environ", "h5netcdf", "psutil", "fmpy"),
     *(
         "validate.execution.child",
-        "validate.tasks.run",
-        "validate.tasks.records",
-        "validate.tasks.scene_record",
-        "validate.tasks.plugins",
+        "validate.tasks.path",
         "validate.judge.score",
         "validate.judge.replay.run",
     ),

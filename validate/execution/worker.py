@@ -18,6 +18,7 @@ import time
 import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from models.errors import MachineError
@@ -26,7 +27,6 @@ from validate.execution.fork_server import ForkServer, ForkServerError
 from validate.execution.process import ChildProcess, Ended, Watchdog, exit_in_words
 from validate.store.disk import disk_error, remove, write_durably
 from validate.store.store import LOG, MACHINE, PROGRESS, RECORD, REQUEST, Store
-from validate.tasks.provisional import recovered
 
 if TYPE_CHECKING:
     from reports.records.check_record import ExaminationRecord
@@ -70,7 +70,7 @@ class Worker:
     def __init__(
         self,
         cell: Job,
-        lost: Callable[[Lost], RunRecord | ExaminationRecord],
+        lost: Callable[[Lost, Path], RunRecord | ExaminationRecord],
         provenance: ProvenanceRecord,
         store: Store,
         watchdog: Watchdog,
@@ -193,7 +193,7 @@ class Worker:
             message = "; ".join(filter(None, words)) + "."
         wall = time.monotonic() - self._began
         lost = Lost(outcome=outcome, message=message, wall=wall, cpu=self._ended.cpu, log=log)
-        record = recovered(self._folder, self.cell.key, lost) or self._lost(lost)
+        record = self._lost(lost, self._folder)
         write_durably(self._folder / RECORD, record.model_dump_json(indent=1))
         return record
 

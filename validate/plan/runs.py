@@ -6,13 +6,11 @@ entries = with_stored(entries, store, settings)
 
 from __future__ import annotations
 
-import contextlib
 import difflib
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,10 +20,9 @@ from models.errors import TouchstoneError
 from validate.plan.selection import matches
 from validate.store.store import Store
 from validate.tasks.examination import Examination, SceneReference, lost_examination
+from validate.tasks.leg import Planned, planned_legs, planned_stages
 from validate.tasks.plugins import DEFAULT_TOOLS, Tools, load_tools, tools_source
-from validate.tasks.provisional import lacks_certificate
 from validate.tasks.run import Cell
-from validate.tasks.shared_stages import Signature, beginnings, common, restarts
 
 if TYPE_CHECKING:
     from formulations.method import Pipeline
@@ -33,7 +30,6 @@ if TYPE_CHECKING:
     from reports.records.check_record import ExaminationRecord
     from reports.records.record import ProvenanceRecord, RunRecord
     from validate.execution.worker import Lost
-    from validate.tasks.records import Planned
 
 
 NOTHING_STORED = "nothing is stored of it"
@@ -84,12 +80,11 @@ class Entry:
     stored: RunRecord | ExaminationRecord | None = None
     why: str = ""  # it is run, although something like it may be stored
 
-    def lost(self, provenance: ProvenanceRecord) -> Callable[[Lost], RunRecord]:
-        """Makes the record of a child that left none."""
-        from validate.tasks.records import lost_run
-        from validate.tasks.scene_record import scene_record
+    def lost(self, provenance: ProvenanceRecord) -> Callable[[Lost, Path], RunRecord]:
+        """Makes the record of a child that left none, of what it left in its folder."""
+        from validate.tasks.path import lost_run
 
-        return lambda lost: lost_run(self.cell, scene_record(self.scene), self.plan, provenance, lost)
+        return lambda lost, folder: lost_run(self.cell, self.scene, self.plan, provenance, lost, folder)
 
 
 @dataclass(frozen=True)
@@ -100,9 +95,9 @@ class Examined:
     stored: RunRecord | ExaminationRecord | None = None
     why: str = ""
 
-    def lost(self, provenance: ProvenanceRecord) -> Callable[[Lost], ExaminationRecord]:
+    def lost(self, provenance: ProvenanceRecord) -> Callable[[Lost, Path], ExaminationRecord]:
         """Makes the record of a child that left none."""
-        return partial(lost_examination, self.cell, provenance)
+        return lambda lost, folder: lost_examination(self.cell, provenance, lost)
 
 
 def select(settings: Settings) -> tuple[list[Entry | Examined], tuple[str, ...]]:
@@ -116,7 +111,6 @@ def select(settings: Settings) -> tuple[list[Entry | Examined], tuple[str, ...]]
     for reference in scenes:
         scene = reference.scene
         pipelines = settings.pipelines or tools.pipelines_for(scene)
-        shared = common(_plans(pipelines, tools))
         for pipeline in pipelines:
             methods = dict.fromkeys(leg.method for leg in pipeline.legs)
             seen += [scene.name, pipeline.name, *methods]
@@ -138,7 +132,7 @@ def select(settings: Settings) -> tuple[list[Entry | Examined], tuple[str, ...]]
                             time_limit=settings.time_limit,
                             variant=reference.variant,
                         )
-                        entries.append(_entry(cell, scene, tools, shared))
+                        entries.append(_entry(cell, scene, tools))
     long = list(dict.fromkeys(long))
     told = (*_in_words(left_out, len(scenes) - len(long)), *(f"{name} x every pipeline" for name in long))
     examined, unexamined = _examined(settings, tools, settings.examined if settings.chosen else scenes, seen)
@@ -206,35 +200,17 @@ def _in_words(cells: Sequence[tuple[str, str]], scenes: int) -> tuple[str, ...]:
     return tuple(dict.fromkeys(f"{'every scene' if times[pipeline] == scenes > 1 else scene} x {pipeline}" for scene, pipeline in cells))
 
 
-def _plans(pipelines: Sequence[Pipeline], tools: Tools) -> Iterator[tuple[Planned, ...]]:
-    """The stages of every pipeline; one that cannot be planned says so where it is asked for."""
-    for pipeline in pipelines:
-        for part in cells_of(pipeline):
-            with contextlib.suppress(TouchstoneError):
-                yield _plan(part, tools)
-
-
-def _plan(pipeline: Pipeline, tools: Tools) -> tuple[Planned, ...]:
-    from validate.tasks.records import planned_stages
-
-    return planned_stages(pipeline, {leg.method: tools.load_method(leg.method) for leg in pipeline.legs})
-
-
-def _entry(cell: Cell, scene: Scene, tools: Tools, shared: frozenset[Signature]) -> Entry:
+def _entry(cell: Cell, scene: Scene, tools: Tools) -> Entry:
     from validate.store.provenance import content_key
 
-    plan, source = _plan(cell.pipeline, tools), tools_source(cell.tools)
+    plan = planned_stages(cell.pipeline, {leg.method: tools.load_method(leg.method) for leg in cell.pipeline.legs})
+    source = tools_source(cell.tools)
 
     def key_of(stages: Sequence[Planned], *named: str) -> str:
-        asked = [(planned.name, planned.eps, {name: repr(value) for name, value in asdict(planned.options).items()}) for planned in stages]
-        return content_key(scene, [*named, asked], {planned.name for planned in stages}, source)
+        return content_key(scene, [*named, [planned.asked() for planned in stages]], {planned.name for planned in stages}, source)
 
     key = key_of(plan, cell.pipeline.name, cell.pipeline.title)
-    return Entry(
-        cell=replace(cell, key=key, beginnings=beginnings(plan, shared, key_of), restarts=restarts(plan, shared, key_of)),
-        scene=scene,
-        plan=plan,
-    )
+    return Entry(cell=replace(cell, key=key, legs=planned_legs(plan, key_of)), scene=scene, plan=plan)
 
 
 def _nothing(settings: Settings, seen: list[str], left_out: tuple[str, ...]) -> CampaignError:
@@ -266,7 +242,7 @@ def _usable(store: Store, cell: Cell | Examination, fresh: bool) -> tuple[RunRec
     outcomes = {record.outcome, *(stage.outcome for stage in getattr(record, "stages", ()))}
     if "crashed" in outcomes:
         return None, "stored, but it crashed"
-    if "time_limit" in outcomes or lacks_certificate(record):
+    if "time_limit" in outcomes or any(stage.certificate_missing for stage in getattr(record, "stages", ())):
         asked = store.request(cell.key).get("time_limit")
         before = asked if isinstance(asked, (int, float)) else 0.0
         if not before >= cell.time_limit:

@@ -1,7 +1,7 @@
 """Where finished cells lie: one folder a cell, written aside, made durable, then renamed; no lock, nothing half-written.
 
     DIR/runs/<key>/record.json, trajectory.nc, replay.nc, log.txt, cell.json, files.json      DIR/runs/.partial-*   being written
-    DIR/stages/<key>/                      what several of them begin with (validate.tasks.shared_stages)
+    DIR/legs/<key>/                        what they are made of (validate.tasks.leg)
 
 Whatever kills a campaign, a folder under its key is whole. Two campaigns may write into the same DIR.
 """
@@ -48,7 +48,7 @@ class Store:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.runs, self.stages = folder / "runs", folder / "stages"
+        self.runs, self.legs = folder / "runs", folder / "legs"
 
     @classmethod
     def of_partial(cls, partial: Path) -> Store:

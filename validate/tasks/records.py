@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from formulations.pipelines import stage_plan
 from formulations.solution import Bound, Outcome, Seconds, Solution
 from reports.records.record import (
     BoundRecord,
@@ -37,13 +36,12 @@ from validate.tasks.paper import paper_row
 from validate.tasks.scene_record import plan_trace, replay_trace, thin
 
 if TYPE_CHECKING:
-    from formulations.method import Method, Options, Pipeline
     from formulations.mpec import Certificate
     from formulations.solution import Solution
     from models.scene import Scene
     from models.trajectory import Trajectory
-    from reports.records.record import ProvenanceRecord, StageRecord
-    from validate.execution.worker import Lost
+    from reports.records.record import LegRecord, ProvenanceRecord, StageRecord
+    from validate.tasks.leg import Planned
     from validate.tasks.run import Cell
 
 
@@ -98,8 +96,8 @@ def front_records(scene: Scene, solution: Solution) -> tuple[FrontPointRecord, .
 
 def with_certificate(record: StageRecord, scene: Scene, solution: Solution) -> StageRecord:
     """The record of the same stage, now that its plan and those of its front are certified."""
-    told = {"certificate": certificate_record(solution.certificate), "front": front_records(scene, solution)}
-    return record.model_copy(update=told)
+    certificate, front = certificate_record(solution.certificate), front_records(scene, solution)
+    return record.model_copy(update={"certificate": certificate, "front": front, "certificate_missing": False})
 
 
 def _windows(scene: Scene, plan: Trajectory | None) -> tuple[tuple[str, int, int], ...]:
@@ -122,17 +120,6 @@ LOG_LINES = 40
 
 
 @dataclass(frozen=True, kw_only=True)
-class Planned:
-    """One stage of a pipeline before it runs. method: None where it cannot even be loaded."""
-
-    index: int
-    name: str
-    method: Method
-    eps: float | None
-    options: Options
-
-
-@dataclass(frozen=True, kw_only=True)
 class Judged:
     """What the judge said of one plan: a Replay and a Score, or the sentence why there are none."""
 
@@ -142,32 +129,15 @@ class Judged:
     problem: str = ""
 
 
-def planned_stages(pipeline: Pipeline, methods: Mapping[str, Method]) -> tuple[Planned, ...]:
-    """The stages of a pipeline in order, options filled in. Raises OptionError."""
-    stages = []
-    for index, (leg, eps, options) in enumerate(stage_plan(pipeline)):
-        method = methods[leg.method]
-        method.check_eps(eps)
-        stages.append(Planned(index=index, name=leg.method, method=method, eps=eps, options=method.read_options(options)))
-    return tuple(stages)
-
-
 def stage_record(
-    scene: Scene,
-    pipeline: str,
-    planned: Planned,
-    solution: Solution,
-    *,
-    wall: float,
-    cpu: float,
-    before: float,
-    judged: Judged,
+    scene: Scene, planned: Planned, solution: Solution, index: int, *, wall: float, cpu: float, before: float, judged: Judged
 ) -> StageRecord:
-    """The record of a stage that ran. wall, cpu [s]: of this stage; before [s]: of the stages before it."""
+    """The record of a stage that ran, as of a pipeline of its leg alone. index: in its leg; wall, cpu [s]: of this stage; before [s]: of its leg's
+    stages before it."""
     trajectory = solution.trajectory
     verdict, why = _verdict(solution, judged)
     return StageRecord(
-        index=planned.index,
+        index=index,
         method=planned.name,
         method_title=planned.method.title,
         kind=planned.method.kind.value,
@@ -196,14 +166,26 @@ def stage_record(
         plan_trace=plan_trace(scene, trajectory) if trajectory is not None else None,
         replay_trace=_replay_trace(scene, trajectory, judged.replay),
         tracked_trace=_replay_trace(scene, trajectory, getattr(judged.replay, "tracked", None)),
-        paper=dict(paper_row(scene.name, pipeline, planned.index)),
     )
 
 
-def stage_of(record: StageRecord, scene: str, pipeline: str, before: float) -> StageRecord:
-    """A stage that ran in another pipeline, as one of this. before [s]: of the stages before those that ran there."""
-    seconds = record.seconds.model_copy(update={"total": before + record.seconds.total})
-    return record.model_copy(update={"seconds": seconds, "paper": dict(paper_row(scene, pipeline, record.index))})
+def stages_of(legs: Sequence[LegRecord], scene: str, pipeline: str) -> list[StageRecord]:
+    """The stages of the legs of a run, as its own."""
+    told: list[StageRecord] = []
+    for leg in legs:
+        before = told[-1].seconds.total if told else 0.0
+        told += [
+            record.model_copy(
+                update={
+                    "index": index,
+                    "seconds": record.seconds.model_copy(update={"total": before + record.seconds.total}),
+                    "paper": dict(paper_row(scene, pipeline, index)),
+                    "shared_from": "" if leg.pipeline == pipeline else leg.pipeline,
+                }
+            )
+            for index, record in enumerate(leg.stages, len(told))
+        ]
+    return told
 
 
 def unfinished_stage(scene: str, pipeline: str, planned: Planned, outcome: Outcome, message: str) -> StageRecord:
@@ -256,15 +238,6 @@ def run_record(
         profile=dict(profile),
         provenance=provenance,
         log_tail="\n".join(log.splitlines()[-LOG_LINES:]),
-    )
-
-
-def lost_run(cell: Cell, scene: SceneRecord, plan: Sequence[Planned], provenance: ProvenanceRecord, lost: Lost) -> RunRecord:
-    """The record of a cell whose child left none."""
-    outcome = Outcome[lost.outcome.upper()]
-    stages = [unfinished_stage(scene.name, cell.pipeline.name, planned, outcome, lost.message) for planned in plan]
-    return run_record(
-        cell, scene, stages, provenance, wall=lost.wall, cpu=lost.cpu, log=lost.log, outcome=lost.outcome, message=lost.message
     )
 
 

@@ -1,4 +1,4 @@
-"""What several pipelines of a scene begin with runs once, and gives the same numbers as if it had run in each."""
+"""A leg that several pipelines of a scene have runs once, and gives the same numbers as if it had run in each."""
 
 from __future__ import annotations
 
@@ -17,22 +17,19 @@ from models.catalog import load_scene
 from models.trajectory_netcdf import read_netcdf
 from reports.records.record import RunRecord
 from validate.execution.engine import LocalEngine
-from validate.store.store import Store
-from validate.tasks.records import planned_stages
-from validate.tasks.shared_stages import Beginning, beginnings, common, must_wait, restarts, take_over
+from validate.tasks.leg import PlannedLeg, legs_in, must_wait, place, planned_legs, planned_stages, take
 
-FAKES = ("--scene", "three_cart", "--tools", "shared_stages_fakes:SHARING")
+FAKES = ("--scene", "three_cart", "--tools", "leg_fakes:SHARING")
 # How often each method runs when everything is shared: relaxing is left to its own in `shorter`, and nothing is kept of what a clock ended.
 ONCE = {"relaxing": 3 + 2, "tuning": 1, "one": 2 + 1, "two": 2 + 1 + 1, "late": 2, "cold": 1}
 
 
-def _plan(name: str):
+def _path(name: str) -> list[tuple[int, int, str, str]]:
+    """(first, end, key, alone) of each leg of a pipeline, where a key is what is asked, in words."""
     pipeline = find_pipeline(name)
-    return planned_stages(pipeline, {leg.method: load_method(leg.method) for leg in pipeline.legs})
-
-
-def _key(stages) -> str:
-    return "-".join(planned.name for planned in stages)
+    plan = planned_stages(pipeline, {leg.method: load_method(leg.method) for leg in pipeline.legs})
+    legs = planned_legs(plan, lambda stages: json.dumps([planned.asked() for planned in stages]))
+    return [(leg.first, leg.end, leg.key, leg.alone) for leg in legs]
 
 
 def _records(out: Path) -> dict[str, RunRecord]:
@@ -75,27 +72,30 @@ def whole(fakes) -> Ran:
     return fakes("whole")
 
 
-def test_beginnings_end_where_a_session_does():
-    plans = [
-        _plan(name) for name in ("softplus_dc+strict", "softplus_dc+relu_gd", "softplus_gd+strict", "softplus_gd+relu_gd", "gd_converged")
-    ]
-    shared = common(plans)
-    found = [[(item.stages, item.key) for item in beginnings(plan, shared, _key)] for plan in plans]
-    assert found[0] == found[1] == [(3, "softplus_dc-softplus_dc-softplus_dc")]
-    assert found[2] == found[3] == [(3, "softplus_gd-softplus_gd-softplus_gd")]
-    assert found[4] == []
-    plans[4] = plans[2][:2]  # each stage has another count, and with that a session of its own
-    assert [item.stages for item in beginnings(plans[3], common(plans), _key)] == [3, 2]
-    assert [item.stages for item in beginnings(plans[4], common(plans), _key)] == [2]
+def test_a_leg_ends_where_its_session_does():
+    strict, descent = _path("softplus_dc+strict"), _path("softplus_dc+relu_gd")
+    assert [leg[:2] for leg in strict] == [leg[:2] for leg in descent] == [(0, 3), (3, 4)]
+    assert strict[0] == descent[0]
+    assert strict[1][2:] != descent[1][2:]
+    # Each stage has another count, and with that a session of its own.
+    assert [leg[:2] for leg in _path("softplus_gd+strict")] == [(0, 1), (1, 2), (2, 3), (3, 4)]
+    assert _path("softplus_gd+strict")[:3] == _path("softplus_gd+relu_gd")[:3]
 
 
-def test_the_same_options_are_needed():
-    plans = [_plan("mpcc"), _plan("global")]
-    assert [item.stages for item in beginnings(plans[1], common(plans), _key)] == [1]
-    assert common([_plan("lbfgs"), _plan("randomised_smoothing")]) == frozenset()
+def test_the_key_of_a_leg_is_of_all_that_decides_it():
+    """All stages before it, and all options; alone it is what begins another pipeline."""
+    (mpcc,), (first, second) = _path("mpcc"), _path("global")
+    assert first[2:] == mpcc[2:]
+    assert second[2] not in {first[2], second[3]}
+    (strict,) = _path("strict")
+    for name in ("softplus_dc+strict", "softplus_gd+strict", "relaxed+strict"):
+        last = _path(name)[-1]
+        assert last[3] == strict[3] == strict[2]
+        assert last[2] != strict[2]
+    assert _path("lbfgs")[0][2] != _path("randomised_smoothing")[0][2]
 
 
-def test_a_beginning_runs_once(whole):
+def test_a_leg_runs_once(whole):
     assert _counted(whole.counts) == ONCE, whole.done.stderr
     records = _records(whole.out)
     assert records["begin+picky"].outcome == "refused"
@@ -128,14 +128,6 @@ def test_a_session_that_leaves_its_plan_is_the_beginning_of_another(whole, lost)
         assert read_netcdf(plan, load_scene("three_cart")).u[0, 0] == 0.0
 
 
-def test_restarts_are_whole_sessions_that_others_begin_with():
-    plans = [_plan(name) for name in ("strict", "relaxed+strict", "softplus_gd+strict", "softplus_gd+relu_gd")]
-    shared = common(plans)
-    assert [(item.stages, item.key) for item in beginnings(plans[0], shared, _key)] == [(1, "strict_lcp")]
-    assert [restarts(plan, shared, _key) for plan in plans] == [(), *([(Beginning(4, "strict_lcp", 3),)] * 2), ()]
-    assert all(restarts(plan, common(plans[1:]), _key) == () for plan in plans)
-
-
 @pytest.fixture(scope="module")
 def lost(fakes) -> Ran:
     limit = "12"
@@ -143,12 +135,17 @@ def lost(fakes) -> Ran:
     return fakes("lost", "--time-limit", limit, "-j", "1", LIMIT=limit, ONLY=only)
 
 
-def test_a_beginning_is_shared_before_what_comes_after_it(lost):
-    """The cell that solved it is lost later on, and leaves it."""
+def test_a_leg_is_stored_before_what_comes_after_it(lost):
+    """The run that made it is lost later on, and leaves it; its own record keeps it."""
     records = _records(lost.out)
     assert (records["soft+falls"].outcome, records["soft+one"].outcome) == ("crashed", "solved")
     assert _counted(lost.counts)["relaxing"] == 1 + 3
     assert records["soft+one"].stages[0].shared_from == "soft+falls"
+    assert [stage.outcome for stage in records["soft+falls"].stages] == ["solved", "crashed"]
+    told = {"shared_from", "seconds"}
+    kept, taken = (records[name].stages[0].model_dump(exclude=told) for name in ("soft+falls", "soft+one"))
+    assert kept == taken
+    assert (lost.out / "runs" / records["soft+falls"].key / "trajectory_1.nc").exists()
 
 
 def test_what_used_up_the_time_of_a_cell_does_so_once(lost, tmp_path):
@@ -158,15 +155,16 @@ def test_what_used_up_the_time_of_a_cell_does_so_once(lost, tmp_path):
         assert [stage.outcome for stage in records[name].stages] == ["time_limit", "time_limit"], name
         assert "used up" in records[name].stages[1].message
     assert sorted(records[name].stages[0].shared_from for name in ("slow+one", "slow+two"))[0] == ""
-    (late,) = (path.name for path in (lost.out / "stages").iterdir() if path.name.endswith("s"))
-    folder = tmp_path / "runs" / "cell"
-    folder.mkdir(parents=True)
-    shutil.copytree(lost.out / "stages", tmp_path / "stages")
-    wanted, scene = (Beginning(1, late.rpartition("-")[0]),), load_scene("three_cart")
-    assert take_over(wanted, scene, 2, folder, 12.0).late
-    assert take_over(wanted, scene, 2, folder, 24.0).stages == ()  # with more time it is run again
-    assert not must_wait(wanted, [wanted], Store(tmp_path), 12.0)
-    assert must_wait(wanted, [wanted], Store(tmp_path), 24.0)
+    (late,) = (path.name for path in (lost.out / "legs").iterdir() if path.name.endswith("s"))
+    key, scene = late.rpartition("-")[0], load_scene("three_cart")
+    taken = take(lost.out / "legs", key, 12.0, 1, tmp_path / "leg_1", scene)
+    assert taken is not None
+    assert taken[0].limit == 12.0
+    for limit in (24.0, None):  # with more time it is run again; later in a path it says nothing
+        assert take(lost.out / "legs", key, limit, 1, tmp_path / "leg_2", scene) is None
+    legs = (PlannedLeg(0, 1, key, key),)
+    assert not must_wait(legs, [legs], lost.out / "legs", 12.0)
+    assert must_wait(legs, [legs], lost.out / "legs", 24.0)
 
 
 def test_the_time_of_a_pipeline_is_that_of_its_stages_wherever_they_ran(whole):
@@ -183,7 +181,6 @@ def test_the_time_of_a_pipeline_is_that_of_its_stages_wherever_they_ran(whole):
 def test_the_numbers_are_those_of_cells_that_share_nothing(whole, fakes):
     names = ["begin+one shorter late+one", "begin+tune+two"]
     apart = [fakes(f"apart{number}", ONLY=only) for number, only in enumerate(names)]
-    assert not any((ran.out / "stages").exists() for ran in apart)
     rows = [row for ran in apart for row in _untimed(ran.out)]
     assert len(rows) == 4 + 2 + 2 + 5
     together = _untimed(whole.out)
@@ -192,7 +189,7 @@ def test_the_numbers_are_those_of_cells_that_share_nothing(whole, fakes):
 
 @pytest.mark.parametrize("method", ["relaxing", "two"])
 def test_killed_in_between_and_resumed(whole, fakes, method):
-    """In the midst of the beginning, and in what comes after it, which is then run from files."""
+    """In the midst of a leg, and in one that comes after it, which then starts from files."""
     only = "begin+one begin+two begin+tune+two"
     ran = fakes(f"killed_{method}", KILL=method, ONLY=only)
     assert ran.done.returncode == -9
@@ -205,47 +202,44 @@ def test_killed_in_between_and_resumed(whole, fakes, method):
     assert {path.name for path in (again.out / "runs").iterdir()} == {record.key for record in _records(again.out).values()}
 
 
-def _of_three_stages(out: Path) -> str | None:
-    """The key of a beginning of three stages that the campaign in `out` shares."""
-    kept = sorted((out / "stages").iterdir())
-    return next((path.name for path in kept if (path / "trajectory_3.nc").exists() and not (path / "trajectory_4.nc").exists()), None)
-
-
-def _taken(out: Path, stages: int, folder: Path, key: str | None):
-    """What a cell of so many stages would take over of it; None if it is no longer there."""
-    folder.mkdir(parents=True, exist_ok=True)
-    is_there = key is not None and (out / "stages" / key).exists()
-    return take_over((Beginning(3, key),), load_scene("three_cart"), stages, folder) if is_there else None
-
-
-@pytest.mark.parametrize("damage", ["content", "plan", "missing", "empty", "another"])
-def test_a_damaged_beginning_is_put_aside(whole, tmp_path, damage):
-    shutil.copytree(whole.out / "stages", tmp_path / "stages")
-    folder = tmp_path / "runs" / "cell"
-    key = _of_three_stages(tmp_path)
-    good = _taken(tmp_path, 4, folder, key)
+@pytest.mark.parametrize("damage", ["stages", "plan", "missing", "empty", "another", "number"])
+def test_a_damaged_leg_is_put_aside(whole, tmp_path, damage):
+    shutil.copytree(whole.out / "legs", tmp_path / "legs")
+    scene, stored = load_scene("three_cart"), tmp_path / "legs"
+    leg = next(path for path in sorted(stored.iterdir()) if (path / "trajectory_3.nc").exists())
+    good = take(stored, leg.name, None, 3, tmp_path / "leg_1", scene)
     assert good is not None
-    assert key is not None
-    assert len(good.stages) == 3
-    stored = tmp_path / "stages" / key
-    content = json.loads((stored / "stages.json").read_text())
-    if damage == "content":
-        (stored / "stages.json").write_text(json.dumps({**content, "stages": content["stages"][:2]}))
+    assert len(good[0].stages) == 3
+    assert {path.name for path in (tmp_path / "leg_1").iterdir()} == {path.name for path in leg.iterdir()}
+    content = json.loads((leg / "leg.json").read_text())
+    if damage == "stages":
+        (leg / "leg.json").write_text(json.dumps({**content, "stages": content["stages"][:2]}))
     elif damage == "plan":
-        (stored / "trajectory_3.nc").write_bytes((stored / "trajectory_3.nc").read_bytes()[:-1] + b"x")
+        (leg / "trajectory_3.nc").write_bytes((leg / "trajectory_3.nc").read_bytes()[:-1] + b"x")
     elif damage == "missing":
-        (stored / "trajectory_2.nc").unlink()
+        (leg / "trajectory_2.nc").unlink()
     elif damage == "empty":
-        (stored / "stages.json").write_text("")
+        (leg / "leg.json").write_text("")
+    elif damage == "number":
+        (leg / "leg.json").write_text(json.dumps({**content, "stages": content["stages"][::-1]}))
     else:
-        (stored / "stages.json").write_text(json.dumps({**content, "key": "0" * 64}))
-    found = _taken(tmp_path, 4, folder, key)
-    assert found is not None
-    assert found.stages == ()
-    assert _taken(tmp_path, 4, folder, key) is None  # no cell meets it again
+        (leg / "leg.json").write_text(json.dumps({**content, "key": "0" * 64}))
+    assert take(stored, leg.name, None, 3, tmp_path / "leg_2", scene) is None
+    assert not leg.exists()  # no run meets it again
+    assert not (tmp_path / "leg_2").exists()
 
 
-def test_plans_of_stages_taken_over_lie_in_the_cell(whole):
+def test_legs_of_a_run_are_read_up_to_the_first_that_is_not_whole(whole, tmp_path):
+    keys = [path.name for path in sorted((whole.out / "legs").iterdir())][:3]
+    legs = tuple(PlannedLeg(0, 1, key, key) for key in keys)
+    for number, key in enumerate(keys, 1):
+        shutil.copytree(whole.out / "legs" / key, place(tmp_path, number))
+    assert [leg.key for leg in legs_in(tmp_path, legs)] == keys
+    (place(tmp_path, 2) / "leg.json").write_text("[]")
+    assert [leg.key for leg in legs_in(tmp_path, legs)] == keys[:1]
+
+
+def test_plans_of_legs_lie_in_the_run(whole):
     scene = load_scene("three_cart")
     for name in ("begin+one", "begin+two", "begin"):
         record = _records(whole.out)[name]
@@ -253,7 +247,7 @@ def test_plans_of_stages_taken_over_lie_in_the_cell(whole):
         plans = [f"trajectory_{number}.nc" for number in range(1, len(record.stages))] + ["trajectory.nc"]
         assert sorted(path.name for path in folder.glob("trajectory*.nc")) == sorted(plans)
         assert [read_netcdf(folder / plan, scene).u[0, 0] for plan in plans] == list(range(len(plans)))
-        assert not list(folder.glob("sharing*"))
+        assert not [path for path in folder.iterdir() if path.is_dir()]
 
 
 class _Worker:
@@ -289,9 +283,10 @@ def test_the_engine_leaves_for_later_what_must_wait():
     assert all(len({name[0] for name in names}) == len(names) for names in beside)
 
 
-def test_a_stored_beginning_is_waited_for_by_nobody(tmp_path):
-    store, mine, theirs = Store(tmp_path), (Beginning(3, "long"), Beginning(1, "short")), (Beginning(1, "short"),)
-    assert must_wait(mine, [(), theirs], store)
-    assert not must_wait(mine, [(), (Beginning(2, "other"),)], store)
-    (store.stages / "short").mkdir(parents=True)
-    assert not must_wait(mine, [theirs], store)
+def test_a_stored_leg_is_waited_for_by_nobody(tmp_path):
+    mine, theirs = (PlannedLeg(0, 1, "short", "short"), PlannedLeg(1, 2, "long", "last")), (PlannedLeg(0, 1, "short", "short"),)
+    assert must_wait(mine, [(), theirs], tmp_path, 1.0)
+    assert must_wait(mine, [(PlannedLeg(0, 1, "last", "last"),)], tmp_path, 1.0)  # it may come to start as that does
+    assert not must_wait(mine, [(), (PlannedLeg(0, 2, "other", "other"),)], tmp_path, 1.0)
+    (tmp_path / "short").mkdir(parents=True)
+    assert not must_wait(mine, [theirs], tmp_path, 1.0)

@@ -11,13 +11,14 @@ from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.errors import TrajectoryError
 from models.trajectory import Trajectory, uniform_grid
-from validate.tasks.open_session import OpenSession
-from validate.tasks.records import planned_stages
+from validate.tasks.leg import planned_stages
+from validate.tasks.stage import OpenLeg
 
 
 def run(answer):
     (planned,) = planned_stages(Pipeline(name="p", title="p", legs=(Leg(method="m"),)), {"m": FakeMethod("m", lambda: answer)})
-    return OpenSession(load_scene("wall_pendulum")).run(planned, None, 10.0).solution
+    with OpenLeg(load_scene("wall_pendulum"), planned) as leg:
+        return leg.run(planned, None, 10.0).solution
 
 
 def plan(step: float, steps: int) -> Trajectory:

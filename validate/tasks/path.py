@@ -1,0 +1,262 @@
+"""A run as a worker makes it: the legs of its path, one after the other, each taken from the store, or solved, judged, certified and stored.
+
+    record = run_cell(cell, provenance, folder, began)        # in a child process of its own: validate.execution.child
+    record = lost_run(cell, scene, plan, provenance, lost, folder)        # by its parent, where the child left no record
+
+A leg lies in the folder of the run as soon as it is judged. So a run that ends before its end keeps the legs it has, whatever ended it. Beside the
+record the folder holds `trajectory.nc` and `replay.nc` of the last stage, and `trajectory_<n>.nc` and `replay_<n>.nc` of every other stage n (from 1); where
+there was a tracked replay too, also `tracked.nc` and `tracked_<n>.nc`, and the gains with the trajectory.
+"""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+from formulations.solution import Outcome
+from models.catalog import load_scene
+from models.errors import MachineError, TouchstoneError
+from reports.records.record import LegRecord
+from validate.store.disk import raise_if_disk_ended
+from validate.store.store import LOG, Store, progress
+from validate.tasks import leg as legs
+from validate.tasks.leg import Planned, PlannedLeg, planned_stages
+from validate.tasks.plugins import Tools, load_tools
+from validate.tasks.profile import Profile
+from validate.tasks.records import run_record, stages_of, unfinished_stage
+from validate.tasks.scene_record import scene_record
+from validate.tasks.stage import Judge, OpenLeg, Solved, first_line, prepare
+from validate.tasks.variant import varied
+
+if TYPE_CHECKING:
+    from models.scene import Scene
+    from models.trajectory import Trajectory
+    from reports.records.record import ProvenanceRecord, RunRecord, StageRecord
+    from validate.execution.worker import Lost
+    from validate.tasks.run import Cell
+
+# Of a run's time limit, what is kept for certificates, replaying and scoring: a quarter, but no more than 60 s. The paper's scene needs 2 s;
+# the certificate of two fingers takes 3 CPU s.
+_JUDGING_SHARE, _JUDGING_MOST = 0.25, 60.0
+
+# A stage that gave no answer, why, and the sentence.
+Unfinished: TypeAlias = "tuple[Planned, Outcome, str]"
+
+
+def run_cell(cell: Cell, provenance: ProvenanceRecord, folder: Path, began: float, profile: Profile | None = None) -> RunRecord:
+    """The record of a run. began: time.monotonic() at the start of the process, from which the time limit counts; profile: of the process until
+    now.
+
+    Raises MachineError where this machine cannot go on; whatever else goes wrong in a method or the judge is in the record.
+    """
+    profile = profile or Profile(began)
+    tools = load_tools(cell.tools)
+    profile.lap("imports")
+    scene = load_scene(cell.scene)
+    if cell.variant is not None:
+        scene = varied(scene, cell.variant)
+    profile.lap("scene")
+    plan = planned_stages(cell.pipeline, {leg.method: tools.load_method(leg.method) for leg in cell.pipeline.legs})
+    profile.lap("imports")
+    rest = refused(scene, plan)
+    profile.lap("opening")
+    if not rest:
+        deadline = began + cell.time_limit - min(_JUDGING_MOST, _JUDGING_SHARE * cell.time_limit)
+        rest = _Path(cell, tools, scene, plan, folder, profile, deadline).go()
+    stages = _told(cell, folder, legs.legs_in(folder, cell.legs), len(plan))
+    stages += [unfinished_stage(scene.name, cell.pipeline.name, planned, outcome, message) for planned, outcome, message in rest]
+    cause = rest[0][2] if rest else None  # the stages after it only say that it came before them
+    drawn = scene_record(scene)
+    log = folder / LOG
+    text = log.read_text(encoding="utf-8", errors="replace") if log.exists() else ""
+    profile.lap("record")
+    wall, cpu = profile.total, time.process_time()
+    return run_record(cell, drawn, stages, provenance, wall=wall, cpu=cpu, log=text, message=cause, profile=profile.seconds)
+
+
+def lost_run(cell: Cell, scene: Scene, plan: Sequence[Planned], provenance: ProvenanceRecord, lost: Lost, folder: Path) -> RunRecord:
+    """The record of a run whose child left none, with the legs that lie in its folder. One that ran out of time has the outcome of its last stage, one
+    that crashed has crashed."""
+    found, is_late = legs.legs_in(folder, cell.legs), lost.outcome == "time_limit"
+    why = f"The certificate is missing{' because time ran out: the cell' if is_late else ':'} {lost.message}"
+    stages = [_without_certificate(stage, why) if stage.certificate_missing else stage for stage in _told(cell, folder, found, len(plan))]
+    rest = plan[len(stages) :]
+    in_certificate = not rest and stages[-1].certificate_missing
+    profile = dict(found[-1].profile) if in_certificate else {}
+    known = sum(profile.values())
+    wall = max(lost.wall, known)  # the clock of the parent, and that of the child
+    if in_certificate:
+        profile["certificate"] = profile.get("certificate", 0.0) + wall - known
+    stages += [unfinished_stage(scene.name, cell.pipeline.name, planned, Outcome[lost.outcome.upper()], lost.message) for planned in rest]
+    return run_record(
+        cell,
+        scene_record(scene),
+        stages,
+        provenance,
+        wall=wall,
+        cpu=lost.cpu,
+        log=lost.log,
+        outcome=None if is_late else lost.outcome,
+        message=why if in_certificate else lost.message,
+        profile=profile,
+    )
+
+
+def _without_certificate(stage: StageRecord, why: str) -> StageRecord:
+    return stage.model_copy(update={"message": f"{stage.message} {why}".strip()})
+
+
+def _told(cell: Cell, folder: Path, found: Sequence[LegRecord], stages: int) -> list[StageRecord]:
+    """The stages of these legs as those of a run of so many stages; their files under the names they have there."""
+    number = 0
+    for place, leg in enumerate(found, 1):
+        for own in range(1, len(leg.stages) + 1):
+            names = legs.run_files(number, stages)
+            for what, name in legs.leg_files(own).items():
+                if (source := legs.place(folder, place) / name).exists():
+                    legs.link_file(source, folder / names[what])
+            number += 1
+    return stages_of(found, cell.scene_name, cell.pipeline.name)
+
+
+def refused(scene: Scene, plan: Sequence[Planned]) -> list[Unfinished]:
+    """Every stage, if one of the methods does not apply to the scene; else none."""
+    for planned in plan:
+        reason = planned.method.accepts(scene)
+        if reason is not None:
+            return [(other, Outcome.REFUSED, f"{planned.name}: {reason}") for other in plan]
+    return []
+
+
+class _Path:
+    """The legs of a run, into its folder. deadline: time.monotonic() by which solving ends; judging and certifying do not count."""
+
+    def __init__(
+        self, cell: Cell, tools: Tools, scene: Scene, plan: tuple[Planned, ...], folder: Path, profile: Profile, deadline: float
+    ) -> None:
+        self._cell, self._tools, self._scene, self._plan, self._folder, self._profile = cell, tools, scene, plan, folder, profile
+        self._deadline = deadline
+        self._stored = Store.of_partial(folder).legs
+        self._judge = Judge(tools, scene, profile)
+        self._start: Trajectory | None = None
+        self._is_prepared = False
+        self._took = False  # a leg that another run made: the time left is then not what its maker would have
+
+    def go(self) -> list[Unfinished]:
+        """All legs in order; the stages that did not run."""
+        for number, leg in enumerate(self._cell.legs, 1):
+            rest = self._leg(number, leg)
+            if rest:
+                return rest
+        return []
+
+    def _leg(self, number: int, leg: PlannedLeg) -> list[Unfinished]:
+        """Take a leg from the store or run it; the stages that do not run any more."""
+        limit = self._cell.time_limit
+        taken = self._take(number, leg, leg.key, limit)
+        solved: list[Solved] = []
+        rest: list[Unfinished] = []
+        key = leg.key
+        if taken is None:
+            self._prepare(leg)
+            first = self._plan[leg.first]
+            if time.monotonic() >= self._deadline:
+                return self._out_of_time(first)
+            try:
+                with OpenLeg(self._scene, first) as opened:
+                    if leg.first and (self._start is None or opened.leaves(self._start)):
+                        key = leg.alone
+                        taken = self._take(number, leg, key)
+                    if taken is None:
+                        solved, rest = self._solve(leg, opened)
+            except MachineError:
+                raise
+            except Exception as error:  # noqa: BLE001 - a method may fail in any way; the log has the traceback, the row has the sentence
+                return self._failed(first, error)
+        if taken is None:
+            ended = time.monotonic()
+            if solved:
+                self._finish(number, leg, key, solved, is_over=ended >= self._deadline)
+            self._deadline += time.monotonic() - ended
+        elif taken.limit is not None:
+            return self._out_of_time(self._plan[leg.first + len(taken.stages)])
+        return rest
+
+    def _take(self, number: int, leg: PlannedLeg, key: str, limit: float | None = None) -> LegRecord | None:
+        found = legs.take(self._stored, key, limit, leg.end - leg.first, legs.place(self._folder, number), self._scene)
+        self._profile.lap("shared")
+        if found is None:
+            return None
+        taken, plan = found
+        self._took, self._start = True, plan or self._start
+        return taken
+
+    def _prepare(self, leg: PlannedLeg) -> None:
+        if not self._is_prepared:
+            prepare(self._tools, self._scene, self._plan[leg.first :], self._folder, self._profile)
+            self._is_prepared = True
+
+    def _solve(self, leg: PlannedLeg, opened: OpenLeg) -> tuple[list[Solved], list[Unfinished]]:
+        """The stages of a leg that ran, and those of the path that do not run any more."""
+        solved: list[Solved] = []
+        for planned in self._plan[leg.first : leg.end]:
+            left = self._deadline - time.monotonic()
+            if left <= 0:
+                return solved, self._out_of_time(planned)
+            progress(self._folder, f"stage {planned.index + 1} ({planned.title})")
+            try:
+                item = opened.run(planned, self._start, left)
+            except MachineError:
+                raise
+            except Exception as error:  # noqa: BLE001 - as above
+                return solved, self._failed(planned, error)
+            spent = item.solution.seconds
+            parts = {name: getattr(spent, name) for name in ("build", "translate", "evaluate", "linear_algebra")}
+            self._profile.split(parts, rest="solve_rest")
+            solved.append(item)
+            self._start = item.solution.trajectory or self._start
+        return solved, []
+
+    def _finish(self, number: int, leg: PlannedLeg, key: str, solved: list[Solved], *, is_over: bool) -> None:
+        """Judge and certify what was solved of a leg, and store the leg if others would find the same. is_over: the time for solving is up."""
+        folder = legs.place(self._folder, number)
+        folder.mkdir()
+        records: list[StageRecord] = []
+        progress(self._folder, "the replay")
+        for item in solved:
+            before = records[-1].seconds.total if records else 0.0
+            records.append(self._judge.record(item, folder, len(records), before))
+
+        def keep(limit: float | None = None) -> LegRecord:
+            pipeline, spent = self._cell.pipeline.name, dict(self._profile.seconds)
+            return legs.write_leg(
+                folder, LegRecord(key=key, pipeline=pipeline, stages=tuple(records), files={}, limit=limit, profile=spent)
+            )
+
+        keep()
+        for place, item in enumerate(solved):
+            if item.can_be_certified:
+                progress(self._folder, f"the certificate of stage {item.planned.index + 1} ({item.planned.title})")
+                records[place] = self._judge.certified(records[place], item)
+                keep()
+        if len(solved) == leg.end - leg.first and legs.is_deterministic(records):
+            legs.store(folder, keep(), self._stored)
+        elif is_over and not self._took and legs.ended_by_timeout(records):
+            legs.store(folder, keep(self._cell.time_limit), self._stored)
+        self._profile.lap("shared")
+
+    def _out_of_time(self, first: Planned) -> list[Unfinished]:
+        message = "the cell's time was used up before this stage."
+        return [(planned, Outcome.TIME_LIMIT, message) for planned in self._plan[first.index :]]
+
+    def _failed(self, planned: Planned, error: Exception) -> list[Unfinished]:
+        raise_if_disk_ended(self._folder, error)
+        traceback.print_exc()
+        self._profile.lap("solve_rest")
+        outcome = Outcome.FAILED if isinstance(error, TouchstoneError) else Outcome.CRASHED
+        message = str(error) if isinstance(error, TouchstoneError) else f"{type(error).__name__} in {planned.name}: {first_line(error)}"
+        later = f"not begun, because stage {planned.index + 1} ({planned.title}) gave no answer."
+        return [(other, outcome, message if other is planned else later) for other in self._plan[planned.index :]]

@@ -1,0 +1,183 @@
+"""One stage of a run: solved in the session of its leg, replayed and scored, certified.
+
+prepare(tools, scene, plan, folder, profile)            # once, so that no stage pays for it
+with OpenLeg(scene, planned) as leg:
+    solved = leg.run(planned, start, time_limit)
+record = judge.record(solved, folder, index, before)
+record = judge.certified(record, solved)
+"""
+
+from __future__ import annotations
+
+import math
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+from formulations.method import Kind
+from formulations.solution import Outcome, Solution, as_asked
+from models.errors import MachineError, TrajectoryError
+from models.trajectory_netcdf import write_netcdf
+from validate.store.disk import raise_if_disk_ended
+from validate.store.store import progress
+from validate.tasks.leg import Planned, leg_files
+from validate.tasks.profile import Profile
+from validate.tasks.records import Judged, stage_record, with_certificate
+
+if TYPE_CHECKING:
+    from models.scene import Scene
+    from models.trajectory import Trajectory
+    from reports.records.record import StageRecord
+    from validate.tasks.plugins import Tools
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A stage that ran: its solution and the wall and CPU seconds it took, opening the method included."""
+
+    planned: Planned
+    solution: Solution
+    wall: float
+    cpu: float
+
+    @property
+    def can_be_certified(self) -> bool:
+        """Whether its method claims to solve the exact problem, and it has a plan: its own, or one of its front."""
+        found = (self.solution, *(point.solution for point in self.solution.front))
+        return self.planned.method.exact and any(solution.trajectory is not None for solution in found)
+
+
+def prepare(tools: Tools, scene: Scene, plan: tuple[Planned, ...], folder: Path, profile: Profile) -> None:
+    """Compile the scene, and open and close every method once, so that neither that nor importing libraries counts in any stage's seconds."""
+    progress(folder, "the compilation of the scene")
+    _tried(lambda: tools.compile(scene))
+    profile.lap("compile")
+    for planned in {planned.name: planned for planned in plan}.values():
+        progress(folder, f"the preparation of {planned.name}")
+        _tried(lambda planned=planned: planned.method.open(scene, planned.options).close())
+    profile.lap("opening")
+
+
+def _tried(preparation: Callable[[], object]) -> None:
+    try:
+        preparation()
+    except MachineError:
+        raise
+    except Exception as error:  # noqa: BLE001 - it will happen again where it belongs, in the stage
+        raise_if_disk_ended(Path.cwd(), error)
+        traceback.print_exc()
+
+
+class OpenLeg:
+    """The session of a leg. planned: one of its stages, which all have the same method and options; its first stage pays for the opening.
+
+    Raises what the method raises.
+    """
+
+    def __init__(self, scene: Scene, planned: Planned) -> None:
+        wall, cpu = time.perf_counter(), time.process_time()
+        self._scene = scene
+        self._session = planned.method.open(scene, planned.options)
+        self._opening = (time.perf_counter() - wall, time.process_time() - cpu)
+
+    def leaves(self, start: Trajectory | None) -> bool:
+        """Whether the first stage would leave this plan for the first guess."""
+        wall, cpu = time.perf_counter(), time.process_time()
+        cold = self._session.start_used(start) is None
+        self._opening = (self._opening[0] + time.perf_counter() - wall, self._opening[1] + time.process_time() - cpu)
+        return cold
+
+    def run(self, planned: Planned, start: Trajectory | None, time_limit: float) -> Solved:
+        """Run a stage. Raises what its method raises, TypeError for an answer that is no Solution, TrajectoryError for a plan of another scene or of
+        another duration."""
+        wall, cpu = time.perf_counter() - self._opening[0], time.process_time() - self._opening[1]
+        self._opening = (0.0, 0.0)
+        solution = self._session.solve(eps=planned.eps, warm_start=start, time_limit=time_limit)
+        wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+        if not isinstance(solution, Solution):
+            raise TypeError(f"it must hand back a Solution, not {type(solution).__name__}.")
+        if not isinstance(solution.outcome, Outcome):
+            raise TypeError(f"the outcome of its Solution must be an Outcome, not {type(solution.outcome).__name__}.")
+        if solution.trajectory is not None:
+            solution.trajectory.check_fits(self._scene)
+            asked = self._scene.task.horizon
+            if not math.isclose(solution.trajectory.duration, asked, rel_tol=1e-9):
+                raise TrajectoryError(
+                    f"plan: it lasts {solution.trajectory.duration:.6g} s, but the task of scene {self._scene.name} {asked:.6g} s."
+                )
+            if planned.method.kind is Kind.DIRECT:
+                solution = as_asked(self._scene, solution)
+        return Solved(planned, solution, wall, cpu)
+
+    def __enter__(self) -> OpenLeg:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        try:
+            self._session.close()
+        except Exception:  # noqa: BLE001 - what was found is kept even if tidying up fails; the log has the traceback
+            traceback.print_exc()
+
+
+class Judge:
+    """Replays and scores the plans of a run, certifies those of exact methods, and writes their files."""
+
+    def __init__(self, tools: Tools, scene: Scene, profile: Profile) -> None:
+        self._tools, self._scene, self._profile = tools, scene, profile
+        self._fmu: Path | None = None
+
+    def record(self, item: Solved, folder: Path, index: int, before: float) -> StageRecord:
+        """The record of stage `index` (from 0) of a leg, without its certificate; its files in the folder. before [s]: of its leg's stages before it."""
+        if self._fmu is None and item.solution.trajectory is not None:
+            self._fmu = self._tools.build_fmu(self._scene)
+        self._profile.lap("fmu_build")
+        judged = self._judged(item.solution.trajectory, folder, index + 1)
+        record = stage_record(self._scene, item.planned, item.solution, index, wall=item.wall, cpu=item.cpu, before=before, judged=judged)
+        return record.model_copy(update={"certificate_missing": item.can_be_certified})
+
+    def _judged(self, trajectory: Trajectory | None, folder: Path, number: int) -> Judged:
+        if trajectory is None or self._fmu is None:
+            return Judged()
+        tools, scene, profile, names = self._tools, self._scene, self._profile, leg_files(number)
+        write_netcdf(folder / names["trajectory"], trajectory, scene)
+        profile.lap("writing")
+        began = time.perf_counter()
+        try:
+            judgement = tools.judge(scene, self._fmu, trajectory)
+            profile.lap("replay")
+            seconds = time.perf_counter() - began
+            replay = judgement.replay
+            tools.write_replay(folder / names["replay"], replay, scene)
+            tracked = getattr(replay, "tracked", None)
+            if tracked is not None:
+                tools.write_replay(folder / names["tracked"], tracked, scene)
+                write_netcdf(folder / names["trajectory"], trajectory, scene, tracked.feedback.gains)
+            profile.lap("writing")
+        except MachineError:
+            raise
+        except Exception as error:  # noqa: BLE001 - the plan is kept even if the judge stumbles; the verdict is then undecided
+            raise_if_disk_ended(folder, error)
+            traceback.print_exc()
+            profile.lap("replay")
+            return Judged(seconds=time.perf_counter() - began, problem=f"the judge ended with {type(error).__name__}: {first_line(error)}")
+        return Judged(replay=replay, score=judgement.score, seconds=seconds)
+
+    def certified(self, record: StageRecord, item: Solved) -> StageRecord:
+        """The record with the certificate of its plan, and those of its front."""
+        try:
+            solution = self._tools.certify(self._scene, item.solution)
+        except Exception as error:  # noqa: BLE001 - the plan is kept even if its judge stumbles; it then has no certificate, and the log has the traceback
+            raise_if_disk_ended(Path.cwd(), error)
+            traceback.print_exc()
+            solution = item.solution
+        self._profile.lap("certificate")
+        return with_certificate(record, self._scene, solution)
+
+
+def first_line(error: BaseException) -> str:
+    """The first line of what an error says."""
+    return next(iter(str(error).splitlines()), "") or "no further words."
