@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 
 import sympy as sp
 
-from models.catalog import loaded_sources
+from models.loading import loaded_sources
 from models.scene import Scene
 
 # Where a scene keeps its text: no field, so that neither equality nor `replace` see it.

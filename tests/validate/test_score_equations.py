@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from validate.judge.score import equations as eq
+from validate.judge.score.evidence import force_window
 from validate.judge.score.printing import half_unit
 
 
@@ -66,7 +67,7 @@ def test_forces_of_another_motion_are_counted_to_the_newton_second():
 
 def window(lam: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
     """Of a replay of one row a node."""
-    return eq.force_window(lam, np.arange(steps), steps)
+    return force_window(lam, np.arange(steps), steps)
 
 
 def test_a_window_reaches_one_step_to_either_side():

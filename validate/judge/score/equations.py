@@ -47,22 +47,6 @@ def contact_law_error(lam: np.ndarray, law: np.ndarray, least: np.ndarray, most:
     return float((h[:, None] * np.maximum(np.maximum(lam - high, low - lam), 0.0)).sum())
 
 
-def force_window(lam: np.ndarray, step_of: np.ndarray, steps: int, mean: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest (steps, nc) of a replay's forces lam (n, nc) from the step before each of the plan's to the one after; step_of (n-1,) the
-    plan's step of each piece; mean (steps, nc) over each step, where it is known.
-
-    A planned force may be one of the start of its step, of its end, or a mean, and a contact may open or close a step sooner or later than on the
-    plan's grid.
-    """
-    first, last = np.searchsorted(step_of, np.arange(steps)), np.searchsorted(step_of, np.arange(steps), side="right")
-    least = np.array([lam[i : j + 1].min(axis=0) for i, j in zip(first, last, strict=True)]).reshape(steps, lam.shape[1])
-    largest = np.array([lam[i : j + 1].max(axis=0) for i, j in zip(first, last, strict=True)]).reshape(steps, lam.shape[1])
-    if mean is not None:
-        least, largest = np.minimum(least, mean), np.maximum(largest, mean)
-    before, after = [0, *range(steps - 1)], [*range(1, steps), steps - 1]
-    return np.minimum(np.minimum(least[before], least), least[after]), np.maximum(np.maximum(largest[before], largest), largest[after])
-
-
 def distance(state: np.ndarray, goal: np.ndarray) -> float:
     """Euclidean norm of state - goal, over whatever components are given; a goal of NaN is free."""
     return float(np.linalg.norm(np.where(np.isnan(goal), 0.0, state - goal)))
@@ -101,12 +85,6 @@ def friction_dissipation_error(friction: np.ndarray, least: np.ndarray, most: np
     against = -friction * np.sign(slip)
     off = np.maximum(np.maximum(least - against, against - most), 0.0)
     return (off * np.abs(slip)).max(axis=0, initial=0.0)
-
-
-def least_slip(slips: np.ndarray) -> np.ndarray:
-    """(steps, nf) the slip of least magnitude among slips (n, steps, nf) of each step; 0 where it turns round."""
-    low, high = slips.min(axis=0), slips.max(axis=0)
-    return np.where(low * high <= 0.0, 0.0, np.where(np.abs(low) < np.abs(high), low, high))
 
 
 def friction_impulse_error(plan: np.ndarray, step_of: np.ndarray, friction: np.ndarray, duration: np.ndarray) -> float:
