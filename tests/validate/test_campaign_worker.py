@@ -95,10 +95,12 @@ def test_nothing_is_left_behind(misbehaved):
         assert {Path(name).suffix for name in names - KEPT} <= {".nc"}
     told = {"campaign.json", "results.csv", "violation.csv", "report.html"}
     assert {path.name for path in out.iterdir()} == {"runs", "legs", *told}
-    shared = [json.loads(path.read_text())["stages"][0]["shared_from"] for path in (out / "stages").glob("*/stages.json")]
-    # what `broken_chain` begins with, and what `soft+good` would run again if its start were none
-    assert sorted(shared) == ["only_good", "soft_alone"]
-    assert len(list((out / "stages").iterdir())) == len(shared)
+    legs = [json.loads(path.read_text()) for path in (out / "legs").glob("*/leg.json")]
+    assert len(list((out / "legs").iterdir())) == len(legs)
+    # of each pipeline what came to its end: what it is, and what was judged
+    assert {leg["pipeline"] for leg in legs} >= {"broken_chain", "soft_alone", "only_good"}
+    ended = {"solved", "failed", "infeasible", "stalled", "iteration_limit", "unbounded"}
+    assert {stage["outcome"] for leg in legs for stage in leg["stages"]} <= ended
 
 
 def test_crashes_fail_the_campaign_and_honest_endings_do_not(misbehaved):
