@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from validate.judge.score import equations as eq
-from validate.judge.score.evidence import force_window
+from validate.judge.score.own_steps import force_window
 from validate.judge.score.printing import half_unit
 
 

@@ -18,7 +18,7 @@ from validate.judge.replay.error_estimate import lowest_between
 from validate.judge.replay.result import Difference, Replay, ReplayOutcome
 from validate.judge.replay.subject import Subject
 from validate.judge.replay.wiring import HeldInputs
-from validate.judge.score.own_steps import Departures, OwnSteps, Stepper
+from validate.judge.score.own_steps import Departures, OwnSteps, Stepper, force_window, least_slip
 from validate.judge.score.printing import half_unit
 from validate.judge.score.verdict import LeavesBounds, Unmeasured
 
@@ -489,25 +489,3 @@ def sizes(mass: np.ndarray, dv: np.ndarray) -> np.ndarray:
     """(n,) sqrt(dv' M dv) of changes dv (n, nq) or (nq,), mass (n, nq, nq)."""
     dv = np.broadcast_to(dv, mass.shape[:2])
     return np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", dv, mass, dv), 0.0))
-
-
-def force_window(lam: np.ndarray, step_of: np.ndarray, steps: int, mean: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest (steps, nc) of a replay's forces lam (n, nc) from the step before each of the plan's to the one after; step_of (n-1,) the
-    plan's step of each piece; mean (steps, nc) over each step, where it is known.
-
-    A planned force may be one of the start of its step, of its end, or a mean, and a contact may open or close a step sooner or later than on the
-    plan's grid.
-    """
-    first, last = np.searchsorted(step_of, np.arange(steps)), np.searchsorted(step_of, np.arange(steps), side="right")
-    least = np.array([lam[i : j + 1].min(axis=0) for i, j in zip(first, last, strict=True)]).reshape(steps, lam.shape[1])
-    largest = np.array([lam[i : j + 1].max(axis=0) for i, j in zip(first, last, strict=True)]).reshape(steps, lam.shape[1])
-    if mean is not None:
-        least, largest = np.minimum(least, mean), np.maximum(largest, mean)
-    before, after = [0, *range(steps - 1)], [*range(1, steps), steps - 1]
-    return np.minimum(np.minimum(least[before], least), least[after]), np.maximum(np.maximum(largest[before], largest), largest[after])
-
-
-def least_slip(slips: np.ndarray) -> np.ndarray:
-    """(steps, nf) the slip of least magnitude among slips (n, steps, nf) of each step; 0 where it turns round."""
-    low, high = slips.min(axis=0), slips.max(axis=0)
-    return np.where(low * high <= 0.0, 0.0, np.where(np.abs(low) < np.abs(high), low, high))

@@ -147,3 +147,25 @@ class Stepper:
                 break
         assert best is not None
         return best
+
+
+def force_window(lam: np.ndarray, step_of: np.ndarray, steps: int, mean: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest (steps, nc) of a replay's forces lam (n, nc) from the step before each of the plan's to the one after; step_of (n-1,) the
+    plan's step of each piece; mean (steps, nc) over each step, where it is known.
+
+    A planned force may be one of the start of its step, of its end, or a mean, and a contact may open or close a step sooner or later than on the
+    plan's grid.
+    """
+    first, last = np.searchsorted(step_of, np.arange(steps)), np.searchsorted(step_of, np.arange(steps), side="right")
+    least = np.array([lam[i : j + 1].min(axis=0) for i, j in zip(first, last, strict=True)]).reshape(steps, lam.shape[1])
+    largest = np.array([lam[i : j + 1].max(axis=0) for i, j in zip(first, last, strict=True)]).reshape(steps, lam.shape[1])
+    if mean is not None:
+        least, largest = np.minimum(least, mean), np.maximum(largest, mean)
+    before, after = [0, *range(steps - 1)], [*range(1, steps), steps - 1]
+    return np.minimum(np.minimum(least[before], least), least[after]), np.maximum(np.maximum(largest[before], largest), largest[after])
+
+
+def least_slip(slips: np.ndarray) -> np.ndarray:
+    """(steps, nf) the slip of least magnitude among slips (n, steps, nf) of each step; 0 where it turns round."""
+    low, high = slips.min(axis=0), slips.max(axis=0)
+    return np.where(low * high <= 0.0, 0.0, np.where(np.abs(low) < np.abs(high), low, high))
