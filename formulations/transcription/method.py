@@ -7,6 +7,19 @@ from dataclasses import dataclass
 
 from formulations.method import Options, option
 from models.contact_law import ContactLaw
+from models.scene import Scene
+
+
+def why_not_collocated(scene: Scene) -> str | None:
+    """None, or the reason why a scene has no collocation."""
+    if scene.nf:
+        return (
+            f"scene {scene.name} has friction, whose force jumps where it begins to slip: a stage of a step cannot stick, and the order is lost; "
+            "semi-implicit Euler has a friction law of its own."
+        )
+    if scene.damped:
+        return f"scene {scene.name} has damped contacts, whose law is written for semi-implicit Euler only."
+    return None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,7 +25,7 @@ from formulations.transcription.feasibility import Nearest, Patience, Watch, nea
 from formulations.transcription.method import StageRules, TranscriptionOptions, ended
 from formulations.transcription.modes import FixedModes
 from formulations.transcription.residuals import PlanResiduals
-from formulations.transcription.workbench import Account, Workbench, load_first_guess, load_plan, primal_dual, read_plan, size_on_paper
+from formulations.transcription.workbench import Account, Workbench, load_first_guess, load_plan, primal_dual, size_on_paper
 from models.errors import TrajectoryError
 from models.scene import Scene
 from models.trajectory import Trajectory
@@ -85,7 +85,7 @@ class PlanSolver:
 
     def read(self) -> Trajectory:
         """The plan that the model holds. Raises TrajectoryError for values that are not finite."""
-        return read_plan(self.bench.model)
+        return self.bench.read()
 
     def tighten(self, eps: float) -> None:
         """Move the relaxation: the sharpness of softplus contact, the bound of complementarity."""

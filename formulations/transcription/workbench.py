@@ -170,6 +170,10 @@ class Workbench:
         account.translate += perf_counter() - begin
         return self._problem
 
+    def read(self) -> Trajectory:
+        """The plan that the model holds. Raises TrajectoryError where a value is not finite."""
+        return read_plan(self.model)
+
     @property
     def size(self) -> ModelSize | None:
         """Of what was translated; None before the first solve."""
