@@ -1,4 +1,4 @@
-"""The same task on a coarser grid, and a plan from one grid on another."""
+"""The same task on a coarser grid, a plan from one grid on another, and whether a plan is on the grid of its scene."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from models.errors import TrajectoryError
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
 
@@ -28,3 +29,16 @@ def on_grid(plan: Trajectory, scene: Scene) -> Trajectory:
     step = np.minimum((np.arange(task.steps) + 0.5) * plan.steps / task.steps, plan.steps - 1).astype(int)
     states = [np.stack([np.interp(t, source, column) for column in array.T], axis=1) for array in (plan.q, plan.v)]
     return Trajectory(t=t, q=states[0], v=states[1], u=plan.u[step], lam=plan.lam[step])
+
+
+def check_warm_start(scene: Scene, plan: Trajectory) -> None:
+    """Raises TrajectoryError for a plan of another scene, or on another grid than the scene's task."""
+    plan.check_fits(scene)
+    task = scene.task
+    if plan.steps != task.steps or not np.allclose(
+        plan.t - plan.t[0], uniform_grid(task.step, task.steps), rtol=1e-9, atol=1e-9 * task.step
+    ):
+        raise TrajectoryError(
+            f"warm start: it has {plan.steps} steps over {plan.t[-1] - plan.t[0]:g} s, but scene {scene.name} has {task.steps} steps of "
+            f"{task.step:g} s; resample it to that grid."
+        )

@@ -99,6 +99,11 @@ def _check(item: Field[Any], value: object) -> None:
             raise OptionError(f"{said} a whole number.")
 
 
+def without_inputs(scene: Scene, wanted: str) -> str | None:
+    """The reason why a method that chooses inputs does not apply to a scene that has none, or None; wanted: what it would do."""
+    return None if scene.inputs else f"scene {scene.name} has no inputs, so there is nothing to {wanted}."
+
+
 class Kind(Enum):
     """Indirect methods cheat on contact (and are expected to violate physics); direct methods do not."""
 
@@ -165,6 +170,12 @@ class Method(ABC, Generic[AnyOptions]):
             return
         if eps is None or isinstance(eps, bool) or not isinstance(eps, (int, float)) or not 0.0 < eps < 1.0:
             raise OptionError(f"method {self.name}: eps is {eps!r}, but must be a number with 0 < eps < 1.")
+
+    def check_stage(self, eps: float | None, time_limit: float) -> None:
+        """Raise OptionError for an impossible eps or a time limit [s] that is not positive."""
+        self.check_eps(eps)
+        if not time_limit > 0.0:
+            raise OptionError(f"method {self.name}: the time limit is {time_limit!r}, but must be a positive number of seconds.")
 
     def read_options(self, options: AnyOptions | Mapping[str, object]) -> AnyOptions:
         """All options with defaults filled in. Raises OptionError for unknown names and values out of range."""

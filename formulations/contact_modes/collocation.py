@@ -1,44 +1,31 @@
-"""`collocation` opened on a scene: softplus homotopy on the stages of the scheme, modes of the stages read off, what is left solved exactly.
+"""The stages of a collocation scheme: modes read off a softplus homotopy, which contact is closed at which stage, and the problem with these modes.
 
-    softplus homotopy -> which contact is closed at which stage -> lam = k phi or lam = 0 there, solved
-
-With the modes fixed no complementarity is left, for a linear scene a convex QP, and the true contact law holds at every stage. Modes are read
-off the last stages of the homotopy, the sharpest first; where none has a plan, from a relaxed complementarity that starts at the sharpest.
-
-Contacts open and close within steps, not at nodes. What that costs is bounded: residual `switch_error` (models.collocation).
+With the modes fixed no complementarity is left, for a linear scene a convex QP, and the true contact law holds at every stage: lam = k phi or lam = 0.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from time import perf_counter, process_time
-from typing import TYPE_CHECKING, Any, cast
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any
 
 import numpy as np
 
 from formulations.contact_modes.nonlinear import PATIENCE, SoftplusHomotopy, schedule
 from formulations.ipopt import IpoptResult
 from formulations.ipopt.linear_solver import band_options
-from formulations.method import Method, OptionError, Session
-from formulations.solution import ModelSize, Outcome, Solution
+from formulations.solution import Outcome
+from formulations.transcription.account import Account
 from formulations.transcription.build import build_model
 from formulations.transcription.collocation import settle_forces, stage_penetration
 from formulations.transcription.contact import ContactLaw, hold_modes, release_modes, tighten
-from formulations.transcription.feasibility import nearest
-from formulations.transcription.residuals import PlanResiduals
-from formulations.transcription.workbench import Account, Workbench, load_plan, read_plan, read_values, write_values
-from models.codegen.kernel import load_kernel
-from models.collocation import switch_error
-from models.errors import TrajectoryError
+from formulations.transcription.feasibility import Nearest, nearest
+from formulations.transcription.workbench import Workbench, load_plan, read_values, write_values
 from models.scene import Scene
-from models.schemes import Scheme, tableau
+from models.schemes import Scheme
 from models.trajectory import Trajectory
 
-if TYPE_CHECKING:
-    from formulations.methods.collocation import CollocationOptions
-
-# Stages of the homotopy whose modes are tried.
-_TRIED = 3
 # Modes that have a plan are solved in 5 to 60 iterations; more are spent only on proving that there is none.
 _MODE_ITERATIONS = 150
 # They start from a plan that is nearly theirs: Ipopt's own barrier (0.1) first pushes it away from every bound.
@@ -49,171 +36,96 @@ _VARIABLES = ("q", "v", "u", "stage_q", "stage_v")
 
 
 @dataclass(frozen=True)
-class _Guess:
+class StageModes:
     """Values of a plan's variables, stages included, and its modes (steps, s * nc)."""
 
     values: dict[str, np.ndarray]
     closed: np.ndarray
 
     @classmethod
-    def of(cls, model: Any) -> _Guess:
+    def of(cls, model: Any) -> StageModes:
         found = {name: variable for name in _VARIABLES if (variable := model.component(f"variable_{name}")) is not None}
         return cls({name: read_values(variable) for name, variable in found.items()}, stage_penetration(model) > 0.0)
 
 
-class CollocationSession(Session):
-    """See the module docstring."""
+class StageProblem:
+    """The models of one scene under one scheme: softplus contact, and complementarity. sharpnesses: of the homotopy, |ln eps|; tolerance: Ipopt's tol;
+    homotopy_tolerance: the same in the homotopy; most_iterations: of a solve."""
 
-    def __init__(self, method: Method, scene: Scene, options: CollocationOptions, opening: tuple[float, float]) -> None:
-        self._method, self._scene, self._options = method, scene, options
-        self._kernel, self._residuals = load_kernel(scene), PlanResiduals(scene)
-        self._scheme = Scheme(options.scheme)
+    def __init__(
+        self,
+        scene: Scene,
+        scheme: Scheme,
+        sharpnesses: tuple[float, float, float],
+        *,
+        integrate_cost: bool,
+        tolerance: float,
+        homotopy_tolerance: float,
+        most_iterations: int,
+    ) -> None:
+        self._scene, self._scheme, self._integrate_cost = scene, scheme, integrate_cost
+        self._tolerance, self._homotopy_tolerance, self._most_iterations = tolerance, homotopy_tolerance, most_iterations
+        self._sharpnesses = schedule(*sharpnesses)
         self._homotopy: SoftplusHomotopy | None = None
         self._exact: Workbench | None = None
-        self._opening = (perf_counter() - opening[0], process_time() - opening[1])
 
-    def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
-        self._method.check_eps(eps)
-        if not time_limit > 0.0:
-            raise OptionError(f"method {self._method.name}: the time limit is {time_limit!r}, but must be a positive number of seconds.")
-        account, self._opening = Account(time_limit, self._opening), (0.0, 0.0)
-        begin, own = perf_counter(), self._options
+    @property
+    def homotopy(self) -> SoftplusHomotopy:
+        """The softplus model, built at its first use; it holds the last stage's plan."""
         if self._homotopy is None:
-            sharpnesses = schedule(own.first_sharpness, own.last_sharpness, own.sharpness_growth)
-            self._homotopy = SoftplusHomotopy(self._scene, 0.0, sharpnesses, scheme=self._scheme, integrate_cost=own.integrate_cost)
-        softplus = self._homotopy.bench
-        if warm_start is not None:
-            load_plan(softplus.model, warm_start)  # refuses a plan of another grid
-        account.build += perf_counter() - begin
-        guesses, outcome, message = self._softened(account, warm_start)
-        if not self._scene.nc:
-            return self._solution(account, softplus, outcome, message)
-        if not guesses:
-            return self._solution(account, None, outcome, message)
-        for guess in guesses:
-            result = self._with_modes(account, guess)
-            if result.outcome is Outcome.SOLVED or account.is_over:
-                break
-        else:
-            result = self._from_relaxed(account, guesses[0])
-        if result.outcome is Outcome.SOLVED:
-            return self._solution(
-                account, self._exact, Outcome.SOLVED, f"Modes of the stages were read off, the rest solved by Ipopt: {result.message}"
-            )
-        if account.is_over:
-            return self._solution(account, None, Outcome.TIME_LIMIT, "no modes of the stages with a plan were found in the time given.")
-        return self._solution(
-            account, None, Outcome.STALLED, "no modes of the stages that were tried have a plan; a finer grid, or another start, may."
-        )
+            self._homotopy = SoftplusHomotopy(self._scene, 0.0, self._sharpnesses, scheme=self._scheme, integrate_cost=self._integrate_cost)
+        return self._homotopy
 
-    # -- the steps --------------------------------------------------------------------------------------------------------------
+    def prepare(self, start: Trajectory | None) -> None:
+        """Build the softplus model at its first use, and load the start. Raises TrajectoryError for a plan of another grid."""
+        bench = self.homotopy.bench
+        if start is not None:
+            load_plan(bench.model, start)
 
-    def _softened(self, account: Account, start: Trajectory | None) -> tuple[list[_Guess], Outcome, str]:
-        """The last stages of the homotopy, the sharpest first; where its first stage has no plan, from the plan that comes nearest to the goal."""
-        homotopy = cast(SoftplusHomotopy, self._homotopy)
-        options = {
-            "tol": self._options.homotopy_tolerance,
-            "max_iter": self._options.max_iterations,
-            **band_options(),
-        }
-        guesses: list[_Guess] = []
+    def soften(self, account: Account, start: Trajectory | None, keep: Callable[[StageModes], None]) -> tuple[Outcome, str]:
+        """The homotopy from this start; how it ended. keep: called with the modes of every stage that was solved, where there are contacts."""
 
-        def keep(_: Trajectory) -> None:
+        def solved(_: Trajectory) -> None:
             if self._scene.nc:
-                guesses.insert(0, _Guess.of(homotopy.bench.model))
+                keep(StageModes.of(self.homotopy.bench.model))
 
-        outcome, message = homotopy.run(account, options, start, keep, PATIENCE)
-        if not guesses and outcome is not Outcome.SOLVED and not account.is_over:
-            sharpest = self._options.first_sharpness / self._scene.length
-            found = nearest(self._scene, account, self._options.max_iterations, sharpest)
-            if found.is_out_of_reach:
-                task = self._scene.task
-                words = f"no plan of {task.steps} steps of {task.step:g} s was found that reaches the goal within the bounds: the nearest misses {found.words}."
-                return guesses, Outcome.INFEASIBLE, words
-            if found.is_solved:
-                outcome, message = homotopy.run(account, options, found.plan, keep, PATIENCE)
-        return guesses[:_TRIED], outcome, message
+        options = {"tol": self._homotopy_tolerance, "max_iter": self._most_iterations, **band_options()}
+        return self.homotopy.run(account, options, start, solved, PATIENCE)
 
-    def _bench(self, account: Account) -> Workbench:
+    def nearest(self, account: Account, sharpest: float) -> Nearest:
+        """The plan that comes nearest to the goal, with contact no sharper than this."""
+        return nearest(self._scene, account, self._most_iterations, sharpest)
+
+    def exact(self, account: Account) -> Workbench:
+        """The model with complementarity, built at its first use."""
         if self._exact is None:
             begin = perf_counter()
-            model = build_model(
-                self._scene, ContactLaw.COMPLEMENTARITY, eps=0.0, scheme=self._scheme, integrate_cost=self._options.integrate_cost
-            )
+            model = build_model(self._scene, ContactLaw.COMPLEMENTARITY, eps=0.0, scheme=self._scheme, integrate_cost=self._integrate_cost)
             account.build += perf_counter() - begin
             self._exact = Workbench(model)
         return self._exact
 
-    def _load(self, bench: Workbench, guess: _Guess) -> None:
-        for name, values in guess.values.items():
-            write_values(bench.model.component(f"variable_{name}"), values)
-        settle_forces(bench.model)
-
-    def _with_modes(self, account: Account, guess: _Guess) -> IpoptResult:
+    def with_modes(self, account: Account, guess: StageModes) -> IpoptResult:
         """What is left once the stages of a guess are open or closed as it says."""
-        bench = self._bench(account)
-        self._load(bench, guess)
+        bench = self.exact(account)
+        _load(bench, guess)
         hold_modes(bench.model, guess.closed)
-        options = {"tol": self._options.tolerance, **band_options(), **_NEAR}
+        options = {"tol": self._tolerance, **band_options(), **_NEAR}
         return bench.run(account, {**options, "max_iter": account.iterations + _MODE_ITERATIONS})
 
-    def _from_relaxed(self, account: Account, guess: _Guess) -> IpoptResult:
-        bench = self._bench(account)
-        self._load(bench, guess)
+    def from_relaxed(self, account: Account, guess: StageModes) -> IpoptResult:
+        """The same with the modes of a relaxed complementarity that starts at the guess."""
+        bench = self.exact(account)
+        _load(bench, guess)
         release_modes(bench.model)
         tighten(bench.model, _RELAXED)
-        options = {"tol": self._options.homotopy_tolerance, **band_options(), **_NEAR, "mu_init": 1e-2}
+        options = {"tol": self._homotopy_tolerance, **band_options(), **_NEAR, "mu_init": 1e-2}
         relaxed = Workbench(bench.model)  # translated anew: the products are rows again
-        result = relaxed.run(account, {**options, "max_iter": account.iterations + self._options.max_iterations})
-        if not result.solved:
-            return result
-        return self._with_modes(account, _Guess.of(bench.model))
-
-    # -- what is handed back ----------------------------------------------------------------------------------------------------
-
-    def _solution(self, account: Account, bench: Workbench | None, outcome: Outcome, message: str) -> Solution:
-        plan, cost, residuals = None, None, {}
-        if bench is not None and outcome.has_answer:
-            try:
-                plan = read_plan(bench.model)
-            except TrajectoryError:  # a value that is not finite: no plan
-                outcome = Outcome.EVALUATION_ERROR
-        if plan is not None:
-            cost = self._residuals.cost(plan)
-            residuals = {**self._residuals.of(plan), "switch_error": switch_error(self._kernel, plan)}
-            missed = {name: residuals[name] for name in _PROMISED if not residuals.get(name, 0.0) <= self._options.plan_tolerance}
-            if missed and outcome is Outcome.SOLVED:
-                worst = ", ".join(f"{name} is {value:.3g}" for name, value in missed.items())
-                outcome, message = (
-                    Outcome.STALLED,
-                    f"{message} Checked on the plan itself, {worst} (limit {self._options.plan_tolerance:g}).",
-                )
-        return Solution(
-            method=self._method.name,
-            outcome=outcome,
-            message=message,
-            trajectory=plan,
-            cost=cost,
-            iterations=account.iterations,
-            seconds=account.seconds(),
-            residuals={name: value for name, value in residuals.items() if np.isfinite(value)},
-            options=asdict(self._options),
-            solver=account.solver,
-            history={name: tuple(values) for name, values in account.history.items()},
-            size=None if bench is None else bench.size,
-            paper_size=None if bench is None else self._paper_size(),
-        )
-
-    def _paper_size(self) -> ModelSize:
-        """Unknowns and equations of the model with its modes by hand: nodes, inputs, stages that are no node, forces and separation forces; ends,
-        stages, nodes that are no stage, separation forces."""
-        scene, table = self._scene, tableau(self._scheme)
-        steps, given = scene.task.steps, sum(value is not None for value in scene.task.goal)
-        own, ends = (table.stages - 1, 0) if table.is_stiffly_accurate else (table.stages, 1)
-        return ModelSize(
-            unknowns=2 * scene.nq * (steps + 1) + (scene.nu + 2 * scene.nq * own + 2 * scene.nc * table.stages) * steps,
-            equations=2 * scene.nq + given + (2 * scene.nq * (table.stages + ends) + scene.nc * table.stages) * steps,
-        )
+        result = relaxed.run(account, {**options, "max_iter": account.iterations + self._most_iterations})
+        return self.with_modes(account, StageModes.of(bench.model)) if result.solved else result
 
 
-_PROMISED = ("dynamics_defect", "start_error", "terminal_error", "input_bound_excess", "velocity_bound_excess")
+def _load(bench: Workbench, guess: StageModes) -> None:
+    for name, values in guess.values.items():
+        write_values(bench.model.component(f"variable_{name}"), values)
+    settle_forces(bench.model)

@@ -8,11 +8,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from formulations.contact_modes.goal import approach, land, land_by_softplus, miss_of
+from formulations.contact_modes.method import MpccOptions
 from formulations.contact_modes.nonlinear import PATIENCE, NlpAnswer, NonlinearModes, Structures, schedule
 from formulations.contact_modes.quadratic import ModesAnswer, ModesProblem
 from formulations.contact_modes.search import Found, follow_pulls, search_windows
@@ -26,9 +27,6 @@ from models.scene import Scene
 from models.scene.goal import goal_state, miss
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
-
-if TYPE_CHECKING:
-    from formulations.methods.mpcc import MpccOptions
 
 _PIECES = 10  # of constant input over the horizon
 _DESCENTS = 40  # L-BFGS iterations at each eps; the paper's plain gradient descent takes 15, 14 and 11

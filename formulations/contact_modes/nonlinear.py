@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import sympy as sp
@@ -30,6 +30,7 @@ import sympy as sp
 from formulations.contact_modes.linear import linear_scene, why_not_linear
 from formulations.contact_modes.quadratic import ModesProblem, Stationarity, classify
 from formulations.ipopt import IpoptResult
+from formulations.mpec.certificate.plan import PlanJudge
 from formulations.solution import Outcome
 from formulations.transcription.build import build_model
 from formulations.transcription.contact import ContactLaw, hold_modes, tighten
@@ -48,9 +49,6 @@ from models.codegen.kernel import Kernel
 from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from formulations.mpec.certificate.plan import PlanJudge
 
 # From this sharpness b L on a stage takes the multipliers of the one before: earlier the plan still moves too far
 # for them (three carts: 64 iterations in all; 140 from the second stage on, 75 without any).
@@ -313,7 +311,5 @@ class Structures:
     def judge(self) -> PlanJudge:
         """What certifies plans of this scene."""
         if self._judge is None:
-            from formulations.mpec.certificate.plan import PlanJudge
-
             self._judge = PlanJudge(self._scene)
         return self._judge

@@ -1,37 +1,248 @@
-"""`mpcc` opened on a scene: homotopy, modes read off, the exact problem with these modes, search over windows, and a landing on the goal.
+"""`mpcc` opened on a scene: several starts, contact windows found from each, the cheapest plan kept, landed on the goal and checked.
 
     softplus homotopy -> which contact is closed when -> exact optimum for these modes -> cheaper windows -> rollout of the inputs
 
+Starts are numbered, so that some of them can be run here and the others elsewhere:
+
+| number | start |
+|---|---|
+| 0 | the plan given, or the paper's first guess |
+| 1 | the modes of a softplus chain, eps = 1e-3, 1e-5, 1e-7 |
+| 2 | the modes of a softplus shooting solution, same eps |
+| 3, 4 | both in the mirror of the scene, if it has one |
+| others | seeded random inputs, in turn as start of a homotopy and, steered to the goal, as source of modes |
+
+The homotopy forgets where it began, modes do not: hence both.
+
+Throws: where the end is free and has a cost, a plan that touches nothing may be a local optimum from which no slope leads to a contact.
+
+A disc at rest, and another whose place at the end is paid for: nothing done costs 0.61, a throw off the wall 0.39, and all that lies between is dearer.
+
+    constant inputs on a lattice -> those that press something and end at less final cost -> the cheapest, solved with their contact modes
+
+Windows are then searched around the best of these plans as around any other.
+
 The plan is the rollout of its own inputs through the true contact law: complementarity is zero by construction, and what the solvers leave of
-the terminal error (1e-9) is taken out by Newton steps. Where the end is free and the plan touches nothing, `throws` looks for one that does.
+the terminal error (1e-9) is taken out by Newton steps.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from time import perf_counter, process_time
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from formulations.contact_modes.finder import Finder, Search
+from formulations.contact_modes.finder import STRIDES, Answer, Finder, Search, descended_plan, input_range, mirrored, random_plan
 from formulations.contact_modes.goal import land
-from formulations.contact_modes.multistart import MultiStart
-from formulations.contact_modes.nonlinear import Structures
-from formulations.method import Method, OptionError, Session
+from formulations.contact_modes.method import MpccOptions
+from formulations.contact_modes.nonlinear import PATIENCE, NonlinearModes, Structures
+from formulations.contact_modes.search import windows_of
+from formulations.grids import check_warm_start
+from formulations.method import Method, Session
+from formulations.mpec.certificate.certificate import Certificate
 from formulations.solution import Attempt, Outcome, Solution
+from formulations.transcription.account import Account
 from formulations.transcription.residuals import PlanResiduals
-from formulations.transcription.workbench import Account
-from models.codegen.kernel import load_kernel
-from models.errors import TrajectoryError
+from models.codegen.kernel import Kernel, Rollout, load_kernel
 from models.scene import Scene
 from models.scene.goal import distance, goal_state
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 
-if TYPE_CHECKING:
-    from formulations.methods.mpcc import MpccOptions
-    from formulations.mpec.certificate.certificate import Certificate
+_SAMPLES = 2048  # constant inputs tried: of two discs and a wall about 35 of them bring the disc nearer to its goal, in 0.1 CPU s
+_SIZES = 4  # powers of two by which they are made smaller, in turn: what is cheap is rarely near its bounds
+_SOLVED = 6  # of the cheapest throws are solved with their contact modes, in 0.3 CPU s each
+_PRESSED = 1e-6  # [N] a contact that is pressed with less is left open: Ipopt keeps forces to 1e-8
+
+
+class Throws:
+    """The throws of one scene. finder: searches windows around the best of them."""
+
+    def __init__(self, scene: Scene, kernel: Kernel, finder: Finder, options: MpccOptions, structures: Structures) -> None:
+        self._scene, self._kernel, self._finder, self._options, self._structures = scene, kernel, finder, options, structures
+
+    def instead_of(self, before: Search, account: Account, seed: tuple[int, ...]) -> Search:
+        """A cheaper plan that throws, or the one before: it stays where there is a goal, where the end costs nothing, and where its inputs press
+        a contact that is not pressed without them."""
+        task = self._scene.task
+        if task.has_goal or task.final_cost == 0 or not self._scene.nc or account.is_late:
+            return before
+        work = 1e6 * self._options.throw_work
+        bounds = (np.array([item.lower for item in self._scene.inputs]), np.array([item.upper for item in self._scene.inputs]))
+        none = np.clip(np.zeros((task.steps, self._scene.nu)), *bounds)
+        idle = self._pressed(none)
+        planned = none if before.answer is None else before.answer.u
+        if work == 0.0 or (self._pressed(planned) & ~idle).any():
+            return before
+        account.most_work = account.work + work  # on top of what the starts were given: they may have spent it
+        problem, best = self._best(account, planned, idle, seed)
+        if best is None or (before.answer is not None and best.cost >= before.answer.cost):
+            return before
+        found = self._finder.searched(account, problem, best, max(1, task.steps // STRIDES), far=True)
+        first = "no plan was found" if before.answer is None else f"the best plan brought no contact about (cost {before.answer.cost:.6g})"
+        return replace(found, message=f"At first {first}; this one was found from throws by constant inputs. {found.message}")
+
+    def _best(self, account: Account, planned: np.ndarray, idle: np.ndarray, seed: tuple[int, ...]) -> tuple[object, Answer | None]:
+        """The problem with modes fixed, and the cheapest of its answers to the modes of throws."""
+        begin = perf_counter()
+        below = final_cost(self._kernel, self._kernel.rollout(np.array(self._scene.task.start), planned, self._scene.task.step))
+        plans = thrown_plans(self._scene, self._kernel, seed, idle, below)[:_SOLVED]
+        most = min(self._options.max_iterations, PATIENCE)
+        problem = self._structures.modes(0.0, account, {"tol": self._options.tolerance, "max_iter": most})
+        account.build += perf_counter() - begin
+        answers: list[Answer] = []
+        for plan in plans:
+            if isinstance(problem, NonlinearModes):
+                problem.guess = plan
+            answer = None if account.is_over else problem.solve(plan.lam > 0.0)
+            if answer is not None:
+                answers.append(answer)
+        return problem, min(answers, key=lambda answer: answer.cost, default=None)
+
+    def _pressed(self, u: np.ndarray) -> np.ndarray:
+        """(nc,) whether these inputs press a contact at any time."""
+        rollout = self._kernel.rollout(np.array(self._scene.task.start), u, self._scene.task.step)
+        return np.any(rollout.lam[:, : self._scene.nc] > _PRESSED, axis=0, keepdims=False)
+
+
+def thrown_plans(scene: Scene, kernel: Kernel, seed: tuple[int, ...], idle: np.ndarray, below: float) -> list[Trajectory]:
+    """Motions under constant inputs that press a contact other than those of `idle` (nc,) and end at a final cost below `below`, the cheapest first.
+
+    The inputs are a seeded lattice (Kronecker's: steps of 1/g, 1/g^2, .. with g^(nu+1) = g + 1) over their bounds, a half, a quarter and an eighth
+    of them.
+    """
+    task, (lower, upper) = scene.task, input_range(scene)
+    roots = np.roots([1.0, *[0.0] * (scene.nu - 1), -1.0, -1.0])
+    ratio = float(roots[np.isreal(roots)].real.max())
+    count = np.arange(_SAMPLES)[:, None]
+    places = (np.random.default_rng(seed).uniform(size=scene.nu) + count * ratio ** -np.arange(1.0, scene.nu + 1)) % 1.0
+    found: list[tuple[float, Trajectory]] = []
+    for force in np.clip(0.5 ** (count % _SIZES) * (lower + places * (upper - lower)), lower, upper):
+        u = np.tile(force, (task.steps, 1))
+        rollout = kernel.rollout(np.array(task.start), u, task.step)
+        pressed = (rollout.lam[:, : scene.nc] > 0.0).any(axis=0)
+        if rollout.diverged or not (pressed & ~idle).any() or not final_cost(kernel, rollout) < below:
+            continue
+        plan = Trajectory(
+            t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
+        )
+        found.append((kernel.cost(rollout.q, rollout.v, u), plan))
+    return [plan for _, plan in sorted(found, key=lambda pair: pair[0])]
+
+
+def final_cost(kernel: Kernel, rollout: Rollout) -> float:
+    """The cost of the last state alone."""
+    return kernel.cost(rollout.q[-1:], rollout.v[-1:], np.zeros((0, kernel.scene.nu)))
+
+
+_CHAIN = tuple(float(-np.log(eps)) for eps in (1e-3, 1e-5, 1e-7))  # b L = |ln eps|
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Start:
+    words: str
+    plan: Trajectory | None
+    for_modes: bool  # whether the plan's own modes are tried first
+
+
+class MultiStart:
+    """The starts of one scene."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        kernel: Kernel,
+        finder: Finder,
+        options: MpccOptions,
+        structures: Structures | None = None,
+    ) -> None:
+        self._scene, self._kernel, self._finder, self._options = scene, kernel, finder, options
+        self._structures = structures or Structures(scene, kernel)
+        self._throws = Throws(scene, kernel, finder, options, self._structures)
+
+    def run(self, account: Account, numbers: range, warm_start: Trajectory | None) -> tuple[Search, tuple[Attempt, ...]]:
+        """The best of the starts of these numbers, and what became of each. Starts for which there is no time are not among them.
+
+        A start may do half of the work that is left, the last one all of it: better some starts that come to their end than none.
+        """
+        best: Search | None = None
+        attempts: list[Attempt] = []
+        most = account.most_work
+        for place, number in enumerate(numbers):
+            account.most_work = account.work + (most - account.work) / min(2, len(numbers) - place)
+            if best is not None and account.is_over:
+                break
+            began = process_time()
+            start = self._start(account, number, warm_start)
+            found = self._finder.find(account, start.plan if start.for_modes else None, start.plan)
+            attempts.append(self._attempt(number, start, found, process_time() - began))
+            if best is None or _cost(found) < _cost(best):
+                best = found
+        if best is None:
+            raise ValueError("a range of starts is never empty: the options see to that.")
+        began = process_time()
+        thrown = self._throws.instead_of(best, account, (self._options.seed, numbers[0]))
+        if thrown is not best:
+            place = min(range(len(attempts)), key=lambda place: (attempts[place].cost is None, attempts[place].cost or 0.0))
+            start = _Start(words=f"{attempts[place].start}, then throws", plan=None, for_modes=False)
+            attempts[place] = self._attempt(attempts[place].number, start, thrown, attempts[place].seconds + process_time() - began)
+        return thrown, tuple(attempts)
+
+    def _start(self, account: Account, number: int, warm_start: Trajectory | None) -> _Start:
+        if number == 0:
+            words = "the paper's first guess" if warm_start is None else "the plan given"
+            return _Start(words=words, plan=warm_start, for_modes=warm_start is not None)
+        plan, words = self._special(account, number)
+        if plan is not None:
+            return _Start(words=words, plan=plan, for_modes=True)
+        plan = random_plan(self._scene, self._kernel, (self._options.seed, number))
+        for_modes = number % 2 == 0 and plan is not None
+        return _Start(words="random inputs, steered to the goal" if for_modes else "random inputs", plan=plan, for_modes=for_modes)
+
+    def _special(self, account: Account, number: int) -> tuple[Trajectory | None, str]:
+        source = {1: self._chain, 2: self._descended, 3: self._chain, 4: self._descended}.get(number)
+        if source is None:
+            return None, ""
+        plan, words = source(account)
+        if number <= 2 or plan is None:
+            return plan, words
+        return mirrored(self._scene, self._kernel, plan), f"{words}, mirrored"
+
+    def _chain(self, account: Account) -> tuple[Trajectory | None, str]:
+        stages: list[Trajectory] = []
+        begin = perf_counter()
+        homotopy = self._structures.homotopy(self._options.goal_tolerance, _CHAIN)
+        account.build += perf_counter() - begin
+        ipopt = {"tol": self._options.homotopy_tolerance, "max_iter": self._options.max_iterations}
+        homotopy.run(account, ipopt, None, stages.append)
+        return (stages[-1] if stages else None), "softplus chain"
+
+    def _descended(self, _account: Account) -> tuple[Trajectory | None, str]:
+        return descended_plan(self._scene, self._kernel), "softplus gradient descent"
+
+    def _attempt(self, number: int, start: _Start, found: Search, seconds: float) -> Attempt:
+        if found.answer is None:
+            return Attempt(number=number, start=start.words, outcome=found.outcome, seconds=seconds)
+        return Attempt(
+            number=number,
+            start=start.words,
+            outcome=found.outcome,
+            cost=float(found.answer.cost),
+            windows=named_windows(self._scene, found.answer.closed),
+            seconds=seconds,
+        )
+
+
+def named_windows(scene: Scene, closed: np.ndarray) -> tuple[tuple[str, int, int], ...]:
+    """(contact, first step, last step) of each time a contact is closed; closed (steps, nc)."""
+    names = [contact.name for contact in scene.contacts]
+    return tuple((name, first, stop - 1) for name, row in zip(names, windows_of(closed), strict=True) for first, stop in row)
+
+
+def _cost(search: Search) -> float:
+    return float("inf") if search.answer is None else search.answer.cost
 
 
 class MpccSession(Session):
@@ -59,27 +270,14 @@ class MpccSession(Session):
         return MpccSession(self._method, self._scene, options, (perf_counter(), process_time()), self._structures)
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
-        self._method.check_eps(eps)
-        if not time_limit > 0.0:
-            raise OptionError(f"method {self._method.name}: the time limit is {time_limit!r}, but must be a positive number of seconds.")
+        self._method.check_stage(eps, time_limit)
         if warm_start is not None:
-            self._check_grid(warm_start)
+            check_warm_start(self._scene, warm_start)
         account, self._opening = Account(time_limit, self._opening), (0.0, 0.0)
         account.most_work = 1e6 * self._options.work
         first = self._options.first_start
         search, attempts = self._starts.run(account, range(first, first + self._options.starts), warm_start)
         return self._solution(account, search, attempts)
-
-    def _check_grid(self, plan: Trajectory) -> None:
-        plan.check_fits(self._scene)
-        task = self._scene.task
-        if plan.steps != task.steps or not np.allclose(
-            plan.t - plan.t[0], uniform_grid(task.step, task.steps), rtol=1e-9, atol=1e-9 * task.step
-        ):
-            raise TrajectoryError(
-                f"warm start: it has {plan.steps} steps over {plan.t[-1] - plan.t[0]:g} s, but scene {self._scene.name} has {task.steps} steps of "
-                f"{task.step:g} s; resample it to that grid."
-            )
 
     def _solution(self, account: Account, search: Search, attempts: tuple[Attempt, ...]) -> Solution:
         several = attempts if len(attempts) > 1 else ()

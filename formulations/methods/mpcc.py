@@ -6,76 +6,9 @@ done costs 0.61, a throw off the wall 0.39). There throws by constant inputs are
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
-from formulations.method import Kind, Method, Options, Session, option
-
-if TYPE_CHECKING:
-    from models.scene import Scene
-
-
-@dataclass(frozen=True, kw_only=True)
-class MpccOptions(Options):
-    search: bool = option(True, "search for cheaper contact windows around those found")
-    search_windows: int = option(
-        2000, "most contact windows that are tried; a twentieth of them where each is a run of Ipopt", lower=0, upper=10**9
-    )
-    search_share: float = option(0.5, "part of the work that is left, and of the time, which this search may take", lower=0.0, upper=1.0)
-    work: float = option(
-        100.0,
-        "most work of all starts together: Ipopt iterations times nonzeros of its matrices, so that no clock decides",
-        unit="millions",
-        lower=0.0,
-    )
-    first_work: float = option(
-        25.0,
-        "most of this work until a start has a plan: those of the bank that had one needed up to 10, and what has spent more goes on in vain",
-        unit="millions",
-        lower=0.0,
-    )
-    throw_work: float = option(
-        20.0,
-        "most work, beside that of the starts, of throws: tried where the end is free and has a cost, and the best plan touches nothing",
-        unit="millions",
-        lower=0.0,
-    )
-    first_sharpness: float = option(
-        7.0, "sharpness of the first softplus stage, |ln eps|: b times the length that the scene counts it in", lower=1e-3, upper=700.0
-    )
-    last_sharpness: float = option(
-        448.0, "no stage is sharper; modes read off much softer contact often have no plan", lower=1e-3, upper=700.0
-    )
-    sharpness_growth: float = option(2.0, "factor between two stages", lower=1.01, upper=1e3)
-    coarse_steps: int = option(
-        600, "a task of more steps is first solved on a grid of at most so many, whose windows are then refined", lower=2, upper=10**9
-    )
-    goal_tolerance: float = option(
-        0.0, "how far from the goal the plan may end, in the norm of (q, v): the cheapest end within this ball is chosen", lower=0.0
-    )
-    starts: int = option(
-        1,
-        "so many starts - the one given, softplus chain and gradient descent, both mirrored, random - the cheapest plan is kept",
-        lower=1,
-        upper=10**6,
-    )
-    first_start: int = option(0, "number of the first of these starts, so that others can be run elsewhere", lower=0, upper=10**6)
-    seed: int = option(0, "of random starts, also of those tried where the first guess leads nowhere", lower=0)
-    tolerance: float = option(1e-8, "Ipopt's tol for fixed modes of a nonlinear scene", lower=1e-12, upper=1e-2)
-    homotopy_tolerance: float = option(1e-6, "Ipopt's tol in the softplus stages", lower=1e-12, upper=1e-2)
-    max_iterations: int = option(3000, "most Ipopt iterations of a solve", lower=1, upper=10**9)
-    plan_tolerance: float = option(
-        1e-6,
-        "solved only if start, time step, bounds and signs are met to this, recomputed from the scene [m, rad, N ..]",
-        lower=0.0,
-        upper=1.0,
-    )
-    terminal_tolerance: float = option(
-        1e-9, "solved only if the plan and its replay end this near to the goal (or the ball around it)", lower=0.0
-    )
-    physics_tolerance: float = option(
-        1e-12, "solved only if the sum of abs(lam (lam - k phi)) is at most this; the method leaves exactly zero", unit="N^2", lower=0.0
-    )
+from formulations.contact_modes.method import MpccOptions, why_not
+from formulations.method import Kind, Method, Session
+from models.scene import Scene
 
 
 class Mpcc(Method[MpccOptions]):
@@ -87,12 +20,10 @@ class Mpcc(Method[MpccOptions]):
     options = MpccOptions
 
     def accepts(self, scene: Scene) -> str | None:
-        from formulations.contact_modes.applies import why_not
-
         return why_not(scene)
 
     def session(self, scene: Scene, options: MpccOptions, opening: tuple[float, float]) -> Session:
-        from formulations.contact_modes.session import MpccSession
+        from formulations.contact_modes.session import MpccSession  # imports Pyomo and Ipopt: 1 s that planning a campaign does without
 
         return MpccSession(self, scene, options, opening)
 

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-from formulations.method import Kind, OptionError, option
-from formulations.shooting.method import LbfgsOptions, QuasiNewtonMethod
+import numpy as np
+
+from formulations.method import Kind, Method, OptionError, Session, option, without_inputs
+from formulations.shooting.options import LbfgsOptions
 from models.contact_law import ContactLaw
-
-if TYPE_CHECKING:
-    from formulations.shooting.objective import Objective
-    from models.codegen.kernel import Kernel
+from models.scene import Scene
 
 
 # The goal is not displaced: what the mean misses is as much the noise as the plan.
@@ -28,27 +26,30 @@ class RandomisedSmoothingOptions(LbfgsOptions):
             raise OptionError(f"option samples is {self.samples!r}, but must be an even number.")
 
 
-class RandomisedSmoothing(QuasiNewtonMethod[RandomisedSmoothingOptions]):
+class RandomisedSmoothing(Method[RandomisedSmoothingOptions]):
     name = "randomised_smoothing"
     title = "L-BFGS on ReLU contact, averaged over random inputs"
     kind = Kind.INDIRECT
     needs_eps = True  # standard deviation of the noise, in half ranges of the inputs
-    law = ContactLaw.RELU
     options = RandomisedSmoothingOptions
 
-    def objective(self, kernel: Kernel, eps: float | None, options: RandomisedSmoothingOptions) -> Objective:
-        from formulations.shooting.objective import Objective, Weights, noise
+    def accepts(self, scene: Scene) -> str | None:
+        return without_inputs(scene, "descend on")
 
-        drawn = noise(
-            kernel.scene,
-            deviation=eps or 0.0,
-            unbounded=options.unbounded,
-            samples=options.samples,
-            pieces=options.pieces,
-            seed=options.seed,
-        )
-        weights = Weights(terminal=options.terminal_weight, running=options.input_weight)
-        return Objective(kernel, law=self.law, weights=weights, noise=drawn)
+    def session(self, scene: Scene, options: RandomisedSmoothingOptions, opening: tuple[float, float]) -> Session:
+        from formulations.shooting.session import ShootingSession, noise, quasi_newton  # imports PyTorch
+
+        def drawn(eps: float) -> np.ndarray:
+            return noise(
+                scene,
+                deviation=eps,
+                unbounded=options.unbounded,
+                samples=options.samples,
+                pieces=options.pieces,
+                seed=options.seed,
+            )
+
+        return ShootingSession(self, scene, options, opening, law=ContactLaw.RELU, minimise=quasi_newton, noise=drawn)
 
 
 METHOD = RandomisedSmoothing()

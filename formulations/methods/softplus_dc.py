@@ -1,16 +1,26 @@
-"""Direct transcription with softplus contact: smooth forces that act at a distance, tightened by their sharpness |ln eps|."""
+"""Direct transcription with softplus contact: smooth forces that act at a distance, tightened by their sharpness |ln eps|.
+
+A stage from a plan gets a bounded amount of work, and what it leaves is handed on only if it is a plan. A cold start whose multipliers run away is begun
+again with its goal let go (`transcription.feasibility`).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import cast
 
-from formulations.method import Kind, option
-from formulations.transcription.method import TranscriptionMethod, TranscriptionOptions
+from formulations.method import Kind, Method, Session, option, without_inputs
+from formulations.solution import Outcome, Solution
+from formulations.transcription.method import StageRules, TranscriptionOptions, Work
+from models.contact_law import ContactLaw, sharpness
+from models.scene import Scene
+from models.trajectory import Trajectory
 
-if TYPE_CHECKING:
-    from formulations.transcription.session import TranscriptionSession
-    from models.scene import Scene
+# Of a stage that starts from a plan, in nonzeros, which is what an iteration's time grows with: friction and many contacts have three times as many a
+# unknown. Those of the bank that ended well took up to 6.3e6 (transport: 951 iterations, of 6608), and where they were larger up to 136 iterations.
+_WORK = Work(6.5e6, 130)
+# A last iterate that misses its own time step [m/s], contact or friction law [N] by more is no plan: the next stage starts better from the one before.
+_BROKEN = 1e-2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,17 +33,55 @@ class SoftplusDCOptions(TranscriptionOptions):
     )
 
 
-class SoftplusDC(TranscriptionMethod[SoftplusDCOptions]):
+class SoftplusDCSession(Session):
+    """The model is built once; each eps moves its sharpness, and starts warm."""
+
+    def __init__(self, method: SoftplusDC, scene: Scene, options: SoftplusDCOptions, opening: tuple[float, float]) -> None:
+        from formulations.transcription import homotopy  # imports Pyomo and Ipopt: 0.9 s that planning a campaign does without
+
+        self._method, self._scene, self._options = method, scene, options
+        self._band = homotopy.band_options()
+        self._homotopy = homotopy.Homotopy(method, scene, homotopy.ContactLaw.SOFTPLUS, options, opening, self._rules, counts_nonzeros=True)
+
+    def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
+        self._method.check_stage(eps, time_limit)
+        eps = cast(float, eps)
+        failure = self._homotopy.failed_before(eps, warm_start)
+        if failure is not None and warm_start is not None:  # a cold start at a smaller eps is another one: contact acts from less far away
+            return self._homotopy.not_tried(failure, Outcome.STALLED)
+        account = self._homotopy.solver.begin(eps, warm_start, time_limit)
+        with self._homotopy.stage(account) as stage:
+            result = stage.reach(eps, warm_start)
+        return self._homotopy.solution(account, eps, warm_start, result)
+
+    def _rules(self, eps: float) -> StageRules:
+        scene, options = self._scene, self._options
+        return StageRules(
+            ipopt={**options.ipopt(), **self._band},
+            cold={},
+            cold_work=None,
+            warm_work=_WORK,
+            takes_duals=eps <= options.duals_from,
+            may_release_goal=scene.nc > 0 and scene.task.has_goal,
+            sharpest=sharpness(eps, scene.length),
+            law=ContactLaw.SOFTPLUS,
+            plan_limits=dict.fromkeys(("dynamics_defect", "contact_law", "regularised_friction"), _BROKEN),
+            promises={**options.promises(), **dict.fromkeys(("contact_law", "regularised_friction"), options.plan_tolerance)},
+        )
+
+
+class SoftplusDC(Method[SoftplusDCOptions]):
     name = "softplus_dc"
     title = "Collocation with softplus contact"
     kind = Kind.INDIRECT
     needs_eps = True
     options = SoftplusDCOptions
 
-    def session(self, scene: Scene, options: SoftplusDCOptions, opening: tuple[float, float]) -> TranscriptionSession:
-        from formulations.transcription.softplus import SoftplusSession
+    def accepts(self, scene: Scene) -> str | None:
+        return without_inputs(scene, "plan")
 
-        return SoftplusSession(self, scene, options, opening)
+    def session(self, scene: Scene, options: SoftplusDCOptions, opening: tuple[float, float]) -> Session:
+        return SoftplusDCSession(self, scene, options, opening)
 
 
 METHOD = SoftplusDC()

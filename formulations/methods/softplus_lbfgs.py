@@ -1,16 +1,15 @@
 """Single shooting by L-BFGS through softplus contact: second-order steps on the loss of softplus_gd, and the goal met by multipliers."""
 
 from formulations.method import Kind
-from formulations.shooting.method import QuasiNewtonMethod, QuasiNewtonOptions
+from formulations.shooting.method import QuasiNewtonMethod
 from models.contact_law import ContactLaw
 
 
-class SoftplusLbfgs(QuasiNewtonMethod[QuasiNewtonOptions]):
+class SoftplusLbfgs(QuasiNewtonMethod):
     name = "softplus_lbfgs"
     title = "L-BFGS on softplus contact"
     kind = Kind.INDIRECT
     needs_eps = True
-    options = QuasiNewtonOptions
     law = ContactLaw.SOFTPLUS
 
 

@@ -1,16 +1,53 @@
-"""Direct transcription with strict complementarity 0 <= lam, lam - k phi, and one of them zero: no relaxation is left in its plan."""
+"""Direct transcription with strict complementarity 0 <= lam, lam - k phi, and one of them zero: no relaxation is left in its plan.
+
+Ipopt attacks the model at a tiny bound, the modes of the contacts are read off, and the rest is solved exactly.
+
+1. attack: lam * v <= attack_bound, from the given plan or cold (no smoother problem is solved first): at once where the scene is linear,
+   by way of looser bounds where it is not. A plan that meets this bound already goes straight to 2.
+2. modes: every pair is decided, and the problem without any complementarity is solved (`transcription.modes`).
+3. If those modes have no plan: the bound is tightened by 100, warm, and the modes are read again. An attack that was cut off by a limit
+   has its modes tried once.
+
+The plan is judged on its own: residuals from the scene, and the goal after a replay of its inputs through true contact.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
-from formulations.method import Kind, option
-from formulations.transcription.method import BarrierOptions, TranscriptionMethod
+import numpy as np
+
+from formulations.method import Kind, Method, Session, option, without_inputs
+from formulations.solution import Outcome, Solution
+from formulations.transcription.account import Account
+from formulations.transcription.method import BarrierOptions, Work, ended
+from models.codegen.kernel import load_kernel
+from models.dynamics import derive
+from models.scene import Scene
+from models.scene.goal import distance, goal_state
+from models.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from formulations.transcription.session import TranscriptionSession
-    from models.scene import Scene
+    from formulations.ipopt import IpoptResult
+    from formulations.transcription.modes import FixedModes
+
+# Step 3: the factor between two bounds, and the last one; below it Ipopt's own tolerance (1e-8) is coarser than the bound.
+_TIGHTENING, _LAST_BOUND = 1e-2, 1e-8
+# Bounds of lam * v on the way to the attack's, where the scene is not linear: two fingers that carry a disc need 63, 60 and 13 iterations for
+# 1e-2, 1e-3 and 1e-4, and have no plan after 500 at 1e-4 alone. A linear scene is solved at once in fewer.
+_FIRST_BOUND, _NARROWING = 1e-2, 0.1
+# Most iterations at the first of these bounds from a given plan with Ipopt's own barrier: those that were solved took up to 121. A soft plan of two
+# fingers that lift a disc leads nowhere in ten times as many, and is solved in 89 with the barrier of a cold start.
+_FROM_PLAN = 130
+# Of each solve of the attack, beside its option: those that were solved took up to 4.8e6 (acrobot_limits: 529 iterations, of 9004 unknowns) or up to
+# 801 iterations. What is cut off has its modes tried.
+_ATTACK = Work(5e6, 1000)
+# A plan that misses its own time step by more than this was never one: the first guess is a better start.
+_BROKEN = 1e-2
+# Part of the remaining time an attack may take: a cut-off attack leaves modes that can still be solved exactly, in a twentieth of its time.
+_ATTACK_SHARE = 0.8
+_CUT_OFF = "The search for contact modes was cut off by its limit or stalled; with more time, or a warm start, a cheaper plan may be found."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +70,150 @@ class StrictLCPOptions(BarrierOptions):
     )
 
 
-class StrictLCP(TranscriptionMethod[StrictLCPOptions]):
+class StrictLCPSession(Session):
+    """The model is built once, at the bound of the attack, and translated a second time with its modes fixed."""
+
+    def __init__(self, method: StrictLCP, scene: Scene, options: StrictLCPOptions, opening: tuple[float, float]) -> None:
+        from formulations.transcription import solving  # imports Pyomo and Ipopt: 0.9 s that planning a campaign does without
+
+        self._method, self._scene, self._options = method, scene, options
+        self._solver = solving.PlanSolver(scene, solving.ContactLaw.COMPLEMENTARITY, options, opening)
+        self._kernel = load_kernel(scene)
+        self._modes: FixedModes | None = None
+
+    def start_used(self, warm_start: Trajectory | None) -> Trajectory | None:
+        """Without contacts any plan is a start; with them a broken one is none."""
+        if warm_start is None or not self._scene.nl or self._solver.residuals.dynamics_defect(warm_start) <= _BROKEN:
+            return warm_start
+        return warm_start if self._is_nearly_strict(warm_start, self._options.attack_bound) else None
+
+    def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
+        self._method.check_stage(eps, time_limit)
+        account = self._solver.begin(self._options.attack_bound, warm_start, time_limit)
+        start = self.start_used(warm_start)
+        if start is not warm_start:
+            self._solver.load(start)
+        result = self._found(account, start)
+        return self._solver.solution(self._method.name, account, result, self._residuals, plan_limits={}, promises=self._promises())
+
+    def solve_modes(self, closed: np.ndarray, time_limit: float = 60.0) -> IpoptResult:
+        """Step 2 alone, from the paper's first guess: closed (steps, nc + 2 nf) as in `hold_modes`."""
+        self._solver.prepare(self._options.attack_bound, None)
+        return self._with_modes(Account(time_limit), closed)
+
+    # -- the three steps --------------------------------------------------------------------------------------------------------
+
+    def _found(self, account: Account, start: Trajectory | None) -> IpoptResult:
+        if not self._scene.nl:
+            return self._solver.attempt(account, self._ipopt(start), from_plan=self._options.ipopt())
+        bound = self._options.attack_bound
+        if start is not None and self._is_nearly_strict(start, bound):
+            exact = self._exact(account, start)
+            if exact.outcome is Outcome.SOLVED:
+                return exact
+            self._solver.load(start)
+        result = self._attack(account, start, bound)
+        while result.outcome.has_answer and not account.is_over:
+            plan = self._solver.read()
+            exact = self._exact(account, plan)
+            if exact.outcome is Outcome.SOLVED:
+                return exact if result.outcome is Outcome.SOLVED else replace(exact, message=f"{ended(exact.message)} {_CUT_OFF}")
+            self._solver.load(plan)
+            bound *= _TIGHTENING
+            if result.outcome is not Outcome.SOLVED or bound < _LAST_BOUND or account.is_over:
+                break
+            self._solver.tighten(bound)
+            self._solver.release_modes()
+            result = self._solver.run(account, self._options.ipopt(), after=result)
+            if result.outcome is Outcome.INFEASIBLE:  # a little looser there was a plan: that is no proof that there is none
+                result = replace(result, outcome=Outcome.STALLED)
+        return result
+
+    def _is_nearly_strict(self, plan: Trajectory, bound: float) -> bool:
+        found, tolerance = self._solver.residuals.of(plan), self._options.plan_tolerance
+        products = max(found.get("complementarity", 0.0), found.get("friction_law", 0.0))
+        return products <= bound + tolerance and max(found["terminal_error"], found["dynamics_defect"]) <= tolerance
+
+    def _attack(self, account: Account, start: Trajectory | None, bound: float) -> IpoptResult:
+        """Step 1; a plan that leads nowhere is left for the first guess."""
+        self._solver.release_modes()
+        if start is not None:
+            result = self._narrowed(account, start, bound)
+            if result.outcome.has_answer or account.is_over:
+                return result
+            self._solver.load(None)
+        return self._narrowed(account, None, bound)
+
+    def _narrowed(self, account: Account, start: Trajectory | None, bound: float) -> IpoptResult:
+        """The model solved at the bound from what it holds: at once, or by way of looser bounds, each from the plan before."""
+        bounds = [bound]
+        while not derive(self._scene).structure.linear and bounds[0] < _FIRST_BOUND:
+            bounds.insert(0, bounds[0] / _NARROWING)
+        for looser in bounds:
+            self._solver.tighten(looser)
+            result = self._attempted(account, start, is_first=looser == bounds[0] and len(bounds) > 1)
+            if result.outcome is not Outcome.SOLVED or looser == bounds[-1]:
+                break
+            start = self._solver.read()
+        return result
+
+    def _attempted(self, account: Account, start: Trajectory | None, *, is_first: bool) -> IpoptResult:
+        """At the bound of the model; a plan that leads nowhere with Ipopt's own barrier is tried once more from well inside its bounds."""
+        options, from_plan = self._attack_options(account, start), self._options.ipopt()
+        if start is None or not is_first:
+            return self._solver.attempt(account, options, from_plan=from_plan, share=_ATTACK_SHARE)
+        most = min(options["max_iter"], account.iterations + _FROM_PLAN)
+        result = self._solver.attempt(account, {**options, "max_iter": most}, from_plan=from_plan, share=_ATTACK_SHARE)
+        if result.outcome is not Outcome.ITERATION_LIMIT or account.is_over or most == options["max_iter"]:
+            return result
+        self._solver.load(start)
+        inside = {**self._attack_options(account, start), **self._options.cold_barrier()}
+        return self._solver.attempt(account, inside, from_plan=from_plan, share=_ATTACK_SHARE)
+
+    def _ipopt(self, start: Trajectory | None) -> dict[str, Any]:
+        return {**self._options.ipopt(), **(self._options.cold_barrier() if start is None else {})}
+
+    def _attack_options(self, account: Account, start: Trajectory | None) -> dict[str, Any]:
+        options, most = self._ipopt(start), _ATTACK.iterations(self._solver.unknowns)
+        return {**options, "max_iter": min(options["max_iter"], account.iterations + min(most, self._options.attack_iterations))}
+
+    def _exact(self, account: Account, plan: Trajectory) -> IpoptResult:
+        """Step 2 with the modes of a plan; where they have none, with those of its inputs under the true law, which have one: that motion,
+        if it only reached the goal. Where friction begins to hold, a mode that is one step early leaves nothing."""
+        exact = self._with_modes(account, self._solver.residuals.modes(plan))
+        if exact.outcome is Outcome.SOLVED or account.is_over:
+            return exact
+        rolled = self._kernel.rollout(np.array(self._scene.task.start), plan.u, self._scene.task.step)
+        if rolled.diverged:
+            return exact
+        motion = replace(plan, q=rolled.q, v=rolled.v, lam=rolled.lam)
+        self._solver.load(motion)
+        return self._with_modes(account, self._solver.residuals.modes(motion))
+
+    def _with_modes(self, account: Account, closed: np.ndarray) -> IpoptResult:
+        if self._modes is None:
+            self._modes = self._solver.with_fixed_modes(self._options.mode_switches)
+        return self._modes.solve(account, closed)
+
+    # -- what is promised of the plan -------------------------------------------------------------------------------------------
+
+    def _residuals(self, plan: Trajectory) -> dict[str, float]:
+        task = self._scene.task
+        replay = self._kernel.rollout(np.array(task.start), plan.u, task.step)
+        end = np.concatenate([replay.q[-1], replay.v[-1]])
+        return {**self._solver.residuals.of(plan), "discrete_terminal_error": distance(end, goal_state(task))}
+
+    def _promises(self) -> dict[str, float]:
+        return {
+            **self._options.promises(),
+            **dict.fromkeys(("force_sign", "friction_cone", "friction_law"), self._options.plan_tolerance),
+            "physics": self._options.physics_tolerance,
+            "terminal_error": self._options.terminal_tolerance,
+            "discrete_terminal_error": self._options.replay_tolerance,
+        }
+
+
+class StrictLCP(Method[StrictLCPOptions]):
     name = "strict_lcp"
     title = "Collocation with strict complementarity"
     kind = Kind.DIRECT
@@ -41,10 +221,11 @@ class StrictLCP(TranscriptionMethod[StrictLCPOptions]):
     exact = True
     options = StrictLCPOptions
 
-    def session(self, scene: Scene, options: StrictLCPOptions, opening: tuple[float, float]) -> TranscriptionSession:
-        from formulations.transcription.strict import StrictSession
+    def accepts(self, scene: Scene) -> str | None:
+        return without_inputs(scene, "plan")
 
-        return StrictSession(self, scene, options, opening)
+    def session(self, scene: Scene, options: StrictLCPOptions, opening: tuple[float, float]) -> Session:
+        return StrictLCPSession(self, scene, options, opening)
 
 
 METHOD = StrictLCP()

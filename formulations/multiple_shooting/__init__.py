@@ -4,7 +4,7 @@ riccati    the linear-quadratic subproblem, in compiled C: backward sweep with b
 costs      running and final cost of a scene with first and second derivatives, from its SymPy expressions
 goal       the goal as an augmented Lagrangian, and with it velocity bounds
 solver     steps, merit function and line search
-session    the methods opened on a scene
+method     the methods, opened on a scene
 
 A step is run through the scene's own time step with the feedback of the subproblem, so that an unstable scene stays near the plan.
 Neither Pyomo nor PyTorch is needed.

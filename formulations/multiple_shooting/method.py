@@ -1,36 +1,111 @@
-"""What the two multiple shooting methods share: options, refusals, and how a session is opened."""
+"""What the two multiple shooting methods share: all but the contact law, whose file names it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import asdict, replace
+from time import perf_counter, process_time
 
-from formulations.method import Method, Options, Session, option
+import numpy as np
+
+from formulations.method import Method, Session, without_inputs
+from formulations.multiple_shooting.costs import Costs, GoalTerm
+from formulations.multiple_shooting.solver import Found, MultipleShootingOptions, Solver
+from formulations.shooting.ending import arrived, first_inputs, plan_residuals
+from formulations.shooting.growth import measure_growth
+from formulations.solution import Seconds, Solution
+from models.codegen.kernel import load_kernel, load_steps
 from models.contact_law import ContactLaw
+from models.scene import Scene
+from models.schemes import Scheme
+from models.trajectory import Trajectory, uniform_grid
 
-if TYPE_CHECKING:
-    from models.scene import Scene
 
+class MultipleShootingSession(Session):
+    """Opened on a scene: its steps are compiled once and serve every eps. opening: wall and CPU clock when opening began."""
 
-@dataclass(frozen=True, kw_only=True)
-class MultipleShootingOptions(Options):
-    goal_weight: float = option(
-        1e4,
-        "first weight of half the squared miss of the goal, beside the cost; multipliers take over what it leaves",
-        lower=1e-6,
-        upper=1e9,
-    )
-    goal_tolerance: float = option(1e-6, "solved only if the plan ends this near to its goal, in (q, v)", lower=1e-12)
-    gap_tolerance: float = option(
-        1e-9, "solved only if every step ends this near to the next node; below it the plan is one simulation", lower=1e-14, upper=1e-3
-    )
-    tolerance: float = option(
-        1e-6, "relative decrease of cost and goal term still promised by the subproblem that counts as none", lower=1e-12, upper=1.0
-    )
-    max_iterations: int = option(300, "most linear-quadratic subproblems", lower=1, upper=10**9)
-    guess: str = option(
-        "line", "the nodes without a warm start: on the line from start to goal, or all at the start", choices=("line", "start")
-    )
+    def __init__(
+        self, method: MultipleShootingMethod, scene: Scene, options: MultipleShootingOptions, opening: tuple[float, float]
+    ) -> None:
+        self._method, self._scene, self._options = method, scene, options
+        self._kernel, self._steps, self._costs = load_kernel(scene), load_steps(scene), Costs(scene)
+        # The first stage pays for building; the stages after it find it done.
+        self._opening = (perf_counter() - opening[0], process_time() - opening[1])
+
+    def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
+        started, cpu = perf_counter(), process_time()
+        method, scene = self._method, self._scene
+        method.check_stage(eps, time_limit)
+        x, u = self._first_guess(warm_start)
+        goal = GoalTerm(scene, self._options.goal_weight)
+        solver = Solver(steps=self._steps, costs=self._costs, law=method.law, eps=eps, options=self._options)
+        solving = perf_counter()
+        found = solver.solve(x, u, goal, started + time_limit)
+        rest = perf_counter() - solving - solver.evaluate_seconds
+        solution = self._solution(found, eps)
+        opening_wall, opening_cpu = self._opening
+        self._opening = (0.0, 0.0)
+        seconds = Seconds(
+            build=opening_wall,
+            evaluate=solver.evaluate_seconds,
+            linear_algebra=max(0.0, rest),
+            wall=opening_wall + perf_counter() - started,
+            cpu=opening_cpu + process_time() - cpu,
+        )
+        return replace(solution, seconds=seconds)
+
+    def _first_guess(self, warm_start: Trajectory | None) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes (steps+1, 2*nq) from the start on, and inputs (steps, nu) within their bounds."""
+        task = self._scene.task
+        start = np.array(task.start)
+        u = first_inputs(self._scene, warm_start)
+        if warm_start is not None:
+            x = np.hstack([warm_start.q, warm_start.v])
+        else:
+            end = [begin if goal is None or self._options.guess == "start" else goal for begin, goal in zip(start, task.goal, strict=True)]
+            x = start + np.linspace(0.0, 1.0, task.steps + 1)[:, None] * (np.array(end) - start)
+        x[0] = start
+        return x, u
+
+    def _solution(self, found: Found, eps: float | None) -> Solution:
+        """The plan: the motion that the inputs make, or the nodes themselves while there are gaps between them."""
+        scene, task, law = self._scene, self._scene.task, self._method.law
+        base = {
+            "method": self._method.name,
+            "iterations": found.iterations,
+            "options": asdict(self._options),
+            "history": {column: tuple(values) for column, values in found.history.items()},
+        }
+        if not found.outcome.has_answer:
+            return Solution(outcome=found.outcome, message=f"{found.message}.", **base)
+        nq, u = scene.nq, found.u
+        run = self._kernel.rollout(np.array(task.start), u, task.step, law, eps)
+        if run.diverged or found.gap > self._options.gap_tolerance:
+            linear = self._steps.linearise(found.x[:-1], u, task.step, law, eps)
+            lam = np.zeros((task.steps, scene.nl)) if linear is None else linear.lam
+            plan = Trajectory(
+                t=uniform_grid(task.step, task.steps), q=found.x[:, :nq], v=found.x[:, nq:], u=u, lam=lam, scheme=Scheme.SEMI_IMPLICIT_EULER
+            )
+        else:
+            plan = Trajectory(t=uniform_grid(task.step, task.steps), q=run.q, v=run.v, u=u, lam=run.lam, scheme=Scheme.SEMI_IMPLICIT_EULER)
+        growth = measure_growth(self._steps, np.hstack([plan.q, plan.v]), u, law, eps)
+        residuals = {
+            "gap": found.gap,
+            "promised_decrease": max(0.0, -found.slope),
+            **plan_residuals(scene, plan),
+            **({} if growth is None else growth.figures()),
+        }
+        outcome, message = found.outcome, found.message
+        open_gap = f"the nodes are up to {found.gap:.2g} apart from the motion" if found.gap > self._options.gap_tolerance else ""
+        message = "; ".join(part for part in (message, open_gap) if part)
+        outcome, message = arrived(scene, outcome, f"{message}." if message else "", residuals, "a larger goal_weight or more iterations")
+        return Solution(
+            outcome=outcome,
+            message=message,
+            trajectory=plan,
+            cost=self._kernel.cost(plan.q, plan.v, u),
+            residuals=residuals,
+            **base,
+        )
 
 
 class MultipleShootingMethod(Method[MultipleShootingOptions]):
@@ -40,11 +115,7 @@ class MultipleShootingMethod(Method[MultipleShootingOptions]):
     options = MultipleShootingOptions
 
     def accepts(self, scene: Scene) -> str | None:
-        if not scene.inputs:
-            return f"scene {scene.name} has no inputs, so there is nothing to shoot with."
-        return None
+        return without_inputs(scene, "shoot with")
 
     def session(self, scene: Scene, options: MultipleShootingOptions, opening: tuple[float, float]) -> Session:
-        from formulations.multiple_shooting.session import MultipleShootingSession
-
         return MultipleShootingSession(self, scene, options, opening)

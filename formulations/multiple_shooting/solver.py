@@ -28,8 +28,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from formulations.method import Options, option
 from formulations.multiple_shooting.costs import Costs, GoalTerm
-from formulations.multiple_shooting.method import MultipleShootingOptions
 from formulations.solution import Outcome
 from models.codegen.cache import cached
 from models.codegen.compiler import FLAGS, compile_shared, find_compiler
@@ -38,6 +38,27 @@ from models.contact_law import ContactLaw
 
 _SOURCE = Path(__file__).with_name("riccati.c")
 _POINTER, _INT, _DOUBLE = ctypes.c_void_p, ctypes.c_int, ctypes.c_double
+
+
+@dataclass(frozen=True, kw_only=True)
+class MultipleShootingOptions(Options):
+    goal_weight: float = option(
+        1e4,
+        "first weight of half the squared miss of the goal, beside the cost; multipliers take over what it leaves",
+        lower=1e-6,
+        upper=1e9,
+    )
+    goal_tolerance: float = option(1e-6, "solved only if the plan ends this near to its goal, in (q, v)", lower=1e-12)
+    gap_tolerance: float = option(
+        1e-9, "solved only if every step ends this near to the next node; below it the plan is one simulation", lower=1e-14, upper=1e-3
+    )
+    tolerance: float = option(
+        1e-6, "relative decrease of cost and goal term still promised by the subproblem that counts as none", lower=1e-12, upper=1.0
+    )
+    max_iterations: int = option(300, "most linear-quadratic subproblems", lower=1, upper=10**9)
+    guess: str = option(
+        "line", "the nodes without a warm start: on the line from start to goal, or all at the start", choices=("line", "start")
+    )
 
 
 @lru_cache(maxsize=1)

@@ -13,7 +13,7 @@ Nothing is assumed beyond the scene itself: no symmetry, no limit on the number 
 """
 
 from formulations.proof.bounds import PairBounds, pair_bounds
-from formulations.proof.prove import Proof, ProofStatus, build_miqp, prove, why_no_proof
+from formulations.proof.prove import Proof, ProofStatus, build_miqp, missing_solver, prove, why_no_proof
 from formulations.proof.relaxation import relaxed_bound
 
-__all__ = ["PairBounds", "Proof", "ProofStatus", "build_miqp", "pair_bounds", "prove", "relaxed_bound", "why_no_proof"]
+__all__ = ["PairBounds", "Proof", "ProofStatus", "build_miqp", "missing_solver", "pair_bounds", "prove", "relaxed_bound", "why_no_proof"]

@@ -37,6 +37,7 @@ from formulations.contact_modes.goal import land
 from formulations.contact_modes.linear import linear_scene, why_not_linear
 from formulations.contact_modes.quadratic import ModesProblem
 from formulations.proof.bounds import PairBounds, pair_bounds
+from formulations.solution import Bound, Outcome
 from formulations.transcription.build import build_model
 from formulations.transcription.contact import ContactLaw, ModelError, SceneExpressions
 from formulations.transcription.residuals import PlanResiduals
@@ -111,6 +112,14 @@ class ProofStatus(Enum):
     NOTHING = "Neither a plan nor a bound was found in the time given."
 
 
+_OUTCOMES = {
+    ProofStatus.OPTIMAL: Outcome.SOLVED,
+    ProofStatus.BOUND: Outcome.TIME_LIMIT,
+    ProofStatus.INFEASIBLE: Outcome.INFEASIBLE,
+    ProofStatus.NOTHING: Outcome.TIME_LIMIT,
+}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Proof:
     """plan, cost: the cheapest exact plan known (None: none); bound: no plan costs less (inf: there is none at all); gap: (cost - bound)/cost, None
@@ -133,6 +142,24 @@ class Proof:
     @property
     def gap(self) -> float | None:
         return None if self.cost is None else max(0.0, (self.cost - self.bound) / max(abs(self.cost), 1e-12))
+
+    @property
+    def outcome(self) -> Outcome:
+        return _OUTCOMES[self.status]
+
+    @property
+    def known_bound(self) -> Bound | None:
+        """The bound, where there is one."""
+        if not np.isfinite(self.bound):
+            return None
+        return Bound(
+            value=self.bound,
+            gap=self.gap,
+            proved=self.status is ProofStatus.OPTIMAL,
+            decisions=self.pairs,
+            open_decisions=self.binaries,
+            nodes=self.nodes,
+        )
 
     @property
     def sentence(self) -> str:

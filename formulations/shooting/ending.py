@@ -6,11 +6,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from formulations.grids import check_warm_start
 from formulations.solution import Outcome
-from models.errors import TrajectoryError
 from models.scene import Scene
 from models.scene.goal import goal_state, miss
-from models.trajectory import Trajectory, uniform_grid
+from models.trajectory import Trajectory
 
 # Beyond a velocity bound by less [m/s, rad/s] is rounding.
 _TOLERANCE = 1e-6
@@ -27,13 +27,7 @@ def given_inputs(scene: Scene, warm_start: Trajectory | None) -> np.ndarray:
     task = scene.task
     if warm_start is None:
         return np.zeros((task.steps, scene.nu))
-    warm_start.check_fits(scene)
-    grid = uniform_grid(task.step, task.steps)
-    if warm_start.steps != task.steps or not np.allclose(warm_start.t - warm_start.t[0], grid, rtol=1e-9, atol=1e-9 * task.step):
-        raise TrajectoryError(
-            f"warm start: it has {warm_start.steps} steps over {warm_start.t[-1] - warm_start.t[0]:g} s, but scene {scene.name} has "
-            f"{task.steps} steps of {task.step:g} s; resample it to that grid."
-        )
+    check_warm_start(scene, warm_start)
     return np.array(warm_start.u)
 
 

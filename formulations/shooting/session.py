@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from time import perf_counter, process_time
+from typing import Generic, TypeVar
 
 import numpy as np
 
-from formulations.method import OptionError, Session
-from formulations.shooting.descent import Descent
+from formulations.method import Method, Session
+from formulations.shooting.descent import Descent, descend
 from formulations.shooting.ending import arrived, given_inputs, plan_residuals
 from formulations.shooting.growth import measure_growth, told
-from formulations.shooting.method import DescentOptions, LbfgsOptions, ShootingMethod
+from formulations.shooting.objective import Loss, Objective, Weights, noise
+from formulations.shooting.options import DescentOptions, LbfgsOptions
+from formulations.shooting.quasi_newton import minimise as quasi_newton
 from formulations.solution import Outcome, Seconds, Solution
 from models.codegen.kernel import load_kernel, load_steps
 from models.contact_law import ContactLaw
@@ -19,30 +23,45 @@ from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 
+__all__ = ["ShootingSession", "descend", "noise", "quasi_newton"]
 
-class ShootingSession(Session):
+_Options = TypeVar("_Options", bound=DescentOptions | LbfgsOptions)
+
+
+class ShootingSession(Session, Generic[_Options]):
     """See the module docstring.
 
-    opening: wall and CPU clock when opening began.
+    opening: wall and CPU clock when opening began; law: the contact law of the rollouts; minimise: from a loss, inputs u0 (steps, nu), options and a
+    time limit in wall seconds to the best inputs; loss: None for the paper's; noise: at an eps, what the loss is averaged over (samples, steps, nu), if it is.
     """
 
-    def __init__(self, method: ShootingMethod, scene: Scene, options: DescentOptions | LbfgsOptions, opening: tuple[float, float]) -> None:
+    def __init__(
+        self,
+        method: Method,
+        scene: Scene,
+        options: _Options,
+        opening: tuple[float, float],
+        *,
+        law: ContactLaw,
+        minimise: Callable[[Objective, np.ndarray, _Options, float], Descent],
+        loss: Loss | None = None,
+        noise: Callable[[float], np.ndarray] | None = None,
+    ) -> None:
         self._method, self._scene, self._options = method, scene, options
+        self._law, self._minimise, self._loss, self._noise = law, minimise, loss, noise
         self._kernel, self._steps = load_kernel(scene), load_steps(scene)
         # The first stage pays for building; the stages after it find it done.
         self._opening = (perf_counter() - opening[0], process_time() - opening[1])
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
         started, cpu = perf_counter(), process_time()
-        self._method.check_eps(eps)
-        if not time_limit > 0.0:
-            raise OptionError(f"method {self._method.name}: the time limit is {time_limit!r}, but must be a positive number of seconds.")
-        objective = self._method.objective(self._kernel, eps, self._options)
+        self._method.check_stage(eps, time_limit)
+        objective = self._objective(eps)
         u0 = given_inputs(self._scene, warm_start)
         descending = perf_counter()
-        descent = self._method.minimise(objective, u0, self._options, time_limit)
+        descent = self._minimise(objective, u0, self._options, time_limit)
         rest = perf_counter() - descending - objective.seconds
-        solution = self._solution(descent, u0, eps if self._method.law is ContactLaw.SOFTPLUS else None)
+        solution = self._solution(descent, u0, objective.eps)
         opening_wall, opening_cpu = self._opening
         self._opening = (0.0, 0.0)
         seconds = Seconds(
@@ -54,9 +73,20 @@ class ShootingSession(Session):
         )
         return replace(solution, seconds=seconds)
 
+    def _objective(self, eps: float | None) -> Objective:
+        """The loss at this eps: of the softplus law, or of the noise."""
+        return Objective(
+            self._kernel,
+            law=self._law,
+            eps=eps if self._law is ContactLaw.SOFTPLUS else None,
+            weights=Weights(terminal=self._options.terminal_weight, running=self._options.input_weight),
+            loss=self._loss,
+            noise=None if self._noise is None or eps is None else self._noise(eps),
+        )
+
     def _solution(self, descent: Descent, u0: np.ndarray, eps: float | None) -> Solution:
         """The plan simulated once more by the kernel, and its figures recomputed from that; without a plan, the growth at the first guess."""
-        law, task = self._method.law, self._scene.task
+        law, task = self._law, self._scene.task
         empty = Solution(
             method=self._method.name,
             outcome=descent.outcome,

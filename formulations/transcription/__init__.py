@@ -5,4 +5,8 @@
 
 `build` says what a model holds, `equations` what it says, `contact` how it is relaxed and tightened, `workbench` how a Trajectory gets in and
 out, `residuals` how far a plan is from its equations.
+
+What a method in formulations/methods is put together from: `method` its options and the rules of a stage, `account` what a stage spends, `solving` the
+model loaded, solved with patience, read and checked, `feasibility` whether the goal can be reached at all, `homotopy` stages for ever smaller eps,
+`modes` what is left once contact modes are fixed.
 """

@@ -26,28 +26,17 @@ from pyomo.mpec import Complementarity
 
 from formulations.transcription import equations
 from formulations.transcription.contact import ContactLaw, ModelError, SceneExpressions, settle_separation
+from formulations.transcription.method import why_not_collocated
 from models.dynamics import derive
 from models.scene import Scene
 from models.schemes import Scheme, Tableau, tableau
-
-
-def why_not(scene: Scene) -> str | None:
-    """None, or the reason why a scene has no collocation."""
-    if scene.nf:
-        return (
-            f"scene {scene.name} has friction, whose force jumps where it begins to slip: a stage of a step cannot stick, and the order is lost; "
-            "semi-implicit Euler has a friction law of its own."
-        )
-    if scene.damped:
-        return f"scene {scene.name} has damped contacts, whose law is written for semi-implicit Euler only."
-    return None
 
 
 def add_collocation(
     block: Any, scene: Scene, contact: ContactLaw, b: float | None, scheme: Scheme, *, integrate_cost: bool = False
 ) -> None:
     """Stages, dynamics, contact law and cost of a block that has its nodes, inputs and ends. Raises ModelError for a scene that has no collocation."""
-    reason = why_not(scene)
+    reason = why_not_collocated(scene)
     if reason is not None:
         raise ModelError(f"scheme {scheme.value}: {reason}")
     table, law, steps = tableau(scheme), SceneExpressions(derive(scene)), scene.task.steps

@@ -1,16 +1,25 @@
-"""What the direct-transcription methods share: options, refusals, and how a session is opened. Pyomo is imported when one is."""
+"""What a direct-transcription method states: its options, and the rules of a stage as plain values. Light to import: no Pyomo."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeVar
 
-from formulations.method import Method, Options, option
+from formulations.method import Options, option
+from models.contact_law import ContactLaw
+from models.scene import Scene
 
-if TYPE_CHECKING:
-    from formulations.transcription.session import TranscriptionSession
-    from models.scene import Scene
+
+def why_not_collocated(scene: Scene) -> str | None:
+    """None, or the reason why a scene has no collocation."""
+    if scene.nf:
+        return (
+            f"scene {scene.name} has friction, whose force jumps where it begins to slip: a stage of a step cannot stick, and the order is lost; "
+            "semi-implicit Euler has a friction law of its own."
+        )
+    if scene.damped:
+        return f"scene {scene.name} has damped contacts, whose law is written for semi-implicit Euler only."
+    return None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,6 +33,15 @@ class TranscriptionOptions(Options):
         upper=1.0,
     )
 
+    def ipopt(self) -> dict[str, object]:
+        """Ipopt's options of every solve."""
+        return {"tol": self.tolerance, "max_iter": self.max_iterations}
+
+    def promises(self) -> dict[str, float]:
+        """Largest residuals with which the outcome may be SOLVED, whatever the contact law."""
+        names = ("dynamics_defect", "start_error", "terminal_error", "input_bound_excess", "velocity_bound_excess")
+        return dict.fromkeys(names, self.plan_tolerance)
+
 
 # Ipopt's own 0.1 and 0.01 start a complementarity model so close to its bounds (no force, no separation) that it crawls along them: 428
 # iterations to the first relaxed plan of the three carts, 78 from a start well inside.
@@ -32,18 +50,49 @@ class BarrierOptions(TranscriptionOptions):
     barrier_start: float = option(10.0, "Ipopt's mu_init of a start without a plan", lower=1e-9, upper=1e9)
     bound_push: float = option(1.0, "Ipopt's bound_push of a start without a plan", lower=1e-9, upper=1e9)
 
+    def ipopt(self) -> dict[str, object]:
+        """Relaxed bounds (Ipopt's default) would let a force be -1e-8 N and a product exceed its bound."""
+        return {**super().ipopt(), "bound_relax_factor": 0.0}
 
-_Options = TypeVar("_Options", bound=TranscriptionOptions)
+    def cold_barrier(self) -> dict[str, object]:
+        """Ipopt's options of a complementarity model without a plan to start from."""
+        return {"mu_init": self.barrier_start, "bound_push": self.bound_push, "bound_frac": min(0.5, self.bound_push)}
 
 
-class TranscriptionMethod(Method[_Options]):
-    """A method that hands a Pyomo model of the whole plan to Ipopt."""
+def ended(message: str) -> str:
+    """The message with a full stop, so that more may be said after it."""
+    return message if not message or message.endswith(".") else f"{message}."
 
-    def accepts(self, scene: Scene) -> str | None:
-        if not scene.inputs:
-            return f"scene {scene.name} has no inputs, so there is nothing to plan."
-        return None
 
-    @abstractmethod
-    def session(self, scene: Scene, options: _Options, opening: tuple[float, float]) -> TranscriptionSession:
-        """A session; opening: wall and CPU clock when opening began, before Pyomo was imported."""
+@dataclass(frozen=True)
+class Work:
+    """Most iterations of a solve, times the size of its model, and the fewest iterations it may have however large the model."""
+
+    most: float
+    fewest: int
+
+    def iterations(self, size: int) -> int:
+        return max(self.fewest, int(self.most / size))
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageRules:
+    """What a method asks of a stage at one eps.
+
+    ipopt: options of every solve; cold: further ones for a start without a plan; cold_work, warm_work: of one solve, None: as much as `max_iter` says;
+    takes_duals: whether a stage that follows another of the session starts with its multipliers too; may_release_goal: whether a cold start whose
+    multipliers run away is begun again without its goal; sharpest: sharpness b [1/m] of softplus contact that goes as far from the true law as the
+    method's own contact; law: the contact law that the plan is held against; plan_limits: largest residuals of a last iterate that was not solved
+    and is handed on all the same; promises: largest residuals with which the outcome may be SOLVED.
+    """
+
+    ipopt: Mapping[str, object]
+    cold: Mapping[str, object]
+    cold_work: Work | None
+    warm_work: Work | None
+    takes_duals: bool
+    may_release_goal: bool
+    sharpest: float
+    law: ContactLaw
+    plan_limits: Mapping[str, float]
+    promises: Mapping[str, float]

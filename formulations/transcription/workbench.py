@@ -1,4 +1,4 @@
-"""A model on the bench: translated once, solved many times, with an account of iterations and seconds.
+"""A model on the bench: translated once, solved many times.
 
 The goal of a built model as a ball instead of a point.
 
@@ -18,16 +18,16 @@ force's complement, its definition and their product, and with Kelvin-Voigt as m
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
-from time import perf_counter, process_time
+from time import perf_counter
 from typing import Any
 
 import numpy as np
 import pyomo.environ as pyo
 
 from formulations.ipopt import IpoptProblem, IpoptResult, Iteration, Start, compile_model, load, solve
-from formulations.solution import ModelSize, Seconds
+from formulations.solution import ModelSize
+from formulations.transcription.account import Account
 from formulations.transcription.collocation import forces_at_nodes, is_collocated, scheme_of, settle_stages
 from formulations.transcription.contact import ContactLaw, settle_separation
 from models.errors import TrajectoryError
@@ -151,72 +151,6 @@ def size_on_paper(scene: Scene, contact: ContactLaw) -> ModelSize:
 
 
 Callback = Callable[[Iteration], "bool | None"]
-_COLUMNS = ("objective", "inf_pr", "inf_du", "mu")
-
-
-class Account:
-    """Where one stage spends its iterations, work and seconds. `opened`: wall and CPU seconds spent before the stage that belong to it.
-
-    work: iterations of Ipopt times nonzeros of the Jacobian and the Hessian, which is what an iteration's time grows with; most_work: of it there
-    may be so much. It is the same whatever else the machine does.
-    """
-
-    def __init__(self, time_limit: float, opened: tuple[float, float] = (0.0, 0.0)) -> None:
-        self._wall, self._cpu = perf_counter() - opened[0], process_time() - opened[1]
-        self._deadline = self._wall + time_limit
-        self.build, self.translate, self.evaluate, self.linear_algebra = opened[0], 0.0, 0.0, 0.0
-        self.iterations = 0
-        self.work, self.most_work = 0.0, math.inf
-        self.solver = ""  # which Ipopt ran
-        self.history: dict[str, list[float]] = {name: [] for name in _COLUMNS}
-
-    @property
-    def remaining(self) -> float:
-        """Wall seconds left, never less than a millisecond: Ipopt wants a positive limit and then stops at once."""
-        return max(1e-3, self._deadline - perf_counter())
-
-    @property
-    def is_late(self) -> bool:
-        """Whether the time is over."""
-        return perf_counter() >= self._deadline
-
-    @property
-    def is_over(self) -> bool:
-        """Whether the time or the work is."""
-        return self.is_late or self.work >= self.most_work
-
-    def iterations_left(self, problem: IpoptProblem) -> float:
-        """Iterations of Ipopt on a problem until the work is over."""
-        return max(0, math.ceil((self.most_work - self.work) / problem.nonzeros)) if math.isfinite(self.most_work) else math.inf
-
-    def add(self, result: IpoptResult, problem: IpoptProblem) -> None:
-        self.iterations += result.iterations
-        self.work += result.iterations * problem.nonzeros
-        self.solver = result.version
-        self.evaluate += result.seconds.evaluate
-        self.linear_algebra += result.seconds.linear_algebra
-        for line in result.history:
-            for name in _COLUMNS:
-                self.history[name].append(getattr(line, name))
-
-    def include(self, earlier: Account) -> None:
-        """What was spent before, in this account's time."""
-        self.iterations += earlier.iterations
-        self.work += earlier.work
-        self.solver = self.solver or earlier.solver
-        for name in ("build", "translate", "evaluate", "linear_algebra"):
-            setattr(self, name, getattr(self, name) + getattr(earlier, name))
-        self.history = {name: earlier.history[name] + values for name, values in self.history.items()}
-
-    def seconds(self) -> Seconds:
-        return Seconds(
-            build=self.build,
-            translate=self.translate,
-            evaluate=self.evaluate,
-            linear_algebra=self.linear_algebra,
-            wall=perf_counter() - self._wall,
-            cpu=process_time() - self._cpu,
-        )
 
 
 class Workbench:
@@ -235,6 +169,10 @@ class Workbench:
             self._problem.refresh()
         account.translate += perf_counter() - begin
         return self._problem
+
+    def read(self) -> Trajectory:
+        """The plan that the model holds. Raises TrajectoryError where a value is not finite."""
+        return read_plan(self.model)
 
     @property
     def size(self) -> ModelSize | None:

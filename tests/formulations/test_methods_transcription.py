@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from formulations.method import OptionError
+from formulations.methods import strict_lcp
 from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
-from formulations.transcription import strict
 from formulations.transcription.contact import ContactLaw as TranscribedLaw
+from formulations.transcription.method import Work
 from formulations.transcription.residuals import PlanResiduals
-from formulations.transcription.session import Work
-from formulations.transcription.strict import StrictSession
 from formulations.transcription.workbench import size_on_paper
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
@@ -187,9 +186,9 @@ def test_a_strict_attack_cut_off_still_has_its_modes_solved() -> None:
 
 def test_a_strict_attack_may_do_so_much_work(monkeypatch: pytest.MonkeyPatch) -> None:
     """Counted in iterations times unknowns: cut off there, as by its option, and its modes tried."""
-    monkeypatch.setattr(strict, "_ATTACK", Work(40.5 * size_on_paper(SMALL, TranscribedLaw.COMPLEMENTARITY).unknowns, 1))
+    monkeypatch.setattr(strict_lcp, "_ATTACK", Work(40.5 * size_on_paper(SMALL, TranscribedLaw.COMPLEMENTARITY).unknowns, 1))
     by_work = chain("strict_lcp", (None,), SMALL)[0]
-    monkeypatch.setattr(strict, "_ATTACK", Work(0.0, 1000))
+    monkeypatch.setattr(strict_lcp, "_ATTACK", Work(0.0, 1000))
     by_option = chain("strict_lcp", (None,), SMALL, attack_iterations=40)[0]
     assert "cut off" in by_work.message
     assert (by_work.iterations, by_work.cost) == (by_option.iterations, by_option.cost)
@@ -242,7 +241,7 @@ def test_wrong_modes_are_switched_by_their_multipliers(contact: int, shift: int)
     costs = []
     for switches in (0, 20):
         with load_method("strict_lcp").open(SMALL, {"mode_switches": switches}) as session:
-            assert isinstance(session, StrictSession)
+            assert isinstance(session, strict_lcp.StrictLCPSession)
             costs.append(session.solve_modes(closed).objective)
     assert costs[0] > (best.cost or 0) * (1 + 1e-6)
     assert costs[1] == pytest.approx(best.cost, rel=1e-9)

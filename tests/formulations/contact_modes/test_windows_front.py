@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from formulations.contact_modes.front import front, told
 from formulations.contact_modes.quadratic import cheapest_in_ball
 from formulations.contact_modes.session import MpccSession
 from formulations.method import OptionError
+from formulations.methods.mpcc_front import front, told
 from formulations.mpec import certify_solution
 from formulations.pipelines import load_method
 from formulations.solution import FrontPoint, Outcome, Solution

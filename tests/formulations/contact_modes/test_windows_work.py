@@ -9,7 +9,7 @@ import pyomo.environ as pyo
 import pytest
 
 from formulations.contact_modes.finder import Search
-from formulations.contact_modes.multistart import MultiStart
+from formulations.contact_modes.session import MultiStart
 from formulations.methods.mpcc import MpccOptions
 from formulations.pipelines import load_method
 from formulations.solution import Outcome

@@ -9,8 +9,8 @@ import torch
 
 from formulations.shooting.descent import descend, projected_descent
 from formulations.shooting.ending import input_bounds
-from formulations.shooting.method import DescentOptions
 from formulations.shooting.objective import GoalLoss, Objective
+from formulations.shooting.options import DescentOptions
 from formulations.shooting.reference import reference_cost, reference_rollout
 from formulations.shooting.rollout import RolloutTensors, ShootingError, rollout
 from models.catalog import load_scene, scene_names

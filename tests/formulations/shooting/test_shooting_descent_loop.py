@@ -10,8 +10,8 @@ import torch
 from descent_in_python import descend_in_python
 
 from formulations.shooting.descent import descend
-from formulations.shooting.method import DescentOptions
 from formulations.shooting.objective import Objective, Weights
+from formulations.shooting.options import DescentOptions
 from formulations.shooting.rollout import ShootingError
 from formulations.solution import Outcome
 from models.catalog import load_scene, scene_names

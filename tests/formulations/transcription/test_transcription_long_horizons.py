@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from formulations.methods import relaxed_lcp
 from formulations.pipelines import load_method
 from formulations.solution import Outcome
-from formulations.transcription import relaxed
-from formulations.transcription.relaxed import RelaxedSession
+from formulations.transcription.solving import PlanSolver
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.trajectory import Trajectory, uniform_grid
@@ -32,15 +32,15 @@ def test_the_same_plan_by_way_of_coarser_grids(monkeypatch, warm):
     start = pushed(scene) if warm else None
     at_once = solved(scene, start)
     grids = []
-    of_class = RelaxedSession.attempt
+    of_class = PlanSolver.attempt
 
-    def attempt(self, bench, account, *arguments, **options):
+    def attempt(self, account, *arguments, **options):
         grids.append(self._scene.task.steps)
-        return of_class(self, bench, account, *arguments, **options)
+        return of_class(self, account, *arguments, **options)
 
-    monkeypatch.setattr(RelaxedSession, "attempt", attempt)
-    monkeypatch.setattr(RelaxedSession, "_long", 12)
-    monkeypatch.setattr(relaxed, "_SHORT", 6)
+    monkeypatch.setattr(PlanSolver, "attempt", attempt)
+    monkeypatch.setattr(relaxed_lcp, "_LONG", 12)
+    monkeypatch.setattr(relaxed_lcp, "_SHORT", 6)
     by_grids = solved(scene, start)
     assert grids == [5, 10, 20]
     assert by_grids.outcome is at_once.outcome is Outcome.SOLVED
@@ -55,8 +55,8 @@ def test_a_grid_without_a_plan_leaves_the_start_as_it_was(monkeypatch):
     scene = load_scene("wall_pendulum")
     start = pushed(scene)
     at_once = solved(scene, start)
-    monkeypatch.setattr(RelaxedSession, "_long", 12)
-    monkeypatch.setattr(RelaxedSession, "_from_coarser_grid", lambda *_: None)
+    monkeypatch.setattr(relaxed_lcp, "_LONG", 12)
+    monkeypatch.setattr(relaxed_lcp.RelaxedLCPSession, "_from_coarser_grid", lambda *_: None)
     again = solved(scene, start)
     assert again.iterations == at_once.iterations
     np.testing.assert_array_equal(again.trajectory.u, at_once.trajectory.u)

@@ -10,12 +10,13 @@ import pytest
 
 from formulations import ContactLaw, build_model, load_plan
 from formulations.ipopt import Iteration, compile_model
+from formulations.methods import relaxed_lcp, softplus_dc
 from formulations.pipelines import load_method
 from formulations.solution import Outcome
-from formulations.transcription import relaxed, softplus
 from formulations.transcription.contact import tighten
+from formulations.transcription.feasibility import Watch, plan_with_goal_released
+from formulations.transcription.method import Work
 from formulations.transcription.residuals import PlanResiduals
-from formulations.transcription.session import Watch, Work, plan_with_goal_released
 from formulations.transcription.workbench import Account, Workbench
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
@@ -68,8 +69,8 @@ def test_a_cold_start_called_infeasible_is_begun_again_with_the_goal_let_go(monk
 
 def test_what_misses_its_own_time_step_starts_no_other_stage(monkeypatch):
     """A stage cut off after one iteration, which is taken for broken: it hands nothing on, and a harder one is not tried from the same start."""
-    monkeypatch.setattr(softplus, "_WORK", Work(0.0, 1))
-    monkeypatch.setattr(softplus, "_BROKEN", -1.0)
+    monkeypatch.setattr(softplus_dc, "_WORK", Work(0.0, 1))
+    monkeypatch.setattr(softplus_dc, "_BROKEN", -1.0)
     scene = load_scene("three_cart").with_task(steps=200, step=0.025)
     with load_method("softplus_dc").open(scene) as session:
         first = session.solve(eps=EPS, warm_start=None, time_limit=60.0)
@@ -89,7 +90,7 @@ def test_the_work_of_a_soft_stage_is_counted_in_nonzeros(monkeypatch):
     """Those of its own model: friction and many contacts make an iteration dearer than its unknowns say."""
     scene = load_scene("three_cart").with_task(steps=200, step=0.025)
     nonzeros = compile_model(build_model(scene, ContactLaw.SOFTPLUS, eps=1e-5)).nonzeros
-    monkeypatch.setattr(softplus, "_WORK", Work(7.5 * nonzeros, 1))
+    monkeypatch.setattr(softplus_dc, "_WORK", Work(7.5 * nonzeros, 1))
     with load_method("softplus_dc").open(scene) as session:
         first = session.solve(eps=EPS, warm_start=None, time_limit=60.0)
         cut = session.solve(eps=1e-5, warm_start=first.trajectory, time_limit=60.0)
@@ -102,7 +103,7 @@ def test_a_stage_that_leads_from_a_plan_to_none_goes_half_way_first(monkeypatch)
     scene = load_scene("three_cart")
     with load_method("softplus_dc").open(scene) as session:
         first = session.solve(eps=1e-2, warm_start=None, time_limit=60.0)
-        monkeypatch.setattr(softplus, "_WORK", Work(0.0, 40))
+        monkeypatch.setattr(softplus_dc, "_WORK", Work(0.0, 40))
         found = session.solve(eps=1e-7, warm_start=first.trajectory, time_limit=60.0)
         assert found.outcome is Outcome.SOLVED
         assert "eps = 3.16228e-05" in found.message
@@ -120,9 +121,9 @@ def test_a_stage_that_leads_from_a_plan_to_none_goes_half_way_first(monkeypatch)
 
 def test_a_relaxed_stage_without_a_plan_ends_the_chain_from_that_start(monkeypatch):
     """Cold too, since plans of a smaller eps are among those of a larger one; infeasible stays infeasible."""
-    monkeypatch.setattr(relaxed, "_COLD", Work(0.0, 2))
-    monkeypatch.setattr(relaxed, "_SOON", 2)
-    monkeypatch.setattr(relaxed, "_BROKEN", -1.0)
+    monkeypatch.setattr(relaxed_lcp, "_COLD", Work(0.0, 2))
+    monkeypatch.setattr(relaxed_lcp, "_SOON", 2)
+    monkeypatch.setattr(relaxed_lcp, "_BROKEN", -1.0)
     scene = load_scene("three_cart").with_task(steps=100, step=0.05)
     with load_method("relaxed_lcp").open(scene) as session:
         cut = session.solve(eps=1e-2, warm_start=None, time_limit=60.0)
@@ -131,7 +132,7 @@ def test_a_relaxed_stage_without_a_plan_ends_the_chain_from_that_start(monkeypat
         harder = session.solve(eps=1e-3, warm_start=None, time_limit=60.0)
         assert (harder.outcome, harder.iterations) == (Outcome.STALLED, 0)
         assert "Not tried" in harder.message
-        monkeypatch.setattr(relaxed, "_COLD", Work(5e6, 1000))
+        monkeypatch.setattr(relaxed_lcp, "_COLD", Work(5e6, 1000))
         softer = session.solve(eps=1e-1, warm_start=None, time_limit=60.0)
         assert softer.outcome is Outcome.SOLVED
         assert softer.trajectory is not None

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from formulations.methods import strict_lcp
 from formulations.pipelines import load_method
 from formulations.solution import Outcome
-from formulations.transcription import strict
-from formulations.transcription.strict import StrictSession
+from formulations.transcription.solving import PlanSolver
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.errors import TrajectoryError
@@ -69,17 +69,17 @@ def test_a_plan_that_leads_nowhere_with_ipopts_own_barrier_is_tried_once_more_fr
     plan = Trajectory(t=uniform_grid(task.step, task.steps), q=motion.q, v=motion.v, u=np.zeros((task.steps, scene.nu)), lam=motion.lam)
     asked: list[tuple[int, float, float]] = []
 
-    def attempt(self, bench, account, eps, options, *rest, own=StrictSession.attempt, **named):
+    def attempt(self, account, options, own=PlanSolver.attempt, **named):
         begun = account.iterations
-        result = own(self, bench, account, eps, options, *rest, **named)
+        result = own(self, account, options, **named)
         asked.append((options["max_iter"] - begun, options.get("bound_push", -1.0), account.iterations - begun))
         return result
 
-    monkeypatch.setattr(strict, "_FROM_PLAN", 3)
-    monkeypatch.setattr(StrictSession, "attempt", attempt)
+    monkeypatch.setattr(strict_lcp, "_FROM_PLAN", 3)
+    monkeypatch.setattr(PlanSolver, "attempt", attempt)
     with load_method("strict_lcp").open(scene) as session:
         found = session.solve(eps=None, warm_start=plan, time_limit=600.0)
-        inside = session.cold_options()["bound_push"]
+    inside = strict_lcp.StrictLCPOptions().cold_barrier()["bound_push"]
     assert found.outcome is Outcome.SOLVED, found.message
     (first, its_push, spent), (second, inside_push, _) = asked[:2]
     assert (first, spent) == (3, 3)

@@ -1,0 +1,253 @@
+"""The model of one scene under one contact law: built once, loaded with a start, solved with patience, its plan read and checked.
+
+    solver = PlanSolver(scene, ContactLaw.SOFTPLUS, options, opening)
+    account = solver.begin(1e-3, None, time_limit)                     # the model holds the first guess
+    result = solver.solve_at(1e-3, None, account, rules, options, from_plan)
+    solution = solver.solution(name, account, result, residuals_of, plan_limits=.., promises=..)
+
+Patience: a solve that leads nowhere is stopped, and what comes nearest to the goal is asked for (`feasibility`) before it is tried once more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from time import perf_counter, process_time
+from typing import Any
+
+import numpy as np
+
+from formulations.ipopt import IpoptResult, Start
+from formulations.solution import Outcome, Solution
+from formulations.transcription.build import build_model
+from formulations.transcription.contact import ContactLaw, release_modes, tighten
+from formulations.transcription.feasibility import Nearest, Patience, Watch, nearest, plan_with_goal_released
+from formulations.transcription.method import StageRules, TranscriptionOptions, ended
+from formulations.transcription.modes import FixedModes
+from formulations.transcription.residuals import PlanResiduals
+from formulations.transcription.workbench import Account, Workbench, load_first_guess, load_plan, primal_dual, size_on_paper
+from models.errors import TrajectoryError
+from models.scene import Scene
+from models.trajectory import Trajectory
+
+IpoptOptions = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A stage that was solved: at which eps, its plan, and what Ipopt knew of it."""
+
+    eps: float
+    plan: Trajectory
+    result: IpoptResult
+
+
+class PlanSolver:
+    """See the module docstring. last: the stage solved last, None where the last stage was not solved; opening: wall and CPU clock when opening began."""
+
+    def __init__(self, scene: Scene, contact: ContactLaw, options: TranscriptionOptions, opening: tuple[float, float]) -> None:
+        self._scene, self._contact, self._options = scene, contact, options
+        self.residuals = PlanResiduals(scene)
+        self.last: Solved | None = None
+        self._bench: Workbench | None = None
+        self._nearest: dict[float, Nearest] = {}
+        self._opening = (perf_counter() - opening[0], process_time() - opening[1])
+
+    # -- the model and what it holds ----------------------------------------------------------------------------------------------
+
+    @property
+    def bench(self) -> Workbench:
+        """The model, once it was prepared."""
+        if self._bench is None:
+            raise ValueError("no model has been prepared yet.")
+        return self._bench
+
+    def begin(self, eps: float, start: Trajectory | None, time_limit: float) -> Account:
+        """A stage begins: its account, and the model with its start."""
+        account, self._opening = Account(time_limit, self._opening), (0.0, 0.0)
+        begin = perf_counter()
+        self.prepare(eps, start)
+        account.build += perf_counter() - begin
+        return account
+
+    def prepare(self, eps: float, start: Trajectory | None) -> None:
+        """Build the model at its first use, at this eps, and load the start. Raises TrajectoryError for a plan of another grid."""
+        if self._bench is None:
+            self._bench = Workbench(build_model(self._scene, self._contact, eps=eps))
+        self.load(start)
+
+    def load(self, start: Trajectory | None) -> None:
+        """The model holds this plan, or the paper's first guess. Raises TrajectoryError for a plan of another grid."""
+        if start is None:
+            load_first_guess(self.bench.model)
+        else:
+            load_plan(self.bench.model, start)
+
+    def read(self) -> Trajectory:
+        """The plan that the model holds. Raises TrajectoryError for values that are not finite."""
+        return self.bench.read()
+
+    def tighten(self, eps: float) -> None:
+        """Move the relaxation: the sharpness of softplus contact, the bound of complementarity."""
+        tighten(self.bench.model, eps)
+
+    def release_modes(self) -> None:
+        """Complementarity is a choice again."""
+        release_modes(self.bench.model)
+
+    def with_fixed_modes(self, most_switches: int) -> FixedModes:
+        """The model without complementarity, of a translation of its own."""
+        return FixedModes(self.bench.model, self._options.ipopt(), most_switches)
+
+    def nonzeros(self, account: Account) -> int:
+        """Of the translated model."""
+        return self.bench.problem(account).nonzeros
+
+    @property
+    def unknowns(self) -> int:
+        """Of the model, counted by hand."""
+        return size_on_paper(self._scene, self._contact).unknowns
+
+    # -- solving ------------------------------------------------------------------------------------------------------------------
+
+    def solve_at(
+        self, eps: float, start: Trajectory | None, account: Account, rules: StageRules, options: IpoptOptions, from_plan: IpoptOptions
+    ) -> IpoptResult:
+        """Solve at this eps the model, which holds the start already; with the multipliers of the stage before where the rules say so.
+
+        options, from_plan: Ipopt's for this start, and for a plan.
+        """
+        if self._scene.nl:
+            self.tighten(eps)
+        known = self.solved_before(start) if start is not None and rules.takes_duals else None
+        duals = None if known is None else primal_dual(known.result)
+        release_at = eps if start is None and rules.may_release_goal else None
+        result = self.attempt(account, options, from_plan=from_plan, sharpest=rules.sharpest, start=duals, release_at=release_at)
+        if result.outcome is not Outcome.SOLVED and duals is not None and not account.is_over:
+            self.load(start)  # multipliers of another eps can mislead: the plan alone, then
+            result = self.attempt(account, options, from_plan=from_plan, sharpest=rules.sharpest)
+        self.last = Solved(eps, self.read(), result) if result.outcome is Outcome.SOLVED else None
+        return result
+
+    def solved_before(self, plan: Trajectory) -> Solved | None:
+        """The stage solved last, if this is its plan."""
+        solved = self.last
+        if solved is None:
+            return None
+        same = all(np.array_equal(getattr(solved.plan, name), getattr(plan, name)) for name in ("q", "v", "u", "lam"))
+        return solved if same else None
+
+    def run(self, account: Account, options: IpoptOptions, after: IpoptResult | None = None) -> IpoptResult:
+        """Ipopt once, from what the model holds, or with all that it knew after another solve."""
+        return self.bench.run(account, options, None if after is None else primal_dual(after))
+
+    def attempt(
+        self,
+        account: Account,
+        options: IpoptOptions,
+        *,
+        from_plan: IpoptOptions,
+        sharpest: float = np.inf,
+        start: Start | None = None,
+        share: float = 1.0,
+        release_at: float | None = None,
+    ) -> IpoptResult:
+        """Solve; where that leads nowhere, find out whether the goal can be reached at all, and go on from a plan that reaches it.
+
+        from_plan: Ipopt's options where it goes on from a plan; sharpest: as in `StageRules`; share: part of the remaining time of each solve;
+        release_at: eps of softplus contact at which the goal may be let go, None where it may not.
+        """
+        patience = Patience() if release_at is None else Watch()
+        result = self.bench.run(account, options, start, share=share, callback=patience)
+        is_lost = isinstance(patience, Watch) and (patience.has_lost_goal or result.outcome is Outcome.INFEASIBLE)
+        if release_at is not None and is_lost and not account.is_over:
+            plan = plan_with_goal_released(self._scene, release_at, account, options)
+            if plan is not None:
+                self.load(plan)
+                patience = Patience()
+                result = self.bench.run(account, options, share=share, callback=patience)
+                is_lost = False
+        if account.is_over or not (is_lost or patience.is_out or result.outcome is Outcome.INFEASIBLE):
+            return result
+        found = self._nearest_plan(account, sharpest)
+        if found.is_out_of_reach:
+            message = f"{self._no_plan()}: the nearest that was found misses {found.words}."
+            return replace(result, outcome=Outcome.INFEASIBLE, message=message)
+        if found.is_solved:
+            self.load(found.plan)
+            options = {**options, **from_plan}
+        elif is_lost:
+            self.load(None)
+        elif not patience.is_out:
+            shortfall = f"Ipopt ended where the constraints cannot be met any better, {result.residuals.constraint_violation:.3g} short"
+            return replace(result, message=f"{self._no_plan()}: {shortfall}.")
+        again = self.bench.run(account, options, share=share)
+        if again.outcome is Outcome.INFEASIBLE and found.is_solved:
+            message = (
+                f"{again.message}. The goal can be reached nearly (with softened contact: {found.words}), but no plan was found from there."
+            )
+            return replace(again, outcome=Outcome.STALLED, message=message)
+        return again
+
+    def _nearest_plan(self, account: Account, sharpest: float) -> Nearest:
+        """Searched once for each sharpness; searched again if it was cut off."""
+        found = self._nearest.get(sharpest)
+        if found is None or not found.is_solved:
+            found = self._nearest[sharpest] = nearest(self._scene, account, self._options.max_iterations, sharpest)
+        return found
+
+    def _no_plan(self) -> str:
+        task = self._scene.task
+        return f"no plan of {task.steps} steps of {task.step:g} s was found that reaches the goal within the bounds"
+
+    # -- what is handed back ------------------------------------------------------------------------------------------------------
+
+    def solution(
+        self,
+        method: str,
+        account: Account,
+        result: IpoptResult,
+        residuals_of: Callable[[Trajectory], dict[str, float]],
+        *,
+        plan_limits: Mapping[str, float],
+        promises: Mapping[str, float],
+    ) -> Solution:
+        """The plan that the model holds, checked: with residuals beyond `promises` it is not SOLVED, beyond `plan_limits` it is no plan."""
+        outcome, message = result.outcome, ended(result.message)
+        plan, residuals, cost = None, {}, None
+        if outcome.has_answer:
+            try:
+                plan = self.read()
+            except TrajectoryError:  # a value that is not finite: no plan
+                outcome, message = Outcome.EVALUATION_ERROR, f"the last iterate holds values that are not finite numbers ({message})"
+        if plan is not None:
+            residuals, cost = residuals_of(plan), self.residuals.cost(plan)
+            if outcome is not Outcome.SOLVED and beyond(plan_limits, residuals):
+                plan, cost = None, None
+                message = f"{message} The last iterate does not meet its own equations: it is no plan, and starts none."
+            missed = beyond(promises, residuals)
+            if outcome is Outcome.SOLVED and missed:
+                worst = ", ".join(f"{name} is {residuals[name]:.3g} (limit {limit:g})" for name, limit in missed.items())
+                outcome, message = Outcome.STALLED, f"{message} Checked on the plan itself, {worst}."
+            if np.isfinite(result.residuals.dual_infeasibility):
+                residuals["dual_infeasibility"] = result.residuals.dual_infeasibility
+        return Solution(
+            method=method,
+            outcome=outcome,
+            message=message,
+            trajectory=plan,
+            cost=cost,
+            iterations=account.iterations,
+            seconds=account.seconds(),
+            residuals={name: value for name, value in residuals.items() if np.isfinite(value)},
+            options=asdict(self._options),
+            solver=account.solver,
+            history={name: tuple(values) for name, values in account.history.items()},
+            size=self.bench.size,
+            paper_size=size_on_paper(self._scene, self._contact),
+        )
+
+
+def beyond(limits: Mapping[str, float], residuals: Mapping[str, float]) -> dict[str, float]:
+    """The limits that are not met; one that is no number is not met."""
+    return {name: limit for name, limit in limits.items() if not residuals.get(name, 0.0) <= limit}
