@@ -28,10 +28,8 @@ import concurrent.futures
 import contextlib
 import json
 import logging
-import multiprocessing.resource_tracker
 import os
 import shutil
-import signal
 import socket
 import tempfile
 import threading
@@ -44,6 +42,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from models.errors import MachineError
 from validate.execution.engine import Site
+from validate.execution.fork_server import terminal_blocked
 from validate.execution.process import Watchdog
 from validate.store.disk import disk_error, write_durably
 from validate.store.store import LOG, PROGRESS, RECORD, REQUEST, Store
@@ -104,7 +103,7 @@ def local_cluster(workers: int, watchdog: Watchdog) -> Iterator[Any]:
             open_now.callback(shutil.rmtree, folder, ignore_errors=True)
             watchdog.tell("start", uuid.uuid4().hex, str(folder))
             # Else the scheduler's own files lie in the folder for temporary files of everybody, and stay there.
-            with dask_config.set({"temporary-directory": str(folder)}), _terminal_blocked():
+            with dask_config.set({"temporary-directory": str(folder)}), terminal_blocked():
                 cluster = LocalCluster(
                     n_workers=workers,
                     threads_per_worker=1,
@@ -122,20 +121,6 @@ def local_cluster(workers: int, watchdog: Watchdog) -> Iterator[Any]:
                 f"--engine dask: its workers cannot be started here ({why}); make room for them, or let --engine local run the cells."
             ) from error
         yield client
-
-
-@contextmanager
-def _terminal_blocked() -> Iterator[None]:
-    """Threads started meanwhile, and the processes that these ever start, do not hear Ctrl-C and a closed terminal: those are for us."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    multiprocessing.resource_tracker.ensure_running()  # it would lift the mask when it is started later
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 # How often a child is looked at [s], as on the campaign's own machine.
