@@ -18,8 +18,8 @@ import pytest
 
 from validate.execution import fork_server as module
 from validate.execution import reaper
-from validate.execution.fork_server import ForkServer, ForkServerError, fork_server
-from validate.execution.process import ROOT
+from validate.execution.fork_server import ForkServer, fork_server
+from validate.execution.process import ROOT, ForkServerError
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="fork servers are for Linux")
 

@@ -40,6 +40,7 @@ from validate.execution.process import (
     PARENT_VARIABLE,
     ChildProcess,
     Ended,
+    ForkServerError,
     child_environment,
     end_family,
     interrupts_wait,
@@ -72,10 +73,6 @@ WORTH = 4
 _PRELOAD_VARIABLE = "TOUCHSTONE_PRELOAD"
 # What a server's environment shows where a child writes its own. A longer folder than that only the child itself knows.
 _TOKEN, _TEMPORARY = "0" * 32, Path("/" + "x" * 999)
-
-
-class ForkServerError(Exception):
-    """The server cannot be used here; cells are then started one by one."""
 
 
 class _Server(multiprocessing.forkserver.ForkServer):
@@ -208,7 +205,7 @@ class _Child:
     cell: str
     folder: Path
     log: Path
-    environment: Mapping[str, str]
+    environment: dict[str, str]
 
     def _bootstrap(self, _parent_sentinel: int) -> NoReturn:
         try:

@@ -92,6 +92,10 @@ def child_environment(token: str, temporary: Path) -> dict[str, str]:
     }
 
 
+class ForkServerError(Exception):
+    """There is no fork server here, or no more (validate.execution.fork_server); cells are then started one by one."""
+
+
 # Pause between two looks where the system cannot tell us the end of a process [s].
 _LOOK = 0.01
 # How often, and how long apart [s], we look whether what was killed is gone: 10 s, on the busiest machine.
