@@ -9,7 +9,6 @@ import os
 import shutil
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -20,7 +19,6 @@ from models.errors import MachineError
 from reports.records.record import RunRecord
 from validate.execution.campaign import Settings, select
 from validate.execution.fork_server import MODULES, ForkServer
-from validate.execution.process import Watchdog
 from validate.execution.worker import Worker
 from validate.store.provenance import gather
 from validate.store.store import Store
@@ -48,13 +46,10 @@ def run(tmp_path_factory) -> Callable[..., tuple[RunRecord | MachineError, int]]
 
     def cell(store: Store, first: int, last: int, error: int) -> tuple[RunRecord | MachineError, int]:
         told.write_text(json.dumps({"below": str(store.folder), "first": first, "last": last, "error": error}))
-        with Watchdog() as watchdog:
-            worker = Worker(entry.cell, entry.lost(provenance), provenance, store, watchdog, server)
-            try:
-                while (record := worker.poll()) is None:
-                    time.sleep(0.01)
-            except MachineError as refusal:
-                record = refusal
+        try:
+            record = Worker(entry.cell, entry.lost(provenance), provenance, store, server).run(lambda: True)
+        except MachineError as refusal:
+            record = refusal
         return record, int(told.with_suffix(".count").read_text())
 
     yield cell

@@ -8,6 +8,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,8 +16,9 @@ from typing import Any
 import pytest
 
 from models.errors import MachineError
-from validate.execution.campaign import Settings, select
-from validate.execution.dask import DaskEngine, local_cluster
+from validate.execution import campaign as module
+from validate.execution.campaign import Settings, run_cells, select
+from validate.execution.dask import DaskEngine, Request, local_cluster
 from validate.execution.engine import LocalEngine, Site
 from validate.execution.worker import Lost
 from validate.plan.runs import Entry
@@ -40,8 +42,10 @@ class Campaign:
         self.begun: list[str] = []
         self.silent, self.tries, self.crashes = 0, 2, Counter[str]()
         self.watch: Any = lambda running: None
-        self._provenance, self._store = gather("a test"), Store(folder)
-        self._store.prepare()
+        self.dumb, self.told = False, list[str]()
+        self._provenance, store = gather("a test"), Store(folder)
+        store.prepare()
+        self.site = Site(store=store, provenance=self._provenance, lost=lambda cell: pytest.fail("no cell is lost here"), token="0" * 16)
 
     def record(self, key: str):
         self.begun.append(key)
@@ -53,29 +57,25 @@ class Campaign:
         self.crashes[record.key] += record.outcome == "crashed"
         return record.outcome == "crashed" and self.crashes[record.key] < self.tries
 
-    def local(self) -> LocalEngine:
-        def start(cell: Any) -> Any:
-            return SimpleNamespace(cell=cell, poll=lambda: self.record(cell.key), stop=lambda: None)
+    def run(self, engine: Any) -> list[str]:
+        """Keys of the records, in order."""
+        narrator: Any = SimpleNamespace(runs=lambda running: self.watch(running), warns=self.told.append)
+        return [record.key for record in run_cells(self.cells, engine, self.site, lambda cell, running: False, self.again, narrator)]
 
-        return LocalEngine(start, 1, again=self.again)
+    def local(self) -> LocalEngine:
+        engine = LocalEngine(1, self.site, None)
+        engine._run = lambda cell: self.record(cell.key)
+        return engine
 
     def dask(self) -> DaskEngine:
-        site = Site(
-            store=self._store,
-            provenance=self._provenance,
-            lost=lambda cell: pytest.fail("no cell is lost here"),
-            watch=lambda running: self.watch(running),
-            must_wait=lambda cell, running: False,
-            again=self.again,
-            warn=lambda sentence: None,
-        )
-        client = SimpleNamespace(nthreads=lambda: {"a worker": 1}, get_executor=lambda pure: self)
-        return DaskEngine(client, site, 1, "0" * 16, self._store.runs / "mark")
+        client = SimpleNamespace(nthreads=lambda: {}, get_executor=lambda pure: self, scheduler=SimpleNamespace(address="here"))
+        return DaskEngine(client, self.site, 1, self.site.store.runs / "mark", len(self.cells))
 
-    def submit(self, _function: Any, request: dict[str, Any]) -> Future[dict[str, str]]:
-        future: Future[dict[str, str]] = Future()
+    def submit(self, _function: Any, request: Request) -> Future[Any]:
+        future: Future[Any] = Future()
         self.silent -= 1
-        future.set_result({} if self.silent >= 0 else {"record": self.record(request["cell"]["key"]).model_dump_json()})
+        if not self.dumb:
+            future.set_result(None if self.silent >= 0 else self.record(request.cell.key))
         return future
 
     def shutdown(self, wait: bool) -> None:
@@ -92,9 +92,59 @@ def test_who_crashed_is_tried_again_before_all_that_wait(campaign: Campaign, eng
     """So that -x ends a campaign as soon as the tries are used up, however many cells wait."""
     one, two, three = (cell.key for cell in campaign.cells)
     campaign.crashing, campaign.tries = {one}, 3
-    done = [cell.key for cell, _ in getattr(campaign, engine)().run(campaign.cells)]
+    done = campaign.run(getattr(campaign, engine)())
     assert campaign.begun == [one, one, one, two, three]
     assert done == [one, two, three]
+
+
+@dataclass(frozen=True)
+class _Named:
+    """A cell that is its name."""
+
+    key: str
+
+
+class _Two:
+    """An engine for two cells at a time, each of which ends at the second look; started: in order; beside: what ran at each look."""
+
+    jobs = 2
+
+    def __init__(self) -> None:
+        self.started: list[str] = []
+        self.beside: list[set[str]] = []
+        self._looks: dict[Future[Any], list[Any]] = {}
+
+    def submit(self, cell: _Named) -> Future[Any]:
+        future: Future[Any] = Future()
+        self.started.append(cell.key)
+        self._looks[future] = [cell, 2]
+        return future
+
+    def result(self, cell: _Named, future: Future[Any]) -> Any:
+        return future.result()
+
+    def look(self, _running: Sequence[Any]) -> None:
+        self.beside.append({cell.key for cell, _ in self._looks.values()})
+        for future, told in tuple(self._looks.items()):
+            told[1] -= 1
+            if not told[1]:
+                del self._looks[future]
+                future.set_result(SimpleNamespace(key=told[0].key))
+
+
+def test_what_must_wait_is_left_for_later(campaign: Campaign):
+    engine: Any = _Two()
+
+    def waits(cell: Any, running: Sequence[Any]) -> bool:
+        return any(cell.key[0] == other.key[0] for other in running)
+
+    cells: list[Any] = [_Named(name) for name in ("a1", "a2", "a3", "b1", "b2")]
+    narrator: Any = SimpleNamespace(runs=engine.look)
+    done = [record.key for record in run_cells(cells, engine, campaign.site, waits, lambda record: False, narrator)]
+    assert engine.started == ["a1", "b1", "a2", "b2", "a3"]
+    assert sorted(done) == sorted(engine.started)
+    assert max(map(len, engine.beside)) == 2
+    assert all(len({name[0] for name in names}) == len(names) for names in engine.beside)
 
 
 @NEEDS_DASK
@@ -106,16 +156,32 @@ def test_what_is_not_the_cluster_s_is_not_said_of_it(campaign: Campaign):
 
     campaign.watch = closed
     with pytest.raises(BrokenPipeError):
-        list(campaign.dask().run(campaign.cells))
+        campaign.run(campaign.dask())
+
+
+@NEEDS_DASK
+def test_a_cluster_without_workers_is_waited_for_and_told_of_once(campaign: Campaign, monkeypatch: pytest.MonkeyPatch):
+    looks: list[Any] = []
+
+    def watch(running: Sequence[Any]) -> None:
+        looks.append(running)
+        if len(looks) > 5:
+            raise BrokenPipeError
+
+    campaign.watch, campaign.dumb = watch, True
+    monkeypatch.setattr(module, "_SILENCE", 0.1)
+    with pytest.raises(BrokenPipeError):
+        campaign.run(campaign.dask())
+    assert campaign.told == ["the Dask cluster at here has no workers yet; 1 cells wait for one"]
 
 
 @NEEDS_DASK
 def test_a_cell_that_a_worker_gave_up_is_given_out_anew(campaign: Campaign):
     campaign.silent = 5
-    assert [cell.key for cell, _ in campaign.dask().run(campaign.cells)] == [cell.key for cell in campaign.cells]
+    assert campaign.run(campaign.dask()) == [cell.key for cell in campaign.cells]
     campaign.silent = 6
     with pytest.raises(MachineError, match=f"lost before they begin {campaign.cells[0].title}; their logs say why"):
-        list(campaign.dask().run(campaign.cells))
+        campaign.run(campaign.dask())
 
 
 @NEEDS_DASK
@@ -126,14 +192,13 @@ def test_workers_that_cannot_be_started_here_are_one_sentence(tmp_path: Path, mo
         raise RuntimeError("Cluster failed to start: no more processes\nand much more")
 
     monkeypatch.setattr(distributed, "LocalCluster", refuses)
-    watchdog: Any = SimpleNamespace(tell=lambda *words: None)
     for folder, why in (
         (tmp_path, "Cluster failed to start: no more processes"),
         (tmp_path / "none", r"\[Errno 2\] No such file or directory: .*"),
     ):
         monkeypatch.setattr(tempfile, "tempdir", str(folder))
         with pytest.raises(MachineError, match=rf"^--engine dask: its workers cannot be started here \({why}\); make room") as caught:
-            _enter(local_cluster(1, watchdog))
+            _enter(local_cluster(1))
         assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []
 

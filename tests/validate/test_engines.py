@@ -7,6 +7,7 @@ import os
 import re
 import signal
 from pathlib import Path
+from typing import Any
 
 import pytest
 from killed_campaigns import finished, processes, unfinished, untimed
@@ -120,13 +121,12 @@ def test_a_worker_that_sees_another_folder_or_has_other_sources_says_so(tmp_path
 
     monkeypatch.setattr(dask_cell, "_wanted", lambda: lambda: True)
     monkeypatch.setattr(dask_cell, "_PATIENCE", 0.0)
-    request = {"folder": str(tmp_path), "mark": ".partial-campaign-x", "fingerprint": fingerprint(), "cell": {}, "provenance": {}}
-    told = dask_cell.run_on_worker(request)["machine"]
-    assert f"the campaign's folder {tmp_path} is not seen here" in told
-    assert "said by the Dask worker on" in told
-    (tmp_path / "runs" / request["mark"]).mkdir(parents=True)
-    told = dask_cell.run_on_worker({**request, "fingerprint": "another"})["machine"]
-    assert "the sources, libraries or compiler here are not those of the campaign" in told
+    asked: Any = {"cell": None, "provenance": None, "folder": tmp_path, "mark": ".partial-campaign-x", "token": "", "cells": 1, "name": ""}
+    with pytest.raises(MachineError, match=f"the campaign's folder {tmp_path} is not seen here.*said by the Dask worker on"):
+        dask_cell.run_on_worker(dask_cell.Request(**asked, fingerprint=fingerprint()))
+    (tmp_path / "runs" / asked["mark"]).mkdir(parents=True)
+    with pytest.raises(MachineError, match="the sources, libraries or compiler here are not those of the campaign"):
+        dask_cell.run_on_worker(dask_cell.Request(**asked, fingerprint="another"))
 
 
 @NEEDS_DASK

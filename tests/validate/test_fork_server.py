@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
+import multiprocessing.forkserver
 import os
 import resource
 import signal
+import subprocess
 import sys
 import time
 import uuid
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
+import psutil
 import pytest
 
 from validate.execution import fork_server as module
 from validate.execution import reaper
-from validate.execution.fork_server import ForkServer, ForkServerError, fork_server
+from validate.execution.fork_server import ForkServer, fork_server
+from validate.execution.process import ROOT, ForkServerError
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="fork servers are for Linux")
 
@@ -45,8 +48,13 @@ def main(folder):
     if act.startswith("crash"):
         os.kill(os.getpid(), signal.SIGSEGV)
     if act.startswith("busy"):
-        while time.process_time() < told["cpu"] + 0.3:
+        while time.process_time() < told["cpu"] + 0.4:
             pass
+    if act.startswith("busy crash"):
+        os.kill(os.getpid(), signal.SIGSEGV)
+    if act.startswith("daemon") and os.fork() == 0:
+        os.setsid()
+        time.sleep(1000)
     return 7 if act.startswith("seven") else 0
 """
 
@@ -113,22 +121,23 @@ def test_children_share_nothing_but_what_was_imported(server, tmp_path):
     assert told[0]["token"] != told[1]["token"]
 
 
-@pytest.mark.parametrize(("act", "code"), [("crash", -signal.SIGSEGV), ("busy", 0)])
+@pytest.mark.parametrize(("act", "code"), [("crash", -signal.SIGSEGV), ("busy", 0), ("busy crash", -signal.SIGSEGV)])
 def test_how_it_ended_and_what_it_cost_are_told(server, tmp_path, act, code):
+    """The cost as of the last look, which a worker takes 20 times a second."""
     child, folder, _ = _start(server, tmp_path, act)
-    _wait(child)
+    while not child.wait(0.05):
+        child.look()
     ended = child.end()
     assert ended.code == code
     assert ended.memory > 10_000_000
-    if act == "busy":
+    if "busy" in act:
         assert ended.cpu >= 0.3
-    else:
+    if "crash" in act:
         assert "Segmentation fault" in (folder / "log.txt").read_text()
 
 
 def test_a_child_is_found_by_its_token_and_ended_with_its_family(server, tmp_path):
     child, _, token = _start(server, tmp_path, "family")
-    assert child.pid in reaper.processes_with(token), "from the moment its number is known"
     while len(reaper.processes_with(token)) < 2:
         time.sleep(0.05)
     assert not child.has_ended()
@@ -138,12 +147,68 @@ def test_a_child_is_found_by_its_token_and_ended_with_its_family(server, tmp_pat
     assert reaper.processes_with(token) == []
 
 
-def test_no_number_is_given_away_before_the_child_is_reaped(server, tmp_path):
+def test_what_it_forks_without_starting_a_program_is_found_and_ended_though_it_has_ended(server, tmp_path):
+    """A daemon that leaves its session, and whose parent nobody looked at in between."""
+    child, _, token = _start(server, tmp_path, "daemon")
+    _wait(child)
+    assert len(reaper.processes_with(token)) == 1
+    assert child.end().strays == 1
+    assert reaper.processes_with(token) == []
+
+
+def test_a_child_ends_at_once_however_early_it_is_ended(server, tmp_path):
+    """Before it has a session, or shows its token."""
+    for number in range(5):
+        child, _, token = _start(server, tmp_path, f"family{number}")
+        assert child.end().code == -signal.SIGKILL
+        assert not Path(f"/proc/{child.pid}").exists()
+        assert reaper.processes_with(token) == []
+
+
+def test_the_group_of_a_number_that_is_another_s_by_now_is_left_alone(server, tmp_path):
+    """The server has reaped the child, and the system has given its number to somebody else."""
     child, _, _ = _start(server, tmp_path, "calm")
     _wait(child)
-    assert Path(f"/proc/{child.pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
-    child.end()
-    assert not Path(f"/proc/{child.pid}").exists()
+    with subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1000)"], start_new_session=True) as other:
+        child.pid = other.pid
+        child.end()
+        assert other.poll() is None
+        other.kill()
+
+
+def test_nobody_s_main_module_is_run_in_a_child(tmp_path, cli_environment):
+    """The script of a user who has never heard of `if __name__ == "__main__"`."""
+    script = tmp_path / "script.py"
+    script.write_text(_SCRIPT)
+    (tmp_path / "told_cell.py").write_text(_CELL)
+    environment = {**cli_environment, "PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}"}
+    done = subprocess.run([sys.executable, str(script)], env=environment, capture_output=True, text=True, check=False)
+    assert (done.stdout, done.returncode) == ("once\n7\n", 0), done.stderr
+
+
+_SCRIPT = """
+import pathlib, tempfile, uuid
+from validate.execution.fork_server import ForkServer
+print("once", flush=True)
+server = ForkServer(modules=("told_cell",), cell="told_cell:main")
+with tempfile.TemporaryDirectory() as folder:
+    folder = pathlib.Path(folder) / "seven"
+    (folder / "tmp").mkdir(parents=True)
+    child = server.start(folder, token=uuid.uuid4().hex, temporary=folder / "tmp", log=folder / "log.txt")
+    child.wait(100.0)
+    print(child.end().code, flush=True)
+server.close()
+"""
+
+
+def test_what_starts_a_thread_makes_no_server(tmp_path, monkeypatch):
+    (tmp_path / "threaded.py").write_text(
+        "import threading, time\nthreading.Thread(target=time.sleep, args=(1000,), daemon=True).start()\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.delenv(reaper.TOKEN_VARIABLE, raising=False)
+    with contextlib.closing(ForkServer(modules=("threaded",))) as server, pytest.raises(ForkServerError):
+        _start(server, tmp_path, "calm")
 
 
 def test_children_die_with_the_server_and_the_server_with_us(tmp_path, monkeypatch):
@@ -154,7 +219,7 @@ def test_children_die_with_the_server_and_the_server_with_us(tmp_path, monkeypat
     monkeypatch.delenv(reaper.TOKEN_VARIABLE, raising=False)
     server = ForkServer(modules=("validate.execution.child", "told_cell"), cell="told_cell:main")
     child, _, token = _start(server, tmp_path, "family")
-    os.kill(server.pid, signal.SIGKILL)
+    os.kill(psutil.Process(child.pid).ppid(), signal.SIGKILL)
     _wait(child)
     assert child.end().code == -signal.SIGKILL
     assert reaper.processes_with(token) == []
@@ -175,34 +240,28 @@ def test_where_there_can_be_no_server_there_is_none(monkeypatch):
         assert server is None
 
 
-def test_ctrl_c_between_a_request_and_its_answer_leaves_no_answer_for_the_next(server, tmp_path, monkeypatch):
-    """It is heard when the answer is there; the cell it fell upon is ended by its token, and told of once more if it is asked twice."""
+def test_ctrl_c_while_a_child_starts_or_ends_leaves_nothing_of_it(server, tmp_path, monkeypatch):
+    """It is heard when the child is there; that is then ended. One that is being ended is told of once more if it is asked twice."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     child, _, _ = _start(server, tmp_path, "seven")
-    flush = server._process.stdin.flush
+    parent = psutil.Process(server._server._forkserver_pid)
+    connect, read = server._server.connect_to_new_process, multiprocessing.forkserver.read_signed
 
-    def interrupted() -> None:
-        flush()
+    def interrupted(function, argument):
         os.kill(os.getpid(), signal.SIGINT)
+        return function(argument)
 
     try:
         with monkeypatch.context() as patch:
-            patch.setattr(server._process, "stdin", _Stream(server._process.stdin.write, interrupted))
+            patch.setattr(server._server, "connect_to_new_process", lambda fds: interrupted(connect, fds))
             with pytest.raises(KeyboardInterrupt):
-                _start(server, tmp_path, "zero")
+                _start(server, tmp_path, "family")
+        assert [left.pid for left in parent.children() if left.pid != child.pid] == []
         _wait(child)
         with monkeypatch.context() as patch:
-            patch.setattr(server._process, "stdin", _Stream(server._process.stdin.write, interrupted))
+            patch.setattr(multiprocessing.forkserver, "read_signed", lambda fd: interrupted(read, fd))
             with pytest.raises(KeyboardInterrupt):
                 child.end()
         assert child.end().code == 7
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-@dataclass
-class _Stream:
-    """What is written, and what else happens."""
-
-    write: Callable[[str], object]
-    flush: Callable[[], None]

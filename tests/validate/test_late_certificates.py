@@ -14,7 +14,6 @@ from reports.records.record import RunRecord
 from validate.execution import worker as module
 from validate.execution.dask import _lost
 from validate.execution.fork_server import ForkServer
-from validate.execution.process import shared_watchdog
 from validate.execution.worker import Worker
 from validate.store.provenance import gather
 from validate.store.results import rows
@@ -53,7 +52,7 @@ def _run(last: str, folder: Path, server: ForkServer | None, monkeypatch: pytest
     """The record of a cell whose time is up once its last certificate has begun, and its folder in the store."""
     cell, store, provenance = _cell(last), Store(folder), gather("a test")
     store.prepare()
-    watched = Worker(cell, _lost(cell, provenance), provenance, store, shared_watchdog(), server)
+    watched = Worker(cell, _lost(cell, provenance), provenance, store, server)
     record, late = None, time.monotonic() + 2 * cell.time_limit
     try:
         while (record := watched.poll()) is None:

@@ -16,7 +16,6 @@ from formulations.pipelines import find_pipeline, load_method
 from models.catalog import load_scene
 from models.trajectory_netcdf import read_netcdf
 from reports.records.record import RunRecord
-from validate.execution.engine import LocalEngine
 from validate.tasks.leg import PlannedLeg, legs_in, must_wait, place, planned_legs, planned_stages, take
 
 FAKES = ("--scene", "three_cart", "--tools", "leg_fakes:SHARING")
@@ -248,39 +247,6 @@ def test_plans_of_legs_lie_in_the_run(whole):
         assert sorted(path.name for path in folder.glob("trajectory*.nc")) == sorted(plans)
         assert [read_netcdf(folder / plan, scene).u[0, 0] for plan in plans] == list(range(len(plans)))
         assert not [path for path in folder.iterdir() if path.is_dir()]
-
-
-class _Worker:
-    def __init__(self, cell) -> None:
-        self.cell, self._looks = cell, 2
-
-    def poll(self):
-        self._looks -= 1
-        return None if self._looks else f"record of {self.cell}"
-
-    def stop(self) -> None:
-        raise AssertionError("every worker comes to its end")
-
-
-def test_the_engine_leaves_for_later_what_must_wait():
-    started: list[str] = []
-    beside: list[set[str]] = []
-
-    def start(cell: str) -> _Worker:
-        started.append(cell)
-        return _Worker(cell)
-
-    def look(workers) -> None:
-        beside.append({worker.cell for worker in workers})
-
-    def waits(cell: str, running) -> bool:
-        return any(cell[0] == other[0] for other in running)
-
-    engine = LocalEngine(start, 2, look, waits)  # pyright: ignore[reportArgumentType] - words stand for cells
-    done = [cell for cell, _ in engine.run(["a1", "a2", "a3", "b1", "b2"])]  # pyright: ignore[reportArgumentType] - as above
-    assert started == ["a1", "b1", "a2", "b2", "a3"]
-    assert sorted(map(str, done)) == sorted(started)
-    assert all(len({name[0] for name in names}) == len(names) for names in beside)
 
 
 def test_a_stored_leg_is_waited_for_by_nobody(tmp_path):

@@ -8,15 +8,18 @@ Cells are content-addressed: a stored one is used again, unless it crashed, or r
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Generator, Iterator, Sequence
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from validate.execution.engine import Running, Site, check_engine, open_engine
+from validate.execution.engine import Engine, Running, Site, check_engine, new_token, open_engine
 from validate.execution.process import interrupts_wait
+from validate.execution.worker import Job
 from validate.plan.runs import CampaignError, Entry, Examined, Settings, select, with_stored
 from validate.store.disk import write_durably
 from validate.store.results import write_examinations, write_results, write_sweeps
@@ -35,6 +38,10 @@ if TYPE_CHECKING:
 __all__ = ["CampaignError", "Narrator", "Outcome", "Settings", "run_campaign", "select", "stored_campaign", "with_stored"]
 
 TITLE = "Plans through contact, replayed and scored"
+# Pause between two looks at what is not a cell's end [s]; a cell that ends is seen at once.
+_LOOK = 0.2
+# How soon it is asked why no cell has begun [s].
+_SILENCE = 5.0
 RESULTS, EXAMINATIONS, VIOLATION = "results.csv", "examinations.csv", "violation.csv"
 
 
@@ -202,21 +209,65 @@ def _run(
         narrator.warns(f"{by_key[record.key].cell.title} crashed and will be tried again: {record.message}")
         return True
 
-    site = Site(
-        store=store,
-        provenance=provenance,
-        lost=lambda cell: by_key[cell.key].lost(provenance),
-        watch=narrator.runs,
-        must_wait=lambda cell, running: must_wait(_path(cell), map(_path, running), store.legs, cell.time_limit),
-        again=again,
-        warn=narrator.warns,
-    )
-    with (
-        open_engine(settings.engine, settings.jobs, site, len(entries)) as engine,
-        closing(engine.run([entry.cell for entry in entries])) as finished,
-    ):
-        for _, record in finished:
-            yield record
+    def waits(cell: Job, running: Sequence[Job]) -> bool:
+        return must_wait(_path(cell), map(_path, running), store.legs, cell.time_limit)
+
+    site = Site(store=store, provenance=provenance, lost=lambda cell: by_key[cell.key].lost(provenance), token=new_token())
+    with open_engine(settings.engine, settings.jobs, site, len(entries)) as engine:
+        yield from run_cells([entry.cell for entry in entries], engine, site, waits, again, narrator)
+
+
+def run_cells(
+    cells: Sequence[Job],
+    engine: Engine,
+    site: Site,
+    waits: Callable[[Job, Sequence[Job]], bool],
+    again: Callable[[RunRecord | ExaminationRecord], bool],
+    narrator: Narrator,
+) -> Generator[RunRecord | ExaminationRecord, None, None]:
+    """Run all cells and yield the record of each when it has finished. waits: whether a cell is to be left for later while others run; again:
+    whether one with this record is to be run once more. Raises MachineError."""
+    waiting = deque(cells)
+    running: dict[Future[RunRecord | ExaminationRecord | None], Job] = {}
+    silent_since: float | None = time.monotonic()  # None once a cell has begun, or its silence was told of
+    while waiting or running:
+        for cell in _startable(waiting, list(running.values()), engine.jobs, waits):
+            running[engine.submit(cell)] = cell
+        begun = _begun(running.values(), site)
+        narrator.runs(begun)
+        if begun:
+            silent_since = None
+        elif silent_since is not None and time.monotonic() - silent_since > _SILENCE:
+            silent_since = None
+            if why := engine.why_idle(len(running)):
+                narrator.warns(why)
+        for future in wait(running, timeout=_LOOK, return_when=FIRST_COMPLETED).done:
+            cell = running[future]
+            record = engine.result(cell, future)
+            del running[future]
+            if record is None:
+                running[engine.submit(cell)] = cell
+            elif again(record):
+                waiting.appendleft(cell)
+            else:
+                yield record
+
+
+def _startable(waiting: deque[Job], running: list[Job], jobs: int | None, waits: Callable[[Job, Sequence[Job]], bool]) -> Iterator[Job]:
+    """The cells that may run beside those that do, taken out of what waits. jobs: at most so many at a time."""
+    for cell in tuple(waiting):
+        if jobs is not None and len(running) >= jobs:
+            return
+        if not running or not waits(cell, running):
+            waiting.remove(cell)
+            running.append(cell)
+            yield cell
+
+
+def _begun(cells: Iterable[Job], site: Site) -> list[Running]:
+    """Those of the cells that have an unfinished folder, wherever they run."""
+    folders = {path.name.split("-")[1]: path for path in site.unfinished()}
+    return [Running(cell=cell, folder=folders[cell.key[:12]]) for cell in cells if cell.key[:12] in folders]
 
 
 def _path(job: Job) -> tuple[PlannedLeg, ...]:

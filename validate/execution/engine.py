@@ -1,67 +1,89 @@
-"""Engines run the cells of a campaign, each in its own child process, and hand back records as cells finish.
+"""Where the cells of a campaign run: executors of concurrent.futures, whose futures are records. What runs when is the campaign's (validate.execution.campaign).
 
     with open_engine("local", 2, site, len(cells)) as engine:       # or "dask", "dask:ADDRESS", "dask:FILE.json": validate.execution.dask
-        for cell, record in engine.run(cells): ...
+        future = engine.submit(cell)
+        record = engine.result(cell, future)
 
-Another engine is another class with the same `run`: it has a Worker run where a cell is to run, and a Worker stores what it finished by itself.
+Another engine is another class with these three: it has a Worker run where a cell is to run, and a Worker stores what it finished by itself.
 """
 
 from __future__ import annotations
 
 import importlib.util
 import json
-import time
-from collections import deque
-from collections.abc import Callable, Generator, Iterator, Sequence
+import threading
+import uuid
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from models.errors import MachineError, TouchstoneError
+from validate.execution.process import interrupts_wait, shared_watchdog
+from validate.execution.worker import Job, Lost, Worker, progress_in
+from validate.store.disk import PARTIAL
 
 if TYPE_CHECKING:
     from reports.records.check_record import ExaminationRecord
     from reports.records.record import ProvenanceRecord, RunRecord
-    from validate.execution.worker import Job, Lost, Worker
+    from validate.execution.fork_server import ForkServer
     from validate.store.store import Store
 
 LOCAL, DASK = "local", "dask"
-# How often children are looked at [s]: far below the 0.3 s a cell takes to start, and 20 cheap system calls a second.
-_LOOK = 0.05
+# In place of a key, in the name of an unfinished folder that is no cell's but the campaign's (validate.execution.dask).
+CAMPAIGN = "campaign"
 
 
 class EngineError(TouchstoneError):
     """No engine has this name, or its cluster is not described where the name says."""
 
 
-class Running(Protocol):
-    """A cell at work, as it is told of."""
-
-    @property
-    def cell(self) -> Job: ...
-    def progress(self) -> str: ...
-
-
-class Engine(Protocol):
-    def run(self, cells: Sequence[Job]) -> Generator[tuple[Job, RunRecord | ExaminationRecord], None, None]:
-        """Run all cells; yield each with its record when it has finished. Closing the iterator stops what runs."""
-        ...
-
-
 @dataclass(frozen=True, kw_only=True)
 class Site:
-    """What an engine has of a campaign. lost: makes the record of a child of a cell that left none; watch: called with what runs at each
-    look; must_wait: whether a cell is to be left for later while others run; again: whether a cell with this record is to be run once more; warn:
-    told a sentence."""
+    """What an engine has of a campaign. lost: makes the record of a child of a cell that left none; token: 16 letters and digits, by which
+    the campaign knows its own unfinished folders."""
 
     store: Store
     provenance: ProvenanceRecord
     lost: Callable[[Job], Callable[[Lost, Path], RunRecord | ExaminationRecord]]
-    watch: Callable[[Sequence[Running]], None]
-    must_wait: Callable[[Job, Sequence[Job]], bool]
-    again: Callable[[RunRecord | ExaminationRecord], bool]
-    warn: Callable[[str], None]
+    token: str
+
+    def unfinished(self) -> list[Path]:
+        """Folders of the campaign's cells that are being written."""
+        return [path for path in self.store.runs.glob(f"{PARTIAL}*-{self.token}*") if not path.name.startswith(f"{PARTIAL}{CAMPAIGN}-")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Running:
+    """A cell at work, and its unfinished folder."""
+
+    cell: Job
+    folder: Path
+
+    def progress(self) -> str:
+        """Where the cell is, in words."""
+        return progress_in(self.folder)
+
+
+class Engine(Protocol):
+    """jobs: how many cells it is to be given at a time; None: as many as may run."""
+
+    @property
+    def jobs(self) -> int | None: ...
+
+    def submit(self, cell: Job) -> Future[RunRecord | ExaminationRecord | None]:
+        """Have a cell run. Raises MachineError."""
+        ...
+
+    def result(self, cell: Job, future: Future[RunRecord | ExaminationRecord | None]) -> RunRecord | ExaminationRecord | None:
+        """What came of it, stored; None if it is to be submitted anew. Raises MachineError if this machine, or its own, cannot."""
+        ...
+
+    def why_idle(self, submitted: int) -> str:
+        """A sentence why none of what was submitted has begun for a while; empty if nothing is the matter."""
+        ...
 
 
 def check_engine(name: str) -> None:
@@ -89,75 +111,55 @@ def _check_scheduler_file(path: Path) -> None:
         )
 
 
+def new_token() -> str:
+    """A campaign's."""
+    return uuid.uuid4().hex[:16]
+
+
 @contextmanager
 def open_engine(name: str, jobs: int | None, site: Site, cells: int) -> Iterator[Engine]:
-    """The engine of a name. jobs: cells at a time, None for what the engine chooses; cells: how many there are. Raises MachineError."""
+    """The engine of a name; at the end, what runs is stopped. jobs: cells at a time, None for what the engine chooses; cells: how many there are.
+    Raises MachineError."""
     if name == LOCAL:
-        with _local(jobs or 1, site, cells) as engine:
-            yield engine
+        from validate.execution.fork_server import fork_server
+
+        shared_watchdog()  # before there are threads that might each start one
+        with fork_server(cells) as server:
+            engine = LocalEngine(jobs or 1, site, server)
+            try:
+                yield engine
+            finally:
+                with interrupts_wait():
+                    engine.close()
     else:
         from validate.execution.dask import open_dask
 
-        with open_dask(name.partition(":")[2], jobs, site) as engine:
+        with open_dask(name.partition(":")[2], jobs, site, cells) as engine:
             yield engine
 
 
-@contextmanager
-def _local(jobs: int, site: Site, cells: int) -> Iterator[LocalEngine]:
-    from validate.execution.fork_server import fork_server
-    from validate.execution.worker import Watchdog, Worker
-
-    with Watchdog() as watchdog, fork_server(cells) as server:
-
-        def start(cell: Job) -> Worker:
-            return Worker(cell, site.lost(cell), site.provenance, site.store, watchdog, server)
-
-        yield LocalEngine(start, jobs, site.watch, site.must_wait, site.again)
-
-
 class LocalEngine:
-    """At most `jobs` children at a time on this machine, started and watched from this one thread.
+    """Children on this machine, each watched by the thread that started it. (Linux kills a child when that thread ends.)"""
 
-    (From one thread because Linux kills a child when the thread that started it ends.) watch: called with the running workers at
-    each look; must_wait: whether a cell is to be left for later while others run; again: whether one with this record is to be run once more.
-    """
+    def __init__(self, jobs: int, site: Site, server: ForkServer | None) -> None:
+        self.jobs, self._site, self._server = jobs, site, server
+        self._threads, self._closed = ThreadPoolExecutor(jobs), threading.Event()
 
-    def __init__(
-        self,
-        start: Callable[[Job], Worker],
-        jobs: int,
-        watch: Callable[[Sequence[Worker]], None] = lambda workers: None,
-        must_wait: Callable[[Job, Sequence[Job]], bool] = lambda cell, running: False,
-        again: Callable[[RunRecord | ExaminationRecord], bool] = lambda record: False,
-    ) -> None:
-        self._start, self._jobs, self._watch, self._must_wait, self._again = start, jobs, watch, must_wait, again
+    def submit(self, cell: Job) -> Future[RunRecord | ExaminationRecord | None]:
+        return self._threads.submit(self._run, cell)
 
-    def run(self, cells: Sequence[Job]) -> Generator[tuple[Job, RunRecord | ExaminationRecord], None, None]:
-        waiting = deque(cells)
-        running: list[Worker] = []
-        try:
-            while waiting or running:
-                while len(running) < self._jobs and (cell := self._next(waiting, running)) is not None:
-                    running.append(self._start(cell))
-                self._watch(running)
-                time.sleep(_LOOK)
-                for worker in tuple(running):
-                    record = worker.poll()
-                    if record is not None:
-                        running.remove(worker)
-                        if self._again(record):
-                            waiting.appendleft(worker.cell)
-                        else:
-                            yield worker.cell, record
-        finally:
-            for worker in running:
-                worker.stop()
+    def _run(self, cell: Job) -> RunRecord | ExaminationRecord | None:
+        site = self._site
+        worker = Worker(cell, site.lost(cell), site.provenance, site.store, self._server, token_begins=site.token)
+        return worker.run(lambda: not self._closed.is_set())
 
-    def _next(self, waiting: deque[Job], running: Sequence[Worker]) -> Job | None:
-        """The first cell that may run beside these; taken out."""
-        at_work = [worker.cell for worker in running]
-        for cell in waiting:
-            if not at_work or not self._must_wait(cell, at_work):
-                waiting.remove(cell)
-                return cell
-        return None
+    def result(self, cell: Job, future: Future[RunRecord | ExaminationRecord | None]) -> RunRecord | ExaminationRecord | None:
+        return future.result()
+
+    def why_idle(self, submitted: int) -> str:
+        return ""
+
+    def close(self) -> None:
+        """End what runs, and leave nothing of it."""
+        self._closed.set()
+        self._threads.shutdown(cancel_futures=True)

@@ -1,21 +1,15 @@
-"""A process that has imported what cells need, and forks one child a cell: a cell begins in milliseconds instead of a second.
+"""Cells as forks of one process that has imported what they need: a cell begins in milliseconds instead of a second.
 
     with fork_server(cells) as server:
         child = server.start(folder, token=token, temporary=folder / "tmp", log=folder / "log.txt")     # as validate.execution.process's ChildProcess
 
-Run as a module, this file is that process. It does what it is told on its standard input, a line of JSON at a time, and nothing else:
-
-    {"modules": [..], "cell": "validate.execution.child:main"}  ->  {"threads": 1}          {"start": {..}}  ->  {"pid": 123}
-    {"reap": 123}  ->  {"status": 0, "cpu": 1.5, "memory": 100000000}
+The server is that of the standard library, `multiprocessing.forkserver`, one for each campaign: it has then imported the sources as they are now. What it
+is told of a child is no `multiprocessing.Process` but `_Child`: nobody's `__main__` is imported in it, and a daemon (a Dask worker) may start it.
 
 A child is a cell like any other: it has a session, a log, a folder and a token of its own, and dies with the server, which dies with the campaign. Its
-token is written over that of the server's in the environment that the system shows, so that whoever ends the cell finds it. The server has one
-thread and never runs a cell's code, so there is nothing that a fork could cut in two. Linux only: elsewhere, and where a library has
-started threads, cells are started one by one.
-
-The standard library's forkserver starts a child in the same time (12 to 50 ms on a busy machine, ours 23 to 50). It reaps the child itself, at once,
-and tells an exit code alone: what a cell that crashed or was killed has cost in CPU time and memory would be lost, and its number could be
-another's before its family is ended.
+token is written over that of the server's in the environment that the system shows, so that whoever ends the cell finds it, and what it forks. The
+server reaps a child at once and tells its exit code alone: what it cost is what it had cost at the last look. Linux only: elsewhere, and where a
+library has started threads, cells are started one by one.
 """
 
 from __future__ import annotations
@@ -24,18 +18,34 @@ import contextlib
 import ctypes
 import gc
 import importlib
-import json
+import multiprocessing.forkserver
+import multiprocessing.resource_tracker
+import multiprocessing.util
 import os
+import pickle
 import select
-import subprocess
+import signal
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+import uuid
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import NoReturn
+
+import psutil
 
 from validate.execution.isolated_child import die_with_parent
-from validate.execution.process import PARENT_VARIABLE, ChildProcess, Ended, child_environment, end_family, interrupts_wait
+from validate.execution.process import (
+    PARENT_VARIABLE,
+    ChildProcess,
+    Ended,
+    ForkServerError,
+    child_environment,
+    end_family,
+    interrupts_wait,
+    shared_watchdog,
+)
 from validate.execution.reaper import TOKEN_VARIABLE
 
 # What most cells import.
@@ -54,15 +64,30 @@ MODULES = (
 # What one cell in four imports, in 3 CPU s and half a gigabyte that all children then share: PyTorch, and what its optimisers import at their first
 # use (1.1 s). Worth it from so many cells on.
 TORCH_MODULES, TORCH_WORTH = ("formulations.shooting.session", "torch._dynamo"), 20
-# Longest folder that is shown in a child's environment; a longer one only the child itself knows.
-_LONGEST = 1000
-_TOKEN = "0" * 32
 # From so many cells on the server has saved the time of its own start.
 WORTH = 4
+# What a server is told to import; only a server has it.
+_PRELOAD_VARIABLE = "TOUCHSTONE_PRELOAD"
+# What a server's environment shows where a child writes its own. A longer folder than that only the child itself knows.
+_TOKEN, _TEMPORARY = "0" * 32, Path("/" + "x" * 999)
 
 
-class ForkServerError(Exception):
-    """The server cannot be used here; cells are then started one by one."""
+class _Server(multiprocessing.forkserver.ForkServer):
+    """The library's, which is started once: it would start a server that died anew, in the environment of that moment."""
+
+    _begun = False
+
+    def ensure_running(self) -> None:
+        if not self._begun:
+            self._begun = True
+            super().ensure_running()
+
+    def end(self) -> None:
+        """Not when it has imported everything, and nothing holds its pipe any more: at once, and its children with it."""
+        pid: int | None = self._forkserver_pid  # pyright: ignore[reportAttributeAccessIssue] - the library has no word for it
+        if pid is not None:
+            os.kill(pid, signal.SIGKILL)
+            self._stop()  # pyright: ignore[reportAttributeAccessIssue] - as above
 
 
 class ForkServer:
@@ -70,73 +95,80 @@ class ForkServer:
     be none."""
 
     def __init__(self, modules: Sequence[str] = MODULES, cell: str = "validate.execution.child:main") -> None:
-        if sys.platform != "linux" or not hasattr(os, "pidfd_open"):
-            raise ForkServerError("only Linux tells the end of a process that is not one's own child")
-        placeholder = Path("/" + "x" * (_LONGEST - 1))
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "validate.execution.fork_server"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env=child_environment(_TOKEN, placeholder) | {TOKEN_VARIABLE: _TOKEN},
-            start_new_session=True,
-            text=True,
-        )
+        if sys.platform != "linux":
+            raise ForkServerError("only Linux shows, and lets change, the environment of a process")
+        if os.environ.get(TOKEN_VARIABLE):
+            raise ForkServerError("a cell in a cell carries two tokens")
+        self._cell, self._environment, self._server = cell, child_environment("", Path()), _Server()
+        self._server.set_forkserver_preload([__name__])
+        # The library's folder for the server's socket; it removes it, if it comes to that.
+        self._mark = uuid.uuid4().hex
+        shared_watchdog().tell("start", self._mark, multiprocessing.util.get_temp_dir())
+        told = child_environment(_TOKEN, _TEMPORARY) | {_PRELOAD_VARIABLE: ",".join(modules), "PYTHONSAFEPATH": "1"}
         try:
-            if os.environ.get(TOKEN_VARIABLE):
-                raise ForkServerError("a cell in a cell carries two tokens")
-            if self.ask({"modules": modules, "cell": cell})["threads"] != 1:
-                raise ForkServerError("a library has started threads")
-        except BaseException:
+            with terminal_blocked(), _changed_environment(told):
+                self._server.ensure_running()
+        except OSError as error:
             self.close()
-            raise
-
-    @property
-    def pid(self) -> int:
-        return self._process.pid
-
-    def ask(self, request: dict[str, Any]) -> dict[str, Any]:
-        """The answer to a request; Ctrl-C waits for it, or the next would have the answer of this. Raises ForkServerError if the server is gone."""
-        stdin, stdout = self._process.stdin, self._process.stdout
-        if stdin is None or stdout is None:
-            raise ForkServerError("the server has no pipes")
-        try:
-            with interrupts_wait():
-                stdin.write(json.dumps(request) + "\n")
-                stdin.flush()
-                answer = stdout.readline()
-            return json.loads(answer)
-        except (OSError, ValueError) as error:
-            raise ForkServerError("the server is gone") from error
+            raise ForkServerError("the server cannot be started") from error
 
     def start(self, folder: Path, *, token: str, temporary: Path, log: Path) -> ForkedChild:
-        """The child that runs the cell of a folder. Raises ForkServerError, OSError."""
-        told = {"folder": str(folder), "token": token, "temporary": str(temporary), "log": str(log)}
-        return ForkedChild(self, self.ask({"start": told})["pid"], token)
+        """The child that runs the cell of a folder, once the server has imported everything. Raises ForkServerError."""
+        environment = self._environment | {TOKEN_VARIABLE: token, "TMPDIR": str(temporary)}
+        # The first is what multiprocessing would prepare, its parent's __main__ above all: nothing.
+        told = pickle.dumps({}) + pickle.dumps(_Child(self._cell, folder, log, environment))
+        started = None
+        try:
+            with interrupts_wait():
+                state, pipe = self._server.connect_to_new_process([])
+                started = ForkedChild(state, pipe, told, token)
+        except (OSError, EOFError) as error:
+            raise ForkServerError("the server is gone") from error
+        except KeyboardInterrupt:
+            if started is not None:
+                started.end()
+            raise
+        return started
 
     def close(self) -> None:
-        if self._process.stdin is not None:
-            with contextlib.suppress(OSError):
-                self._process.stdin.close()
-        self._process.wait()
-        if self._process.stdout is not None:
-            self._process.stdout.close()
+        self._server.end()
+        shared_watchdog().tell("stop", self._mark)
 
 
 class ForkedChild(ChildProcess):
-    """A running cell whose parent is the server. Its number is not given to another before it is reaped."""
+    """A running cell whose parent is the server. state: where the server tells its number, and its exit code once it is reaped; pipe: where it is
+    told what it is to do. Raises OSError, EOFError if the server is gone."""
 
-    def __init__(self, server: ForkServer, pid: int, token: str) -> None:
-        self._server, self.pid, self.token = server, pid, token
-        self._family = {}
-        self._handle = os.pidfd_open(pid)
+    def __init__(self, state: int, pipe: int, told: bytes, token: str) -> None:
+        self._state, self.token, self._family = state, token, {}
+        try:
+            with open(pipe, "wb") as file:
+                file.write(told)
+            self.pid = multiprocessing.forkserver.read_signed(state)
+        except BaseException:
+            os.close(state)
+            raise
+        self._cpu, self._memory = 0.0, 0
         self._ended: Ended | None = None
+        try:
+            self._living = psutil.Process(self.pid)
+        except psutil.Error:  # it has ended
+            self._living = None
+        self.look()
 
     def has_ended(self) -> bool:
-        return bool(select.select([self._handle], [], [], 0.0)[0])
+        return self.wait(0.0)
 
     def wait(self, seconds: float) -> bool:
-        return bool(select.select([self._handle], [], [], max(0.0, seconds))[0])
+        return self._ended is not None or bool(select.select([self._state], [], [], max(0.0, seconds))[0])
+
+    def look(self) -> None:
+        """Remember what it has started and cost by now: of a child that has ended the server knows neither."""
+        if self._living is not None and self._living.is_running():
+            super().look()
+            with contextlib.suppress(psutil.Error):
+                self._memory = max(self._memory, self._living.memory_info().rss)
+                self._cpu = sum(self._living.cpu_times()[:4])
 
     def end(self) -> Ended:
         """End the child and all it started, wherever they went; once more, it says the same."""
@@ -147,14 +179,53 @@ class ForkedChild(ChildProcess):
 
     def _end(self) -> Ended:
         self.look()
-        strays = end_family(self.token, self.pid, self._family)
-        select.select([self._handle], [], [])
-        os.close(self._handle)
+        if self._living is not None:
+            with contextlib.suppress(psutil.Error):
+                self._living.kill()  # so early, it may have neither session nor token
+        strays = end_family(self.token, self.pid if self._has_number() else None, self._family)
         try:
-            told = self._server.ask({"reap": self.pid})
-        except ForkServerError:  # then they died with it
-            told = {"status": -9, "cpu": 0.0, "memory": 0}
-        return Ended(code=told["status"], cpu=told["cpu"], memory=told["memory"], strays=strays)
+            code = multiprocessing.forkserver.read_signed(self._state)
+        except EOFError:  # the server is gone, and its children went with it
+            code = -signal.SIGKILL
+        os.close(self._state)
+        return Ended(code=code, cpu=self._cpu, memory=self._memory, strays=strays)
+
+    def _has_number(self) -> bool:
+        """Whether its number is still its own: that of its group, if it is reaped. The system gives no number away while a group has it."""
+        return not psutil.pid_exists(self.pid) or (self._living is not None and self._living.is_running())
+
+
+@dataclass(frozen=True)
+class _Child:
+    """What a fork of the server is to do. multiprocessing has it read there, in place of a Process, and calls its `_bootstrap`."""
+
+    cell: str
+    folder: Path
+    log: Path
+    environment: dict[str, str]
+
+    def _bootstrap(self, _parent_sentinel: int) -> NoReturn:
+        try:
+            os.setsid()
+            signal.pthread_sigmask(signal.SIG_SETMASK, ())
+            for name in (TOKEN_VARIABLE, "TMPDIR"):
+                _show(name, self.environment[name])
+            for name in os.environ.keys() - self.environment.keys():
+                del os.environ[name]
+            os.environ.update(self.environment | {PARENT_VARIABLE: str(_SERVER)})
+            tempfile.tempdir = None
+            sys.stdin = open(0, encoding="utf-8", closefd=False)  # noqa: SIM115 - the library has left it with another number
+            log = os.open(self.log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
+            os.dup2(log, 1)
+            os.dup2(log, 2)
+            os.close(log)
+            os.chdir(self.environment["TMPDIR"])
+            from validate.execution.child import run
+
+            module, _, name = self.cell.partition(":")
+            run(getattr(importlib.import_module(module), name), self.folder)
+        finally:
+            os._exit(1)
 
 
 def modules_for(cells: int) -> Sequence[str]:
@@ -176,80 +247,60 @@ def fork_server(cells: int) -> Iterator[ForkServer | None]:
             server.close()
 
 
-def _serve() -> None:
-    """The server: see the module docstring."""
-    die_with_parent()
-    shown = {name: _shown(name) for name in (TOKEN_VARIABLE, "TMPDIR")}
-    os.environ[PARENT_VARIABLE] = str(os.getpid())
-    cell = ""
-    for line in sys.stdin:
-        request = json.loads(line)
-        if "start" in request:
-            answer = {"pid": _fork(request["start"], shown, cell)}
-        elif "reap" in request:
-            _, status, usage = os.wait4(request["reap"], 0)
-            answer = {"status": os.waitstatus_to_exitcode(status), "cpu": usage.ru_utime + usage.ru_stime, "memory": usage.ru_maxrss * 1024}
-        else:
-            cell = request["cell"]
-            _prepare(request["modules"])
-            answer = {"threads": len(os.listdir("/proc/self/task"))}
-        sys.stdout.write(json.dumps(answer) + "\n")
-        sys.stdout.flush()
+@contextlib.contextmanager
+def terminal_blocked() -> Iterator[None]:
+    """Threads and processes started meanwhile, and what these ever start, do not hear Ctrl-C and a closed terminal: those are for us."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    multiprocessing.resource_tracker.ensure_running()  # it would lift the mask when it is started later
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextlib.contextmanager
+def _changed_environment(given: Mapping[str, str]) -> Iterator[None]:
+    """What is started meanwhile has this environment: multiprocessing takes none."""
+    before = {name: os.environ.get(name) for name, value in given.items() if os.environ.get(name) != value}
+    os.environ.update(given)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _show(name: str, text: str) -> None:
+    """Write a variable's value over the one that the system shows of this process, as far as there is room: nobody has set it anew by now."""
+    getenv = ctypes.CDLL(None).getenv
+    getenv.restype, getenv.argtypes = ctypes.c_void_p, [ctypes.c_char_p]
+    room = len(os.fsencode(os.environ[name]))
+    ctypes.memmove(getenv(name.encode()), os.fsencode(text)[:room].ljust(room, b"\0"), room)
 
 
 def _prepare(modules: Sequence[str]) -> None:
+    """What the server does before its first child: it leaves the terminal, and imports."""
+    os.setsid()
+    die_with_parent()
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for standard in range(3):
+        os.dup2(nothing, standard)
+    os.close(nothing)
     for name in modules:
         with contextlib.suppress(ImportError):  # an extra that is not installed, or what a cell will say itself
             importlib.import_module(name)
+    if len(os.listdir("/proc/self/task")) > 1:  # a fork would cut a library's threads in two
+        os._exit(1)
     gc.collect()
     gc.freeze()  # so that what is shared stays shared when a child looks for garbage
 
 
-def _fork(told: dict[str, str], shown: dict[str, tuple[int, int]], cell: str) -> int:
-    """Number of the child, which by then has its own session and shows its own token."""
-    reader, writer = os.pipe()
-    child = os.fork()
-    if child:
-        os.close(writer)
-        os.read(reader, 1)
-        os.close(reader)
-        return child
-    try:
-        os.setsid()
-        _show(shown[TOKEN_VARIABLE], told["token"])
-        _show(shown["TMPDIR"], told["temporary"])
-        os.write(writer, b".")
-        os.close(writer)
-        os.close(reader)
-        os.environ.update({TOKEN_VARIABLE: told["token"], "TMPDIR": told["temporary"]})
-        tempfile.tempdir = None
-        nothing, log = os.open(os.devnull, os.O_RDONLY), os.open(told["log"], os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
-        os.dup2(nothing, 0)
-        os.dup2(log, 1)
-        os.dup2(log, 2)
-        os.close(nothing)
-        os.close(log)
-        os.chdir(told["temporary"])
-        from validate.execution.child import run
-
-        module, _, name = cell.partition(":")
-        run(getattr(importlib.import_module(module), name), Path(told["folder"]))
-    finally:
-        os._exit(1)
-
-
-def _shown(name: str) -> tuple[int, int]:
-    """(address, room) of a variable's value where the system reads this process's environment; valid while nobody has set it anew."""
-    getenv = ctypes.CDLL(None).getenv
-    getenv.restype, getenv.argtypes = ctypes.c_void_p, [ctypes.c_char_p]
-    return getenv(name.encode()), len(os.fsencode(os.environ[name]))
-
-
-def _show(place: tuple[int, int], text: str) -> None:
-    """Write a value over the one that is shown."""
-    address, room = place
-    ctypes.memmove(address, os.fsencode(text)[:room].ljust(room, b"\0"), room)
-
-
-if __name__ == "__main__":
-    _serve()
+_SERVER = os.getpid()
+if _PRELOAD_VARIABLE in os.environ:
+    _prepare(os.environ.pop(_PRELOAD_VARIABLE).split(","))

@@ -92,6 +92,10 @@ def child_environment(token: str, temporary: Path) -> dict[str, str]:
     }
 
 
+class ForkServerError(Exception):
+    """There is no fork server here, or no more (validate.execution.fork_server); cells are then started one by one."""
+
+
 # Pause between two looks where the system cannot tell us the end of a process [s].
 _LOOK = 0.01
 # How often, and how long apart [s], we look whether what was killed is gone: 10 s, on the busiest machine.
@@ -109,14 +113,13 @@ class Watchdog:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             start_new_session=True,
-            text=True,
-            bufsize=1,
+            bufsize=0,  # one write a line: threads do not mix theirs
         )
 
     def tell(self, *words: str) -> None:
         if self._process.stdin is not None:
             with contextlib.suppress(BrokenPipeError):
-                self._process.stdin.write(" ".join(words) + "\n")
+                self._process.stdin.write(os.fsencode(" ".join(words) + "\n"))
 
     @property
     def lives(self) -> bool:
@@ -228,8 +231,9 @@ class ChildProcess:
         return Ended(code=self._process.returncode, cpu=usage.ru_utime + usage.ru_stime, memory=_bytes(usage), strays=strays)
 
 
-def end_family(token: str, child: int, family: Mapping[int, str]) -> int:
-    """End a child and all it started; how many were left beside it. family: when each of its descendants was started (`ChildProcess.look`).
+def end_family(token: str, child: int | None, family: Mapping[int, str]) -> int:
+    """End a child and all it started; how many were left beside it. family: when each of its descendants was started (`ChildProcess.look`); child: its
+    number, None if that is another's by now.
 
     Returns when none of them lives any more: a killed process goes on for as long as a busy machine lets it wait for its end.
     """

@@ -7,6 +7,8 @@ Run as a script, this file is the watchdog of a process that has children: it re
 closes - their parent ended, in whatever way - it ends what still lives. Only the standard library is used: it starts in 20 ms.
 
     start <token> <folder>      stop <token>
+
+The folder is a partial one of ours, or that of `multiprocessing` for its sockets.
 """
 
 from __future__ import annotations
@@ -56,15 +58,15 @@ def watch() -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     living: dict[str, str] = {}
-    for line in sys.stdin:
-        verb, token, *folder = line.rstrip("\n").split(" ", 2)
+    for line in sys.stdin.buffer:
+        verb, token, *folder = os.fsdecode(line).rstrip("\n").split(" ", 2)
         if verb == "start":
             living[token] = folder[0]
         else:
             living.pop(token, None)
     for token, path in living.items():
         end_all(token)
-        if Path(path).name.startswith(".partial-"):  # nothing else is ours to remove, whatever the pipe said
+        if Path(path).name.startswith((".partial-", "pymp-")):  # nothing else is ours to remove, whatever the pipe said
             shutil.rmtree(path, ignore_errors=True)
 
 

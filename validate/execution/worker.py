@@ -1,7 +1,6 @@
 """One child process a cell: started, watched, ended, and its end put into words.
 
-    worker = Worker(cell, lost, provenance, store, watchdog)
-    while (record := worker.poll()) is None: ...         # a record whatever happened, already stored
+    record = Worker(cell, lost, provenance, store).run(wanted=lambda: True)          # a record whatever happened, already stored
 
 The child runs in a session of its own, with its output in log.txt and nothing but its result file believed: a process
 that exits with 0 and leaves no record has crashed; one that left a whole record has answered, whatever its exit code.
@@ -23,18 +22,20 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from models.errors import MachineError
 from validate.execution import reaper
-from validate.execution.fork_server import ForkServer, ForkServerError
-from validate.execution.process import ChildProcess, Ended, Watchdog, exit_in_words
+from validate.execution.process import ChildProcess, Ended, ForkServerError, exit_in_words, shared_watchdog
 from validate.store.disk import disk_error, remove, write_durably
 from validate.store.store import LOG, MACHINE, PROGRESS, RECORD, REQUEST, Store
 
 if TYPE_CHECKING:
     from reports.records.check_record import ExaminationRecord
     from reports.records.record import ProvenanceRecord, RunRecord
+    from validate.execution.fork_server import ForkServer
 
 _TAIL_BYTES = 20_000
 _TEMPORARY = "tmp"
 _TOKEN = 32
+# How often a child is looked at [s]: for its time limit, and for what it has cost; its end is seen at once.
+_LOOK = 0.05
 
 
 class Job(Protocol):
@@ -73,24 +74,36 @@ class Worker:
         lost: Callable[[Lost, Path], RunRecord | ExaminationRecord],
         provenance: ProvenanceRecord,
         store: Store,
-        watchdog: Watchdog,
         server: ForkServer | None = None,
         token_begins: str = "",
     ) -> None:
-        self.cell, self._lost, self._provenance, self._store, self._watchdog, self._server = cell, lost, provenance, store, watchdog, server
+        self.cell, self._lost, self._provenance, self._store, self._server = cell, lost, provenance, store, server
         self._token = (token_begins + uuid.uuid4().hex)[:_TOKEN]
         self._ended = Ended(code=0, cpu=0.0, memory=0, strays=0)
         self._folder = store.open_partial(cell.key, self._token).resolve()
-        watchdog.tell("start", self._token, str(self._folder))
-        self._began = time.monotonic()
+        shared_watchdog().tell("start", self._token, str(self._folder))
         try:
             self._process = self._start()
+            self._began = time.monotonic()  # not before: a fork server may still have been importing
         except BaseException as error:
             reaper.end_all(self._token)
             self._forget()
             if isinstance(error, OSError):
                 raise MachineError(f"a process for {cell.title} cannot be started ({error.strerror}); end what is not needed.") from error
             raise
+
+    def run(self, wanted: Callable[[], bool]) -> RunRecord | ExaminationRecord | None:
+        """Its record, which is stored; None if it was not wanted any more, and nothing is left of it. Raises MachineError as `poll`."""
+        try:
+            while wanted():
+                self._process.wait(_LOOK)
+                if (record := self.poll()) is not None:
+                    return record
+        except BaseException:
+            self.stop()
+            raise
+        self.stop()
+        return None
 
     def _start(self) -> ChildProcess:
         request = {"cell": self.cell.to_json(), "provenance": self._provenance.model_dump(mode="json")}
@@ -109,16 +122,14 @@ class Worker:
 
     def progress(self) -> str:
         """Where the cell is, in words."""
-        try:
-            return (self._folder / PROGRESS).read_text(encoding="utf-8")
-        except OSError:
-            return "its start"
+        return progress_in(self._folder)
 
     def poll(self) -> RunRecord | ExaminationRecord | None:
         """None while it runs; then its record, which is stored. Raises MachineError if the cell found that this machine cannot."""
         over_time = time.monotonic() - self._began > self.cell.time_limit
         ended = self._process.has_ended()
         if not ended and not over_time:
+            self._process.look()
             return None
         self._ended = self._process.end()
         record = self._record(None if ended else "time_limit")
@@ -135,7 +146,7 @@ class Worker:
 
     def _forget(self) -> None:
         shutil.rmtree(self._folder, ignore_errors=True)
-        self._watchdog.tell("stop", self._token)
+        shared_watchdog().tell("stop", self._token)
 
     def _file(self, record: RunRecord | ExaminationRecord) -> None:
         answered = any(stage.plan_trace is not None for stage in getattr(record, "stages", ()))
@@ -204,6 +215,14 @@ class Worker:
                 return file.read().decode("utf-8", errors="replace")
         except OSError as error:
             raise disk_error(self._folder / LOG, error) from error
+
+
+def progress_in(folder: Path) -> str:
+    """Where the cell is whose unfinished folder this is, in words."""
+    try:
+        return (folder / PROGRESS).read_text(encoding="utf-8")
+    except OSError:
+        return "its start"
 
 
 def _last_words(log: str, code: int) -> str:
