@@ -20,10 +20,9 @@ from validate.execution.process import interrupts_wait
 from validate.plan.runs import CampaignError, Entry, Examined, Settings, select, with_stored
 from validate.store.disk import write_durably
 from validate.store.results import write_examinations, write_results, write_sweeps
-from validate.store.standing_report import campaign_text, of_content, standing_report
 from validate.store.store import Store
-from validate.store.stored import CAMPAIGN, earlier_schema, only_last_failed, stored_campaign
-from validate.tasks.plugins import DEFAULT_TOOLS, load_tools
+from validate.store.stored import CAMPAIGN, campaign_text, earlier_schema, of_content, only_last_failed, stored_campaign
+from validate.tasks.plugins import load_tools
 from validate.tasks.shared_stages import beginnings_of, forget, must_wait, wanted_of
 
 if TYPE_CHECKING:
@@ -144,8 +143,7 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
                 narrator.finished(record)
             narrator.ends()
             done, examinations = write()
-    stands = standing_report(settings.out, before) if settings.tools == DEFAULT_TOOLS and not ran else None
-    report = stands or load_tools(settings.tools).write_report(settings.out)
+    report = load_tools(settings.tools).write_report(settings.out)
     return Outcome(
         records=done,
         examinations=examinations,

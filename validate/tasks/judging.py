@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from models.errors import MachineError
+from reports.records.record import stage_files
 from validate.store.disk import raise_if_disk_ended
 from validate.tasks.profile import Profile
-from validate.tasks.shared_stages import stage_files
 
 if TYPE_CHECKING:
     from formulations.solution import Solution

@@ -32,9 +32,9 @@ from reports.records.record import (
     StartRecord,
     TrackedRecord,
     Verdict,
+    thin,
 )
 from validate.tasks.paper import paper_row
-from validate.tasks.scene_record import plan_trace, replay_trace, thin
 
 if TYPE_CHECKING:
     from formulations.method import Method, Options, Pipeline
@@ -164,7 +164,6 @@ def stage_record(
     judged: Judged,
 ) -> StageRecord:
     """The record of a stage that ran. wall, cpu [s]: of this stage; before [s]: of the stages before it."""
-    trajectory = solution.trajectory
     verdict, why = _verdict(solution, judged)
     return StageRecord(
         index=planned.index,
@@ -193,9 +192,7 @@ def stage_record(
         questions=_questions(judged.score),
         not_asked=() if judged.score is None else judged.score.not_asked,
         replay=_replay(judged.replay, judged.score) if judged.replay is not None else None,
-        plan_trace=plan_trace(scene, trajectory) if trajectory is not None else None,
-        replay_trace=_replay_trace(scene, trajectory, judged.replay),
-        tracked_trace=_replay_trace(scene, trajectory, getattr(judged.replay, "tracked", None)),
+        has_plan=solution.trajectory is not None,
         paper=dict(paper_row(scene.name, pipeline, planned.index)),
     )
 
@@ -326,12 +323,6 @@ def _tracked(replay: Any) -> TrackedRecord:
 
 def _position(difference: Any) -> float | None:
     return None if difference is None else finite(difference.position)
-
-
-def _replay_trace(scene: Scene, trajectory: Trajectory | None, replay: Any):
-    if trajectory is None or replay is None or len(replay.t) == 0:
-        return None
-    return replay_trace(scene, trajectory, replay)
 
 
 def _metric(metric: Any) -> MetricRecord:

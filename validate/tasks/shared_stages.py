@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from models.errors import TouchstoneError
+from reports.records.record import stage_files
 from validate.store.disk import fsync
 from validate.store.store import Store
 
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
     from validate.tasks.records import Planned
 
 _CONTENT = "stages.json"
-_FILES = ("trajectory", "replay", "tracked")
 # Outcomes that another run might not have.
 _BY_CHANCE = frozenset({"time_limit", "crashed", "interrupted"})
 # What damaged content raises where it is read; pydantic's and JSON's errors are ValueErrors.
@@ -65,12 +65,6 @@ class TakenOver:
     stages: tuple[StageRecord, ...] = ()
     plan: Trajectory | None = None
     late: bool = False
-
-
-def stage_files(index: int, stages: int) -> dict[str, str]:
-    """The files of stage `index` (from 0) of a cell of so many stages, by what they hold; those of the last stage have no number."""
-    ending = "" if index == stages - 1 else f"_{index + 1}"
-    return {what: f"{what}{ending}.nc" for what in _FILES}
 
 
 def signature(plan: Sequence[Planned]) -> Signature:
@@ -174,10 +168,10 @@ def _read(source: Path, item: Beginning, scene: Scene, stages: int, folder: Path
     plan = None
     for record in records:
         numbered, own = stage_files(record.index, item.stages + 1), stage_files(record.index + item.first, stages)
-        for what in _FILES:
+        for what in own:
             if numbered[what] in files:
                 (folder / own[what]).write_bytes(files[numbered[what]])
-        if record.plan_trace is not None:
+        if record.has_plan:
             plan = read_netcdf(folder / own["trajectory"], scene)
     return TakenOver(tuple(record.model_copy(update={"index": record.index + item.first}) for record in records), plan, late)
 
@@ -193,7 +187,7 @@ def is_late(records: Sequence[StageRecord]) -> bool:
 
 
 def _is_judged(records: Sequence[StageRecord]) -> bool:
-    return all(record.plan_trace is None or record.metrics for record in records)
+    return all(not record.has_plan or record.metrics for record in records)
 
 
 def share(item: Beginning, pipeline: str, records: Sequence[StageRecord], stages: int, folder: Path, late: float | None = None) -> None:
@@ -210,7 +204,7 @@ def share(item: Beginning, pipeline: str, records: Sequence[StageRecord], stages
     first, before = records[0].index, records[0].seconds.total - records[0].seconds.stage
     for record in records:
         own, numbered = stage_files(record.index, stages), stage_files(record.index - first, item.stages + 1)
-        for what in _FILES:
+        for what in own:
             if (folder / own[what]).exists():
                 shutil.copyfile(folder / own[what], aside / numbered[what])
                 digests[numbered[what]] = hashlib.sha256((aside / numbered[what]).read_bytes()).hexdigest()
