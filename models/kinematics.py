@@ -5,6 +5,8 @@ pose_columns(scene, q, "node")      # x, y and angle of every shape;    gap_colu
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import sympy as sp
 
@@ -16,15 +18,20 @@ from models.scene import Scene
 def pose_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
     """Columns `pose_x_<n>`, `pose_y_<n>` [m] and `pose_angle_<n>` [rad] of the scene's n-th shape, from 1, at positions q (n, nq).
 
-    Numbers, because a shape may have any name, and NetCDF does not allow all of them; the name stands in the description.
+    Numbers, because a shape may have any name, and NetCDF does not allow all of them; the name stands in the description. What never changes, as a
+    floor's place, is told once, along a dimension of its own: more than half of these columns do not.
     """
-    expressions = [value for shape in scene.shapes for value in (shape.x, shape.y, shape.angle)]
+    expressions = [sp.sympify(value) for shape in scene.shapes for value in (shape.x, shape.y, shape.angle)]
     named = [
         (f"pose_{part}_{place}", unit, f"{part} of {shape.name}")
         for place, shape in enumerate(scene.shapes, 1)
         for part, unit in (("x", "m"), ("y", "m"), ("angle", "rad"))
     ]
-    return _columns(named, evaluate(scene, expressions, q), dimension)
+    moving = {coordinate.symbol for coordinate in scene.coordinates}
+    return [
+        column if expression.free_symbols & moving else replace(column, dimension="once", values=column.values[:1])
+        for column, expression in zip(_columns(named, evaluate(scene, expressions, q), dimension), expressions, strict=True)
+    ]
 
 
 def gap_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:

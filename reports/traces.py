@@ -147,7 +147,8 @@ def _thinned(scene: SceneRecord, t: Array, columns: Mapping[str, Array]) -> Trac
     poses = {}
     for place, shape in enumerate(scene.shapes, 1):
         parts = [thinned.get(f"pose_{part}_{place}") for part in ("x", "y", "angle")]
-        whole = [part for part in parts if part is not None and len(part) == len(keep)]
+        # What never changes has one value.
+        whole = [np.broadcast_to(part, len(keep)) for part in parts if part is not None and len(part) in (1, len(keep))]
         if len(whole) == len(parts):
             poses[shape.name] = np.column_stack(whole)
     return Trace(t[keep], {name: values for name, values in thinned.items() if not name.startswith("pose_")}, poses)

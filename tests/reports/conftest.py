@@ -73,3 +73,12 @@ def page_file(full_folder: Path) -> Path:
     from reports.render import write_single
 
     return write_single(full_folder)
+
+
+@pytest.fixture(scope="session")
+def run_file(full_folder: Path) -> Path:
+    """The page of one run of it."""
+    from reports.render import PAGES, write_report
+
+    write_report(full_folder)
+    return full_folder / PAGES / "strict-0123456789abcdef.html"

@@ -137,7 +137,8 @@ def test_the_filter_follows_the_address(chromium, page_file):
     assert page.messages == []
 
 
-def test_the_player_moves(desk):
+def test_the_player_moves(chromium, run_file):
+    desk = chromium.open(run_file)
     inside = "document.querySelector('[data-player]')"
     before = desk.evaluate(f"{inside}.querySelector('canvas').toDataURL()")
     desk.evaluate(f"(() => {{ const s = {inside}.querySelector('input'); s.value = 60; s.dispatchEvent(new Event('input')); }})()")
@@ -252,8 +253,24 @@ def test_what_a_link_leads_to_is_opened_with_all_around_it(desk):
     assert opened == [False, True]
 
 
-def test_arrows_of_contact_forces_are_drawn(desk):
+def test_a_player_in_a_closed_run_is_there_when_it_is_opened(chromium, page_file):
+    page = chromium.open(page_file)
+    drawn = "document.querySelector('#run-2 [data-player] output').textContent"
+    assert page.evaluate(drawn) == ""
+    page.evaluate(
+        "document.getElementById('run-2').scrollIntoView({ behavior: 'instant' }); document.querySelector('#run-2 details.whole').open = true"
+    )
+    assert (
+        page.evaluate(
+            f"(async () => {{ for (let turn = 0; turn < 400 && !{drawn}; turn += 1) await new Promise((done) => setTimeout(done, 50)); return {drawn}; }})()"
+        )
+        == "0.00 s"
+    )
+
+
+def test_arrows_of_contact_forces_are_drawn(chromium, run_file):
     """Where a force acts the picture has pixels of the arrows' colour, before the first contact none."""
+    desk = chromium.open(run_file)
     count = (
         "(() => { const p = document.querySelector('[data-player]'), s = p.querySelector('input'), c = p.querySelector('canvas');"
         "s.value = FRAME; s.dispatchEvent(new Event('input')); const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;"

@@ -21,8 +21,8 @@ def _settled(page, expression: str):
     return page.evaluate(f"new Promise((done) => setTimeout(done, 100)).then(() => ({expression}))")
 
 
-def test_without_script_nothing_is_offered_that_does_nothing(chromium, pages, page_file):
-    for path in (*pages[1].glob("strict-0*.html"), pages[0], page_file):
+def test_without_script_nothing_is_offered_that_does_nothing(chromium, pages, run_file, page_file):
+    for path in (run_file, pages[0], page_file):
         page = chromium.open(path, script=False)
         shown = "(e) => e.getClientRects().length > 0"
         assert page.evaluate(f"[...document.querySelectorAll('button, input, select, canvas')].filter({shown}).length") == 0
@@ -36,8 +36,8 @@ def test_without_script_nothing_is_offered_that_does_nothing(chromium, pages, pa
     assert page.evaluate("document.querySelectorAll('#matrix-table thead button').length") > 2
 
 
-def test_the_player_is_stepped_on_its_button_and_told_once(chromium, page_file):
-    page = chromium.open(page_file)
+def test_the_player_is_stepped_on_its_button_and_told_once(chromium, run_file):
+    page = chromium.open(run_file)
     page.evaluate("document.querySelector('[data-player] .play').focus()")
     told = "document.querySelector('[data-player] output').textContent"
     last = page.evaluate("document.querySelector('[data-player] input').max")
@@ -98,8 +98,8 @@ def test_no_address_is_an_error(chromium, page_file, fragment):
 
 def test_links_lead_from_page_to_page_and_back(chromium, pages):
     page = chromium.open(pages[0])
-    page.evaluate("document.querySelector('#matrix-table a.cell').click()")
     run = page.evaluate("document.querySelector('#matrix-table a.cell').href")
+    page.evaluate("document.querySelector('#matrix-table a.cell').click()")
     assert _arrived(page, "location.href", run) == run
     assert page.evaluate("document.querySelectorAll('article.run svg.plot').length") > 8
     back = page.evaluate("document.querySelector('nav.contents a').href")
