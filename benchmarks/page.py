@@ -13,7 +13,6 @@ from benchmarks.options import measured_argument
 from benchmarks.pages import cosimulation, order, replay_speed, rigid_limit, scaling, suite, tables, unstable_starts
 from benchmarks.results import stored
 from reports.pages.section import Section
-from reports.parcels import Parcels
 from reports.records.load import ReportError
 from reports.render import page, write_page
 from reports.templating import Templates
@@ -33,7 +32,6 @@ _SECTIONS = {
 
 def render(folder: Path) -> str:
     """The page's text. Raises ReportError if there is no such folder, or nothing in it."""
-    templates, parcels = Templates(Path(__file__).parent / "pages" / "templates"), Parcels()
     records, unreadable = stored(folder)
     if not records and not unreadable:
         raise ReportError(f"{folder}: no benchmark has left figures there; `python -m benchmarks run NAME --out {folder}` measures.")
@@ -46,18 +44,12 @@ def render(folder: Path) -> str:
                 told.append((section, group))
     measured = [(section, record.provenance) for section, group in told for record in group]
     overview = Section("overview", "What is measured", "overview.html", {"measured": measured, "unreadable": unreadable})
-    sections = [overview, *(section for section, _ in told)]
     return page(
-        templates,
-        parcels,
+        Templates(Path(__file__).parent / "pages" / "templates"),
+        [overview, *(section for section, _ in told)],
         title="Benchmarks",
-        about="",
-        quick=False,
         lead="How fast and how exact touchstone is, and how it grows, beside what people would use instead.",
         again="python -m benchmarks page DIR",
-        contents=sections,
-        sections=[(section, templates.render(section.template, parcels, section=section, **section.values)) for section in sections],
-        blocks=(),
     )
 
 

@@ -54,7 +54,7 @@ def stages(folder: Path, scenes: tuple[str, ...]) -> Iterator[tuple[dict[str, An
             # the last stage's file has no number
             name = "trajectory.nc" if stage["index"] == last else f"trajectory_{stage['index'] + 1}.nc"
             file = path.parent / name
-            if stage.get("plan_trace") is not None and file.is_file():
+            if stage.get("has_plan") and file.is_file():
                 yield record, stage, file
 
 

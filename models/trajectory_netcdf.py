@@ -3,7 +3,8 @@
 write_netcdf(path, trajectory, scene)
 trajectory = read_netcdf(path, scene)        # bit for bit what was written
 
-A plan may have tracking gains with it, K (steps, nu, 2*nq) of u = u_plan + K (x_plan - x), as columns `gain_<input>_<position or velocity>`.
+Beside the plan stand the gaps of its contacts and the poses of the scene's shapes at its nodes (models.kinematics), which nobody reads back: they are for
+those who draw it without the scene. A plan may have tracking gains with it, K (steps, nu, 2*nq) of u = u_plan + K (x_plan - x), as columns `gain_<input>_<position or velocity>`.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from models.errors import TrajectoryError
+from models.kinematics import gap_columns, pose_columns
 from models.netcdf import Column, numbers, read_columns, write_columns
 from models.scene import Scene
 from models.schemes import Scheme
@@ -55,6 +57,7 @@ def write_netcdf(path: Path, trajectory: Trajectory, scene: Scene, gains: np.nda
             Column(name=name, dimension=dimension, values=array[:, index], unit=unit, description=text)
             for index, (name, unit, text) in enumerate(group)
         ]
+    columns += [*gap_columns(scene, trajectory.q, "node"), *pose_columns(scene, trajectory.q, "node")]
     if gains is not None:
         expected = (trajectory.steps, scene.nu, 2 * scene.nq)
         if gains.shape != expected:

@@ -1,4 +1,4 @@
-"""`python -m reports DIR` rebuilds DIR/report.html from its records, on a machine with no solver; with `--split` pages in DIR/report."""
+"""`python -m reports DIR` writes DIR/report.html and its pages from the records, on a machine with no solver; with `--single-file` all of it into one file."""
 
 from __future__ import annotations
 
@@ -6,17 +6,16 @@ import sys
 from pathlib import Path
 
 from reports.records.load import ReportError
-from reports.render import write_report
-from reports.split import write_pages
+from reports.render import write_report, write_single
 
 
 def main(arguments: list[str]) -> int:
     """0 written; 2 no such folder, or it cannot be written."""
-    folders = [word for word in arguments if word != "--split"]
+    folders = [word for word in arguments if word != "--single-file"]
     if len(folders) != 1 or folders[0].startswith("-"):
-        print("usage: python -m reports [--split] DIR    (DIR holds campaign.json and runs/)", file=sys.stderr)
+        print("usage: python -m reports [--single-file] DIR    (DIR holds campaign.json and runs/)", file=sys.stderr)
         return 2
-    write = write_pages if "--split" in arguments else write_report
+    write = write_single if "--single-file" in arguments else write_report
     try:
         print(write(Path(folders[0])))
     except ReportError as problem:

@@ -1,4 +1,4 @@
-"""Of which of a stage's two replays its verdict is, what of it is shown, and its metrics by question: of the inputs alone, and with feedback.
+"""Of which of a stage's two replays its verdict is, and its metrics by question: of the inputs alone, and with feedback.
 
 questions_of(stage)[3].metrics[0].name, .alone.value, .followed.value  ->  "replay_error", 0.6, 0.004
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from reports.records.record import MetricRecord, SceneRecord, StageRecord, TraceRecord
+from reports.records.record import MetricRecord, SceneRecord, StageRecord
 from reports.wording import error, unit
 
 # As validate.judge.score has them: metrics of the replay with feedback, and of what the feedback took.
@@ -59,12 +59,6 @@ def is_tracked(stage: StageRecord) -> bool:
 def judged_metric(stage: StageRecord, name: str) -> MetricRecord | None:
     """A metric; where it is of a replay, that of the replay which is judged."""
     return (stage.metric(f"{TRACKED}{name}") if is_tracked(stage) else None) or stage.metric(name)
-
-
-def judged_trace(stage: StageRecord) -> TraceRecord | None:
-    """The trace of the judged replay, if it has any points."""
-    trace = stage.tracked_trace if is_tracked(stage) else stage.replay_trace
-    return trace if trace is not None and trace.t else None
 
 
 def questions_of(stage: StageRecord) -> list[QuestionView]:

@@ -1,9 +1,11 @@
-"""Writes the report of a campaign: one self-contained file that asks nothing of any network.
+"""Writes the report of a campaign: pages that ask nothing of any network, and lead to each other by relative links.
 
-    write_report(Path("runs/all"))  ->  runs/all/report.html
+    write_report(Path("runs/all"))  ->  runs/all/report.html, and in runs/all/pages a page for each scene and each run
+    write_single(Path("runs/all"))  ->  runs/all/single.html, which holds all of it
 
-The page is a pure function of the records in the folder: no clock, no machine, no solver. A strict Content-Security-Policy
-allows exactly the style and the script that are inside it, by their hashes.
+Pages are pure functions of what is stored in the folder: no clock, no machine, no solver. A strict Content-Security-Policy allows exactly the style and
+the script that are inside a page, by their hashes. What goes across runs is drawn from the numbers of the records each time; a run's page, which costs
+far more, only if there is none that is younger than its record and this program.
 """
 
 from __future__ import annotations
@@ -11,19 +13,18 @@ from __future__ import annotations
 import base64
 import contextlib
 import hashlib
+import multiprocessing
 import os
+import signal
 import socket
+import stat
+import threading
 import uuid
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from markupsafe import Markup
 
-from reports.article import written
-from reports.kept import kept
-from reports.outlines import Outlines
 from reports.pages import (
     errata,
     fmus,
@@ -31,8 +32,10 @@ from reports.pages import (
     matrix,
     pareto,
     provenance,
+    run,
     runs,
     scene,
+    scenes,
     stability,
     summary,
     table1,
@@ -41,96 +44,98 @@ from reports.pages import (
     tolerance,
     violation,
 )
-from reports.pages.section import Report, Section
-from reports.parcels import Block, Parcels, Token
-from reports.records.load import ReportError, Stored, load
-from reports.shelf import Shelf
+from reports.pages.section import PAGES, Report, Section, run_page, scene_page
+from reports.records.load import ReportError, load
+from reports.records.record import RunRecord, SceneRecord
 from reports.templating import Templates
 
+REPORT, SINGLE = "report.html", "single.html"
 _HERE = Path(__file__).parent
-_PAGES = (
+_ACROSS = (
     summary,
     matrix,
     stability,
     table1,
     violation,
-    tightening,
     front,
     pareto,
     tolerance,
     runs,
-    scene,
+    scenes,
     fmus,
     errata,
     time_spent,
     provenance,
 )
-# A page of this many characters is there at once in any browser; what would be longer folds its long parts.
-LARGEST_PLAIN = 2_000_000
-# A section shorter than this stays as it is: unfolding it would cost more than it saves.
-_SMALL = 20_000
-_SCRIPTS = ("report.js", "fold.js", "matrix.js", "tables.js", "player.js")
+_SCRIPTS = ("report.js", "matrix.js", "tables.js", "player.js")
+_LEAD = "Does this plan through contact hold? Every plan below was replayed through the true contact dynamics and scored there."
+_SCENE_LEAD = "What the scene is: its equations, quantities and known answers, and how plans on it change while ε is tightened."
+# Fewer pages than this a process are written sooner without it.
+_WORTH = 8
 
 
-@dataclass(frozen=True)
-class Drawn:
-    """A report whose sections are drawn, and not yet put on pages; bodies: markup with tokens of `parcels`."""
-
-    report: Report
-    parcels: Parcels
-    templates: Templates
-    shelf: Shelf
-    bodies: list[tuple[Section, Token]]
-
-    @property
-    def title(self) -> str:
-        campaign = self.report.stored.campaign
-        return campaign.title if campaign else "Campaign without its record"
-
-    def page(self, sections: list[tuple[Section, str]], blocks: Sequence[Block] = (), about: str = "") -> str:
-        """One page with these sections; the contents name all of them. `about`: what this page is, where there are several."""
-        campaign = self.report.stored.campaign
-        return page(
-            self.templates,
-            self.parcels,
-            title=self.title,
-            about=about,
-            quick=campaign.quick if campaign else False,
-            lead="Does this plan through contact hold? Every plan below was replayed through the true contact dynamics and scored there.",
-            again="python -m reports DIR",
-            contents=[section for section, _ in self.bodies],
-            sections=sections,
-            blocks=blocks,
-        )
+def write_report(folder: Path, jobs: int | None = None) -> Path:
+    """Write report.html, the page of each scene, and those of the runs that have none of now; on so many processes (all cores). Raises ReportError."""
+    templates = Templates()
+    report = Report(load(folder), folder)
+    write_page(folder / REPORT, _across(templates, report), folder)
+    if report.scenes:
+        _make(folder / PAGES)
+    beside = Report(report.stored, folder, at="")
+    for one in report.scenes:
+        write_page(folder / PAGES / scene_page(one), _of_scene(templates, beside, one), folder)
+    _write_runs(templates, beside, len(os.sched_getaffinity(0)) if jobs is None else jobs)
+    return folder / REPORT
 
 
-def page(templates: Templates, parcels: Parcels, *, sections: list[tuple[Section, str]], **words: Any) -> str:
-    """A page of sections whose texts are markup, with its style and script; words: what else page.html tells."""
+def write_single(folder: Path) -> Path:
+    """Write all that `write_report` writes into one file. Raises ReportError."""
+    templates = Templates()
+    report = Report(load(folder), folder, single=True)
+    sections = _sections(report)
+    for one in report.scenes:
+        sections += _scene_sections(report, one)
+    write_page(folder / SINGLE, _campaign_page(templates, report, sections), folder)
+    return folder / SINGLE
+
+
+def render(folder: Path) -> str:
+    """The text of report.html. Raises ReportError if there is no such folder."""
+    return _across(Templates(), Report(load(folder), folder))
+
+
+def page(
+    templates: Templates,
+    sections: Sequence[Section],
+    *,
+    title: str,
+    lead: str,
+    again: str,
+    quick: bool = False,
+    back: Sequence[tuple[str, str]] = (),
+) -> str:
+    """A page of these sections, with its contents, style and script. again: the command that writes it anew; back: (address, words) of other pages."""
     style, script = _asset("report.css"), "\n".join(_asset(name) for name in _SCRIPTS)
     return templates.render(
         "page.html",
-        parcels,
-        sections=[(section, Markup(text)) for section, text in sections],
+        sections=[(item, Markup(templates.render(item.template, section=item, **item.values))) for item in sections],
         policy=f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; base-uri 'none'; form-action 'none'",
         style=Markup(style),
         script=Markup(script),
-        **words,
+        title=title,
+        lead=lead,
+        again=again,
+        quick=quick,
+        back=back,
     )
 
 
-def write_report(folder: Path) -> Path:
-    """Render the records of a campaign's folder to its report.html; the text of before is used again if nothing changed. Raises ReportError."""
-    target = folder / "report.html"
-    write_page(target, kept(folder, "report", lambda: render(folder)))
-    return target
-
-
-def write_page(target: Path, text: str) -> None:
-    """Write a page, whole or not at all. Raises ReportError.
+def write_page(target: Path, text: str, aside: Path | None = None) -> None:
+    """Write a page, whole or not at all; aside: where it stands while it is written (beside its place). Raises ReportError.
 
     What is not finished says whose it is, as in all of a campaign's folder, so that it is removed there if we are killed.
     """
-    part = target.with_name(f".partial-page-{uuid.uuid4().hex}-{os.getpid()}-{socket.gethostname()}")
+    part = (aside or target.parent) / f".partial-page-{uuid.uuid4().hex}-{os.getpid()}-{socket.gethostname()}"
     try:
         part.write_bytes(text.encode("utf-8", errors="replace"))
         os.replace(part, target)
@@ -142,39 +147,98 @@ def write_page(target: Path, text: str) -> None:
         ) from problem
 
 
-def render(folder: Path, *, largest: int = LARGEST_PLAIN) -> str:
-    """The page's text; parts of it are folded if it is longer than `largest` characters otherwise. Raises ReportError if there is no such folder."""
-    drawn = draw(folder)
-    parcels, bodies = drawn.parcels, [body for _, body in drawn.bodies]
-    texts, blocks = [parcels.inline(body) for body in bodies], []
-    if sum(map(len, texts)) > largest:
-        texts, blocks = parcels.folded(bodies, drawn.shelf.kept)
-    drawn.shelf.tidy()
-    return drawn.page([(section, text) for (section, _), text in zip(drawn.bodies, texts, strict=True)], blocks)
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as problem:
+        raise ReportError(
+            f"{folder}: the pages cannot be written ({problem.strerror}); free the place or choose another folder."
+        ) from problem
 
 
-def draw(folder: Path) -> Drawn:
-    """All sections of a campaign's report. Raises ReportError if there is no such folder."""
-    templates, parcels = Templates(), Parcels()
-    outlines = _outlines(folder, templates)
-    report = Report(load(folder, outlines.read), outlines, parcels)
-    sections = [section for part in _PAGES if (section := part.build(report)) is not None]
-    bodies = [(section, _body(templates, parcels, section)) for section in sections]
-    return Drawn(report, parcels, templates, outlines.shelf, bodies)
+def _sections(report: Report) -> list[Section]:
+    return [section for part in _ACROSS if (section := part.build(report)) is not None]
 
 
-def outlined(folder: Path) -> Stored:
-    """What the report is made of, without traces: for tables beside it. Raises ReportError if there is no such folder."""
-    return load(folder, _outlines(folder, Templates()).read)
+def _across(templates: Templates, report: Report) -> str:
+    """The text of report.html."""
+    return _campaign_page(templates, report, _sections(report))
 
 
-def _outlines(folder: Path, templates: Templates) -> Outlines:
-    return Outlines(folder, lambda run: written(templates, run))
+def _campaign_page(templates: Templates, report: Report, sections: Sequence[Section]) -> str:
+    campaign = report.stored.campaign
+    title = campaign.title if campaign else "Campaign without its record"
+    again = "python -m reports --single-file DIR" if report.single else "python -m reports DIR"
+    return page(templates, sections, title=title, lead=_LEAD, again=again, quick=bool(campaign and campaign.quick))
 
 
-def _body(templates: Templates, parcels: Parcels, section: Section) -> Token:
-    body = templates.render(section.template, parcels, section=section, **section.values)
-    return parcels.keep(section.anchor, body) if section.folds and len(body) > _SMALL else Token(body)
+def _of_scene(templates: Templates, report: Report, one: SceneRecord) -> str:
+    back = [(f"../{REPORT}", "The whole report"), (f"../{REPORT}#scenes", "All scenes")]
+    return page(templates, _scene_sections(report, one), title=one.name, lead=_SCENE_LEAD, again="python -m reports DIR", back=back)
+
+
+def _scene_sections(report: Report, one: SceneRecord) -> list[Section]:
+    return [section for section in (scene.build(report, one), tightening.build(report, one)) if section is not None]
+
+
+def _of_run(templates: Templates, report: Report, one: RunRecord) -> str:
+    back = [
+        (f"../{REPORT}", "The whole report"),
+        (f"../{REPORT}#matrix", "Scenes and pipelines"),
+        (report.scene_link(one.scene), f"The scene {one.scene.name}"),
+    ]
+    title = f"{one.pipeline} on {one.scene.name}"
+    return page(templates, [run.build(report, one)], title=title, lead=one.scene.title, again="python -m reports DIR", back=back)
+
+
+def _write_runs(templates: Templates, report: Report, jobs: int) -> None:
+    """Write the pages of runs that are missing, or older than their record or this program.
+
+    By processes that nobody needs to hear from: what one of them leaves undone, whatever the reason, is done, or said, here. Where there are threads,
+    which do not survive a fork, all of it is.
+    """
+    due = _due(report)
+    jobs = min(jobs, len(due) // _WORTH)
+    if jobs > 1 and threading.active_count() == 1:
+        context = multiprocessing.get_context("fork")
+        children = [context.Process(target=_write_some, args=(templates, report, due[place::jobs]), daemon=True) for place in range(jobs)]
+        for child in children:
+            child.start()
+        for child in children:
+            child.join()
+        due = _due(report)
+    for one in due:
+        _write_run(templates, report, one)
+
+
+def _write_some(templates: Templates, report: Report, some: Sequence[RunRecord]) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # our parent, which is interrupted too, ends us
+    with contextlib.suppress(Exception):  # whatever it is, it comes again where it is said
+        for one in some:
+            _write_run(templates, report, one)
+
+
+def _write_run(templates: Templates, report: Report, one: RunRecord) -> None:
+    write_page(report.folder / PAGES / run_page(one), _of_run(templates, report, one), report.folder)
+
+
+def _due(report: Report) -> list[RunRecord]:
+    program = max(path.stat().st_mtime_ns for path in _HERE.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
+    return [
+        one
+        for one, parts in zip(report.stored.runs, report.stored.parts, strict=True)
+        if _written(report.folder / PAGES / run_page(one))
+        <= max(program, *(_written(report.folder / "runs" / part.key / "record.json") for part in parts))
+    ]
+
+
+def _written(path: Path) -> int:
+    """When a file was last written [ns]; 0 where there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return 0
+    return found.st_mtime_ns if stat.S_ISREG(found.st_mode) else 0
 
 
 def _asset(name: str) -> str:
@@ -184,3 +248,6 @@ def _asset(name: str) -> str:
 
 def _hash(text: str) -> str:
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+
+
+__all__ = ["PAGES", "page", "render", "write_page", "write_report", "write_single"]

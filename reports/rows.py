@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from reports.judged import judged_metric
@@ -18,13 +19,13 @@ from reports.wording import small
 
 @dataclass(frozen=True)
 class Row:
-    """A stage and the stages it starts from. `number` names it in all tables and plots of the page; `anchor` leads to its run."""
+    """A stage and the stages it starts from. `number` names it in all tables and plots of the page; `link` leads to its run."""
 
     number: int
     run: RunRecord
     stage: StageRecord
     chain: tuple[StageRecord, ...]
-    anchor: str
+    link: str
     twin: bool = False  # another row has the same methods and eps, but other options: only the pipeline tells them apart
 
     @property
@@ -75,15 +76,9 @@ def scenes_of(runs: tuple[RunRecord, ...]) -> list[SceneRecord]:
     return list({run.scene.name: run.scene for run in reversed(runs)}.values())[::-1]
 
 
-def run_anchors(runs: tuple[RunRecord, ...]) -> dict[int, str]:
-    """What links to each run lead to, by its id."""
-    return {id(run): f"run-{place}" for place, run in enumerate(runs, 1)}
-
-
-def rows_of(runs: tuple[RunRecord, ...]) -> list[Row]:
-    """All rows in the order of the paper's table: a chain's common stages first, then what is tried after them."""
+def rows_of(runs: tuple[RunRecord, ...], link: Callable[[RunRecord], str]) -> list[Row]:
+    """All rows in the order of the paper's table: a chain's common stages first, then what is tried after them. link: what leads to a run."""
     heads = {head: place for place, head in enumerate(dict.fromkeys(_head(run) for run in runs))}
-    anchors = run_anchors(runs)
     rows: dict[str, Row] = {}
     for run in sorted(runs, key=lambda run: heads[_head(run)]):
         identity = [run.scene.name]
@@ -92,7 +87,7 @@ def rows_of(runs: tuple[RunRecord, ...]) -> list[Row]:
             key = "\n".join(identity)
             if key not in rows:
                 chain = run.stages[: place + 1]
-                rows[key] = Row(len(rows) + 1, run, stage, chain, anchors[id(run)])
+                rows[key] = Row(len(rows) + 1, run, stage, chain, link(run))
     labels = Counter((row.run.scene.name, row.label) for row in rows.values())
     return [replace(row, twin=not row.stage.paper and labels[row.run.scene.name, row.label] > 1) for row in rows.values()]
 

@@ -1,69 +1,194 @@
-"""Reads the thinned traces of a stage: columns by name, phases of contact, a value between two times."""
+"""Motions of a stage, read from the NetCDF files beside its record and thinned for plots: columns by name, phases of contact, a value between two times.
+
+    motion = read_motion(Path("runs/all/runs/<key>"), run, stage);  motion.plan.columns["q1"], motion.replay.poses["left"]
+
+A column is as long as the times or shorter (quantities of steps: one less). What a file lacks, or holds as something else than finite numbers, is
+missing here, and is shown as missing.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from reports.records.record import SceneRecord, TraceRecord
+from reports.judged import is_tracked
+from reports.records.record import RunRecord, SceneRecord, StageRecord, stage_files, thin
 
+Array = NDArray[np.float64]
 # A planned force below this is none: a thousandth of the smallest force worth drawing [N].
 _FORCE_OF_CONTACT = 1e-3
+# What a damaged file raises where it is read.
+_DAMAGED = (OSError, ValueError, KeyError, TypeError, RuntimeError)
 
 
-def column(trace: TraceRecord | None, name: str) -> Sequence[float] | None:
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """One motion at times t (n,) [s]. columns: coordinates and inputs by their names, per contact `lam_<contact>` [N] and `gap_<contact>` [m], per friction
+    its force [N] by its name; of a replay also `position_error`, the largest difference of a coordinate to the plan. poses: (n, 3) x, y [m] and angle
+    [rad] of each shape."""
+
+    t: Array
+    columns: Mapping[str, Array]
+    poses: Mapping[str, Array] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What is stored of a stage's motion; tracked: the replay with feedback; problems: sentences about files that cannot be read."""
+
+    plan: Trace | None = None
+    replay: Trace | None = None
+    tracked: Trace | None = None
+    problems: tuple[str, ...] = ()
+
+    def judged(self, stage: StageRecord) -> Trace | None:
+        """The motion of the replay that the verdict of the stage is of."""
+        return self.tracked if is_tracked(stage) else self.replay
+
+
+def read_motion(folder: Path, run: RunRecord, stage: StageRecord) -> Motion:
+    """Plan and replays of a stage of a run; folder: of its record."""
+    if not stage.has_plan:
+        return Motion()
+    files, problems = stage_files(stage.index, len(run.stages)), []
+    wanted = {
+        "trajectory": True,
+        "replay": stage.replay is not None,
+        "tracked": stage.replay is not None and stage.replay.tracked is not None,
+    }
+    found: dict[str, Mapping[str, Array]] = {what: {} for what in wanted}
+    for what in (what for what, there in wanted.items() if there):
+        try:
+            found[what] = _columns(folder / files[what], run.scene)
+        except _DAMAGED as error:
+            problems.append(f"{files[what]} cannot be read ({_reason(error)}).")
+    plan = found["trajectory"]
+    return Motion(
+        _plan(run.scene, plan),
+        _replay(run.scene, plan, found["replay"]),
+        _replay(run.scene, plan, found["tracked"]),
+        tuple(problems),
+    )
+
+
+def read_plan(folder: Path, run: RunRecord, stage: StageRecord) -> Trace | None:
+    """The plan of a stage alone; None where there is none that can be read."""
+    try:
+        return (
+            _plan(run.scene, _columns(folder / stage_files(stage.index, len(run.stages))["trajectory"], run.scene))
+            if stage.has_plan
+            else None
+        )
+    except _DAMAGED:
+        return None
+
+
+def _reason(error: Exception) -> str:
+    """The first line of what is said of a file; HDF5 says much more, with addresses."""
+    return "there is no such file" if isinstance(error, FileNotFoundError) else str(error).partition("\n")[0][:160] or type(error).__name__
+
+
+def _columns(path: Path, scene: SceneRecord) -> dict[str, Array]:
+    """What is drawn of a file, of its columns of finite numbers along one dimension. Raises one of _DAMAGED."""
+    names = ["t", "knots", *(item.name for item in (*scene.coordinates, *scene.inputs, *scene.frictions))]
+    names += [f"{what}_{contact.name}" for contact in scene.contacts for what in ("lam", "gap")]
+    names += [f"applied_{item.name}" for item in scene.inputs]
+    names += [f"pose_{part}_{place}" for place in range(1, len(scene.shapes) + 1) for part in ("x", "y", "angle")]
+    found = {}
+    with h5py.File(path, "r") as file:
+        there = set(file)
+        for name in names:
+            if name not in there:
+                continue
+            # By HDF5's own calls: h5py's Dataset takes twice as long for columns as short as these.
+            stored = h5py.h5d.open(file.id, name.encode())
+            if len(stored.shape) == 1 and stored.dtype.kind in "fiu":
+                values = np.empty(stored.shape, float)
+                stored.read(h5py.h5s.ALL, h5py.h5s.ALL, values)
+                if np.isfinite(values).all():
+                    found[name] = values
+    return found
+
+
+def _plan(scene: SceneRecord, columns: Mapping[str, Array]) -> Trace | None:
+    if not len(columns.get("t", ())):
+        return None
+    return _thinned(scene, columns["t"], {name: values for name, values in columns.items() if name != "t"})
+
+
+def _replay(scene: SceneRecord, plan: Mapping[str, Array], columns: Mapping[str, Array]) -> Trace | None:
+    """A replay with the inputs as applied, by their own names, and with its distance from the plan, known at the plan's nodes and drawn as a line between
+    them."""
+    if not len(columns.get("t", ())):
+        return None
+    t, told = columns["t"], dict(columns)
+    knots = told.pop("knots", np.zeros(0)).astype(int)
+    if len(knots) and knots.min() >= 0 and knots.max() < len(t):
+        rows = np.arange(len(t))
+        for item in scene.inputs:
+            applied = told.pop(f"applied_{item.name}", None)
+            if applied is not None and len(applied):
+                told[item.name] = applied[np.clip(np.searchsorted(knots, rows, side="right") - 1, 0, len(applied) - 1)]
+        pairs = [(plan[item.name], columns[item.name]) for item in scene.coordinates if item.name in plan and item.name in columns]
+        if pairs and all(len(planned) >= len(knots) and len(replayed) == len(t) for planned, replayed in pairs):
+            difference = np.max([np.abs(replayed[knots] - planned[: len(knots)]) for planned, replayed in pairs], axis=0)
+            told["position_error"] = np.interp(t, t[knots], difference)
+    return _thinned(scene, t, told)
+
+
+def _thinned(scene: SceneRecord, t: Array, columns: Mapping[str, Array]) -> Trace:
+    keep = thin(len(t))
+    thinned = {name: values[keep[keep < len(values)]] for name, values in columns.items() if 0 < len(values) <= len(t)}
+    poses = {}
+    for place, shape in enumerate(scene.shapes, 1):
+        parts = [thinned.get(f"pose_{part}_{place}") for part in ("x", "y", "angle")]
+        # What never changes has one value.
+        whole = [np.broadcast_to(part, len(keep)) for part in parts if part is not None and len(part) in (1, len(keep))]
+        if len(whole) == len(parts):
+            poses[shape.name] = np.column_stack(whole)
+    return Trace(t[keep], {name: values for name, values in thinned.items() if not name.startswith("pose_")}, poses)
+
+
+def column(trace: Trace | None, name: str) -> Array | None:
     """The column, or None if the trace lacks it."""
-    values = trace.columns.get(name) if trace is not None else None
-    return values if values else None
+    return trace.columns.get(name) if trace is not None else None
 
 
-def force(trace: TraceRecord | None, contact: str) -> Sequence[float] | None:
-    return column(trace, f"lam_{contact}") or column(trace, contact)
+def force(trace: Trace | None, contact: str) -> Array | None:
+    """Of a contact by its name, or of a friction by its force's."""
+    found = column(trace, f"lam_{contact}")
+    return column(trace, contact) if found is None else found
 
 
-def gap(trace: TraceRecord | None, contact: str) -> Sequence[float] | None:
+def gap(trace: Trace | None, contact: str) -> Array | None:
+    """Of a contact by its name."""
     return column(trace, f"gap_{contact}")
 
 
-def contact_phases(trace: TraceRecord | None, contact: str) -> list[tuple[float, float]]:
+def contact_phases(trace: Trace | None, contact: str) -> list[tuple[float, float]]:
     """Intervals of time in contact: where the gap is not positive, or where a force acts if no gap is stored."""
     if trace is None:
         return []
     gaps, forces = gap(trace, contact), force(trace, contact)
     if gaps is not None:
-        touching = np.asarray(gaps) <= 0
+        touching = gaps <= 0
     elif forces is not None:
         touching = np.abs(forces) > _FORCE_OF_CONTACT  # friction has two directions
     else:
         return []
-    times = np.asarray(trace.t)[: len(touching)]
-    changes = np.flatnonzero(np.diff(touching[: len(times)], prepend=False, append=False))
+    times = trace.t[: len(touching)]
+    changes = np.flatnonzero(np.diff(touching, prepend=False, append=False))
     # A phase ends at the first time without contact; one that lasts to the end, with the last time.
-    ends = times[np.minimum(changes, len(times) - 1)].tolist() if len(times) else []
+    ends = times[np.minimum(changes, len(times) - 1)].tolist()
     return list(zip(ends[::2], ends[1::2], strict=True))
 
 
-def at_all(times: Sequence[float], values: Sequence[float], wanted: NDArray[np.float64]) -> NDArray[np.float64]:
+def at_all(times: Sequence[float] | Array, values: Sequence[float] | Array, wanted: Array) -> Array:
     """The values at many times, linear between the stored times and constant beyond them."""
     length = min(len(times), len(values))
     return np.interp(wanted, times[:length], values[:length])
-
-
-def position_error(
-    scene: SceneRecord, plan: TraceRecord | None, replay: TraceRecord | None
-) -> tuple[Sequence[float], Sequence[float]] | None:
-    """Times and the largest difference over the coordinates between plan and replay; stored, or computed at the plan's times."""
-    stored = column(replay, "position_error")
-    if replay is not None and stored is not None:
-        return replay.t, stored
-    if plan is None or replay is None:
-        return None
-    pairs = [(column(plan, item.name), column(replay, item.name)) for item in scene.coordinates]
-    usable = [(planned, replayed) for planned, replayed in pairs if planned is not None and replayed is not None]
-    if not usable or not replay.t:
-        return None
-    times = np.asarray(plan.t)[: min([len(plan.t), *(len(planned) for planned, _ in usable)])]
-    errors = [np.abs(np.asarray(planned)[: len(times)] - at_all(replay.t, replayed, times)) for planned, replayed in usable]
-    return times.tolist(), np.max(errors, axis=0).tolist()

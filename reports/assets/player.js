@@ -264,11 +264,9 @@
   const near = new IntersectionObserver((entries) => {
     entries.filter((entry) => entry.isIntersecting).forEach((entry) => { near.unobserve(entry.target); start(entry.target); });
   });
-  // later: when it is seen.
-  const begin = (root, later) => root.querySelectorAll("[data-player][hidden]").forEach((player) => {
+  // What stands in something closed waits until it is seen: a page may have hundreds.
+  document.querySelectorAll("[data-player][hidden]").forEach((player) => {
     player.hidden = false;
-    if (later) near.observe(player); else start(player);
+    if (player.closest("details:not([open])")) near.observe(player); else start(player);
   });
-  begin(document, false);
-  document.addEventListener("unfolded", (event) => begin(event.target, event.detail.later));
 })();

@@ -101,11 +101,10 @@
 
   const open = (wanted) => document.querySelectorAll("article.run:not([hidden]) details:is(.whole, .stage)").forEach((item) => { item.open = wanted; });
   document.querySelectorAll("[data-all]").forEach((button) => button.addEventListener("click", () => open(button.dataset.all === "open")));
-  // Paper has no disclosure triangles: all is opened for print and put back afterwards, but for what fold.js keeps folded.
+  // Paper has no disclosure triangles: all is opened for print and put back afterwards, but for runs that are closed: hundreds would be a thousand pages.
   let closed = [];
   addEventListener("beforeprint", () => {
-    document.dispatchEvent(new CustomEvent("printing")); // fold.js puts in its place what goes on paper, now
-    closed = [...document.querySelectorAll("main details:not([open])")].filter((item) => !item.querySelector(":scope > .parcel[data-part]"));
+    closed = [...document.querySelectorAll("main details:not([open])")].filter((item) => !item.closest("details.whole:not([open])"));
     closed.forEach((item) => { item.open = true; });
   });
   addEventListener("afterprint", () => closed.forEach((item) => { item.open = false; }));
@@ -118,15 +117,6 @@
   };
   addEventListener("hashchange", reveal);
   reveal();
-  // A link made on the whole report, or on another of its pages, leads to the page that has the part.
-  const lead = () => {
-    const [, anchor] = /^#([\w-]+)/.exec(location.hash) || [];
-    if (!anchor || document.getElementById(anchor) || document.querySelector(`.parcel[data-holds~="${anchor}"]`)) return;
-    const link = document.querySelector(`nav.contents a[href$="#${/^run-\d+$/.test(anchor) ? "runs" : anchor}"]`);
-    if (link && !link.getAttribute("href").startsWith("#")) location.replace(link.href.split("#")[0] + location.hash);
-  };
-  addEventListener("hashchange", lead);
-  lead();
   const contents = document.getElementById("contents");
   if (contents && matchMedia("(max-width: 60rem)").matches) contents.open = false;
 
@@ -134,6 +124,7 @@
   if (!tools) return;
   tools.hidden = false;
   const filter = document.getElementById("filter");
+  if (!filter) return;
   const runs = [...document.querySelectorAll("article.run")];
   const apply = () => {
     const words = filter.value.toLowerCase().split(/\s+/).filter(Boolean);

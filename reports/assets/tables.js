@@ -99,18 +99,14 @@
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
   };
-  const offer = (root) => {
-    for (const table of root.querySelectorAll("table")) {
-      const button = document.createElement("button");
-      button.type = "button";
-      button.className = "take";
-      button.textContent = "CSV";
-      button.setAttribute("aria-label", `Download as CSV: ${words(table).slice(0, 80)}`);
-      button.addEventListener("click", () => save(table));
-      const frame = table.closest(".scroll");
-      if (frame) frame.after(button); else if (table.caption) table.caption.append(" ", button); else table.after(button);
-    }
-  };
-  offer(document);
-  document.addEventListener("unfolded", (event) => offer(event.target));
+  for (const table of document.querySelectorAll("table")) {
+    const button = document.createElement("button");
+    button.type = "button";
+    button.className = "take";
+    button.textContent = "CSV";
+    button.setAttribute("aria-label", `Download as CSV: ${words(table).slice(0, 80)}`);
+    button.addEventListener("click", () => save(table));
+    const frame = table.closest(".scroll");
+    if (frame) frame.after(button); else if (table.caption) table.caption.append(" ", button); else table.after(button);
+  }
 })();

@@ -93,7 +93,7 @@ def _plot(
         style = row.stage.kind
         marker = "square" if style == "direct" else "circle"
         tip = f"Row {row.number}, {row.label}: cost {cost(price)}, terminal error {error(missed)}, {row.stage.verdict}"
-        plot.point(max(missed, _SMALLEST), price, style, marker, tip, row.anchor)
+        plot.point(max(missed, _SMALLEST), price, style, marker, tip, row.link)
     plot.name_points([(max(missed, _SMALLEST), price, str(row.number)) for missed, price, row in points])
     steps = [f"row {row.number} (cost {cost(price)} at {error(missed)})" for missed, price, row in front]
     plot.words = f"{count(len(points), 'row')}; on the front, from the smallest error: {listing(steps)}."

@@ -15,7 +15,7 @@ class Cell:
     """A run of a pipeline on a scene, as the matrix shows it; end: where the judged replay ends, in words."""
 
     run: RunRecord
-    anchor: str
+    link: str
     cost: float | None
     end: list[str]
 
@@ -45,14 +45,13 @@ def build(report: Report) -> Section | None:
         "Scenes and pipelines",
         "matrix.html",
         {"scenes": report.scenes, "titles": titles, "cells": cells, "holding": holding, "verdicts": VERDICTS},
-        folds=False,
     )
 
 
 def _cell(report: Report, run: RunRecord) -> Cell:
     last = run.stages[-1] if run.stages else None
     return Cell(
-        run, report.anchor(run), last.cost if last else None, [part for part in end_of(last, run.scene).split(", ") if part] if last else []
+        run, report.link(run), last.cost if last else None, [part for part in end_of(last, run.scene).split(", ") if part] if last else []
     )
 
 

@@ -222,7 +222,7 @@ def _plot(title: str, y_axis: Axis, points: list[Point], front: list[Point], sai
         missed = row.metric("replay_terminal_error")
         ends = f", ends {error(missed)} from the goal" if missed is not None else ""
         tip = f"Row {row.number}, {row.label}, pipeline {row.run.pipeline}, stage {row.stage.index + 1}: {seconds(x)} CPU s, {quantity} {said(y)}{ends}, {row.stage.verdict}"
-        plot.point(x, y, "direct" if holds else "indirect", "square" if holds else "circle", tip, row.anchor)
+        plot.point(x, y, "direct" if holds else "indirect", "square" if holds else "circle", tip, row.link)
     plot.name_points([(x, y, str(row.number)) for x, y, row in points])
     steps = [f"row {row.number} ({seconds(x)} s, {said(y)})" for x, y, row in front]
     plot.words = f"{count(len(points), 'row')}" + (

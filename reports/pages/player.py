@@ -11,9 +11,9 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from reports.judged import is_tracked, judged_trace
-from reports.records.record import ContactRecord, RunRecord, ShapeRecord, StageRecord, TraceRecord
-from reports.traces import at_all, force, gap
+from reports.judged import is_tracked
+from reports.records.record import ContactRecord, RunRecord, ShapeRecord, StageRecord
+from reports.traces import Motion, Trace, at_all, force, gap
 
 # Frames of a film: smooth at the speed of the clock for a few seconds of motion.
 _FRAMES = 151
@@ -36,21 +36,24 @@ class Film:
     words: str
 
 
-def film(run: RunRecord) -> Film | None:
-    """The film of the last stage with poses, or None."""
+def film(run: RunRecord, motions: Sequence[Motion]) -> Film | None:
+    """The film of the last stage with poses, or None. motions: of each stage."""
     shapes = [shape for shape in run.scene.shapes if shape.size]
-    stage = next((stage for stage in reversed(run.stages) if _poses(stage.plan_trace) or _poses(judged_trace(stage))), None)
+    stages = zip(reversed(run.stages), reversed(motions), strict=True)
+    stage, plan, replay = next(
+        ((stage, motion.plan, motion.judged(stage)) for stage, motion in stages if _poses(motion.plan) or _poses(motion.judged(stage))),
+        (None, None, None),
+    )
     if stage is None or not shapes:
         return None
-    replay = judged_trace(stage)
-    tracks = [trace for trace in (stage.plan_trace, replay) if trace is not None and trace.t]
-    begin, end = min(trace.t[0] for trace in tracks), max(trace.t[-1] for trace in tracks)
+    tracks = [trace for trace in (plan, replay) if trace is not None]
+    begin, end = float(min(trace.t[0] for trace in tracks)), float(max(trace.t[-1] for trace in tracks))
     if end <= begin:
         return None
     times = begin + (end - begin) * np.arange(_FRAMES) / (_FRAMES - 1)
     names, contacts = [shape.name for shape in shapes], [contact.name for contact in run.scene.contacts]
-    planned, replayed = _track(stage.plan_trace, names, times), _track(replay, names, times)
-    pushes, pushed = _forces(stage.plan_trace, contacts, times), _forces(replay, contacts, times)
+    planned, replayed = _track(plan, names, times), _track(replay, names, times)
+    pushes, pushed = _forces(plan, contacts, times), _forces(replay, contacts, times)
     grain = _extent([*(planned or []), *(replayed or [])]) / _GRAINS
     strongest = max((float(values.max()) for values in [*(pushes or []), *(pushed or [])] if values is not None), default=0.0)
     push = max(strongest, 1e-9) / _LEVELS
@@ -62,7 +65,7 @@ def film(run: RunRecord) -> Film | None:
         "plan": _stepped_tracks(planned, grain),
         "replay": _stepped_tracks(replayed, grain),
         "contacts": contacts,
-        "touches": [_touch(shapes, (replay, stage.plan_trace), contact) for contact in run.scene.contacts],
+        "touches": [_touch(shapes, (replay, plan), contact) for contact in run.scene.contacts],
         "plan_force": _stepped_forces(pushes, push),
         "replay_force": _stepped_forces(pushed, push),
     }
@@ -76,22 +79,22 @@ def script_json(data: object) -> Markup:
     return Markup(json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c").replace("\u2028", "\\u2028"))
 
 
-def _poses(trace: TraceRecord | None) -> bool:
-    return trace is not None and bool(trace.t) and any(trace.poses.values())
+def _poses(trace: Trace | None) -> bool:
+    return trace is not None and bool(trace.poses)
 
 
-def _track(trace: TraceRecord | None, names: list[str], times: NDArray[np.float64]) -> list[NDArray[np.float64] | None] | None:
+def _track(trace: Trace | None, names: list[str], times: NDArray[np.float64]) -> list[NDArray[np.float64] | None] | None:
     """Of each shape x, y and angle at the times (3, frames); None where none is stored."""
-    if trace is None or not trace.t:
+    if trace is None:
         return None
     track: list[NDArray[np.float64] | None] = []
     for name in names:
         poses = trace.poses.get(name)
-        track.append(np.array([at_all(trace.t, axis, times) for axis in np.asarray(poses).T]) if poses else None)
+        track.append(None if poses is None else np.array([at_all(trace.t, axis, times) for axis in poses.T]))
     return track
 
 
-def _touch(shapes: list[ShapeRecord], traces: Sequence[TraceRecord | None], contact: ContactRecord) -> dict[str, object] | None:
+def _touch(shapes: list[ShapeRecord], traces: Sequence[Trace | None], contact: ContactRecord) -> dict[str, object] | None:
     """Where the contact's arrows are drawn: on the two shapes it acts between, along the way in which its gap opens, from whichever trace shows it."""
     drawn = [shape.name for shape in shapes]
     if not set(contact.bodies) <= set(drawn):
@@ -104,13 +107,13 @@ def _touch(shapes: list[ShapeRecord], traces: Sequence[TraceRecord | None], cont
     return faced and {"shapes": [first, second], "ends": [faced[0], 0.0], "turn": faced[1]}
 
 
-def _faced(trace: TraceRecord | None, body: ShapeRecord, other: ShapeRecord, contact: str) -> tuple[float, float] | None:
+def _faced(trace: Trace | None, body: ShapeRecord, other: ShapeRecord, contact: str) -> tuple[float, float] | None:
     """The point of the body (0 centre, -0.5 and 0.5 the ends of a line) that a side of the other meets, and the turn of that side's normal against
     the other's direction [rad]. The gap is the distance along that normal, but for a constant; None where no side is such."""
     gaps = gap(trace, contact)
-    if trace is None or not gaps or not trace.poses.get(body.name) or not trace.poses.get(other.name):
+    if trace is None or gaps is None or body.name not in trace.poses or other.name not in trace.poses:
         return None
-    (x, y, angle), (far_x, far_y, turned) = (np.asarray(trace.poses[shape.name])[: len(gaps)].T for shape in (body, other))
+    (x, y, angle), (far_x, far_y, turned) = (trace.poses[shape.name][: len(gaps)].T for shape in (body, other))
     best, least = None, _FLAT * float(np.ptp(gaps))
     for end in (0.0, -0.5, 0.5) if body.kind == "line" else (0.0,):
         across, up = x + end * body.size[0] * np.cos(angle) - far_x, y + end * body.size[0] * np.sin(angle) - far_y
@@ -146,19 +149,19 @@ def _stepped_tracks(track: list[NDArray[np.float64] | None] | None, grain: float
     return [None if axes is None else [steps(values, size) for values, size in zip(axes, sizes, strict=True)] for axes in track]
 
 
-def _forces(trace: TraceRecord | None, contacts: list[str], times: NDArray[np.float64]) -> list[NDArray[np.float64] | None] | None:
+def _forces(trace: Trace | None, contacts: list[str], times: NDArray[np.float64]) -> list[NDArray[np.float64] | None] | None:
     """Of each contact the largest force within half a frame of each time: a blow shorter than a frame is seen, not stepped over."""
-    if trace is None or not trace.t:
+    if trace is None:
         return None
     columns = [force(trace, name) for name in contacts]
     half = (times[1] - times[0]) / 2
     return [None if values is None else _peaks(trace.t, values, times, half) for values in columns]
 
 
-def _peaks(times: Sequence[float], values: Sequence[float], wanted: NDArray[np.float64], half: float) -> NDArray[np.float64]:
+def _peaks(times: NDArray[np.float64], values: NDArray[np.float64], wanted: NDArray[np.float64], half: float) -> NDArray[np.float64]:
     """The largest value within `half` of each wanted time."""
     length = min(len(times), len(values))
-    known, there = np.asarray(times)[:length], np.append(np.asarray(values)[:length], -np.inf)
+    known, there = times[:length], np.append(values[:length], -np.inf)
     begin, end = np.searchsorted(known, wanted - half, "left"), np.searchsorted(known, wanted + half, "right")
     # Every second of these is from a beginning to its end; where there is nothing between them, reduceat gives what lies at the beginning.
     inside = np.maximum.reduceat(there, np.column_stack([begin, end]).ravel())[::2]

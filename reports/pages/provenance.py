@@ -13,7 +13,7 @@ def build(report: Report) -> Section | None:
     first = stored.campaign.provenance if stored.campaign else (stored.runs[0].provenance if stored.runs else None)
     if first is None:
         return None
-    runs = [(run, report.anchor(run), differences(first, run.provenance)) for run in stored.runs]
+    runs = [(run, report.link(run), differences(first, run.provenance)) for run in stored.runs]
     return Section("provenance", "Provenance", "provenance.html", {"first": first, "runs": runs, "campaign": stored.campaign})
 
 

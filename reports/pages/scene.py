@@ -1,10 +1,6 @@
-"""The scene itself: equations, what it does not need, quantities with units, known answers."""
+"""A scene itself: equations, what it does not need, quantities with units, known answers."""
 
 from __future__ import annotations
-
-import json
-
-from markupsafe import Markup
 
 from reports.mathml import safe_mathml
 from reports.pages.section import Report, Section
@@ -30,28 +26,8 @@ def time_step(report: Report, scene: str) -> str:
     )
 
 
-def _equations(report: Report, scene: SceneRecord) -> list[tuple[str, Markup | None, str]]:
-    """Caption, markup (None where it cannot be trusted) and text of each equation."""
-    texts = [equation.mathml for equation in scene.equations]
-    told = json.loads(report.kept(lambda: json.dumps(list(map(safe_mathml, texts))), (), "equations", *texts))
-    return [
-        (equation.caption, None if markup is None else Markup(markup), equation.mathml)
-        for equation, markup in zip(scene.equations, told, strict=True)
-    ]
-
-
-def build(report: Report) -> Section | None:
-    if not report.scenes:
-        return None
-    scenes = [
-        (
-            f"scene-{place}",
-            scene,
-            _equations(report, scene),
-            method_sizes(report, scene.name),
-            time_step(report, scene.name),
-        )
-        for place, scene in enumerate(report.scenes, 1)
-    ]
-    entries = tuple((anchor, scene.name) for anchor, scene, *_ in scenes) if len(scenes) > 1 else ()
-    return Section("scene", "The scene and its equations", "scene.html", {"scenes": scenes}, entries)
+def build(report: Report, scene: SceneRecord) -> Section:
+    """The section of one scene."""
+    equations = [(equation.caption, safe_mathml(equation.mathml), equation.mathml) for equation in scene.equations]
+    values = {"scene": scene, "equations": equations, "sizes": method_sizes(report, scene.name), "time_step": time_step(report, scene.name)}
+    return Section(report.scene_anchor(scene), f"The scene {scene.name} and its equations", "scene.html", values)

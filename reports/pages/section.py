@@ -2,67 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import hashlib
+import re
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Protocol
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
 
-from reports.parcels import Parcels, Token
 from reports.records.load import Stored
 from reports.records.record import RunRecord, SceneRecord, StageRecord
-from reports.rows import Row, rows_of, run_anchors, scenes_of
-from reports.shelf import Shelf
+from reports.rows import Row, rows_of, scenes_of
+from reports.traces import Motion, Trace, read_motion, read_plan
 
-
-class Placeable(Protocol):
-    """The section of a run (reports.article)."""
-
-    def placed(self, parcels: Parcels, anchor: str, rows: Sequence[int | None], *, opened: bool) -> Token: ...
-
-
-class Source(Protocol):
-    """Where outlines come from (reports.outlines)."""
-
-    shelf: Shelf
-
-    def article(self, parts: Sequence[RunRecord]) -> Placeable: ...
-    def whole(self, parts: Sequence[RunRecord]) -> RunRecord: ...
-    def digest(self, outline: RunRecord) -> str: ...
+# The folder of the pages of runs and scenes, beside report.html.
+PAGES = "pages"
+# Names of scenes that are names of files as they are.
+_PLAIN = re.compile(r"[\w-]{1,80}", re.ASCII)
 
 
 @dataclass(frozen=True)
 class Report:
-    """The stored records, and the rows and scenes in them; source: where they come from, if they are outlines; parcels: what the page may fold."""
+    """The stored records of a campaign, and the rows and scenes in them. folder: the campaign's, where motions are read from; at: what links to other
+    pages begin with; single: everything stands in one file, so that links lead to anchors in it."""
 
     stored: Stored
-    source: Source | None = None
-    parcels: Parcels = field(default_factory=Parcels)
-
-    def article(self, run: RunRecord, *, opened: bool) -> Token:
-        """The section of a run. Raises ValueError where the records have no source."""
-        if self.source is None:
-            raise ValueError("only records that come from a folder have sections")
-        rows = [self.row_number(stage) for stage in run.stages]
-        return self.source.article(self._parts[id(run)]).placed(self.parcels, self.anchor(run), rows, opened=opened)
-
-    def whole(self, run: RunRecord) -> RunRecord:
-        """The run with its traces."""
-        return run if self.source is None else self.source.whole(self._parts[id(run)])
-
-    def kept(self, make: Callable[[], str], runs: Iterable[RunRecord], *words: str) -> str:
-        """What `make` makes of whole runs, and of these words: kept as long as all of them are the same."""
-        if self.source is None:
-            return make()
-        digests = [self.source.digest(part) for run in runs for part in self._parts[id(run)]]
-        return self.source.shelf.kept(make, *words, *digests)
-
-    @cached_property
-    def _parts(self) -> dict[int, tuple[RunRecord, ...]]:
-        return dict(zip(map(id, self.stored.runs), self.stored.parts, strict=True))
+    folder: Path = Path()
+    at: str = f"{PAGES}/"
+    single: bool = False
 
     @cached_property
     def rows(self) -> list[Row]:
-        return rows_of(self.stored.runs)
+        return rows_of(self.stored.runs, self.link)
 
     @cached_property
     def scenes(self) -> list[SceneRecord]:
@@ -72,29 +43,51 @@ class Report:
         return [row for row in self.rows if row.run.scene.name == scene.name]
 
     def anchor(self, run: RunRecord) -> str:
+        """Where the run stands on a page that has all of them."""
         return self._anchors[id(run)]
 
     @cached_property
     def _anchors(self) -> dict[int, str]:
-        return run_anchors(self.stored.runs)
+        return {id(run): f"run-{place}" for place, run in enumerate(self.stored.runs, 1)}
 
-    def row_number(self, stage: StageRecord) -> int | None:
-        """The number of a stage's row; None where its row is told of another run."""
-        return self._numbers.get(id(stage))
+    def link(self, run: RunRecord) -> str:
+        """What a link to the run leads to."""
+        return f"#{self.anchor(run)}" if self.single else self.at + quote(run_page(run))
 
-    @cached_property
-    def _numbers(self) -> dict[int, int]:
-        return {id(row.stage): row.number for row in self.rows}
+    def scene_anchor(self, scene: SceneRecord) -> str:
+        """Where the scene stands on a page that has all of them."""
+        return f"scene-{self.scenes.index(scene) + 1}"
+
+    def scene_link(self, scene: SceneRecord) -> str:
+        """What a link to the scene leads to."""
+        return f"#{self.scene_anchor(scene)}" if self.single else self.at + quote(scene_page(scene))
+
+    def motion(self, run: RunRecord, stage: StageRecord) -> Motion:
+        """Plan and replays of a stage of the run."""
+        return read_motion(self.folder / "runs" / run.key, run, stage)
+
+    def plan(self, run: RunRecord, stage: StageRecord) -> Trace | None:
+        """The plan of a stage of the run."""
+        return read_plan(self.folder / "runs" / run.key, run, stage)
+
+
+def run_page(run: RunRecord) -> str:
+    """The name of the run's page: its key, which is also that of a folder."""
+    return f"{run.key}.html"
+
+
+def scene_page(scene: SceneRecord) -> str:
+    """The name of the scene's page; of a name that is none of a file, a digest."""
+    name = scene.name if _PLAIN.fullmatch(scene.name) else hashlib.sha256(scene.name.encode("utf-8", "replace")).hexdigest()[:16]
+    return f"scene-{name}.html"
 
 
 @dataclass(frozen=True)
 class Section:
-    """`template` in reports/templates gets `values` and the `section` itself; `entries` are lines of the table of contents below it;
-    folds: a large page may fold it as a whole."""
+    """`template` in reports/templates gets `values` and the `section` itself; `entries` are lines of the table of contents below it."""
 
     anchor: str
     title: str
     template: str
     values: dict[str, Any] = field(default_factory=dict)
     entries: tuple[tuple[str, str], ...] = ()
-    folds: bool = True

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from reports.judged import is_tracked, judged_trace
+from reports.judged import is_tracked
 from reports.plots.axis import Axis
 from reports.plots.figure import Key, Plot
-from reports.records.record import QuantityRecord, SceneRecord, StageRecord, TraceRecord
-from reports.traces import column, contact_phases, force, gap, position_error
+from reports.records.record import QuantityRecord, SceneRecord, StageRecord
+from reports.traces import Motion, Trace, column, contact_phases, force, gap
 from reports.wording import clean, error, number
 
 _KEYS = [
@@ -47,13 +46,13 @@ class StagePlots:
 
 def is_empty(stage: StageRecord) -> bool:
     """Whether it left nothing to draw or to score: the reason stands in its sentence."""
-    return not (stage.metrics or stage.replay or any(trace and trace.t for trace in (stage.plan_trace, stage.replay_trace)))
+    return not (stage.metrics or stage.replay or stage.has_plan)
 
 
-def stage_plots(scene: SceneRecord, stage: StageRecord) -> StagePlots:
-    plan = stage.plan_trace if stage.plan_trace is not None and stage.plan_trace.t else None
-    replay = judged_trace(stage)
-    absent = []
+def stage_plots(scene: SceneRecord, stage: StageRecord, motion: Motion) -> StagePlots:
+    """The plots of a stage; motion: of that stage."""
+    plan, replay = motion.plan, motion.judged(stage)
+    absent = list(motion.problems)
     if is_empty(stage):
         absent.append("There is no plan, so nothing is drawn, replayed or scored.")
     elif plan is None:
@@ -63,35 +62,33 @@ def stage_plots(scene: SceneRecord, stage: StageRecord) -> StagePlots:
         absent.append("No replay is stored: " + (said or ("there is no plan to replay." if plan is None else "the plan was not replayed.")))
     if not stage.history and not is_empty(stage):
         absent.append("The method kept no history of its iterations.")
-    motion: list[Plot | None] = []
+    plots: list[Plot | None] = []
     times = [t for trace in (plan, replay) if trace is not None for t in (trace.t[0], trace.t[-1])]
     if times:
         x = Axis.fitted("time", "s", times, margin=0.0)
         for unit in dict.fromkeys(item.unit for item in scene.coordinates):
-            motion.append(_positions([item for item in scene.coordinates if item.unit == unit], unit, x, plan, replay))
+            plots.append(_positions([item for item in scene.coordinates if item.unit == unit], unit, x, plan, replay))
         for contact in scene.contacts:
-            motion.append(_contact(scene, f"Contact force, {contact.name}", "force", "N", contact.name, x, plan, replay))
+            plots.append(_contact(scene, f"Contact force, {contact.name}", "force", "N", contact.name, x, plan, replay))
         for friction in scene.frictions:
-            motion.append(
+            plots.append(
                 _contact(scene, f"Friction force, {friction.description or friction.name}", "force", "N", friction.name, x, plan, replay)
             )
-        opened = stage.replay_trace if stage.replay_trace is not None and stage.replay_trace.t else None
-        tracked = stage.tracked_trace if stage.tracked_trace is not None and stage.tracked_trace.t else None
-        motion.append(_error(scene, x, plan, opened) if tracked is None else _two_errors(scene, x, plan, opened, tracked))
+        plots.append(_error(scene, x, motion.replay) if motion.tracked is None else _two_errors(scene, x, motion.replay, motion.tracked))
         for contact in scene.contacts:
-            motion.append(_contact(scene, f"Gap, {contact.name}", "gap", "m", contact.name, x, plan, replay))
-        motion.append(_inputs(scene, x, plan, tracked))
+            plots.append(_contact(scene, f"Gap, {contact.name}", "gap", "m", contact.name, x, plan, replay))
+        plots.append(_inputs(scene, x, plan, motion.tracked))
     history = [_history(name, values, stage.iterations) for name, values in list(stage.history.items())[:_MOST_HISTORY] if len(values) > 1]
     keys = [*_KEYS[:1], Key("replay", "replay with feedback"), *_KEYS[2:]] if is_tracked(stage) else _KEYS
-    return StagePlots(keys, [plot for plot in motion if plot is not None], history, absent)
+    return StagePlots(keys, [plot for plot in plots if plot is not None], history, absent)
 
 
-def _positions(items: list[QuantityRecord], unit: str, x: Axis, plan: TraceRecord | None, replay: TraceRecord | None) -> Plot | None:
+def _positions(items: list[QuantityRecord], unit: str, x: Axis, plan: Trace | None, replay: Trace | None) -> Plot | None:
     data = [
         (item, f"c{place % _MOST_COLOURS} {style}", name, trace, values)
         for place, item in enumerate(items)
         for name, style, trace in (("replay", "", replay), ("plan", "ghost", plan))
-        if trace is not None and (values := column(trace, item.name))
+        if trace is not None and (values := column(trace, item.name)) is not None
     ]
     if not data:
         return None
@@ -115,13 +112,13 @@ def _positions(items: list[QuantityRecord], unit: str, x: Axis, plan: TraceRecor
 
 
 def _contact(
-    scene: SceneRecord, title: str, quantity: str, unit: str, contact: str, x: Axis, plan: TraceRecord | None, replay: TraceRecord | None
+    scene: SceneRecord, title: str, quantity: str, unit: str, contact: str, x: Axis, plan: Trace | None, replay: Trace | None
 ) -> Plot | None:
     read = force if quantity == "force" else gap
     data = [
         (name, trace, values)
         for name, trace in (("replay", replay), ("plan", plan))
-        if trace is not None and (values := read(trace, contact))
+        if trace is not None and (values := read(trace, contact)) is not None
     ]
     if not data:
         return None
@@ -134,7 +131,7 @@ def _contact(
     for name, trace, values in data:
         plot.line(name, name, trace.t, values)
     rubs = any(friction.name == contact for friction in scene.frictions)
-    size = (lambda values: max(map(abs, values))) if rubs else max  # friction acts in two directions
+    size = (lambda values: np.abs(values).max()) if rubs else np.max  # friction acts in two directions
     told = [f"Largest{' size' if rubs else ''} in the {name}: {number(size(values), 3)} {unit}." for name, _, values in data]
     if replay is not None:
         windows = [f"{number(low, 3)} to {number(high, 3)} s" for low, high in phases[:4]]
@@ -145,55 +142,55 @@ def _contact(
     return plot
 
 
-def _error(scene: SceneRecord, x: Axis, plan: TraceRecord | None, replay: TraceRecord | None) -> Plot | None:
-    found = position_error(scene, plan, replay)
-    if found is None:
+def _error(scene: SceneRecord, x: Axis, replay: Trace | None) -> Plot | None:
+    values = column(replay, "position_error")
+    if replay is None or values is None:
         return None
-    times, values = found
     unit = "/".join(dict.fromkeys(item.unit for item in scene.coordinates))
-    plot = Plot("Position error: replay against plan", x, Axis.fitted("largest difference", unit, np.asarray(values), zero=True))
-    plot.line("difference", "c5", times, values)
+    plot = Plot("Position error: replay against plan", x, Axis.fitted("largest difference", unit, values, zero=True))
+    plot.line("difference", "c5", replay.t, values)
     worst = int(np.argmax(values))
-    plot.words = f"The largest difference is {error(values[worst])} {unit}, at {number(times[worst], 3)} s; at the end it is {error(values[-1])} {unit}."
+    plot.words = f"The largest difference is {error(values[worst])} {unit}, at {number(replay.t[worst], 3)} s; at the end it is {error(values[-1])} {unit}."
     return plot
 
 
-def _two_errors(scene: SceneRecord, x: Axis, plan: TraceRecord | None, opened: TraceRecord | None, tracked: TraceRecord) -> Plot | None:
+def _two_errors(scene: SceneRecord, x: Axis, opened: Trace | None, tracked: Trace) -> Plot | None:
     """Inputs alone and with feedback on one logarithmic axis: what grows, and what feedback leaves of it."""
-    found = [
-        (name, style, position_error(scene, plan, trace))
+    lines = [
+        (name, style, trace.t, values)
         for name, style, trace in (("inputs alone", "c3", opened), ("with feedback", "c5", tracked))
+        if trace is not None and (values := column(trace, "position_error")) is not None
     ]
-    lines = [(name, style, *values) for name, style, values in found if values is not None]
-    positive = [value for *_, values in lines for value in values if value > 0.0]
-    if not positive:
+    positive = np.concatenate([values[values > 0.0] for *_, values in lines]) if lines else np.zeros(0)
+    if not len(positive):
         return None
     unit = "/".join(dict.fromkeys(item.unit for item in scene.coordinates))
     # The start is exact: below a millionth of the largest nothing needs to be read.
-    floor = max(min(positive), 1e-6 * max(positive))
+    floor = max(positive.min(), 1e-6 * positive.max())
     plot = Plot(
         "Position error: inputs alone and with feedback",
         x,
-        Axis.fitted("largest difference", unit, [max(value, floor) for value in positive], log=True),
+        Axis.fitted("largest difference", unit, np.maximum(positive, floor), log=True),
     )
     for name, style, times, values in lines:
-        plot.line(name, style, times, [max(value, floor) for value in values])
+        shown = np.maximum(values, floor)
+        plot.line(name, style, times, shown)
         place = 3 * len(times) // 4  # far from the start, which they share, and from the edge
-        plot.label(times[place], max(values[place], floor), name, f"strong {style}")
+        plot.label(times[place], shown[place], name, f"strong {style}")
     plot.words = " ".join(
-        f"{name.capitalize()}: at most {error(max(values))} {unit}, at the end {error(values[-1])} {unit}." for name, _, _, values in lines
+        f"{name.capitalize()}: at most {error(values.max())} {unit}, at the end {error(values[-1])} {unit}." for name, _, _, values in lines
     )
     return plot
 
 
-def _inputs(scene: SceneRecord, x: Axis, plan: TraceRecord | None, tracked: TraceRecord | None) -> Plot | None:
+def _inputs(scene: SceneRecord, x: Axis, plan: Trace | None, tracked: Trace | None) -> Plot | None:
     if plan is None:
         return None
-    data = [(item, values) for item in scene.inputs if (values := column(plan, item.name))]
+    data = [(item, values) for item in scene.inputs if (values := column(plan, item.name)) is not None]
     if not data:
         return None
     units = list(dict.fromkeys(item.unit for item, _ in data))
-    applied = {item.name: values for item, _ in data if (values := column(tracked, item.name))}
+    applied = {item.name: values for item, _ in data if (values := column(tracked, item.name)) is not None}
     title = "Inputs of the plan (dotted) and with feedback" if applied else "Inputs of the plan"
     every = np.concatenate([*(values for _, values in data), *applied.values()])
     plot = Plot(title, x, Axis.fitted("input", "/".join(units), every, zero=True))
@@ -206,12 +203,12 @@ def _inputs(scene: SceneRecord, x: Axis, plan: TraceRecord | None, tracked: Trac
         peak = int(np.abs(values).argmax())
         plot.label(plan.t[min(peak, len(plan.t) - 1)], values[peak], item.name, f"strong c{place % _MOST_COLOURS}")
     plot.words = " ".join(
-        f"{item.name} lies between {number(min(values), 3)} and {number(max(values), 3)} {item.unit}." for item, values in data
+        f"{item.name} lies between {number(values.min(), 3)} and {number(values.max(), 3)} {item.unit}." for item, values in data
     )
     return plot
 
 
-def _history(name: str, values: Sequence[float], iterations: int) -> Plot:
+def _history(name: str, values: tuple[float, ...], iterations: int) -> Plot:
     """One column of the iteration history, over all iterations if it was thinned; logarithmic where it is positive and spans two powers of ten."""
     name = _HISTORY_WORDS.get(name, clean(name).replace("_", " "))
     stride = max(1.0, iterations / (len(values) - 1))

@@ -20,9 +20,9 @@ def build(report: Report) -> Section:
     stored = report.stored
     runs = stored.runs
     whole = not (stored.missing or stored.unreadable)
-    ended = [(run, report.anchor(run), sentence) for run in runs if (sentence := failure(run))]
+    ended = [(run, report.link(run), sentence) for run in runs if (sentence := failure(run))]
     if len(ended) > _FEW:
-        ended = [(run, anchor, sentence) for run, anchor, sentence in ended if run.outcome != "refused"]
+        ended = [(run, link, sentence) for run, link, sentence in ended if run.outcome != "refused"]
     return Section(
         "summary",
         "Summary",
@@ -50,7 +50,6 @@ def build(report: Report) -> Section:
             "missing": stored.missing,
             "provenance": stored.campaign.provenance if stored.campaign else (runs[0].provenance if runs else None),
         },
-        folds=False,
     )
 
 

@@ -50,7 +50,7 @@ class Slow:
     """One run: groups: wall seconds of each group; phases: (words, seconds) by length; bar: as wide as its share of the slowest run."""
 
     run: RunRecord
-    anchor: str
+    link: str
     groups: tuple[float, ...]
     phases: tuple[tuple[str, float], ...]
     bar: tuple[Part, ...]
@@ -61,7 +61,7 @@ def build(report: Report) -> Section | None:
     if not profiled:
         return None
     longest = profiled[0].wall_seconds or 1.0
-    slowest = [_slow(run, report.anchor(run), longest) for run in profiled[:_SLOWEST]]
+    slowest = [_slow(run, report.link(run), longest) for run in profiled[:_SLOWEST]]
     values = {
         "slowest": slowest,
         "groups": _GROUPS,
@@ -92,7 +92,7 @@ def _by_group(run: RunRecord) -> dict[str, float]:
     return found
 
 
-def _slow(run: RunRecord, anchor: str, longest: float) -> Slow:
+def _slow(run: RunRecord, link: str, longest: float) -> Slow:
     groups = _by_group(run)
     bar, x = [], 0.0
     for group, spent in groups.items():
@@ -100,7 +100,7 @@ def _slow(run: RunRecord, anchor: str, longest: float) -> Slow:
         bar.append(Part(round(x, 2), round(width, 2), _style(group), f"{group}: {seconds(spent)} s"))
         x += width
     phases = sorted(((_words(phase), spent) for phase, spent in run.profile.items()), key=lambda item: -item[1])
-    return Slow(run, anchor, tuple(groups.values()), tuple(phases), tuple(bar))
+    return Slow(run, link, tuple(groups.values()), tuple(phases), tuple(bar))
 
 
 def _sentence(runs: list[RunRecord]) -> str:

@@ -32,10 +32,10 @@ class Beside:
 
 @dataclass(frozen=True)
 class Exactness:
-    """The front of one scene. anchor: of the run it comes from."""
+    """The front of one scene. link: of the run it comes from."""
 
     scene: SceneRecord
-    anchor: str
+    link: str
     points: tuple[FrontPointRecord, ...]
     plot: Plot
     beside: list[Beside]
@@ -67,8 +67,8 @@ def _view(report: Report, run: RunRecord) -> Exactness | None:
     points = tuple(sorted(stage.front, key=lambda point: point.tolerance))
     others = [row for row in report.rows_of_scene(run.scene) if not row.stage.front]
     beside = [_beside(points, row) for row in others if row.metric("discrete_terminal_error") is not None and row.stage.cost is not None]
-    anchor = report.anchor(run)
-    return Exactness(run.scene, anchor, points, _plot(points, beside, anchor), beside)
+    link = report.link(run)
+    return Exactness(run.scene, link, points, _plot(points, beside, link), beside)
 
 
 def _beside(points: tuple[FrontPointRecord, ...], row: Row) -> Beside:
@@ -101,7 +101,7 @@ def _edge(points: tuple[FrontPointRecord, ...]) -> float:
     return _EDGE * min((point.tolerance for point in points if point.tolerance > 0), default=1e-3)
 
 
-def _plot(points: tuple[FrontPointRecord, ...], beside: list[Beside], anchor: str) -> Plot:
+def _plot(points: tuple[FrontPointRecord, ...], beside: list[Beside], link: str) -> Plot:
     priced = [(point, point.cost) for point in points if point.cost is not None]
     edge = _edge(points)
     costs = [price for _, price in priced] + [item.price for item in beside]
@@ -125,11 +125,11 @@ def _plot(points: tuple[FrontPointRecord, ...], beside: list[Beside], anchor: st
         tip = f"Within {error(point.tolerance)}: cost {cost(price)}, terminal error {error(point.terminal_error)}" + (
             f", {where}" if where else ""
         )
-        plot.point(max(point.tolerance, edge), price, "front", "diamond", tip, anchor)
+        plot.point(max(point.tolerance, edge), price, "front", "diamond", tip, link)
     for item in beside:
         kind = item.row.stage.kind
         tip = f"Row {item.row.number}, {item.row.label}: cost {cost(item.price)}, terminal error {error(item.missed)}, least known {item.least}"
-        plot.point(max(item.missed, edge), item.price, kind, "square" if kind == "direct" else "circle", tip, item.row.anchor)
+        plot.point(max(item.missed, edge), item.price, kind, "square" if kind == "direct" else "circle", tip, item.row.link)
     plot.name_points([(max(item.missed, edge), item.price, str(item.row.number)) for item in beside])
     plot.words = (
         f"{count(len(priced), 'point')} of the front, from cost {cost(priced[0][1])} within {error(priced[0][0].tolerance)} "

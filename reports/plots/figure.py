@@ -40,20 +40,6 @@ class Key:
     marker: str = ""
 
 
-@dataclass(frozen=True)
-class Drawing:
-    """A plot that is drawn: the SVG as text, and what the template asks of a plot."""
-
-    title: str
-    words: str
-    width: int
-    svg: str
-
-    def markup(self, hidden: bool = True) -> Markup:
-        """The SVG, hidden from assistive technology: it holds no links."""
-        return Markup(self.svg)
-
-
 @dataclass
 class Plot:
     """`words`: what the plot shows, as a sentence for those who do not see it."""
@@ -79,7 +65,7 @@ class Plot:
     def py(self, value: float) -> float:
         return self.height - self._BOTTOM - self.y.fraction(value) * (self.height - self._TOP - self._BOTTOM)
 
-    def line(self, name: str, style: str, xs: Sequence[float], ys: Sequence[float]) -> None:
+    def line(self, name: str, style: str, xs: Sequence[float] | NDArray[np.float64], ys: Sequence[float] | NDArray[np.float64]) -> None:
         """A line; the shorter of the two sequences decides (quantities of steps are one shorter than those of nodes)."""
         length = min(len(xs), len(ys))
         if not length:
@@ -119,7 +105,7 @@ class Plot:
             "triangle": f'<path d="M{left:.1f},{top - 6:.1f}l6,10.5h-12z"/>',
         }.get(marker, f'<circle cx="{left:.1f}" cy="{top:.1f}" r="5"/>')
         inner = f'<g class="pt {escape(style)}" data-tip="{escape(tip)}"><title>{escape(tip)}</title>{shape}</g>'
-        self._over.append(f'<a href="#{escape(href)}" aria-label="{escape(tip)}">{inner}</a>' if href else inner)
+        self._over.append(f'<a href="{escape(href)}" aria-label="{escape(tip)}">{inner}</a>' if href else inner)
         self._taken.append((left - 6, top - 6, left + 6, top + 6))
 
     def label(
@@ -191,10 +177,6 @@ class Plot:
             f'<svg class="plot" viewBox="0 0 {self.width} {self.height}" width="{self.width}" height="{self.height}" '
             f'data-axes="{escape(json.dumps(axes, separators=(",", ":")))}" focusable="false"{quiet}>{inside}</svg>'
         )
-
-    def drawing(self) -> Drawing:
-        """This plot as text, without links."""
-        return Drawing(self.title, self.words, self.width, str(self.markup()))
 
     def _grid(self) -> list[str]:
         bottom, right = self.height - self._BOTTOM, self.width - self._RIGHT

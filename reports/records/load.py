@@ -19,7 +19,7 @@ from reports.records.check_record import ExaminationRecord, divided, record_of
 from reports.records.record import SCHEMA_VERSION, CampaignRecord, RunRecord
 from reports.wording import clean
 
-# A record holds thinned traces only: 64 MB is ten times the largest thinkable one, and what is larger is not a record.
+# A record holds numbers: 64 MB is ten times the largest thinkable one, and what is larger is not a record.
 LARGEST_BYTES = 64 * 1024 * 1024
 
 
@@ -33,9 +33,7 @@ def record_files(folder: Path) -> list[Path]:
     return [path / "record.json" for path in folders]
 
 
-_ANOTHER_SCHEMA = (
-    f"it is of another version's record schema (this one reads {SCHEMA_VERSION}), whose verdicts follow another rule; run it again."
-)
+_ANOTHER_SCHEMA = f"it is of another version's record schema (this one reads {SCHEMA_VERSION}), which holds other things; run it again."
 
 _Record = TypeVar("_Record", bound=BaseModel)
 
@@ -70,15 +68,15 @@ class Stored:
     parts: tuple[tuple[RunRecord, ...], ...] = ()
 
 
-def load(folder: Path, read: Callable[[bytes], RunRecord | ExaminationRecord] = record_of) -> Stored:
-    """Everything readable in the folder, in the campaign's order; `read` makes a record of its text. Raises ReportError if there is no such folder."""
+def load(folder: Path) -> Stored:
+    """Everything readable in the folder, in the campaign's order. Raises ReportError if there is no such folder."""
     if not folder.is_dir():
         raise ReportError(f"{folder}: there is no such folder; give the folder of a campaign (it holds campaign.json and runs/).")
     unreadable: list[Unreadable] = []
     campaign = read_record(folder / "campaign.json", folder, CampaignRecord.model_validate_json, unreadable)
     found: dict[str, RunRecord | ExaminationRecord] = {}
     for path in record_files(folder):
-        run = read_record(path, folder, read, unreadable)
+        run = read_record(path, folder, record_of, unreadable)
         if run is None:
             continue
         if run.key != path.parent.name:

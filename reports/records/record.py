@@ -1,18 +1,16 @@
-"""RunRecord: what is stored of one cell (scene x pipeline), and all that the report knows.
+"""RunRecord: what is stored of one cell (scene x pipeline), and the numbers that the report knows.
 
     record = RunRecord.model_validate_json(path.read_text())
 
-Numbers are plain JSON, columns of numbers texts (reports.records.record): NaN and infinities are refused when written and when read. Arrays of trajectories
-do not live here but in the NetCDF files beside the record; `thin` copies for plots (at most 1500 points a trace) do.
+Numbers are plain JSON: NaN and infinities are refused when written and when read. Motions do not live here but in the NetCDF files beside the record,
+which `stage_files` names and reports.traces reads; of arrays a record has the columns of an iteration history alone, `thin` as plots show them.
+
+Such columns are tuples in memory and in JSON the base64 of their bytes (float64, little-endian): read ten times as fast as digits, and a third as
+long. A list of numbers is read as well.
 
 TimeStepRecord: whether the time step of a scene is stable while contacts are closed, found out before anything ran.
 
-TraceRecord: thinned arrays of a plan or a replay, for plots and the player.
-
-Columns of numbers are tuples in memory and in JSON the base64 of their bytes (float64, little-endian, row by row): read ten times as fast as digits, and
-a third as long. A list of numbers is read as well.
-
-What is stored of a replay with feedback, beside the one of the inputs alone.
+TrackedRecord: what is stored of a replay with feedback, beside the one of the inputs alone.
 """
 
 from __future__ import annotations
@@ -22,6 +20,7 @@ from collections.abc import Sequence
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat, PlainSerializer, model_validator
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -46,7 +45,6 @@ class TimeStepRecord(BaseModel):
     warning: str = ""
 
 
-Pose = tuple[float, float, float]
 _TYPE = "<f8"
 
 
@@ -59,38 +57,24 @@ def _floats(value: Any) -> Any:
     return tuple(np.frombuffer(base64.b64decode(value, validate=True), _TYPE).tolist()) if isinstance(value, str) else value
 
 
-def _poses(value: Any) -> Any:
-    return tuple(map(tuple, np.reshape(_floats(value), (-1, 3)).tolist())) if isinstance(value, str) else value
-
-
 _written = PlainSerializer(_text, return_type=str, when_used="json")
 Floats = Annotated[tuple[FiniteFloat, ...], BeforeValidator(_floats), _written]
-Poses = Annotated[tuple[tuple[FiniteFloat, FiniteFloat, FiniteFloat], ...], BeforeValidator(_poses), _written]
+
+# More points than this no plot can show.
+LONGEST = 1500
+# What the files of a stage hold.
+_FILES = ("trajectory", "replay", "tracked")
 
 
-class TraceRecord(BaseModel):
-    """Thinned arrays of one stage for plots: plan and replay on their own thinned times, at most 1500 of them.
-
-    Columns: coordinates, velocities and inputs by their own names; per contact `lam_<contact>` [N] and `gap_<contact>` [m]
-    (gap = -penetration); per friction its force [N] by its own name; in a replay also `position_error`, the largest over the coordinates against the plan. Each column is
-    as long as `t` or shorter (quantities of steps: one less); what is missing is shown as missing.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    t: Floats
-    columns: dict[str, Floats]
-    poses: dict[str, Poses] = {}  # shape -> (x, y, angle) per thinned time
-
-    @model_validator(mode="after")
-    def _is_not_longer_than_its_times(self) -> Self:
-        for name, values in (*self.columns.items(), *self.poses.items()):
-            if len(values) > len(self.t):
-                raise ValueError(f"{name} has {len(values)} values at {len(self.t)} times")
-        return self
+def thin(points: int, longest: int = LONGEST) -> NDArray[np.int64]:
+    """Indices of at most `longest` of `points` points, evenly spread, with the first and the last."""
+    return np.unique(np.linspace(0, points - 1, min(points, longest)).round().astype(int))
 
 
-_Finite = Annotated[float, Field(allow_inf_nan=False)]
+def stage_files(index: int, stages: int) -> dict[str, str]:
+    """The files of stage `index` (from 0) of a cell of so many stages, by what they hold; those of the last stage have no number."""
+    ending = "" if index == stages - 1 else f"_{index + 1}"
+    return {what: f"{what}{ending}.nc" for what in _FILES}
 
 
 class TrackedRecord(BaseModel):
@@ -99,21 +83,21 @@ class TrackedRecord(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    error_estimate: _Finite | None
+    error_estimate: Finite | None
     events: int = 0
-    seconds_reference: _Finite = 0.0
-    seconds_everyday: _Finite = 0.0
+    seconds_reference: Finite = 0.0
+    seconds_everyday: Finite = 0.0
     message: str = ""
-    rms: tuple[_Finite, ...] = ()
-    peak: tuple[_Finite, ...] = ()
-    rms_share: _Finite = 0.0
-    peak_share: _Finite = 0.0
-    plan_share: _Finite | None = 0.0
-    saturated: _Finite = 0.0
+    rms: tuple[Finite, ...] = ()
+    peak: tuple[Finite, ...] = ()
+    rms_share: Finite = 0.0
+    peak_share: Finite = 0.0
+    plan_share: Finite | None = 0.0
+    saturated: Finite = 0.0
 
 
-# 3: metrics, questions and the words of the verdict; records of earlier versions are of another rule, and are refused.
-SCHEMA_VERSION = 3
+# 4: motions are in the NetCDF files alone, with gaps and poses; records of earlier versions lack them there, and are refused.
+SCHEMA_VERSION = 4
 
 Verdict = Literal["holds", "holds with feedback", "violates", "undecided", "no plan", "not applicable", "consistent"]
 # Verdicts of plans that hold.
@@ -140,7 +124,7 @@ class ContactRecord(QuantityRecord):
 
 
 class ShapeRecord(_Model):
-    """How a body is drawn; positions per thinned node of the stage's plan and replay are in `TraceRecord.poses`."""
+    """How a body is drawn; where it is, stands in the NetCDF files, by its place among the shapes."""
 
     name: str
     kind: str
@@ -334,9 +318,7 @@ class StageRecord(_Model):
     questions: tuple[QuestionRecord, ...] = ()
     not_asked: tuple[str, ...] = ()
     replay: ReplayRecord | None = None
-    plan_trace: TraceRecord | None = None
-    replay_trace: TraceRecord | None = None
-    tracked_trace: TraceRecord | None = None
+    has_plan: bool = False  # whether a plan came back: the files of the stage are there
     paper: dict[str, Finite] = {}  # the paper's numbers for this row: cost, stability, physics, time
     shared_from: str = ""  # the pipeline in whose cell this stage ran, where that was another: its seconds were spent there
 
@@ -382,7 +364,7 @@ class ProvenanceRecord(_Model):
 class RunRecord(_Model):
     """One cell: a scene by a pipeline."""
 
-    schema_version: Literal[3] = SCHEMA_VERSION
+    schema_version: Literal[4] = SCHEMA_VERSION
     key: str
     scene: SceneRecord
     pipeline: str
@@ -417,7 +399,7 @@ class ViolationPoint(_Model):
 class CampaignRecord(_Model):
     """What belongs to the campaign as a whole; stored as DIR/campaign.json."""
 
-    schema_version: Literal[3] = SCHEMA_VERSION
+    schema_version: Literal[4] = SCHEMA_VERSION
     title: str
     command: str
     started: str

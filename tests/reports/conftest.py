@@ -69,7 +69,16 @@ def hostile_folder(factory, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def page_file(full_folder: Path) -> Path:
-    """The plain report of it."""
-    from reports.render import write_report
+    """All of its report in one file."""
+    from reports.render import write_single
 
-    return write_report(full_folder)
+    return write_single(full_folder)
+
+
+@pytest.fixture(scope="session")
+def run_file(full_folder: Path) -> Path:
+    """The page of one run of it."""
+    from reports.render import PAGES, write_report
+
+    write_report(full_folder)
+    return full_folder / PAGES / "strict-0123456789abcdef.html"

@@ -21,8 +21,7 @@ def crashed(factory) -> RunRecord:
 
 def out_of_time(factory) -> RunRecord:
     bare = {
-        "plan_trace": None,
-        "replay_trace": None,
+        "has_plan": False,
         "replay": None,
         "metrics": (),
         "history": {},
@@ -61,8 +60,6 @@ def refused(factory) -> RunRecord:
 def hostile(factory) -> RunRecord:
     """Every string that a scene, a method or a log can bring, made of markup."""
     bad = factory.stage(0, "strict_lcp", None, None, 0.0)
-    trace = bad.plan_trace
-    assert trace is not None
     bad = bad.model_copy(
         update={
             "method": factory.HOSTILE,
@@ -78,7 +75,6 @@ def hostile(factory) -> RunRecord:
                 MetricRecord(name=factory.HOSTILE, value=None, unit=factory.HOSTILE, meaning=factory.HOSTILE, reason=factory.HOSTILE),
             ),
             "paper": {},
-            "plan_trace": trace.model_copy(update={"poses": {factory.HOSTILE: trace.poses["left"]}}),
         }
     )
     where = factory.scene(factory.HOSTILE, factory.HOSTILE).model_copy(

@@ -1,12 +1,18 @@
 """Records for the tests of the report: three carts pushed by hand-made inputs, a plan by softplus contact and a replay by the true law.
 
-Not a solver: the motions are simulated, so that traces look like traces, but costs and errors are those of the inputs chosen here.
+Not a solver: the motions are simulated, so that they look like motions, but costs and errors are those of the inputs chosen here. `store` writes them
+into the NetCDF files of the stages that have a plan, as a campaign does; `write_motion` writes others over them.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
+
+import h5py
+import numpy as np
 
 from reports.paper import TABLE_1
 from reports.records.record import (
@@ -23,9 +29,10 @@ from reports.records.record import (
     SecondsRecord,
     ShapeRecord,
     StageRecord,
-    TraceRecord,
     ViolationPoint,
+    stage_files,
 )
+from reports.traces import Motion, Trace, read_motion
 
 STEP, STEPS, STIFFNESS, DAMPING, LENGTH = 0.01, 500, 30.0, 2.0, 0.5
 HOSTILE = "</script></style><img src=x onerror=\"document.title='owned'\"><b>'&\u202e"
@@ -84,25 +91,58 @@ def _inputs(t: float, push: float) -> tuple[float, float]:
     return u1, u3
 
 
-def simulate(law, push: float, every: int = 2) -> TraceRecord:
+@cache
+def simulate(eps: float | None, push: float, every: int = 2) -> Mapping[str, Sequence[float]]:
+    """Columns of a file: the motion under these inputs by softplus contact at eps, or by the true law (None), at every so many steps."""
+    law = _relu if eps is None else _softplus(eps)
     q, v = [2.0, 3.0, 4.0], [0.0, 0.0, 0.0]
     names = ("q1", "q2", "q3", "v1", "v2", "v3", "u1", "u3", "lam_left", "lam_right", "gap_left", "gap_right")
-    columns: dict[str, list[float]] = {name: [] for name in names}
-    times: list[float] = []
+    columns: dict[str, list[float]] = {name: [] for name in ("t", *names)}
     for step in range(STEPS + 1):
         t = step * STEP
         u = _inputs(t, push)
         phi = (LENGTH - (q[1] - q[0]), LENGTH - (q[2] - q[1]))
         lam = (law(phi[0]), law(phi[1]))
         if step % every == 0:
-            times.append(t)
-            for name, value in zip(names, (*q, *v, *u, *lam, -phi[0], -phi[1]), strict=True):
+            for name, value in zip(columns, (t, *q, *v, *u, *lam, -phi[0], -phi[1]), strict=True):
                 columns[name].append(value)
         force = (u[0] - lam[0], lam[0] - lam[1], u[1] + lam[1])
         v = [speed + STEP * (pull - DAMPING * speed) for speed, pull in zip(v, force, strict=True)]
         q = [place + STEP * speed for place, speed in zip(q, v, strict=True)]
-    poses = {word: tuple((x, LENGTH / 2, 0.0) for x in columns[name]) for word, name in (("left", "q1"), ("middle", "q2"), ("right", "q3"))}
-    return TraceRecord(t=tuple(times), columns={name: tuple(values) for name, values in columns.items()}, poses=poses)
+    nothing = [0.0] * len(columns["t"])
+    for place, name in enumerate(("q1", "q2", "q3"), 1):
+        columns |= {f"pose_x_{place}": columns[name], f"pose_y_{place}": [LENGTH / 2] * len(nothing), f"pose_angle_{place}": nothing}
+    return columns
+
+
+def _motions(stage: StageRecord) -> dict[str, Mapping[str, Sequence[float]]]:
+    """What the files of a stage hold, by kind."""
+    cost = stage.cost if stage.cost is not None and abs(stage.cost) < 1e4 else 490.0
+    push = 2.0 + cost / 490.0
+    plan = simulate((stage.eps or None) if stage.method != "relaxed_lcp" else None, push)
+    replay = {**simulate(None, push + 0.02), "knots": list(range(len(plan["t"])))}
+    found = {"trajectory": plan}
+    if stage.replay is not None:
+        found["replay"] = replay
+        if stage.replay.tracked is not None:
+            found["tracked"] = {**replay, **{f"applied_{name}": plan[name] for name in ("u1", "u3")}}
+    return found
+
+
+def write_motion(path: Path, columns: Mapping[str, Sequence[float]]) -> None:
+    """A file of these columns alone."""
+    with h5py.File(path, "w") as file:
+        for name, values in columns.items():
+            file[name] = values
+
+
+def motion(folder: Path, run: RunRecord, stage: StageRecord) -> Motion:
+    """What is read of a stage's files; folder: of the campaign."""
+    return read_motion(folder / "runs" / run.key, run, stage)
+
+
+def trace(t: Sequence[float], **columns: Sequence[float]) -> Trace:
+    return Trace(np.asarray(t, float), {name: np.asarray(values, float) for name, values in columns.items()})
 
 
 QUESTIONS = (
@@ -175,9 +215,6 @@ def stage(index: int, method: str, eps: float | None, before: str | None, total:
     cost, planned, grid, replayed, physics = OURS[method, eps, before]
     theirs = PAPER[method, eps, before]
     kind = "direct" if method in ("strict_lcp", "relu_gd") else "indirect"
-    push = 2.0 + cost / 490.0
-    law = _softplus(eps) if eps is not None and method != "relaxed_lcp" else _relu
-    plan, replay = simulate(law, push), simulate(_relu, push + 0.02)
     violates = kind == "indirect"
     iterations = 20 + 3 * index
     values = {
@@ -232,8 +269,7 @@ def stage(index: int, method: str, eps: float | None, before: str | None, total:
             seconds_everyday=0.09,
             fmu="0f3c" * 16,
         ),
-        "plan_trace": plan,
-        "replay_trace": replay,
+        "has_plan": True,
         "paper": theirs,
     }
     return StageRecord.model_validate(values | changes)
@@ -307,11 +343,14 @@ def campaign(records: list[RunRecord], **changes: object) -> CampaignRecord:
 
 
 def store(folder: Path, records: list[RunRecord], record: CampaignRecord | None = None) -> Path:
-    """Write the records as the campaign does."""
+    """Write the records, and the motions of their stages, as the campaign does."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "campaign.json").write_text((record or campaign(records)).model_dump_json())
     for one in records:
         place = folder / "runs" / one.key
         place.mkdir(parents=True, exist_ok=True)
         (place / "record.json").write_text(one.model_dump_json())
+        for stage in getattr(one, "stages", ()):
+            for what, columns in _motions(stage).items() if stage.has_plan else ():
+                write_motion(place / stage_files(stage.index, len(one.stages))[what], columns)
     return folder

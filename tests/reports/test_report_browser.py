@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import pytest
 
-from reports.render import write_report
+from reports.render import write_report, write_single
 
 # Smallest contrast of text that WCAG 2.1 AA allows; all text of the page is held to the one for small text.
 _CONTRAST = 4.5
@@ -107,17 +107,18 @@ def test_structure_for_those_who_do_not_see_it(desk):
     )
 
 
-def test_values_are_read_off_a_plot_by_keyboard(desk, factory):
+def test_values_are_read_off_a_plot_by_keyboard(desk, full_folder, factory):
     """The last value of q1 in Fig. 4, as the record has it."""
-    desk.evaluate("document.querySelector('#tightening [data-read]').focus()")
+    desk.evaluate("document.querySelector('#tightening-1 [data-read]').focus()")
     desk.press("End")
-    told = desk.evaluate("document.querySelector('#tightening .fig output').textContent")
+    told = desk.evaluate("document.querySelector('#tightening-1 .fig output').textContent")
     assert told.startswith("time 5 s:")
     read = re.search(r"q1, ε = 10⁻⁷ ([\d.]+) m", told)
     assert read is not None
-    trace = factory.stage(2, "softplus_dc", 1e-7, None, 0.0).plan_trace
-    assert float(read[1]) == pytest.approx(trace.columns["q1"][-1], abs=0.01)
-    assert desk.evaluate("document.querySelectorAll('#tightening .cursor').length") == 1
+    run = next(run for run in factory.runs() if run.pipeline == "softplus_dc+strict")
+    plan = factory.motion(full_folder, run, run.stages[2]).plan
+    assert float(read[1]) == pytest.approx(plan.columns["q1"][-1], abs=0.01)
+    assert desk.evaluate("document.querySelectorAll('#tightening-1 .cursor').length") == 1
 
 
 def test_points_of_the_front_tell_their_row_on_focus(desk):
@@ -136,7 +137,8 @@ def test_the_filter_follows_the_address(chromium, page_file):
     assert page.messages == []
 
 
-def test_the_player_moves(desk):
+def test_the_player_moves(chromium, run_file):
+    desk = chromium.open(run_file)
     inside = "document.querySelector('[data-player]')"
     before = desk.evaluate(f"{inside}.querySelector('canvas').toDataURL()")
     desk.evaluate(f"(() => {{ const s = {inside}.querySelector('input'); s.value = 60; s.dispatchEvent(new Event('input')); }})()")
@@ -145,7 +147,7 @@ def test_the_player_moves(desk):
 
 
 def test_hostile_strings_do_nothing(chromium, hostile_folder, factory):
-    page = chromium.open(write_report(hostile_folder))
+    page = chromium.open(write_single(hostile_folder))
     assert page.messages == []
     assert len(page.requests) == 1
     assert page.evaluate("document.querySelectorAll('img, b, iframe').length") == 0
@@ -168,18 +170,9 @@ def test_names_of_small_bodies_do_not_overlap(chromium, factory, tmp_path):
     run = factory.run("strict", None, "strict_lcp")
     names = {shape.name: f"a long name of the {shape.name} cart" for shape in run.scene.shapes}
     shapes = tuple(shape.model_copy(update={"name": names[shape.name], "size": (0.02, 0.02)}) for shape in run.scene.shapes)
-    stages = tuple(
-        stage.model_copy(
-            update={
-                kind: trace.model_copy(update={"poses": {names[name]: values for name, values in trace.poses.items()}})
-                for kind in ("plan_trace", "replay_trace")
-                if (trace := getattr(stage, kind))
-            }
-        )
-        for stage in run.stages
-    )
-    run = run.model_copy(update={"scene": run.scene.model_copy(update={"shapes": shapes}), "stages": stages})
-    page = chromium.open(write_report(factory.store(tmp_path / "small", [run])))
+    run = run.model_copy(update={"scene": run.scene.model_copy(update={"shapes": shapes})})
+    write_report(factory.store(tmp_path / "small", [run]))
+    page = chromium.open(tmp_path / "small" / "pages" / f"{run.key}.html")
     pairs = page.evaluate("""(() => {
       const player = document.querySelector("[data-player]"), slider = player.querySelector("input"), pen = player.querySelector("canvas").getContext("2d");
       const write = pen.fillText.bind(pen);
@@ -260,8 +253,24 @@ def test_what_a_link_leads_to_is_opened_with_all_around_it(desk):
     assert opened == [False, True]
 
 
-def test_arrows_of_contact_forces_are_drawn(desk):
+def test_a_player_in_a_closed_run_is_there_when_it_is_opened(chromium, page_file):
+    page = chromium.open(page_file)
+    drawn = "document.querySelector('#run-2 [data-player] output').textContent"
+    assert page.evaluate(drawn) == ""
+    page.evaluate(
+        "document.getElementById('run-2').scrollIntoView({ behavior: 'instant' }); document.querySelector('#run-2 details.whole').open = true"
+    )
+    assert (
+        page.evaluate(
+            f"(async () => {{ for (let turn = 0; turn < 400 && !{drawn}; turn += 1) await new Promise((done) => setTimeout(done, 50)); return {drawn}; }})()"
+        )
+        == "0.00 s"
+    )
+
+
+def test_arrows_of_contact_forces_are_drawn(chromium, run_file):
     """Where a force acts the picture has pixels of the arrows' colour, before the first contact none."""
+    desk = chromium.open(run_file)
     count = (
         "(() => { const p = document.querySelector('[data-player]'), s = p.querySelector('input'), c = p.querySelector('canvas');"
         "s.value = FRAME; s.dispatchEvent(new Event('input')); const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;"

@@ -8,7 +8,7 @@ import re
 
 import pytest
 
-from reports.render import write_report
+from reports.render import write_single
 
 # Presses every button of the page: what it calls each file, and its text.
 _SAVED = """(async () => {
@@ -64,7 +64,7 @@ def test_a_second_number_of_a_cell_has_a_column_too(chromium, factory, tmp_path)
     ]
     stage = stage.model_copy(update={"metrics": tuple(metrics)})
     folder = factory.store(tmp_path / "two", [run.model_copy(update={"stages": (stage,)})])
-    head, row, *_ = _saved(chromium.open(write_report(folder)))["three_cart-stages.csv"]
+    head, row, *_ = _saved(chromium.open(write_single(folder)))["three_cart-stages.csv"]
     place = head.index("Terminal error replay, position alone")
     assert (head[place - 1], float(row[place - 1]), float(row[place])) == ("Terminal error replay", 4.1e-3, 1.25e-3)
 
@@ -89,7 +89,7 @@ def test_nothing_that_a_spreadsheet_would_run_is_saved(chromium, hostile_folder,
     run = factory.run("=cmd|'/C calc'!A0", None, "strict_lcp", scene=factory.scene('@SUM(1+1)"\n,x'))
     pages = [hostile_folder, factory.store(tmp_path / "formula", [run])]
     for folder in pages:
-        for name, rows in _saved(chromium.open(write_report(folder))).items():
+        for name, rows in _saved(chromium.open(write_single(folder))).items():
             assert re.fullmatch(r"[\w-]+\.csv", name), name
             for field in (field for row in rows for field in row if not re.fullmatch(r"-?[\d.]+(e-?\d+)?", field)):
                 assert not field.startswith(("=", "+", "-", "@", "\t", "\r", "−")), (name, field)

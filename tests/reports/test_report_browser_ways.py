@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
-from reports.render import render
-from reports.split import write_pages
+from reports.render import write_report
 
 
 @pytest.fixture(scope="module")
-def folded_file(full_folder, tmp_path_factory):
-    path = tmp_path_factory.mktemp("folded") / "report.html"
-    path.write_text(render(full_folder, largest=0), encoding="utf-8")
-    return path
+def pages(full_folder):
+    """report.html and the folder of its pages."""
+    report = write_report(full_folder)
+    return report, report.parent / "pages"
 
 
 def _settled(page, expression: str):
@@ -20,17 +21,13 @@ def _settled(page, expression: str):
     return page.evaluate(f"new Promise((done) => setTimeout(done, 100)).then(() => ({expression}))")
 
 
-def test_without_script_nothing_is_offered_that_does_nothing_and_what_is_folded_says_so(chromium, folded_file, page_file):
-    for path in (folded_file, page_file):
+def test_without_script_nothing_is_offered_that_does_nothing(chromium, pages, run_file, page_file):
+    for path in (run_file, pages[0], page_file):
         page = chromium.open(path, script=False)
         shown = "(e) => e.getClientRects().length > 0"
         assert page.evaluate(f"[...document.querySelectorAll('button, input, select, canvas')].filter({shown}).length") == 0
         assert "sorts by it" not in page.evaluate("document.body.innerText")
         assert page.messages == []
-    page = chromium.open(folded_file, script=False)
-    said = "[...document.querySelectorAll('.parcel[data-part]')].map((e) => getComputedStyle(e, '::before').content)"
-    assert all("needs the page's script" in text for text in page.evaluate(said))
-    assert "results.csv" in page.evaluate("document.querySelector('noscript').innerText")
     page = chromium.open(page_file, script=False)
     assert "The motion is drawn by the page's script" in page.evaluate("document.querySelector('.scriptless').textContent")
     assert page.evaluate("getComputedStyle(document.querySelector('.scriptless')).display") == "block"
@@ -39,8 +36,8 @@ def test_without_script_nothing_is_offered_that_does_nothing_and_what_is_folded_
     assert page.evaluate("document.querySelectorAll('#matrix-table thead button').length") > 2
 
 
-def test_the_player_is_stepped_on_its_button_and_told_once(chromium, page_file):
-    page = chromium.open(page_file)
+def test_the_player_is_stepped_on_its_button_and_told_once(chromium, run_file):
+    page = chromium.open(run_file)
     page.evaluate("document.querySelector('[data-player] .play').focus()")
     told = "document.querySelector('[data-player] output').textContent"
     last = page.evaluate("document.querySelector('[data-player] input').max")
@@ -92,19 +89,56 @@ def test_what_holds_most_comes_first_and_is_said_to_descend(chromium, page_file)
     ],
     ids=range(7),
 )
-def test_no_address_is_an_error(chromium, folded_file, fragment):
-    page = chromium.open(folded_file, fragment=fragment)
+def test_no_address_is_an_error(chromium, page_file, fragment):
+    page = chromium.open(page_file, fragment=fragment)
     assert _settled(page, "document.querySelectorAll('#matrix-table th[aria-sort]').length") == 0
     assert page.messages == []
     assert len(page.requests) == 1
 
 
-def test_a_link_into_the_whole_report_leads_to_the_page_of_its_part(chromium, full_folder):
-    index = write_pages(full_folder)
-    for fragment, name in (("#runs?crashed", "runs.html"), ("#run-2", "runs.html"), ("#table1", "table1.html"), ("#nowhere", "index.html")):
-        page = chromium.open(index, fragment=fragment)
-        assert _arrived(page, "location.pathname.split('/').pop() + location.hash", name + fragment) == name + fragment
+def test_links_lead_from_page_to_page_and_back(chromium, pages):
+    page = chromium.open(pages[0])
+    run = page.evaluate("document.querySelector('#matrix-table a.cell').href")
+    page.evaluate("document.querySelector('#matrix-table a.cell').click()")
+    assert _arrived(page, "location.href", run) == run
+    assert page.evaluate("document.querySelectorAll('article.run svg.plot').length") > 8
+    back = page.evaluate("document.querySelector('nav.contents a').href")
+    page.evaluate("document.querySelector('nav.contents a').click()")
+    assert _arrived(page, "location.href", back) == back == pages[0].resolve().as_uri()
+    scene = page.evaluate("document.querySelector('#scenes tbody a').href")
+    page.evaluate("document.querySelector('#scenes tbody a').click()")
+    assert _arrived(page, "location.href", scene) == scene
+    assert page.evaluate("document.querySelectorAll('[id^=tightening] svg.plot').length") > 8
+    assert page.messages == []
+
+
+def test_a_closed_stage_is_opened_by_the_contents_of_its_page(chromium, pages):
+    page = chromium.open(next(pages[1].glob("softplus_dc-strict*.html")))
+    first = "document.querySelector('details.stage')"
+    assert page.evaluate(f"{first}.open") is False
+    page.evaluate(f"document.querySelector(`nav.contents a[href='#${{{first}.id}}']`).click()")
+    assert _settled(page, f"{first}.open") is True
+
+
+@pytest.mark.parametrize(("width", "dark"), [(1400, False), (1400, True), (375, False), (375, True)])
+def test_axe_finds_no_violation(chromium, page_file, pages, width, dark):
+    """WCAG 2.0, 2.1 and 2.2, A and AA, by axe-core: a page of each kind, and all in one file, with everything open."""
+    axe = pytest.importorskip("axe_core_python", reason="axe-core-python is not installed (extra [test])")
+    script = (Path(axe.__path__[0]) / "axe.min.js").read_text(encoding="utf-8")
+    for path in (pages[0], next(pages[1].glob("softplus_dc-strict*.html")), next(pages[1].glob("scene-*.html")), page_file):
+        page = chromium.open(path, width=width, dark=dark)
         assert page.messages == []
+        assert page.requests == [path.resolve().as_uri()]
+        # Two runs with all they hold stand for the others: hundreds of plots more are the same markup.
+        page.evaluate("document.querySelectorAll('article.run').forEach((run, place) => { if (place > 1) run.remove(); })")
+        page.evaluate("document.querySelectorAll('details').forEach((item) => { item.open = true; })")
+        page.evaluate(script + ";0")
+        found = page.evaluate(
+            "axe.run(document, {runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa']}).then((result) => "
+            "[result.passes.length, result.violations.map((one) => [one.id, one.nodes.length, one.nodes[0].html.slice(0, 200)])])"
+        )
+        assert found[1] == []
+        assert found[0] > 15, "axe looked"
 
 
 def _arrived(page, expression: str, wanted: str) -> str:

@@ -72,14 +72,12 @@ def test_records_of_an_earlier_schema_are_refused_in_one_sentence(factory, tmp_p
     folder = factory.store(tmp_path / "all", [good, old, older], factory.campaign([good, old]))
     for run in (old, older):
         path = folder / "runs" / run.key / "record.json"
-        path.write_text(path.read_text().replace('"schema_version":3', '"schema_version":2'))
+        path.write_text(path.read_text().replace('"schema_version":4', '"schema_version":3'))
     stored = load(folder)
     assert [run.key for run in stored.runs] == [good.key]
     (item,) = stored.unreadable
     assert item.path == f"runs/{old.key}/record.json"
-    assert item.sentence == (
-        "it is of another version's record schema (this one reads 3), whose verdicts follow another rule; run it again."
-    )
+    assert item.sentence == ("it is of another version's record schema (this one reads 4), which holds other things; run it again.")
     assert stored.foreign == 1
 
 
@@ -88,7 +86,7 @@ def test_many_files_that_could_not_be_read_for_one_reason_are_told_once(factory,
     folder = factory.store(tmp_path / "all", runs)
     for run in runs[1:]:
         path = folder / "runs" / run.key / "record.json"
-        path.write_text(path.read_text().replace('"schema_version":3', '"schema_version":2'))
+        path.write_text(path.read_text().replace('"schema_version":4', '"schema_version":3'))
     text = write_report(folder).read_text(encoding="utf-8")
     assert text.count("of another version&#39;s record schema") == 2
     assert "14 files could not be read: it is of another version&#39;s record schema" in text

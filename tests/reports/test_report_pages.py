@@ -17,7 +17,7 @@ from validate.plan.selection import matches
 
 
 def report_of(factory, folder, runs) -> Report:
-    return Report(load(factory.store(folder, runs)))
+    return Report(load(factory.store(folder, runs)), folder)
 
 
 @pytest.fixture
@@ -40,9 +40,9 @@ def test_the_same_methods_with_other_options_are_other_rows_and_another_sweep(fa
     report = report_of(factory, tmp_path / "all", [*factory.runs(), converged])
     assert len(report.rows) == len(TABLE_1) + 4
     assert len({row.label for row in report.rows}) == len(report.rows), "labels tell rows apart"
-    section = tightening.build(report)
+    section = tightening.build(report, report.scenes[0])
     assert section is not None
-    ((_, sweeps),) = section.values["scenes"]
+    sweeps = section.values["sweeps"]
     assert [sweep.title.split(":")[0] for sweep in sweeps[:3]] == ["Fig. 4", "Fig. 5", "Fig. 6"]
     assert sweeps[3].title.endswith("(gd_converged)")
     assert all(len(sweep.keys) == 3 for sweep in sweeps)

@@ -10,8 +10,10 @@ import pytest
 
 from models.catalog import load_scene
 from models.trajectory import Trajectory
+from models.trajectory_netcdf import write_netcdf
 from reports.pages.player import film
-from validate.tasks.scene_record import plan_trace, scene_record
+from reports.traces import read_motion
+from validate.tasks.scene_record import scene_record
 
 _UP, _DOWN = round(math.pi / 2, 6), -round(math.pi / 2, 6)
 _BACK = round(math.pi, 6)
@@ -29,21 +31,24 @@ _ARROWS = {
 }  # fmt: skip
 
 
-def _drawn(factory, name: str, **changes) -> dict:
+def _drawn(factory, folder, name: str, **changes) -> dict:
+    """The film of a plan that was written as a campaign writes it."""
     scene = load_scene(name)
     q = np.random.default_rng(0).normal(0.0, 0.3, (60, scene.nq)) + np.asarray(scene.task.start[: scene.nq])
     still = np.zeros((60, scene.nq))
-    trace = plan_trace(scene, Trajectory(t=np.arange(60.0), q=q, v=still, u=np.zeros((59, scene.nu)), lam=np.zeros((59, scene.nl))))
+    plan = Trajectory(t=np.arange(60.0), q=q, v=still, u=np.zeros((59, scene.nu)), lam=np.zeros((59, scene.nl)))
+    write_netcdf(folder / "trajectory.nc", plan, scene)
     run = factory.runs()[0]
-    stage = run.stages[-1].model_copy(update={"plan_trace": None, "replay_trace": trace})
-    shown = film(run.model_copy(update={"scene": scene_record(scene).model_copy(update=changes), "stages": (stage,)}))
+    stage = run.stages[-1].model_copy(update={"replay": None})
+    run = run.model_copy(update={"scene": scene_record(scene).model_copy(update=changes), "stages": (stage,)})
+    shown = film(run, [read_motion(folder, run, stage)])
     assert shown is not None
     return json.loads(shown.data)
 
 
 @pytest.mark.parametrize("name", _ARROWS)
-def test_arrows_stand_on_the_bodies_that_the_scene_names_and_part_them(factory, name):
-    data = _drawn(factory, name)
+def test_arrows_stand_on_the_bodies_that_the_scene_names_and_part_them(factory, tmp_path, name):
+    data = _drawn(factory, tmp_path, name)
     found = {}
     for contact, touch in zip(data["contacts"], data["touches"], strict=True):
         first, second = (data["shapes"][place]["name"] for place in touch["shapes"]) if touch else ("", "")
@@ -51,6 +56,6 @@ def test_arrows_stand_on_the_bodies_that_the_scene_names_and_part_them(factory, 
     assert found == _ARROWS[name]
 
 
-def test_a_record_that_names_no_bodies_is_shown_without_arrows(factory):
+def test_a_record_that_names_no_bodies_is_shown_without_arrows(factory, tmp_path):
     contacts = tuple(contact.model_copy(update={"bodies": ("", "")}) for contact in scene_record(load_scene("three_cart")).contacts)
-    assert _drawn(factory, "three_cart", contacts=contacts)["touches"] == [None, None]
+    assert _drawn(factory, tmp_path, "three_cart", contacts=contacts)["touches"] == [None, None]

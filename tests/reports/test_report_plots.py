@@ -1,9 +1,10 @@
-"""Axes, the thinning of lines, the reading of traces, and what is let through as MathML."""
+"""Axes, the thinning of lines, phases of contact, and what is let through as MathML."""
 
 from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -16,8 +17,8 @@ from reports.pages.stage_plots import stage_plots
 from reports.plots.axis import Axis
 from reports.plots.figure import Plot
 from reports.plots.simplify import seen
-from reports.records.record import QuantityRecord, TraceRecord, TrackedRecord
-from reports.traces import contact_phases
+from reports.records.record import QuantityRecord, TrackedRecord
+from reports.traces import Motion, contact_phases
 from reports.wording import cost, error, number, percent, product, seconds, small
 
 _HEIGHTS = st.lists(st.floats(-300, 300), min_size=2, max_size=200)
@@ -105,20 +106,19 @@ def test_labels_keep_clear_of_each_other():
     assert all(second - first >= 14 for first, second in pairwise(tops))
 
 
-def test_contact_phases_come_from_the_gap():
-    trace = TraceRecord(t=(0, 1, 2, 3, 4), columns={"gap_left": (0.1, -0.1, -0.2, 0.1, 0.0), "lam_left": (9, 9, 9, 9, 9)})
+def test_contact_phases_come_from_the_gap(factory):
+    trace = factory.trace(range(5), gap_left=(0.1, -0.1, -0.2, 0.1, 0.0), lam_left=(9, 9, 9, 9, 9))
     assert contact_phases(trace, "left") == [(1, 3), (4, 4)]
-    assert contact_phases(TraceRecord(t=(0, 1, 2), columns={"lam_left": (0.0, 2.0)}), "left") == [(1, 1)]
+    assert contact_phases(factory.trace(range(3), lam_left=(0.0, 2.0)), "left") == [(1, 1)]
     assert contact_phases(trace, "nothing") == []
 
 
 def test_friction_is_told_by_its_size_in_both_directions(factory):
     run = factory.runs()[0]
     times, rubbing = tuple(range(5)), (0.0, -2.0, -1.0, 0.5, 0.0)
-    assert contact_phases(TraceRecord(t=times, columns={"f": rubbing}), "f") == [(1, 4)]
+    assert contact_phases(factory.trace(times, f=rubbing), "f") == [(1, 4)]
     scene = run.scene.model_copy(update={"frictions": (QuantityRecord(name="f", unit="N"),)})
-    replay = run.stages[0].replay_trace.model_copy(update={"t": times, "columns": {"f": rubbing}})
-    plots = stage_plots(scene, run.stages[0].model_copy(update={"replay_trace": replay})).motion
+    plots = stage_plots(scene, run.stages[0], Motion(replay=factory.trace(times, f=rubbing))).motion
     words = next(plot.words for plot in plots if plot.title.startswith("Friction"))
     assert words == "Largest size in the replay: 2 N. Friction acts in the replay: 1 to 4 s."
 
@@ -179,22 +179,22 @@ def test_attributes_of_mathml_that_could_act_are_dropped():
     assert markup == '<math display="block"><mi>k</mi></math>'
 
 
-def test_a_tracked_replay_is_shown_where_it_is_judged(factory):
+def test_a_tracked_replay_is_shown_where_it_is_judged(factory, tmp_path):
     """Both errors on one axis, the feedback's inputs beside the plan's, and the tracked motion as the replay."""
-    stage = factory.run("strict", None, "strict_lcp").stages[0]
-    opened = stage.replay_trace
-    calm = dict(opened.columns)
-    calm["position_error"] = tuple(np.linspace(3e-3, 1e-3, len(opened.t)))
-    calm["q1"] = tuple(0.5 for _ in opened.t)
-    calm["u1"] = tuple(0.25 for _ in opened.t)
+    run = factory.run("strict", None, "strict_lcp")
+    (stage,) = run.stages
+    found = factory.motion(factory.store(tmp_path / "all", [run]), run, stage)
+    opened = found.replay
+    size = len(opened.t)
+    calm = {"position_error": np.linspace(3e-3, 1e-3, size), "q1": np.full(size, 0.5), "u1": np.full(size, 0.25)}
     feedback = TrackedRecord(error_estimate=1e-9, rms=(0.1,), peak=(0.3,), rms_share=0.02, peak_share=0.06)
     replay = stage.replay.model_copy(update={"judged": "feedback", "tracked": feedback, "growth_rate": 3.7})
-    both = stage.model_copy(update={"replay": replay, "tracked_trace": opened.model_copy(update={"columns": calm})})
-    plots = {plot.title: plot for plot in stage_plots(factory.scene(), both).motion}
+    both = replace(found, tracked=replace(opened, columns={**opened.columns, **calm}))
+    plots = {plot.title: plot for plot in stage_plots(factory.scene(), stage.model_copy(update={"replay": replay}), both).motion}
     title = "Position error: inputs alone and with feedback"
     assert "Inputs alone: at most" in plots[title].words
     assert "With feedback: at most 0.0030 m, at the end 0.0010 m." in plots[title].words
     assert "u1 with feedback" in str(plots["Inputs of the plan (dotted) and with feedback"].markup())
     assert "The replay ends at q1 0.5" in plots["Positions: plan dotted, replay solid"].words
-    only = stage_plots(factory.scene(), stage)
+    only = stage_plots(factory.scene(), stage, found)
     assert {plot.title for plot in only.motion} >= {"Position error: replay against plan", "Inputs of the plan"}

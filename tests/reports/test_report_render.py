@@ -10,11 +10,12 @@ import subprocess
 import sys
 from html.parser import HTMLParser
 
+import numpy as np
 import pytest
 
 from reports.records.load import ReportError
-from reports.records.record import StageRecord, TraceRecord
-from reports.render import write_report
+from reports.records.record import StageRecord
+from reports.render import write_report, write_single
 
 
 class Parsed(HTMLParser):
@@ -50,7 +51,8 @@ class Parsed(HTMLParser):
 
 
 def render(folder) -> tuple[str, Parsed]:
-    text = write_report(folder).read_text(encoding="utf-8")
+    """All of the report in one file."""
+    text = write_single(folder).read_text(encoding="utf-8")
     return text, Parsed(text)
 
 
@@ -66,7 +68,7 @@ def test_every_section_is_there_and_the_contents_lead_to_it(full):
     links = [str(attributes["href"]) for tag, attributes in page.elements if tag == "a"]
     assert links
     assert all(link.startswith("#") and link[1:] in ids for link in links)
-    for name in ("summary", "matrix", "table1", "violation", "tightening", "front", "runs", "scene", "errata", "provenance"):
+    for name in ("summary", "matrix", "table1", "violation", "tightening-1", "front", "runs", "scenes", "scene-1", "errata", "provenance"):
         assert name in ids
 
 
@@ -176,11 +178,10 @@ def test_hostile_strings_stay_text(factory, hostile_folder):
 @pytest.mark.parametrize(
     "changes",
     [
-        {"plan_trace": None},
-        {"replay_trace": None, "replay": None},
+        {"has_plan": False},
+        {"replay": None},
         {
-            "plan_trace": None,
-            "replay_trace": None,
+            "has_plan": False,
             "replay": None,
             "metrics": (),
             "cost": None,
@@ -189,9 +190,6 @@ def test_hostile_strings_stay_text(factory, hostile_folder):
             "residuals": {},
             "options": {},
         },
-        {"plan_trace": TraceRecord(t=(), columns={})},
-        {"plan_trace": TraceRecord(t=(0.0, 1.0, 2.0), columns={"q1": (1.0,), "lam_left": (), "other": (1.0, 2.0)})},
-        {"replay_trace": TraceRecord(t=(1.0,), columns={"q1": (1.0,), "gap_left": (-1.0,)}, poses={"left": ((0.0, 0.0, 0.0),)})},
         {"history": {"objective": ()}},
         {"history": {"objective": (1.0,), "mu": (0.0, 0.0, 0.0), "step": (1e-300, 1e300)}},
         {"cost": 0.0, "paper": {"cost": 0.0}},
@@ -204,8 +202,42 @@ def test_missing_and_odd_data_are_a_dash_and_never_an_exception(factory, tmp_pat
     odd = StageRecord.model_validate(factory.stage(0, "softplus_dc", 1e-3, None, 0.0).model_dump() | changes)
     run = factory.run("softplus_dc", None, "strict_lcp", stages=(odd,), must_hold=False)
     _, page = render(factory.store(tmp_path / "odd", [run, factory.runs()[0]]))
-    if changes.get("plan_trace", odd) is None:
+    if not odd.has_plan:
         assert ("There is no plan, so nothing is drawn" in page.text) != ("No planned trajectory is stored" in page.text)
+    assert "strict_lcp" in page.text
+
+
+@pytest.mark.parametrize("what", ["trajectory", "replay"])
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [
+        (None, "cannot be read (there is no such file)"),
+        (b"", "cannot be read ("),
+        (b"CDF\x01 an old one", "cannot be read ("),
+        ({}, "stored"),
+        ({"t": ()}, "stored"),
+        ({"t": (0.0, float("nan")), "q1": (1.0, 2.0)}, "stored"),
+        ({"t": (0.0, 1.0, 2.0), "q1": (1.0,), "lam_left": (), "other": (1.0, 2.0), "knots": (0, 9)}, ""),
+        ({"t": (1.0,), "q1": (1.0,), "gap_left": (-1.0,), "pose_x_1": (0.0,), "pose_y_1": (0.0,), "pose_angle_1": (0.0,)}, ""),
+        ({"t": (0.0, 1.0), "q1": (b"a", b"b"), "u1": ((1.0, 2.0), (3.0, 4.0)), "gap_left": (0.0, 1.0, 2.0)}, ""),
+    ],
+    ids=range(9),
+)
+def test_missing_and_odd_motions_are_a_dash_and_never_an_exception(factory, tmp_path, what, columns, said):
+    run, whole = factory.run("softplus_dc", None, "strict_lcp"), factory.runs()[2]
+    folder = factory.store(tmp_path / "odd", [run, whole])
+    path = folder / "runs" / run.key / f"{what}.nc"
+    path.unlink()
+    if isinstance(columns, bytes):
+        path.write_bytes(columns)
+    elif columns is not None:
+        factory.write_motion(path, columns)
+    _, page = render(folder)
+    assert (
+        f"{what}.nc {said}" in page.text
+        or f"No {'planned trajectory' if what == 'trajectory' else 'replay'} is {said}" in page.text
+        or not said
+    )
     assert "strict_lcp" in page.text
 
 
@@ -214,19 +246,18 @@ def test_an_empty_campaign_is_a_page_too(factory, tmp_path):
     assert "No run is stored here yet" in page.text
 
 
-def test_a_large_campaign_stays_small(factory, tmp_path):
-    """1500 points a trace, which is the most a record holds."""
-    trace = factory.simulate(factory._relu, 2.5, every=1)
-    times = tuple(place * 5.0 / 1499 for place in range(1500))
-    long = TraceRecord(
-        t=times, columns={name: tuple(values[place // 3] for place in range(1500)) for name, values in trace.columns.items()}
-    )
-    records = []
-    for run in factory.runs():
-        stages = tuple(stage.model_copy(update={"plan_trace": long, "replay_trace": long}) for stage in run.stages)
-        records.append(run.model_copy(update={"stages": stages}))
-    text, _ = render(factory.store(tmp_path / "large", records))
-    assert len(text.encode()) < 6e6
+def test_pages_of_long_motions_stay_small(factory, tmp_path):
+    """Of ten thousand times a page shows as many as can be seen."""
+    run = factory.runs()[2]
+    folder = factory.store(tmp_path / "long", [run])
+    short, times = factory.simulate(None, 2.5, every=1), np.linspace(0.0, 5.0, 10_000)
+    long = {name: np.interp(times, short["t"], values) for name, values in short.items()}
+    for path in folder.glob("runs/*/*.nc"):
+        factory.write_motion(path, {**long, "t": times})
+    write_report(folder)
+    sizes = {path.name: path.stat().st_size for path in (folder / "report.html", *(folder / "pages").iterdir())}
+    assert len(sizes) == 3
+    assert max(sizes.values()) < 300_000
 
 
 def test_the_report_needs_no_solver(full_folder):

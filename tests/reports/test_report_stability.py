@@ -7,7 +7,7 @@ import pytest
 
 from reports.records.check_record import AxisRecord, ChartRecord, ExaminationRecord, SeriesRecord
 from reports.records.record import MetricRecord, TimeStepRecord
-from reports.render import render
+from reports.render import write_single
 
 
 def figure(name: str, value: float | None, limit: float | None, **changes) -> MetricRecord:
@@ -53,7 +53,7 @@ def page(factory, tmp_path):
         for item in cases:
             (folder / "runs" / item.key).mkdir(parents=True)
             (folder / "runs" / item.key / "record.json").write_text(item.model_dump_json())
-        return html.unescape(render(folder))
+        return html.unescape(write_single(folder).read_text(encoding="utf-8"))
 
     return made
 
@@ -145,7 +145,7 @@ def test_words_of_a_record_are_escaped(factory, tmp_path):
     factory.store(folder, [run], record)
     (folder / "runs" / bad.key).mkdir(parents=True)
     (folder / "runs" / bad.key / "record.json").write_text(bad.model_dump_json())
-    text = render(folder)
+    text = write_single(folder).read_text(encoding="utf-8")
     assert "<script>alert" not in text
     assert "<img src=x>" not in text
     assert "<b>bold</b>" not in text
@@ -165,5 +165,5 @@ def test_what_was_known_of_the_time_step_stands_with_the_scene_and_a_warning_in_
     assert "stable in contact" in stable
     assert "with left and right closed; it is stable below 0.19 s." in stable
     warned = page(time_steps=(TimeStepRecord(**{**known, "radius": 3.0}, warning="scene three_cart: past the stability limit."),))
-    summary = warned[warned.index('id="summary"') : warned.index('id="scene"')]
+    summary = warned[warned.index('id="summary"') : warned.index('id="scene-1"')]
     assert "Scene three_cart: past the stability limit." in summary

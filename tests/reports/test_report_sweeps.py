@@ -10,7 +10,7 @@ from reports.pages.section import Report
 from reports.pages.starts import spread
 from reports.records.load import load
 from reports.records.record import CertificateRecord, FrontPointRecord, RunRecord, StageRecord, StartRecord
-from reports.render import render
+from reports.render import write_single
 
 CERTIFICATE = CertificateRecord(
     holds=True, feasible=True, primal=1e-13, worst="constraint_goal_position[q1]", complementarity=0.0, dual=7e-13, letter="S",
@@ -140,7 +140,7 @@ def test_windows_are_read_contact_by_contact() -> None:
 
 def test_the_page_shows_certificate_starts_and_front(factory, tmp_path) -> None:
     records = [part(factory, 1, [495.6, 491.0]), part(factory, 2, [490.55, None]), front_run(factory)]
-    text = render(factory.store(tmp_path / "all", records))
+    text = write_single(factory.store(tmp_path / "all", records)).read_text(encoding="utf-8")
     for words in (
         "judged by code that shares nothing with the solver", "class S", "the only ones there are", "2 pairs have", "multipliers of at least 0.275",
         "Distinct optima", "Cost of every start", "Least cost within a terminal tolerance", "left 133–179", "constraint_goal_position[q1]",

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from reports.render import render
+from reports.render import write_single
 from reports.wording import cost, error, number, prose
 
 _SUPERSCRIPT = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
@@ -73,11 +73,13 @@ def test_a_number_reads_back_and_its_negative_is_the_same_with_a_minus(writer, r
 def test_why_there_is_no_plan_is_told_once_a_stage(factory, tmp_path):
     """Not again as the message, as the reason of a missing trace, and as that of missing figures; a stage that never ran has no table of noughts."""
     why = "the cell's time was used up before this stage, past 2.18e-04 m."
-    nothing = {"plan_trace": None, "replay_trace": None, "replay": None, "metrics": (), "history": {}, "residuals": {}, "cost": None}
+    nothing = {"has_plan": False, "replay": None, "metrics": (), "history": {}, "residuals": {}, "cost": None}
     late = factory.stage(0, "strict_lcp", None, None, 0.0, outcome="time_limit", message=why, why=why, verdict="no plan", **nothing)
     idle = late.model_copy(update={"iterations": 0, "seconds": late.seconds.model_copy(update={"stage": 0.0})})
     run = factory.run("late", None, "strict_lcp", stages=(idle,), outcome="time_limit", message=why, verdict="no plan")
-    article = re.search(r'<article class="run".*?</article>', render(factory.store(tmp_path / "late", [run])), re.S)
+    article = re.search(
+        r'<article class="run".*?</article>', write_single(factory.store(tmp_path / "late", [run])).read_text(encoding="utf-8"), re.S
+    )
     assert article is not None
     assert article[0].count("time was used up before this stage, past 0.000218 m.") == 1
     assert "There is no plan, so nothing is drawn, replayed or scored." in article[0]

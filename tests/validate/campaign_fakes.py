@@ -268,7 +268,6 @@ def _fake_tools(score=_score) -> Tools:
         build_fmu=lambda scene: Path(os.devnull),
         judge=lambda scene, fmu, trajectory: _judge(score, scene, fmu, trajectory),
         write_replay=lambda path, replay, scene: None,
-        tell=lambda folder, text: None,
         write_report=_write_report,
     )
 

@@ -67,9 +67,8 @@ def resume(path: Path) -> None:
     from validate.plan.runs import Settings, reasons, with_stored
     from validate.plan.warnings import time_steps
     from validate.store.compare import compare
-    from validate.store.standing_report import campaign_text, standing_report
     from validate.store.store import Store
-    from validate.store.stored import CAMPAIGN, earlier_schema, only_last_failed
+    from validate.store.stored import CAMPAIGN, campaign_text, earlier_schema, only_last_failed
 
     store, settings = Store(path), Settings(out=path)
     store.prepare()
@@ -78,7 +77,7 @@ def resume(path: Path) -> None:
     store.lost(KEY)
     earlier_schema(path)
     time_steps((), path / CAMPAIGN)
-    standing_report(path, campaign_text(path))
+    campaign_text(path)
     good = path.with_name("good")
     if not good.exists():
         spare = spoilt_campaign(_Unspoilt(), path.with_name("spare"))
@@ -101,7 +100,7 @@ def spoilt_stored_leg(rng: random.Random, folder: Path) -> Path:
         "pipeline": "p",
         "limit": None,
         "profile": {},
-        "stages": [{**stage, "plan_trace": None}],
+        "stages": [{**stage, "has_plan": False}],
         "files": {"trajectory_1.nc": hashlib.sha256(_PLAN).hexdigest()},
     }
     source = folder / "legs" / KEY

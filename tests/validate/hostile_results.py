@@ -155,7 +155,7 @@ def spoilt_leg(rng: random.Random, folder: Path) -> Path:
         "limit": None,
         "profile": {"solve": 1.0},
         "files": {},
-        "stages": [{**good_record()["stages"][0], "plan_trace": None}],
+        "stages": [{**good_record()["stages"][0], "has_plan": False}],
     }
     (folder / "leg_1").mkdir(exist_ok=True)
     (folder / "leg_1" / "leg.json").write_bytes(_spoilt_json(rng, content))

@@ -75,8 +75,8 @@ def _stored(out: Path) -> int:
 
 
 def unfinished(out: Path) -> list[str]:
-    """Files and folders that a campaign writes before they have their names; what the report keeps for its next page is none."""
-    return [str(path.relative_to(out)) for path in out.rglob(".*") if path not in (out / ".told", out / ".report.kept")]
+    """Files and folders that a campaign writes before they have their names."""
+    return [str(path.relative_to(out)) for path in out.rglob(".*")]
 
 
 def processes(out: Path) -> list[str]:

@@ -67,7 +67,6 @@ def _serve() -> None:
     for name in (
         *MODULES,
         "reports.render",
-        "reports.split",
         "validate.execution.campaign",
         "validate.tasks.paper",
         "validate.cli.all",

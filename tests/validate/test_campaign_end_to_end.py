@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import hashlib
 
 import pytest
 
@@ -11,9 +10,7 @@ from models.catalog import load_scene
 from models.trajectory import write_csv
 from models.trajectory_netcdf import read_netcdf
 from reports.records.record import RunRecord
-from reports.shelf import PLACE, Shelf
-from validate.execution import child
-from validate.tasks.plugins import Tools
+from reports.traces import read_motion
 
 CHOICE = ("all", "--scene", "three_cart", "-k", "softplus_gd+relu_gd")
 
@@ -65,30 +62,19 @@ def test_the_folder_holds_everything(twice):
     assert last.paper == {"cost": 309.42, "stability": 0.05, "physics": 0.21, "time": 2.38}
     assert last.replay is not None
     assert last.replay.error_estimate <= 1e-8
-    assert last.replay_trace is not None
-    assert max(len(last.replay_trace.t), len(last.plan_trace.t)) <= 1500
+    motion = read_motion(path.parent, record, last)
+    assert motion.problems == ()
+    for trace in (motion.plan, motion.replay):
+        assert trace is not None
+        assert len(trace.t) <= 1500
+        assert trace.columns.keys() >= {"q1", "u1", "lam_left", "gap_left"} - ({"u1"} if trace is motion.replay else set())
+        assert set(trace.poses) == {"left", "middle", "right"}
+        gap = trace.columns["q2"] - trace.columns["q1"] - 0.5
+        assert trace.columns["gap_left"] == pytest.approx(gap, abs=1e-9)
+    assert motion.replay.columns["position_error"].max() == pytest.approx(last.metric("replay_error").value, rel=1e-6)
     assert last.seconds.total == pytest.approx(sum(stage.seconds.stage for stage in record.stages))
     assert (first / "report.html").stat().st_size > 10_000
-
-
-def test_the_cell_itself_told_what_the_report_needs_of_it(twice):
-    """Before the campaign's own files were written, so that the report was only put together."""
-    (_, second), _ = twice
-    (path,) = second.glob("runs/*/record.json")
-    shelf = Shelf(second)
-    assert shelf.text("record", hashlib.sha256(path.read_bytes()).hexdigest())
-    (name,) = shelf.used
-    assert (second / PLACE / name).stat().st_mtime_ns < (second / "campaign.json").stat().st_mtime_ns
-
-
-def test_telling_that_fails_spoils_no_cell(tmp_path, monkeypatch):
-    def refuses(folder, text):
-        raise RuntimeError(f"{folder} {text}")
-
-    monkeypatch.setattr("validate.tasks.plugins.load_tools", lambda _: Tools(tell=refuses))
-    child._tell("any:TOOLS", tmp_path / "runs" / "partial", b"{}")
-    with pytest.raises(RuntimeError, match=str(tmp_path)):
-        Tools(tell=refuses).tell(tmp_path, b"{}")
+    assert (first / "pages" / f"{record.key}.html").stat().st_size > 100_000
 
 
 def test_a_stored_plan_scores_the_same_from_outside(twice, cli, tmp_path):

@@ -11,14 +11,17 @@ import pytest
 import sympy as sp
 
 from models.catalog import load_scene
+from models.netcdf import read_columns
 from models.scene.text import scene_text
 from models.trajectory import Trajectory, uniform_grid
+from models.trajectory_netcdf import write_netcdf
 from reports.mathml import safe_mathml
+from reports.records.record import thin
 from validate.execution.process import ROOT
 from validate.store import provenance
 from validate.store.provenance import content_key, source_digests
 from validate.tasks.records import _history, _plain, finite
-from validate.tasks.scene_record import plan_trace, presentation, scene_record, thin
+from validate.tasks.scene_record import presentation, scene_record
 
 SCENE = load_scene("three_cart")
 OSCILLATOR = Path(__file__).parents[1] / "scenes" / "oscillator.py"
@@ -55,24 +58,20 @@ def test_scene_record_says_what_is_absent_and_drawn():
     assert [contact.bodies for contact in record.contacts] == [("left", "middle"), ("middle", "right")]
 
 
-def test_plan_trace_has_gaps_and_poses():
-    trace = plan_trace(SCENE, _plan())
-    assert set(trace.columns) == {"q1", "q2", "q3", "v1", "v2", "v3", "u1", "u3", "lam_left", "lam_right", "gap_left", "gap_right"}
-    assert len(trace.columns["q1"]) == len(trace.t) == 501
-    assert len(trace.columns["u1"]) == len(trace.columns["lam_left"]) == 500
-    assert trace.columns["gap_left"][0] == pytest.approx(0.1)
-    assert trace.columns["gap_left"][-1] == pytest.approx(0.05)
-    assert trace.columns["gap_right"][0] == pytest.approx(-0.1)
-    assert trace.poses["left"][-1] == pytest.approx((2.05, 0.25, 0.0))
+def test_files_of_plans_have_gaps_and_poses(tmp_path):
+    write_netcdf(tmp_path / "trajectory.nc", _plan(), SCENE)
+    columns, _ = read_columns(tmp_path / "trajectory.nc")
+    assert columns["gap_left"].values[0] == pytest.approx(0.1)
+    assert columns["gap_left"].values[-1] == pytest.approx(0.05)
+    assert columns["gap_right"].values[0] == pytest.approx(-0.1)
+    assert [columns[f"pose_{part}_1"].values[-1] for part in ("x", "y", "angle")] == pytest.approx([2.05, 0.25, 0.0])
+    assert (columns["pose_x_2"].description, columns["pose_angle_2"].unit) == ("x of middle", "rad")
 
 
-def test_long_traces_are_thinned_and_keep_their_ends():
-    trace = plan_trace(SCENE, _plan(steps=20_000))
-    assert len(trace.t) == 1500
-    assert trace.t[0] == 0.0
-    assert trace.t[-1] == pytest.approx(200.0)
-    assert len(trace.columns["u1"]) == 1499
+def test_thinned_points_keep_their_ends():
     assert thin(3).tolist() == [0, 1, 2]
+    assert thin(20_001)[[0, -1]].tolist() == [0, 20_000]
+    assert len(thin(20_001)) == 1500
 
 
 def test_numbers_that_are_none_never_reach_a_record():
@@ -125,7 +124,7 @@ def _imported_reports(name: str) -> set[str]:
 def test_whatever_writes_records_is_part_of_their_keys():
     """Of the files that count, each imports of the room of reports only what counts too, or what tells of records that are written already."""
     counted = provenance._source_digests()
-    telling = {"reports/records/load.py", "reports/render.py", "reports/split.py", "reports/telling.py"}
+    telling = {"reports/records/load.py", "reports/render.py"}
     imported = {name: _imported_reports(name) for name in counted if name.endswith(".py")}
     assert "reports/records/record.py" in imported["validate/tasks/records.py"]
     assert {name: missing for name, modules in imported.items() if (missing := modules - set(counted) - telling)} == {}
@@ -141,11 +140,15 @@ def test_an_equation_of_motion_has_its_accelerations_on_the_left():
         assert ("&#955;" in left, "&#955;" in right) == (False, True)
 
 
-def test_a_scene_without_contacts_or_inputs_has_a_trace_of_its_motion_alone():
+def test_the_file_of_a_scene_without_contacts_or_inputs_has_its_motion_alone(tmp_path):
     scene = load_scene(str(OSCILLATOR))
     assert (scene.nc, scene.nu) == (0, 0)
     nodes = 4
     q = np.linspace(0.0, 0.3, nodes)[:, None]
-    trace = plan_trace(scene, Trajectory(t=uniform_grid(0.1, 3), q=q, v=0 * q, u=np.zeros((3, 0)), lam=np.zeros((3, 0))))
-    assert set(trace.columns) == {scene.coordinates[0].name, scene.coordinates[0].velocity_name}
-    assert trace.columns[scene.coordinates[0].name] == pytest.approx(q[:, 0])
+    write_netcdf(
+        tmp_path / "trajectory.nc", Trajectory(t=uniform_grid(0.1, 3), q=q, v=0 * q, u=np.zeros((3, 0)), lam=np.zeros((3, 0))), scene
+    )
+    columns, _ = read_columns(tmp_path / "trajectory.nc")
+    moving = {name for name in columns if not name.startswith("pose_")}
+    assert moving == {"t", scene.coordinates[0].name, scene.coordinates[0].velocity_name}
+    assert columns[scene.coordinates[0].name].values == pytest.approx(q[:, 0])

@@ -91,8 +91,8 @@ def test_nothing_but_the_certificate_is_lost(last, outcome, why, in_reach, tmp_p
     assert [stage.certificate is not None for stage in record.stages] == [False, True, False]
     assert [stage.message for stage in (soft, quick, late)] == ["", "", why]
     for stage in record.stages:
-        assert stage.plan_trace is not None
-        assert stage.replay_trace is not None
+        assert stage.has_plan
+        assert stage.replay is not None
         assert [figure.name for figure in stage.metrics] == ["terminal_error", "physics", "replay_error"]
     names = {path.name for path in folder.iterdir()}
     assert names == {"record.json", "cell.json", "log.txt", "files.json", "trajectory.nc", "trajectory_1.nc", "trajectory_2.nc"}
@@ -106,6 +106,6 @@ def test_nothing_but_the_certificate_is_lost(last, outcome, why, in_reach, tmp_p
 def test_a_front_is_certified_though_nothing_was_found_within_its_smallest_tolerance(in_reach, tmp_path):
     record = run_cell(_cell("front"), gather("a test"), tmp_path, time.monotonic())
     stage = record.stages[-1]
-    assert stage.plan_trace is None
+    assert not stage.has_plan
     assert [point.outcome for point in stage.front] == ["infeasible", "solved"]
     assert stage.front[-1].certificate is not None

@@ -59,7 +59,8 @@ def test_a_plan_reads_back_bit_for_bit(tmp_path: Path, scene: Scene, plan: Traje
         units = {name: variable.attrs["units"] for name, variable in file.variables.items()}
     assert units == {
         **{"t": "s", "q1": "m", "q2": "m", "q3": "m", "v1": "m/s", "v2": "m/s", "v3": "m/s"},
-        **{"u1": "N", "u3": "N", "lam_left": "N", "lam_right": "N"},
+        **{"u1": "N", "u3": "N", "lam_left": "N", "lam_right": "N", "gap_left": "m", "gap_right": "m"},
+        **{f"pose_{part}_{place}": unit for place in (1, 2, 3) for part, unit in (("x", "m"), ("y", "m"), ("angle", "rad"))},
     }
     assert [item.name for item in tmp_path.iterdir()] == ["trajectory.nc"]  # no temporary file is left
 

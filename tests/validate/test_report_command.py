@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from validate.cli import report as room
 from validate.cli.report import command
 
 FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")
@@ -40,19 +39,30 @@ def _texts(folder: Path) -> dict[str, bytes]:
     return {name: (folder / name).read_bytes() for name in NAMES}
 
 
-def test_the_same_files_whatever_happened_to_them(folder: Path, monkeypatch: pytest.MonkeyPatch):
+def test_the_same_files_whatever_happened_to_them(folder: Path):
     tables = {name: text for name, text in _texts(folder).items() if name != "report.html"}  # the fakes' own report is none
     _report(folder)
     of_campaign = _texts(folder)
     assert tables.items() <= of_campaign.items()
     for name in NAMES:
         (folder / name).unlink() if name != "results.csv" else (folder / name).write_text("edited")
-    monkeypatch.setattr(room, "_tables", lambda folder: pytest.fail("nothing changed"))
     told = _report(folder)
     assert told.exception is None
     assert _texts(folder) == of_campaign
     rows = json.loads(_report(folder, "--json").stdout)["results"]
     assert sorted({row["pipeline"] for row in rows}) == ["only_good", "soft_alone"]
+
+
+def test_pages_or_one_file(folder: Path):
+    keys = json.loads((folder / "campaign.json").read_bytes())["keys"]
+    told = _report(folder, "-j", "1")
+    assert told.exception is None
+    assert f"report:  {folder / 'report.html'}" in told.stdout
+    assert {path.name for path in (folder / "pages").iterdir()} == {"scene-three_cart.html", *(f"{key}.html" for key in keys)}
+    shutil.rmtree(folder / "pages")
+    assert f"report:  {folder / 'single.html'}" in _report(folder, "--single-file").stdout
+    assert (folder / "single.html").read_text(encoding="utf-8").count('<article class="run"') == 2
+    assert not (folder / "pages").exists()
 
 
 def test_a_record_that_is_gone_is_told(folder: Path):

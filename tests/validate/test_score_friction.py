@@ -10,14 +10,15 @@ from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw
 from models.fmu import build_fmu
+from models.netcdf import read_columns
 from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory, read_csv, uniform_grid, write_csv
+from models.trajectory_netcdf import write_netcdf
 from validate.judge.replay.netcdf import read_replay, write_replay
 from validate.judge.replay.result import Replay
 from validate.judge.replay.run import replay
 from validate.judge.score import Question, Score, score
-from validate.tasks.scene_record import plan_trace, replay_trace
 
 STEPS = 100
 
@@ -120,8 +121,9 @@ def test_plan_and_replay_of_a_scene_with_friction_go_to_files_and_come_back(
     assert again.events == replayed.events
 
 
-def test_traces_carry_the_friction_forces(scene: Scene, plan: Trajectory, replayed: Replay) -> None:
-    planned = plan_trace(scene, plan).columns["friction_belt"]
-    shown = replay_trace(scene, plan, replayed).columns["friction_belt"]
-    assert planned == pytest.approx(plan.lam[:, 2].tolist())
-    assert max(map(abs, shown)) == pytest.approx(0.2 * 9.81, rel=1e-9)
+def test_files_carry_the_friction_forces(scene: Scene, plan: Trajectory, replayed: Replay, tmp_path: Path) -> None:
+    write_netcdf(tmp_path / "trajectory.nc", plan, scene)
+    write_replay(tmp_path / "replay.nc", replayed, scene)
+    (planned, _), (shown, _) = (read_columns(tmp_path / name) for name in ("trajectory.nc", "replay.nc"))
+    assert planned["friction_belt"].values == pytest.approx(plan.lam[:, 2].tolist())
+    assert np.abs(shown["friction_belt"].values).max() == pytest.approx(0.2 * 9.81, rel=1e-9)

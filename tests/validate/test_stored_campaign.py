@@ -10,7 +10,7 @@ import pytest
 
 from reports.records.record import SCHEMA_VERSION
 from validate.store.store import Store
-from validate.store.stored import CAMPAIGN, CampaignError, earlier_schema, only_last_failed
+from validate.store.stored import CAMPAIGN, CampaignError, campaign_text, earlier_schema, only_last_failed
 
 _FACTORY = importlib.util.spec_from_file_location("record_factory_of_stored", Path(__file__).parents[1] / "reports" / "record_factory.py")
 assert _FACTORY is not None
@@ -63,3 +63,20 @@ def test_what_failed_and_is_not_selected_is_named_three_at_most(failures: int, t
     assert (f"and {failures - 3} more" in said) is (failures > 3)
     assert ("more" in said) is (failures > 3)
     assert ("drop --lf" in said) is (failures == 0)
+
+
+def test_what_a_campaign_is_does_not_depend_on_when_and_how_it_was_called(tmp_path: Path) -> None:
+    told = {"keys": ["a", "b"], "quick": False, "command": "first", "started": "1", "provenance": {"cpu": "x"}}
+    (tmp_path / "campaign.json").write_text(json.dumps(told))
+    before = campaign_text(tmp_path)
+    (tmp_path / "campaign.json").write_text(json.dumps({**told, "command": "second", "started": "2"}, indent=1))
+    assert campaign_text(tmp_path) == before != ""
+    for change in ({"keys": ["a"]}, {"quick": True}, {"violation": [1]}):
+        (tmp_path / "campaign.json").write_text(json.dumps({**told, **change}))
+        assert campaign_text(tmp_path) != before
+
+
+@pytest.mark.parametrize("text", ["", "[1]", "{half"])
+def test_a_campaign_that_cannot_be_read_is_no_text(tmp_path: Path, text: str) -> None:
+    (tmp_path / "campaign.json").write_text(text)
+    assert campaign_text(tmp_path) == ""

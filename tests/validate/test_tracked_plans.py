@@ -16,15 +16,19 @@ from models.catalog import load_scene
 from models.fmu import build_fmu
 from models.scene import Limit, Scene
 from models.trajectory import Trajectory, write_csv
-from models.trajectory_netcdf import read_gains
+from models.trajectory_netcdf import read_gains, write_netcdf
+from reports.records.record import RunRecord
+from reports.traces import read_motion
 from validate.cli.group import run
 from validate.judge.judgement import judge
 from validate.judge.replay import Replay
+from validate.judge.replay.netcdf import write_replay
 from validate.judge.replay.run import replay
 from validate.judge.score import Score, Verdict, score
 from validate.store.results import COLUMNS, _row
 from validate.tasks.leg import Planned
 from validate.tasks.records import Judged, stage_record
+from validate.tasks.scene_record import scene_record
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +155,7 @@ def test_the_command_shows_both_and_keeps_the_gains(
     assert told["growth"]["rate"] > 3.67
 
 
-def test_a_campaign_keeps_and_tells_both(scene: Scene, plans: dict[str, Trajectory], exact: Replay):
+def test_a_campaign_keeps_and_tells_both(scene: Scene, plans: dict[str, Trajectory], exact: Replay, tmp_path: Path):
     """The record of a stage: which replay is judged, growth, effort, the tracked motion with the inputs as applied; the last columns of results.csv."""
     plan, method = plans["exact"], load_method("strict_lcp")
     planned = Planned(index=0, name="strict_lcp", method=method, eps=None, options=method.read_options({}))
@@ -162,18 +166,23 @@ def test_a_campaign_keeps_and_tells_both(scene: Scene, plans: dict[str, Trajecto
     )  # fmt: skip
     assert record.replay is not None
     assert record.replay.tracked is not None
-    assert record.tracked_trace is not None
-    assert record.replay_trace is not None
     assert exact.tracked is not None
     assert exact.tracked.applied is not None
     assert (record.replay.judged, record.replay.growth_rate) == ("feedback", exact.growth.rate if exact.growth else None)
     assert record.replay.tracked.rms_share == told.value("feedback_effort")
-    trace = record.tracked_trace
-    for time, applied in zip(trace.t, trace.columns["u"], strict=True):
+    run = RunRecord.model_construct(scene=scene_record(scene), stages=(record,))
+    write_netcdf(tmp_path / "trajectory.nc", plan, scene)
+    write_replay(tmp_path / "replay.nc", exact, scene)
+    write_replay(tmp_path / "tracked.nc", exact.tracked, scene)
+    motion = read_motion(tmp_path, run, record)
+    assert motion.judged(record) is motion.tracked is not None
+    name = scene.inputs[0].name
+    for time, applied in zip(motion.tracked.t, motion.tracked.columns[name], strict=True):
         step = min(int(np.searchsorted(plan.t, time, side="right")) - 1, plan.steps - 1)
         assert applied == exact.tracked.applied[step, 0]
-    assert max(trace.columns["position_error"]) == pytest.approx(told.value("tracked_replay_error"))
-    assert "u" not in record.replay_trace.columns
+    assert motion.tracked.columns["position_error"].max() == pytest.approx(told.value("tracked_replay_error"))
+    assert motion.replay is not None
+    assert name not in motion.replay.columns
     row = _row(SimpleNamespace(scene=scene, pipeline="strict"), record)  # type: ignore[arg-type] - of a type that was checked or made so above
     last = ["judged", "tracked_replay_terminal_error", "tracked_replay_error", "feedback_effort", "feedback_share", "growth_rate"]
     assert list(COLUMNS)[-6:] == list(row)[-6:] == last

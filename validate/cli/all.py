@@ -53,7 +53,7 @@ configuration or nothing selected; 3 a system requirement is missing;
 def command(arguments: tuple[str, ...], as_json: bool, **options: Any) -> int:
     """Run every scene by every pipeline, replay and score each plan, write the report.
 
-    Progress goes to stderr; the table of results and the path of the report to stdout. DIR then holds report.html,
+    Progress goes to stderr; the table of results and the path of the report to stdout. DIR then holds report.html with its pages,
     results.csv (one row a stage), examinations.csv (one row an examination, such as the check of a scene's FMU), violation.csv,
     starts.csv (one row a start), front.csv (one row a terminal tolerance), campaign.json and, for each cell, runs/<key>.
     """

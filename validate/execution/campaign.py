@@ -23,11 +23,10 @@ from validate.execution.worker import Job
 from validate.plan.runs import CampaignError, Entry, Examined, Settings, select, with_stored
 from validate.store.disk import write_durably
 from validate.store.results import write_examinations, write_results, write_sweeps
-from validate.store.standing_report import campaign_text, of_content, standing_report
 from validate.store.store import Store
-from validate.store.stored import CAMPAIGN, earlier_schema, only_last_failed, stored_campaign
+from validate.store.stored import CAMPAIGN, campaign_text, earlier_schema, of_content, only_last_failed, stored_campaign
 from validate.tasks.leg import PlannedLeg, forget, must_wait
-from validate.tasks.plugins import DEFAULT_TOOLS, load_tools
+from validate.tasks.plugins import load_tools
 from validate.tasks.run import Cell
 
 if TYPE_CHECKING:
@@ -153,8 +152,7 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
                 narrator.finished(record)
             narrator.ends()
             done, examinations = write()
-    stands = standing_report(settings.out, before) if settings.tools == DEFAULT_TOOLS and not ran else None
-    report = stands or load_tools(settings.tools).write_report(settings.out)
+    report = load_tools(settings.tools).write_report(settings.out)
     return Outcome(
         records=done,
         examinations=examinations,

@@ -54,26 +54,14 @@ def main(folder: Path) -> int:
         else:
             profile.lap("imports")
             record = run_cell(Cell.from_json(wanted), provenance, folder, began, profile)
-        text = record.model_dump_json(indent=1)
-        write_durably(folder / RECORD, text)
+        write_durably(folder / RECORD, record.model_dump_json(indent=1))
     except MachineError as error:
         return _machine(folder, error)
     except OSError as error:
         if not disk_refuses(error):
             raise
         return _machine(folder, disk_error(folder, error))
-    if "tools" in wanted:
-        _tell(wanted["tools"], folder, text.encode())
     return 0
-
-
-def _tell(tools: str, folder: Path, text: bytes) -> None:
-    """Have drawn what the report needs of this cell, now that its record stands and its seconds are counted."""
-    from validate.store.store import Store
-    from validate.tasks.plugins import load_tools
-
-    with contextlib.suppress(Exception):  # whatever it is, it comes again when the report is written, and is said there
-        load_tools(tools).tell(Store.of_partial(folder).folder, text)
 
 
 def _machine(folder: Path, error: Exception) -> int:

@@ -58,7 +58,7 @@ MODULES = (
         "validate.judge.replay.run",
     ),
     *("models.catalog", "models.scene.checks", "models.codegen.kernel", "models.fmu", "models.trajectory_netcdf"),
-    *("reports.records.check_record", "reports.telling", "formulations.mpec", "formulations.ipopt", "formulations.transcription.homotopy"),
+    *("reports.records.check_record", "formulations.mpec", "formulations.ipopt", "formulations.transcription.homotopy"),
     *("formulations.contact_modes.session", "formulations.multiple_shooting.method"),
 )
 # What one cell in four imports, in 3 CPU s and half a gigabyte that all children then share: PyTorch, and what its optimisers import at their first

@@ -149,7 +149,7 @@ class Worker:
         shared_watchdog().tell("stop", self._token)
 
     def _file(self, record: RunRecord | ExaminationRecord) -> None:
-        answered = any(stage.plan_trace is not None for stage in getattr(record, "stages", ()))
+        answered = any(stage.has_plan for stage in getattr(record, "stages", ()))
         for path in tuple(self._folder.iterdir()):
             if path.is_dir():
                 shutil.rmtree(path, ignore_errors=True)

@@ -40,7 +40,6 @@ _NO_INFLUENCE = (
     "validate/execution/engine.py",
     "validate/execution/fork_server.py",
     "validate/store/results.py",
-    "validate/store/standing_report.py",
     "validate/store/stored.py",
 )
 # Parts that decide what examinations find, and nothing of a cell of a scene by a pipeline.

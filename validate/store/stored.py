@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from reports.records.record import CampaignRecord, RunRecord
 
 CAMPAIGN = "campaign.json"
+# What a campaign that ran nothing leaves as it was told: the report says when its results were made.
+_OF_THE_CALL = ("command", "started", "provenance")
+# What damaged content raises where it is read.
+_NO_CAMPAIGN = (ValueError, AttributeError, RecursionError)
 
 
 def stored_campaign(folder: Path) -> tuple[CampaignRecord, tuple[RunRecord | ExaminationRecord, ...]]:
@@ -84,7 +88,7 @@ def earlier_schema(folder: Path) -> str:
     if version == SCHEMA_VERSION:
         return ""
     return (
-        f"{folder} holds the records of schema {version!s:.20}, whose verdicts follow another rule than those of schema {SCHEMA_VERSION}: "
+        f"{folder} holds the records of schema {version!s:.20}, which hold other things than those of schema {SCHEMA_VERSION}: "
         "none of them is used, and what is selected is run again."
     )
 
@@ -112,3 +116,16 @@ def only_last_failed(entries: Sequence[Entry | Examined], store: Store) -> list[
         for entry in entries
         if entry.cell.key in again or entry.stored is not None
     ]
+
+
+def campaign_text(folder: Path) -> str:
+    """What a folder's campaign is, apart from the call; empty if there is none that can be read."""
+    try:
+        return of_content((folder / CAMPAIGN).read_bytes())
+    except (OSError, *_NO_CAMPAIGN):
+        return ""
+
+
+def of_content(campaign: str | bytes) -> str:
+    """Of the text of a campaign.json, what is not of the call. Raises one of _NO_CAMPAIGN for what is none."""
+    return json.dumps({name: value for name, value in json.loads(campaign).items() if name not in _OF_THE_CALL}, sort_keys=True)

@@ -93,12 +93,6 @@ def leg_files(number: int) -> dict[str, str]:
     return {what: f"{what}_{number}.nc" for what in _FILES}
 
 
-def run_files(index: int, stages: int) -> dict[str, str]:
-    """The files of stage `index` (from 0) in the folder of a run of so many stages, by what they hold; those of the last stage have no number."""
-    ending = "" if index == stages - 1 else f"_{index + 1}"
-    return {what: f"{what}{ending}.nc" for what in _FILES}
-
-
 def timeout_key(key: str, limit: float) -> str:
     """The name of a leg that used up the time limit [s] of its run."""
     return f"{key}-{limit:g}s"
@@ -115,7 +109,7 @@ def ended_by_timeout(records: Sequence[StageRecord]) -> bool:
 
 
 def _is_judged(records: Sequence[StageRecord]) -> bool:
-    return all(record.plan_trace is None or record.metrics for record in records)
+    return all(not record.has_plan or record.metrics for record in records)
 
 
 def write_leg(folder: Path, leg: LegRecord) -> LegRecord:
@@ -145,7 +139,7 @@ def plan_of(leg: LegRecord, folder: Path, scene: Scene) -> Trajectory | None:
     """The last plan that a leg found, from the files in its folder. Raises what damaged files raise."""
     from models.trajectory_netcdf import read_netcdf
 
-    number = max((number for number, record in enumerate(leg.stages, 1) if record.plan_trace is not None), default=None)
+    number = max((number for number, record in enumerate(leg.stages, 1) if record.has_plan), default=None)
     return None if number is None else read_netcdf(folder / leg_files(number)["trajectory"], scene)
 
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from formulations.solution import Outcome
 from models.catalog import load_scene
 from models.errors import MachineError, TouchstoneError
-from reports.records.record import LegRecord
+from reports.records.record import LegRecord, stage_files
 from validate.store.disk import raise_if_disk_ended
 from validate.store.store import LOG, Store, progress
 from validate.tasks import leg as legs
@@ -114,7 +114,7 @@ def _told(cell: Cell, folder: Path, found: Sequence[LegRecord], stages: int) -> 
     number = 0
     for place, leg in enumerate(found, 1):
         for own in range(1, len(leg.stages) + 1):
-            names = legs.run_files(number, stages)
+            names = stage_files(number, stages)
             for what, name in legs.leg_files(own).items():
                 if (source := legs.place(folder, place) / name).exists():
                     legs.link_file(source, folder / names[what])

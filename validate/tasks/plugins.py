@@ -89,26 +89,9 @@ def _write_report(folder: Path) -> Path:
         raise MachineError(str(error)) from error
 
 
-def _tell(folder: Path, text: bytes) -> None:
-    from reports.telling import tell
-
-    tell(folder, text)
-
-
-def _write_pages(folder: Path) -> Path:
-    from reports.records.load import ReportError
-    from reports.split import write_pages
-
-    try:
-        return write_pages(folder)
-    except ReportError as error:
-        raise MachineError(str(error)) from error
-
-
 @dataclass(frozen=True, kw_only=True)
 class Tools:
-    """See the module docstring. quick: the pipelines that `--quick` runs; tell: draws what the report needs of a record (a campaign's folder, the
-    text of its record.json) when it is stored; what fails there fails again, and is said, when the report is written."""
+    """See the module docstring. quick: the pipelines that `--quick` runs."""
 
     load_method: Callable[[str], Method] = _load_method
     pipelines_for: Callable[[Scene], tuple[Pipeline, ...]] = _pipelines_for
@@ -119,9 +102,7 @@ class Tools:
     certify: Callable[[Scene, Solution], Solution] = _certify
     judge: Callable[[Scene, Path, Trajectory], Any] = _judge
     write_replay: Callable[[Path, Any, Scene], None] = _write_replay
-    tell: Callable[[Path, bytes], None] = _tell
     write_report: Callable[[Path], Path] = _write_report
-    write_pages: Callable[[Path], Path] = _write_pages
 
     def quick_names(self) -> tuple[str, ...]:
         from formulations.pipelines import QUICK

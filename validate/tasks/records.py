@@ -31,9 +31,9 @@ from reports.records.record import (
     StartRecord,
     TrackedRecord,
     Verdict,
+    thin,
 )
 from validate.tasks.paper import paper_row
-from validate.tasks.scene_record import plan_trace, replay_trace, thin
 
 if TYPE_CHECKING:
     from formulations.mpec import Certificate
@@ -134,7 +134,6 @@ def stage_record(
 ) -> StageRecord:
     """The record of a stage that ran, as of a pipeline of its leg alone. index: in its leg; wall, cpu [s]: of this stage; before [s]: of its leg's
     stages before it."""
-    trajectory = solution.trajectory
     verdict, why = _verdict(solution, judged)
     return StageRecord(
         index=index,
@@ -163,9 +162,7 @@ def stage_record(
         questions=_questions(judged.score),
         not_asked=() if judged.score is None else judged.score.not_asked,
         replay=_replay(judged.replay, judged.score) if judged.replay is not None else None,
-        plan_trace=plan_trace(scene, trajectory) if trajectory is not None else None,
-        replay_trace=_replay_trace(scene, trajectory, judged.replay),
-        tracked_trace=_replay_trace(scene, trajectory, getattr(judged.replay, "tracked", None)),
+        has_plan=solution.trajectory is not None,
     )
 
 
@@ -299,12 +296,6 @@ def _tracked(replay: Any) -> TrackedRecord:
 
 def _position(difference: Any) -> float | None:
     return None if difference is None else finite(difference.position)
-
-
-def _replay_trace(scene: Scene, trajectory: Trajectory | None, replay: Any):
-    if trajectory is None or replay is None or len(replay.t) == 0:
-        return None
-    return replay_trace(scene, trajectory, replay)
 
 
 def _metric(metric: Any) -> MetricRecord:

@@ -3,6 +3,7 @@
 write_replay(path, replay, scene)
 replay = read_replay(path, scene)            # bit for bit what was written
 
+Of a scene of ours the poses of its shapes stand there too (models.kinematics), for those who draw it without the scene.
 A tracked replay is a file of its own, with the inputs it applied; the law that made them, its gains, is stored with the plan (models.trajectory_netcdf).
 """
 
@@ -18,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from models.errors import TrajectoryError
+from models.kinematics import pose_columns
 from models.netcdf import Column, numbers, read_columns, write_columns
 from models.scene import Scene
 from validate.judge.replay.result import Difference, Event, Growth, Replay, ReplayError, ReplayOutcome
@@ -87,8 +89,7 @@ def write_replay(path: Path, replay: Replay, scene: Subject) -> None:
         "growth": None if replay.growth is None else asdict(replay.growth),
         "effort": None if replay.effort is None else asdict(replay.effort),
     }
-    if not isinstance(scene, Scene):
-        columns = _storable(columns)
+    columns = [*columns, *pose_columns(scene, replay.q, "time")] if isinstance(scene, Scene) else _storable(columns)
     attributes = {"content": _CONTENT, "scene": scene.name, "fmu_sha256": replay.fmu, "facts": json.dumps(facts, allow_nan=False)}
     write_columns(path, columns, attributes)
 

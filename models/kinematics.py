@@ -1,0 +1,57 @@
+"""Where a scene's bodies are drawn and how far its contacts are apart, at given positions: what files of plans and replays hold for those who know no scene.
+
+pose_columns(scene, q, "node")      # x, y and angle of every shape;    gap_columns(scene, q, "node")      # the gap of every contact
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import sympy as sp
+
+from models.dynamics import derive
+from models.netcdf import Column
+from models.scene import Scene
+
+
+def pose_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
+    """Columns `pose_x_<n>`, `pose_y_<n>` [m] and `pose_angle_<n>` [rad] of the scene's n-th shape, from 1, at positions q (n, nq).
+
+    Numbers, because a shape may have any name, and NetCDF does not allow all of them; the name stands in the description. What never changes, as a
+    floor's place, is told once, along a dimension of its own: more than half of these columns do not.
+    """
+    expressions = [sp.sympify(value) for shape in scene.shapes for value in (shape.x, shape.y, shape.angle)]
+    named = [
+        (f"pose_{part}_{place}", unit, f"{part} of {shape.name}")
+        for place, shape in enumerate(scene.shapes, 1)
+        for part, unit in (("x", "m"), ("y", "m"), ("angle", "rad"))
+    ]
+    moving = {coordinate.symbol for coordinate in scene.coordinates}
+    return [
+        column if expression.free_symbols & moving else replace(column, dimension="once", values=column.values[:1])
+        for column, expression in zip(_columns(named, evaluate(scene, expressions, q), dimension), expressions, strict=True)
+    ]
+
+
+def gap_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
+    """The gap -phi(q) [m] of every contact, negative in contact, at positions q (n, nq)."""
+    named = [(item.gap_name, "m", f"gap, negative in contact, {item.description or item.name}") for item in scene.contacts]
+    return _columns(named, -evaluate(scene, list(derive(scene).penetration), q), dimension)
+
+
+def evaluate(scene: Scene, expressions: list[sp.Expr], q: np.ndarray) -> np.ndarray:
+    """(n, len(expressions)) values of expressions in the coordinates at positions q (n, nq); constants are repeated."""
+    if not expressions:
+        return np.zeros((len(q), 0))
+    symbols = [coordinate.symbol for coordinate in scene.coordinates]
+    numbers = [sp.sympify(expression).subs(scene.parameter_values) for expression in expressions]
+    values = sp.lambdify(symbols, numbers, modules="numpy", cse=True)(*q.T)
+    return np.column_stack([np.broadcast_to(value, len(q)) for value in values]).astype(float)
+
+
+def _columns(named: list[tuple[str, str, str]], values: np.ndarray, dimension: str) -> list[Column]:
+    return [
+        Column(name=name, dimension=dimension, values=values[:, index], unit=unit, description=text)
+        for index, (name, unit, text) in enumerate(named)
+    ]

@@ -1,0 +1,91 @@
+"""The page of one run: its verdict, its motion, its stages with questions and metrics, plan against replay, iteration history, certificate, options,
+seconds, log."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from reports.again import again
+from reports.judged import QuestionView, end_of, is_tracked, questions_of
+from reports.pages.player import Film, film
+from reports.pages.section import Report, Section
+from reports.pages.stage_plots import StagePlots, is_empty, stage_plots
+from reports.pages.starts import Spread, spread
+from reports.records.record import RunRecord, SceneRecord, StageRecord
+from reports.traces import Motion
+from reports.wording import small, tail
+
+
+@dataclass(frozen=True)
+class StageView:
+    """A stage and what is drawn of it; questions: what was asked and measured, ends: (which replay, where it ends); tracked: whether the verdict is of
+    the replay with feedback, both: whether there is one; empty: it left no plan, idle: it did not even run."""
+
+    stage: StageRecord
+    plots: StagePlots
+    spread: Spread | None
+    last: bool
+    questions: list[QuestionView]
+    ends: list[tuple[str, str]]
+    tracked: bool
+    both: bool
+    empty: bool
+    idle: bool
+
+
+@dataclass(frozen=True)
+class RunView:
+    """A run and its stages; the film shows the last stage that has something to show."""
+
+    run: RunRecord
+    stages: list[StageView]
+    film: Film | None
+    log: str
+    again: str
+
+
+def build(report: Report, run: RunRecord) -> Section:
+    """The section of a page that has this run alone."""
+    entries = tuple((f"run-stage-{place}", _stage_words(stage)) for place, stage in enumerate(run.stages, 1))
+    return Section("one", "Verdict, motion and stages", "run.html", {"view": view_of(report, run), "anchor": "run"}, entries)
+
+
+def view_of(report: Report, run: RunRecord) -> RunView:
+    """What is told of a run, from its record and the motions beside it alone."""
+    motions = [report.motion(run, stage) for stage in run.stages]
+    last = len(run.stages) - 1
+    stages = [
+        _stage(run.scene, stage, motion, last=place == last) for place, (stage, motion) in enumerate(zip(run.stages, motions, strict=True))
+    ]
+    return RunView(run, stages, film(run, motions), tail(run.log_tail), again(run))
+
+
+def _stage(scene: SceneRecord, stage: StageRecord, motion: Motion, *, last: bool) -> StageView:
+    return StageView(
+        stage,
+        stage_plots(scene, stage, motion),
+        spread(stage),
+        last,
+        questions_of(stage),
+        _ends(scene, stage),
+        is_tracked(stage),
+        _is_followed(stage),
+        is_empty(stage),
+        is_empty(stage) and stage.seconds.stage == 0 and stage.iterations == 0,
+    )
+
+
+def _stage_words(stage: StageRecord) -> str:
+    return stage.method + (f", ε = {small(stage.eps)}" if stage.eps else "")
+
+
+def _is_followed(stage: StageRecord) -> bool:
+    return stage.replay is not None and stage.replay.tracked is not None
+
+
+def _ends(scene: SceneRecord, stage: StageRecord) -> list[tuple[str, str]]:
+    """Where the replays end, in words: that of the inputs alone, and that with feedback where there is one."""
+    found = [("inputs alone" if _is_followed(stage) else "replay", end_of(stage, scene, tracked=False))]
+    if _is_followed(stage):
+        found.append(("with feedback", end_of(stage, scene, tracked=True)))
+    return [(words, end) for words, end in found if end]

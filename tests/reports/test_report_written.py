@@ -1,0 +1,140 @@
+"""Which pages are written, and when: what goes across runs each time, a run's page where there is none that is younger than its record."""
+
+from __future__ import annotations
+
+import os
+import re
+import threading
+from pathlib import Path
+from urllib.parse import unquote
+
+import pytest
+
+from reports import render as module
+from reports.records.load import ReportError
+from reports.render import PAGES, write_report, write_single
+
+
+@pytest.fixture
+def folder(factory, tmp_path: Path) -> Path:
+    """A chain with a sweep of eps, a short run, and a run in two parts; all of it was stored long ago."""
+    chain, short = factory.runs()[2], factory.runs()[0]
+    parts = [short.model_copy(update={"key": f"part-{place}", "pipeline": "parted", "part": place, "parts": 2}) for place in (1, 2)]
+    stored = factory.store(tmp_path / "all", [chain, short, *parts])
+    for path in stored.glob("runs/*/*"):
+        os.utime(path, (1e9, 1e9))
+    return stored
+
+
+def _written(folder: Path) -> dict[str, int]:
+    return {path.name: path.stat().st_ino for path in (folder / PAGES).iterdir()}
+
+
+def test_every_link_leads_to_an_anchor_of_a_page(full_folder):
+    write_report(full_folder)
+    texts = {path.resolve(): path.read_text(encoding="utf-8") for path in (full_folder / "report.html", *(full_folder / PAGES).iterdir())}
+    anchors = {path: set(re.findall(r' id="([^"]+)"', text)) for path, text in texts.items()}
+    for path, text in texts.items():
+        for address, anchor in re.findall(r' href="([^"#]*)(?:#([^"]*))?"', text):
+            target = (path.parent / unquote(address)).resolve() if address else path
+            assert not anchor or anchor in anchors[target], (path, address, anchor)
+            assert target in texts
+    assert len(texts) == 1 + 1 + 11
+
+
+def test_pages_together_show_every_figure_of_the_single_file(full_folder):
+    single = write_single(full_folder).read_text(encoding="utf-8")
+    write_report(full_folder)
+    pages = "".join(path.read_text(encoding="utf-8") for path in (full_folder / "report.html", *(full_folder / PAGES).iterdir()))
+    figures = [figure for figure in re.findall(r"<figure .*?</figure>", single, re.DOTALL) if "href=" not in figure]
+    assert len(figures) > 100
+    assert all(figure in pages for figure in figures)
+
+
+def test_a_page_that_stands_is_left_and_any_other_is_written(folder: Path):
+    write_report(folder)
+    before = _written(folder)
+    chain = next(name for name in before if name.startswith("relaxed-strict"))
+    write_report(folder)
+    again = _written(folder)
+    assert {name for name in before if again[name] != before[name]} == {"scene-three_cart.html"}
+    os.utime(folder / "runs" / chain.removesuffix(".html") / "record.json")
+    os.utime(folder / "runs" / "part-2" / "record.json")
+    (folder / PAGES / "strict-0123456789abcdef.html").unlink()
+    write_report(folder)
+    last = _written(folder)
+    assert {name for name in again if again[name] != last[name]} == {"scene-three_cart.html", *again} - {"scene-other.html"}
+
+
+def test_another_program_writes_all_pages(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    write_report(folder)
+    before = _written(folder)
+    (tmp_path / "room").mkdir()
+    (tmp_path / "room" / "wording.py").write_text("")
+    os.utime(tmp_path / "room" / "wording.py", (4e9, 4e9))
+    monkeypatch.setattr(module, "_due", lambda report, due=module._due: _with_room(due, report, tmp_path / "room"))
+    write_report(folder)
+    assert not {name for name, place in _written(folder).items() if before[name] == place}
+
+
+def _with_room(due, report, room: Path):
+    here, module._HERE = module._HERE, room
+    try:
+        return due(report)
+    finally:
+        module._HERE = here
+
+
+def test_pages_are_the_same_by_one_process_and_by_several(factory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    one, several = (factory.store(tmp_path / name / "all", factory.runs()) for name in ("one", "several"))
+    write_report(one, 1)
+    monkeypatch.setattr(module, "_WORTH", 1)
+    monkeypatch.setattr(threading, "active_count", lambda: 1)  # a browser's or a plugin's threads hold nothing that a page needs
+    drawn = []
+    monkeypatch.setattr(module, "_write_run", lambda *words, write=module._write_run: (drawn.append(words[-1]), write(*words)))
+    write_report(several, 3)
+    assert drawn == [], "this process drew none"
+    assert {path.name: path.read_bytes() for path in (one / PAGES).iterdir()} == {
+        path.name: path.read_bytes() for path in (several / PAGES).iterdir()
+    }
+
+
+def test_what_a_process_leaves_undone_is_done_here(factory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    folder = factory.store(tmp_path / "all", factory.runs())
+    monkeypatch.setattr(module, "_WORTH", 1)
+    monkeypatch.setattr(threading, "active_count", lambda: 1)
+    monkeypatch.setattr(module, "_write_some", lambda *_: os._exit(9))
+    write_report(folder, 2)
+    assert len(_written(folder)) == 1 + len(factory.runs())
+
+
+def test_a_file_in_the_place_of_the_pages_is_one_sentence(folder: Path):
+    (folder / PAGES).write_text("")
+    with pytest.raises(ReportError, match="cannot be written"):
+        write_report(folder)
+    assert [path.name for path in folder.iterdir() if path.name.startswith(".partial")] == []
+
+
+def test_a_folder_in_the_place_of_a_page_is_one_sentence(folder: Path):
+    (folder / PAGES / "strict-0123456789abcdef.html" / "in").mkdir(parents=True)
+    with pytest.raises(ReportError, match="cannot be written"):
+        write_report(folder)
+    assert [path.name for path in folder.rglob(".partial*")] == []
+
+
+def test_a_folder_that_is_renamed_has_the_same_pages(folder: Path, tmp_path: Path):
+    write_report(folder)
+    before = {path.name: path.read_bytes() for path in (folder / PAGES).iterdir()} | {"report": (folder / "report.html").read_bytes()}
+    other = folder.rename(tmp_path / "another")
+    for path in (other / PAGES).iterdir():
+        path.unlink()
+    write_report(other)
+    assert {path.name: path.read_bytes() for path in (other / PAGES).iterdir()} | {"report": (other / "report.html").read_bytes()} == before
+
+
+@pytest.mark.parametrize("name", ["../../etc/passwd", "a/b", "☃", "x" * 300, "CON scene"])
+def test_a_scene_of_any_name_has_a_page_in_its_folder(factory, tmp_path: Path, name: str):
+    folder = factory.store(tmp_path / "all", [factory.run("strict", None, "strict_lcp", scene=factory.scene(name))])
+    write_report(folder)
+    (page,) = (folder / PAGES).glob("scene-*.html")
+    assert f'href="{PAGES}/{page.name}"' in (folder / "report.html").read_text(encoding="utf-8")
