@@ -51,7 +51,7 @@ class Campaign:
         self.begun.append(key)
         (entry,) = [entry for entry in self.entries if entry.cell.key == key]
         outcome = "crashed" if key in self.crashing else "time_limit"
-        return entry.lost(self._provenance)(Lost(outcome=outcome, message="as told", wall=0.0, cpu=0.0, log=""), self._store.runs)
+        return entry.lost(self._provenance)(Lost(outcome=outcome, message="as told", wall=0.0, cpu=0.0, log=""), self.site.store.runs)
 
     def again(self, record: Any) -> bool:
         self.crashes[record.key] += record.outcome == "crashed"
