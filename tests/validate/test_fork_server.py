@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import multiprocessing.forkserver
 import os
 import resource
 import signal
@@ -240,28 +239,9 @@ def test_where_there_can_be_no_server_there_is_none(monkeypatch):
         assert server is None
 
 
-def test_ctrl_c_while_a_child_starts_or_ends_leaves_nothing_of_it(server, tmp_path, monkeypatch):
-    """It is heard when the child is there; that is then ended. One that is being ended is told of once more if it is asked twice."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+def test_a_child_that_was_ended_says_the_same_once_more(server, tmp_path):
     child, _, _ = _start(server, tmp_path, "seven")
-    parent = psutil.Process(server._server._forkserver_pid)
-    connect, read = server._server.connect_to_new_process, multiprocessing.forkserver.read_signed
-
-    def interrupted(function, argument):
-        os.kill(os.getpid(), signal.SIGINT)
-        return function(argument)
-
-    try:
-        with monkeypatch.context() as patch:
-            patch.setattr(server._server, "connect_to_new_process", lambda fds: interrupted(connect, fds))
-            with pytest.raises(KeyboardInterrupt):
-                _start(server, tmp_path, "family")
-        assert [left.pid for left in parent.children() if left.pid != child.pid] == []
-        _wait(child)
-        with monkeypatch.context() as patch:
-            patch.setattr(multiprocessing.forkserver, "read_signed", lambda fd: interrupted(read, fd))
-            with pytest.raises(KeyboardInterrupt):
-                child.end()
-        assert child.end().code == 7
-    finally:
-        signal.signal(signal.SIGINT, before)
+    _wait(child)
+    assert child.end() == child.end()
+    assert child.end().code == 7
+    assert child.has_ended()

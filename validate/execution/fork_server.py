@@ -43,7 +43,6 @@ from validate.execution.process import (
     ForkServerError,
     child_environment,
     end_family,
-    interrupts_wait,
     shared_watchdog,
 )
 from validate.execution.reaper import TOKEN_VARIABLE
@@ -120,18 +119,10 @@ class ForkServer:
         environment = self._environment | {TOKEN_VARIABLE: token, "TMPDIR": str(temporary)}
         # The first is what multiprocessing would prepare, its parent's __main__ above all: nothing.
         told = pickle.dumps({}) + pickle.dumps(_Child(self._cell, folder, log, environment))
-        started = None
         try:
-            with interrupts_wait():
-                state, pipe = self._server.connect_to_new_process([])
-                started = ForkedChild(state, pipe, told, token)
+            return ForkedChild(*self._server.connect_to_new_process([]), told, token)
         except (OSError, EOFError) as error:
             raise ForkServerError("the server is gone") from error
-        except KeyboardInterrupt:
-            if started is not None:
-                started.end()
-            raise
-        return started
 
     def close(self) -> None:
         self._server.end()
@@ -175,9 +166,8 @@ class ForkedChild(ChildProcess):
 
     def end(self) -> Ended:
         """End the child and all it started, wherever they went; once more, it says the same."""
-        with interrupts_wait():
-            if self._ended is None:
-                self._ended = self._end()
+        if self._ended is None:
+            self._ended = self._end()
         return self._ended
 
     def _end(self) -> Ended:
