@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import resource
 import signal
 import subprocess
 import sys
+import threading
 import time
 import uuid
 from pathlib import Path
@@ -206,8 +206,26 @@ def test_what_starts_a_thread_makes_no_server(tmp_path, monkeypatch):
     )
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.delenv(reaper.TOKEN_VARIABLE, raising=False)
-    with contextlib.closing(ForkServer(modules=("threaded",))) as server, pytest.raises(ForkServerError):
-        _start(server, tmp_path, "calm")
+    with pytest.raises(ForkServerError, match="a library has started threads"):
+        ForkServer(modules=("threaded",))
+
+
+def test_ctrl_c_while_a_server_imports_is_heard_at_once(tmp_path, monkeypatch):
+    (tmp_path / "slow.py").write_text("import time\ntime.sleep(1000)\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.delenv(reaper.TOKEN_VARIABLE, raising=False)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    known = {child.pid for child in psutil.Process().children()}
+    timer = threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            ForkServer(modules=("slow",))
+    finally:
+        timer.join()
+        signal.signal(signal.SIGINT, before)
+    left = [child for child in psutil.Process().children() if child.pid not in known]
+    assert [child for child in left if "forkserver" in " ".join(child.cmdline())] == []
 
 
 def test_children_die_with_the_server_and_the_server_with_us(tmp_path, monkeypatch):
