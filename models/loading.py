@@ -81,6 +81,8 @@ def loaded_sources() -> str:
         return ""
     sources = {"": _NOW.get()[-1].read_bytes()}
     for name, module in tuple(sys.modules.items()):
+        if name == "__mp_main__":  # the second name of __main__, since somebody imported multiprocessing
+            continue
         origin = getattr(module, "__file__", None)
         if origin is not None and name.partition(".")[0] not in _OURS and _is_local(path := Path(origin).resolve()) and path.is_file():
             sources[name] = path.read_bytes()

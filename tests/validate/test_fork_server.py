@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
-import multiprocessing.forkserver
 import os
 import resource
 import signal
 import subprocess
 import sys
+import threading
 import time
 import uuid
 from pathlib import Path
@@ -207,8 +206,26 @@ def test_what_starts_a_thread_makes_no_server(tmp_path, monkeypatch):
     )
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.delenv(reaper.TOKEN_VARIABLE, raising=False)
-    with contextlib.closing(ForkServer(modules=("threaded",))) as server, pytest.raises(ForkServerError):
-        _start(server, tmp_path, "calm")
+    with pytest.raises(ForkServerError, match="a library has started threads"):
+        ForkServer(modules=("threaded",))
+
+
+def test_ctrl_c_while_a_server_imports_is_heard_at_once(tmp_path, monkeypatch):
+    (tmp_path / "slow.py").write_text("import time\ntime.sleep(1000)\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.delenv(reaper.TOKEN_VARIABLE, raising=False)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    known = {child.pid for child in psutil.Process().children()}
+    timer = threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            ForkServer(modules=("slow",))
+    finally:
+        timer.join()
+        signal.signal(signal.SIGINT, before)
+    left = [child for child in psutil.Process().children() if child.pid not in known]
+    assert [child for child in left if "forkserver" in " ".join(child.cmdline())] == []
 
 
 def test_children_die_with_the_server_and_the_server_with_us(tmp_path, monkeypatch):
@@ -240,28 +257,9 @@ def test_where_there_can_be_no_server_there_is_none(monkeypatch):
         assert server is None
 
 
-def test_ctrl_c_while_a_child_starts_or_ends_leaves_nothing_of_it(server, tmp_path, monkeypatch):
-    """It is heard when the child is there; that is then ended. One that is being ended is told of once more if it is asked twice."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+def test_a_child_that_was_ended_says_the_same_once_more(server, tmp_path):
     child, _, _ = _start(server, tmp_path, "seven")
-    parent = psutil.Process(server._server._forkserver_pid)
-    connect, read = server._server.connect_to_new_process, multiprocessing.forkserver.read_signed
-
-    def interrupted(function, argument):
-        os.kill(os.getpid(), signal.SIGINT)
-        return function(argument)
-
-    try:
-        with monkeypatch.context() as patch:
-            patch.setattr(server._server, "connect_to_new_process", lambda fds: interrupted(connect, fds))
-            with pytest.raises(KeyboardInterrupt):
-                _start(server, tmp_path, "family")
-        assert [left.pid for left in parent.children() if left.pid != child.pid] == []
-        _wait(child)
-        with monkeypatch.context() as patch:
-            patch.setattr(multiprocessing.forkserver, "read_signed", lambda fd: interrupted(read, fd))
-            with pytest.raises(KeyboardInterrupt):
-                child.end()
-        assert child.end().code == 7
-    finally:
-        signal.signal(signal.SIGINT, before)
+    _wait(child)
+    assert child.end() == child.end()
+    assert child.end().code == 7
+    assert child.has_ended()

@@ -43,7 +43,6 @@ from validate.execution.process import (
     ForkServerError,
     child_environment,
     end_family,
-    interrupts_wait,
     shared_watchdog,
 )
 from validate.execution.reaper import TOKEN_VARIABLE
@@ -108,27 +107,30 @@ class ForkServer:
         try:
             with terminal_blocked(), _changed_environment(told):
                 self._server.ensure_running()
-        except OSError as error:
+            self._wait_until_ready()
+        except (OSError, EOFError) as error:
             self.close()
-            raise ForkServerError("the server cannot be started") from error
+            raise ForkServerError("the server cannot be started, or a library has started threads in it") from error
+        except BaseException:
+            self.close()
+            raise
+
+    def _wait_until_ready(self) -> None:
+        """Until it forks a child, which is told nothing and ends. Whoever starts the first that matters has no time to lose, and hears no Ctrl-C."""
+        state, told = self._server.connect_to_new_process([])
+        os.close(told)
+        with open(state, "rb"):
+            multiprocessing.forkserver.read_signed(state)
 
     def start(self, folder: Path, *, token: str, temporary: Path, log: Path) -> ForkedChild:
-        """The child that runs the cell of a folder, once the server has imported everything. Raises ForkServerError."""
+        """The child that runs the cell of a folder. Raises ForkServerError."""
         environment = self._environment | {TOKEN_VARIABLE: token, "TMPDIR": str(temporary)}
         # The first is what multiprocessing would prepare, its parent's __main__ above all: nothing.
         told = pickle.dumps({}) + pickle.dumps(_Child(self._cell, folder, log, environment))
-        started = None
         try:
-            with interrupts_wait():
-                state, pipe = self._server.connect_to_new_process([])
-                started = ForkedChild(state, pipe, told, token)
+            return ForkedChild(*self._server.connect_to_new_process([]), told, token)
         except (OSError, EOFError) as error:
             raise ForkServerError("the server is gone") from error
-        except KeyboardInterrupt:
-            if started is not None:
-                started.end()
-            raise
-        return started
 
     def close(self) -> None:
         self._server.end()
@@ -172,9 +174,8 @@ class ForkedChild(ChildProcess):
 
     def end(self) -> Ended:
         """End the child and all it started, wherever they went; once more, it says the same."""
-        with interrupts_wait():
-            if self._ended is None:
-                self._ended = self._end()
+        if self._ended is None:
+            self._ended = self._end()
         return self._ended
 
     def _end(self) -> Ended:

@@ -252,7 +252,10 @@ def end_family(token: str, child: int | None, family: Mapping[int, str]) -> int:
 
 
 def _descendants(parent: int) -> list[int]:
-    """Linux: the children of a process that lives, and theirs."""
+    """Linux: the children of a process that lives, and theirs.
+
+    psutil reads the whole table of processes for that: 7 ms instead of 0.3, 50 times a second, and 50 ms to import in every isolated child.
+    """
     found = []
     with contextlib.suppress(OSError, ValueError):
         for task in Path(f"/proc/{parent}/task").iterdir():

@@ -82,9 +82,9 @@ class Worker:
         self._ended = Ended(code=0, cpu=0.0, memory=0, strays=0)
         self._folder = store.open_partial(cell.key, self._token).resolve()
         shared_watchdog().tell("start", self._token, str(self._folder))
+        self._began = time.monotonic()
         try:
             self._process = self._start()
-            self._began = time.monotonic()  # not before: a fork server may still have been importing
         except BaseException as error:
             reaper.end_all(self._token)
             self._forget()
