@@ -8,7 +8,6 @@ ChartRecord: the data of one plot that an examination draws itself - curves on t
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
@@ -120,16 +119,9 @@ class StoredRecord(RootModel):
     root: Annotated[Annotated[RunRecord, Tag("run")] | Annotated[ExaminationRecord, Tag("examination")], Discriminator(_which)]
 
 
-# Records that were read, by the digest of their text: a campaign and its report are told from the same files, and reading is most of the price.
-_READ: dict[bytes, RunRecord | ExaminationRecord] = {}
-
-
 def record_of(text: bytes) -> RunRecord | ExaminationRecord:
-    """The record that a record.json holds; the same text is read once. Raises pydantic's ValidationError."""
-    digest = hashlib.sha256(text).digest()
-    if digest not in _READ:
-        _READ[digest] = StoredRecord.model_validate_json(text).root
-    return _READ[digest]
+    """The record that a record.json holds. Raises pydantic's ValidationError."""
+    return StoredRecord.model_validate_json(text).root
 
 
 def divided(records: Iterable[RunRecord | ExaminationRecord]) -> tuple[tuple[RunRecord, ...], tuple[ExaminationRecord, ...]]:

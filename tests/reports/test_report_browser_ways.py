@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from urllib.parse import unquote, urlsplit
 
 import pytest
 
@@ -97,19 +98,17 @@ def test_no_address_is_an_error(chromium, page_file, fragment):
 
 
 def test_links_lead_from_page_to_page_and_back(chromium, pages):
+    """Followed as the browser understands them: the address of the link, opened."""
+
+    def led(page, link: str) -> Path:
+        return Path(unquote(urlsplit(page.evaluate(f"document.querySelector({link!r}).href")).path))
+
     page = chromium.open(pages[0])
-    run = page.evaluate("document.querySelector('#matrix-table a.cell').href")
-    page.evaluate("document.querySelector('#matrix-table a.cell').click()")
-    assert _arrived(page, "location.href", run) == run
-    assert page.evaluate("document.querySelectorAll('article.run svg.plot').length") > 8
-    back = page.evaluate("document.querySelector('nav.contents a').href")
-    page.evaluate("document.querySelector('nav.contents a').click()")
-    assert _arrived(page, "location.href", back) == back == pages[0].resolve().as_uri()
-    scene = page.evaluate("document.querySelector('#scenes tbody a').href")
-    page.evaluate("document.querySelector('#scenes tbody a').click()")
-    assert _arrived(page, "location.href", scene) == scene
-    assert page.evaluate("document.querySelectorAll('[id^=tightening] svg.plot').length") > 8
-    assert page.messages == []
+    run, scene = (chromium.open(led(page, link)) for link in ("#matrix-table a.cell", "#scenes tbody a"))
+    assert run.evaluate("document.querySelectorAll('article.run svg.plot').length") > 8
+    assert scene.evaluate("document.querySelectorAll('[id^=tightening] svg.plot').length") > 8
+    assert [led(one, "nav.contents a") for one in (run, scene)] == [pages[0].resolve()] * 2
+    assert [one.messages for one in (page, run, scene)] == [[]] * 3
 
 
 def test_a_closed_stage_is_opened_by_the_contents_of_its_page(chromium, pages):
@@ -139,11 +138,3 @@ def test_axe_finds_no_violation(chromium, page_file, pages, width, dark):
         )
         assert found[1] == []
         assert found[0] > 15, "axe looked"
-
-
-def _arrived(page, expression: str, wanted: str) -> str:
-    """The value, as soon as it is the wanted one; the patience only ends a test that has failed."""
-    for _ in range(100):
-        if (value := _settled(page, expression)) == wanted:
-            return value
-    return value
