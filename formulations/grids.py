@@ -1,4 +1,4 @@
-"""The same task on a coarser grid, a plan from one grid on another, and whether a plan is on the grid of its scene."""
+"""Plans on the grid of a scene's task: from a rollout, from another grid, refused; the bounds of its inputs; and the same task on a coarser grid."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import math
 
 import numpy as np
 
+from models.codegen.kernel import Rollout
 from models.errors import TrajectoryError
 from models.scene import Scene
+from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 
 
@@ -42,3 +44,14 @@ def check_warm_start(scene: Scene, plan: Trajectory) -> None:
             f"warm start: it has {plan.steps} steps over {plan.t[-1] - plan.t[0]:g} s, but scene {scene.name} has {task.steps} steps of "
             f"{task.step:g} s; resample it to that grid."
         )
+
+
+def plan_of(scene: Scene, rollout: Rollout, u: np.ndarray) -> Trajectory:
+    """The motion that the scene's own time step made of inputs u (steps, nu), as a plan."""
+    t = uniform_grid(scene.task.step, scene.task.steps)
+    return Trajectory(t=t, q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER)
+
+
+def input_bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper bounds (nu,) of the inputs, infinite where there is none."""
+    return np.array([item.lower for item in scene.inputs]), np.array([item.upper for item in scene.inputs])

@@ -17,7 +17,7 @@ from formulations.contact_modes.method import MpccOptions
 from formulations.contact_modes.nonlinear import PATIENCE, NlpAnswer, NonlinearModes, Structures, schedule
 from formulations.contact_modes.quadratic import ModesAnswer, ModesProblem
 from formulations.contact_modes.search import Found, follow_pulls, search_windows
-from formulations.grids import coarse_scene, on_grid
+from formulations.grids import coarse_scene, input_bounds, on_grid, plan_of
 from formulations.solution import Outcome
 from formulations.transcription.feasibility import nearest
 from formulations.transcription.workbench import Account
@@ -26,7 +26,7 @@ from models.contact_law import ContactLaw
 from models.scene import Scene
 from models.scene.goal import goal_state, miss
 from models.schemes import Scheme
-from models.trajectory import Trajectory, uniform_grid
+from models.trajectory import Trajectory
 
 _PIECES = 10  # of constant input over the horizon
 _DESCENTS = 40  # L-BFGS iterations at each eps; the paper's plain gradient descent takes 15, 14 and 11
@@ -45,9 +45,7 @@ def random_plan(scene: Scene, kernel: Kernel, seed: tuple[int, ...]) -> Trajecto
     rollout = kernel.rollout(np.array(task.start), u, task.step, ContactLaw.SOFTPLUS, 1e-3)
     if rollout.diverged:
         return None
-    return Trajectory(
-        t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
-    )
+    return plan_of(scene, rollout, u)
 
 
 def input_range(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
@@ -78,16 +76,14 @@ def descended_plan(scene: Scene, kernel: Kernel) -> Trajectory | None:
         u_bar, _ = kernel.adjoint(rollout, u, q_bar, v_bar, cost_bar=_COST_WEIGHT)
         return float(np.mean(missed**2)) + _COST_WEIGHT * kernel.cost(rollout.q, rollout.v, u), u_bar.ravel()
 
-    flat = np.clip(np.zeros(shape), *(np.array([getattr(item, side) for item in scene.inputs]) for side in ("lower", "upper"))).ravel()
+    flat = np.clip(np.zeros(shape), *input_bounds(scene)).ravel()
     for eps in (1e-3, 1e-5, 1e-7):
         flat = minimize(loss, flat, args=(eps,), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": _DESCENTS}).x
     u = flat.reshape(shape)
     rollout = kernel.rollout(np.array(task.start), u, task.step, ContactLaw.SOFTPLUS, 1e-7)
     if rollout.diverged:
         return None
-    return Trajectory(
-        t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
-    )
+    return plan_of(scene, rollout, u)
 
 
 def mirrored(scene: Scene, kernel: Kernel, plan: Trajectory) -> Trajectory | None:
@@ -230,13 +226,11 @@ class Finder:
             plan = first if index < 0 else random_plan(self._scene, self._kernel, (seed, index))
             if plan is None:
                 continue
-            bounds = (np.array([item.lower for item in self._scene.inputs]), np.array([item.upper for item in self._scene.inputs]))
+            bounds = input_bounds(self._scene)
             sharpness = self._options.first_sharpness
             rollout, u = land_by_softplus(self._kernel, np.array(task.start), goal_state(task), plan.u, task.step, bounds, ball, sharpness)
             if not rollout.diverged:
-                yield Trajectory(
-                    t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
-                )
+                yield plan_of(self._scene, rollout, u)
 
     def _is_out_of_reach(self, account: Account) -> bool:
         """Not even softplus contact had a plan: how near do the inputs come to the goal at all?"""
@@ -266,14 +260,7 @@ class Finder:
         rollout = self._kernel.rollout(np.array(task.start), found.answer.u, task.step)
         if rollout.diverged:
             return None
-        plan = Trajectory(
-            t=uniform_grid(task.step, task.steps),
-            q=rollout.q,
-            v=rollout.v,
-            u=found.answer.u,
-            lam=rollout.lam,
-            scheme=Scheme.SEMI_IMPLICIT_EULER,
-        )
+        plan = plan_of(coarse, rollout, found.answer.u)
         return on_grid(plan, self._scene), max(1, self._scene.task.steps // task.steps // 2)
 
     def _words(self, outcome: Outcome, message: str) -> tuple[Outcome, str]:
@@ -309,7 +296,7 @@ class Finder:
     def _modes(self, plan: Trajectory) -> Iterator[np.ndarray]:
         yield self._kernel.penetration(plan.q[:-1]) > 0.0
         task, ball = self._scene.task, self._options.goal_tolerance
-        bounds = (np.array([item.lower for item in self._scene.inputs]), np.array([item.upper for item in self._scene.inputs]))
+        bounds = input_bounds(self._scene)
         goal = goal_state(task)
         rollout, _ = land(self._kernel, np.array(task.start), goal, plan.u, task.step, bounds, ball)
         if rollout.diverged:

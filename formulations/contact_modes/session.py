@@ -39,7 +39,7 @@ from formulations.contact_modes.goal import land
 from formulations.contact_modes.method import MpccOptions
 from formulations.contact_modes.nonlinear import PATIENCE, NonlinearModes, Structures
 from formulations.contact_modes.search import windows_of
-from formulations.grids import check_warm_start
+from formulations.grids import check_warm_start, input_bounds, plan_of
 from formulations.method import Method, Session
 from formulations.mpec.certificate.certificate import Certificate
 from formulations.solution import Attempt, Outcome, Solution
@@ -48,8 +48,7 @@ from formulations.transcription.residuals import PlanResiduals
 from models.codegen.kernel import Kernel, Rollout, load_kernel
 from models.scene import Scene
 from models.scene.goal import distance, goal_state
-from models.schemes import Scheme
-from models.trajectory import Trajectory, uniform_grid
+from models.trajectory import Trajectory
 
 _SAMPLES = 2048  # constant inputs tried: of two discs and a wall about 35 of them bring the disc nearer to its goal, in 0.1 CPU s
 _SIZES = 4  # powers of two by which they are made smaller, in turn: what is cheap is rarely near its bounds
@@ -70,7 +69,7 @@ class Throws:
         if task.has_goal or task.final_cost == 0 or not self._scene.nc or account.is_late:
             return before
         work = 1e6 * self._options.throw_work
-        bounds = (np.array([item.lower for item in self._scene.inputs]), np.array([item.upper for item in self._scene.inputs]))
+        bounds = input_bounds(self._scene)
         none = np.clip(np.zeros((task.steps, self._scene.nu)), *bounds)
         idle = self._pressed(none)
         planned = none if before.answer is None else before.answer.u
@@ -125,9 +124,7 @@ def thrown_plans(scene: Scene, kernel: Kernel, seed: tuple[int, ...], idle: np.n
         pressed = (rollout.lam[:, : scene.nc] > 0.0).any(axis=0)
         if rollout.diverged or not (pressed & ~idle).any() or not final_cost(kernel, rollout) < below:
             continue
-        plan = Trajectory(
-            t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
-        )
+        plan = plan_of(scene, rollout, u)
         found.append((kernel.cost(rollout.q, rollout.v, u), plan))
     return [plan for _, plan in sorted(found, key=lambda pair: pair[0])]
 
@@ -326,13 +323,9 @@ class MpccSession(Session):
     def landed(self, u: np.ndarray) -> Trajectory:
         """The plan of these inputs, corrected to end on the goal: their rollout through the true contact law."""
         task = self._scene.task
-        bounds = tuple(np.array([getattr(item, side) for item in self._scene.inputs]) for side in ("lower", "upper"))
-        rollout, u = land(
-            self._kernel, np.array(task.start), goal_state(task), u, task.step, (bounds[0], bounds[1]), self._options.goal_tolerance
-        )
-        return Trajectory(
-            t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
-        )
+        bounds = input_bounds(self._scene)
+        rollout, u = land(self._kernel, np.array(task.start), goal_state(task), u, task.step, bounds, self._options.goal_tolerance)
+        return plan_of(self._scene, rollout, u)
 
     def certificate(self, plan: Trajectory) -> dict[str, float]:
         """Residuals of the plan by name; complementarity with the penetration of the same compiled code that the forces come from."""

@@ -7,13 +7,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from formulations.grids import plan_of
 from formulations.method import Kind, Method, Session
 from formulations.solution import Outcome, Seconds, Solution
 from models.codegen.kernel import Kernel, load_kernel
 from models.scene import Scene
 from models.scene.goal import distance, goal_state
-from models.schemes import Scheme
-from models.trajectory import Trajectory, uniform_grid
+from models.trajectory import Trajectory
 
 
 class _FreeMotionSession(Session):
@@ -34,9 +34,7 @@ class _FreeMotionSession(Session):
                 f"the time step of {task.step:g} s let the motion grow without bound by step {motion.finite_steps}; use a smaller one."
             )
             return Solution(method=self._method.name, outcome=Outcome.DIVERGED, message=message, seconds=seconds)
-        plan = Trajectory(
-            t=uniform_grid(task.step, task.steps), q=motion.q, v=motion.v, u=u, lam=motion.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
-        )
+        plan = plan_of(scene, motion, u)
         return Solution(
             method=self._method.name,
             outcome=Outcome.SOLVED,

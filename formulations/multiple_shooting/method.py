@@ -7,6 +7,7 @@ from time import perf_counter, process_time
 
 import numpy as np
 
+from formulations.grids import plan_of
 from formulations.method import Method, Session, without_inputs
 from formulations.multiple_shooting.costs import Costs, GoalTerm
 from formulations.multiple_shooting.solver import Found, MultipleShootingOptions, Solver
@@ -86,7 +87,7 @@ class MultipleShootingSession(Session):
                 t=uniform_grid(task.step, task.steps), q=found.x[:, :nq], v=found.x[:, nq:], u=u, lam=lam, scheme=Scheme.SEMI_IMPLICIT_EULER
             )
         else:
-            plan = Trajectory(t=uniform_grid(task.step, task.steps), q=run.q, v=run.v, u=u, lam=run.lam, scheme=Scheme.SEMI_IMPLICIT_EULER)
+            plan = plan_of(scene, run, u)
         growth = measure_growth(self._steps, np.hstack([plan.q, plan.v]), u, law, eps)
         residuals = {
             "gap": found.gap,

@@ -36,6 +36,7 @@ import pyomo.environ as pyo
 from formulations.contact_modes.goal import land
 from formulations.contact_modes.linear import linear_scene, why_not_linear
 from formulations.contact_modes.quadratic import ModesProblem
+from formulations.grids import input_bounds, plan_of
 from formulations.proof.bounds import PairBounds, pair_bounds
 from formulations.solution import Bound, Outcome
 from formulations.transcription.build import build_model
@@ -46,8 +47,7 @@ from models.dynamics import derive
 from models.errors import MachineError, SceneError
 from models.scene import Scene
 from models.scene.goal import distance, goal_state
-from models.schemes import Scheme
-from models.trajectory import Trajectory, uniform_grid
+from models.trajectory import Trajectory
 
 
 def missing_solver() -> str | None:
@@ -302,13 +302,11 @@ def why_no_proof(scene: Scene) -> str | None:
 def exact_plan(scene: Scene, u: np.ndarray) -> Trajectory | None:
     """The rollout of these inputs through the true contact law, landed on the goal; None unless it is exact to `EXACT` by its own residuals."""
     task, kernel = scene.task, load_kernel(scene)
-    bounds = (np.array([item.lower for item in scene.inputs]), np.array([item.upper for item in scene.inputs]))
+    bounds = input_bounds(scene)
     rollout, u = land(kernel, np.array(task.start), goal_state(task), u, task.step, bounds)
     if rollout.diverged:
         return None
-    plan = Trajectory(
-        t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
-    )
+    plan = plan_of(scene, rollout, u)
     return plan if is_exact(scene, plan) else None
 
 

@@ -28,8 +28,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from formulations.grids import input_bounds
 from formulations.shooting.diagnosis import dead_contact_message, divergence_message, sensitivity
-from formulations.shooting.ending import input_bounds
 from formulations.shooting.objective import Objective
 from formulations.shooting.options import DescentOptions
 from formulations.shooting.rollout import ShootingError

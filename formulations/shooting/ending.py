@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from formulations.grids import check_warm_start
+from formulations.grids import check_warm_start, input_bounds
 from formulations.solution import Outcome
 from models.scene import Scene
 from models.scene.goal import goal_state, miss
@@ -29,11 +29,6 @@ def given_inputs(scene: Scene, warm_start: Trajectory | None) -> np.ndarray:
         return np.zeros((task.steps, scene.nu))
     check_warm_start(scene, warm_start)
     return np.array(warm_start.u)
-
-
-def input_bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper bounds (nu,) of the inputs."""
-    return np.array([item.lower for item in scene.inputs]), np.array([item.upper for item in scene.inputs])
 
 
 def plan_residuals(scene: Scene, plan: Trajectory) -> dict[str, float]:

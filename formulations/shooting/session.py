@@ -9,6 +9,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
+from formulations.grids import plan_of
 from formulations.method import Method, Session
 from formulations.shooting.descent import Descent, descend
 from formulations.shooting.ending import arrived, given_inputs, plan_residuals
@@ -20,8 +21,7 @@ from formulations.solution import Outcome, Seconds, Solution
 from models.codegen.kernel import load_kernel, load_steps
 from models.contact_law import ContactLaw
 from models.scene import Scene
-from models.schemes import Scheme
-from models.trajectory import Trajectory, uniform_grid
+from models.trajectory import Trajectory
 
 __all__ = ["ShootingSession", "descend", "noise", "quasi_newton"]
 
@@ -102,9 +102,7 @@ class ShootingSession(Session, Generic[_Options]):
             return empty if growth is None else replace(empty, message=told(descent.message, growth), residuals=growth.figures())
         if plan.diverged:  # impossible while the kernel is deterministic: the descent has just evaluated these inputs
             return replace(empty, outcome=Outcome.EVALUATION_ERROR, message="the plan could not be simulated again.")
-        trajectory = Trajectory(
-            t=uniform_grid(task.step, task.steps), q=plan.q, v=plan.v, u=u, lam=plan.lam, scheme=Scheme.SEMI_IMPLICIT_EULER
-        )
+        trajectory = plan_of(self._scene, plan, u)
         residuals = {
             "gradient_norm": descent.gradient_norm,
             **plan_residuals(self._scene, trajectory),

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import sympy as sp
 
+from formulations.grids import input_bounds
 from models.codegen.kernel import load_kernel
 from models.collocation import defect
 from models.contact_law import ContactLaw, contact_force, sharpness
@@ -87,7 +88,7 @@ class PlanResiduals:
     def of(self, plan: Trajectory, law: ContactLaw = ContactLaw.RELU, eps: float | None = None) -> dict[str, float]:
         """Largest absolute values by name; see `MEANING`."""
         scene = self._scene
-        lower, upper = np.array([item.lower for item in scene.inputs]), np.array([item.upper for item in scene.inputs])
+        lower, upper = input_bounds(scene)
         found = {
             "dynamics_defect": self.dynamics_defect(plan),
             "start_error": float(np.linalg.norm(plan.start - np.array(scene.task.start))),

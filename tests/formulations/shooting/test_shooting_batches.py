@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
+from formulations.grids import input_bounds
 from formulations.shooting.descent import descend, projected_descent
-from formulations.shooting.ending import input_bounds
 from formulations.shooting.objective import GoalLoss, Objective
 from formulations.shooting.options import DescentOptions
 from formulations.shooting.reference import reference_cost, reference_rollout
