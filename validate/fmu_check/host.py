@@ -17,11 +17,11 @@ from typing import Any
 
 from models.errors import MachineError, UnknownNameError
 from validate.execution.isolated import Ending, Limits, run_isolated
+from validate.fmi.instance import Ended, Lacking, Misbehaviour
 from validate.fmi.intake import IntakeError, Problem, problems
 from validate.fmu_check.archive import ARCHIVE_CHECKS, archive, library_path
 from validate.fmu_check.catalog import BEHAVIOUR, FIRST, NAMES, READING, STATIC
 from validate.fmu_check.forked import in_fork
-from validate.fmu_check.instance import Ended, Lacking, Misbehaviour
 from validate.fmu_check.result import Check, CheckReport, Row, Scope, Status
 from validate.fmu_check.subject import Subject
 from validate.store.disk import temporary_folder

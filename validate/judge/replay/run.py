@@ -28,7 +28,7 @@ from validate.judge.replay.error_estimate import (
     with_steps_of,
 )
 from validate.judge.replay.job import Settings, Simulated, run_job
-from validate.judge.replay.reference import Run
+from validate.judge.replay.recording import Run
 from validate.judge.replay.result import Difference, Event, Replay, ReplayError, ReplayOutcome
 from validate.judge.replay.subject import ForeignModel, Outputs, Subject, find_variables
 from validate.judge.replay.tracking import TrackingError, design_feedback, design_foreign, measure_growth

@@ -52,6 +52,7 @@ from models.scene import Scene
 from models.scene.goal import goal_state
 from models.trajectory import Trajectory
 from validate.execution.isolated import Limits, run_isolated
+from validate.fmi.instance import faults_of
 from validate.fmi.package import Package, read_package, unpacked
 from validate.judge.replay.reference import ExchangeModel
 from validate.judge.replay.result import Growth
@@ -131,7 +132,7 @@ def jacobians(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> t
     variables = Variables.from_json(request["variables"])
     t, u, states = arrays["t"], arrays["u"], arrays["states"]
     found = {name: np.empty((len(u), states.shape[1], states.shape[1] + u.shape[1])) for name in ("first", "last")}
-    with unpacked(read_package(Path(request["path"]))) as package:
+    with unpacked(read_package(Path(request["path"]))) as package, faults_of(package.path):
         order = [int(item.valueReference) for item in _states(package)]
         places = [order.index(reference) for reference in (*variables.q, *variables.v)]
         rates = [int(item.variable.valueReference) for item in package.description.derivatives]
