@@ -40,6 +40,10 @@ class Package:
     def is_three(self) -> bool:
         return self.intake.version.startswith("3.")
 
+    def can(self, kind: str, ability: str) -> bool:
+        """Whether an interface, "ModelExchange" or "CoSimulation", claims an ability, by its name in this version of FMI."""
+        return self.intake.kinds.get(kind, {}).get(ability) in ("true", "1")
+
     @property
     def exchange(self) -> Any | None:
         return self.description.modelExchange if "ModelExchange" in self.intake.kinds else None

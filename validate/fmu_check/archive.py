@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from validate.fmi.intake import platform_folder, problems
+from validate.fmi.versions import CLASSES
 from validate.fmu_check.result import Finding, Scope, check, failed, listed, not_offered, passed
 from validate.fmu_check.subject import Subject, Variable
 
@@ -157,11 +158,7 @@ def exports(subject: Subject, kind: str) -> Finding:
 
 def _required(subject: Subject, kind: str) -> set[str]:
     """Names of the functions of a type of FMI."""
-    from fmpy.fmi2 import FMU2Model, FMU2Slave
-    from fmpy.fmi3 import FMU3Model, FMU3Slave
-
-    interface = {(2, "ME"): FMU2Model, (2, "CS"): FMU2Slave, (3, "ME"): FMU3Model, (3, "CS"): FMU3Slave}[subject.major, kind]
-    return {name for name in dir(interface) if name.startswith(f"fmi{subject.major}") and name[4:5].isupper()}
+    return {name for name in dir(CLASSES[subject.major, kind]) if name.startswith(f"fmi{subject.major}") and name[4:5].isupper()}
 
 
 @check("description is valid", "modelDescription.xml obeys its schema and the rules of FMI (FMPy's validation)", Scope.FILE)

@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from fmpy.fmi1 import FMICallException
 
 from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.motion import Crowded, Exchange, run
@@ -277,8 +278,6 @@ def _cosimulation(subject: Subject, compared: list[Variable], steps: int, parts:
 
 def _euler(subject: Subject, compared: list[Variable], steps: int, parts: int) -> np.ndarray | None:
     """Explicit Euler with a part of the communication step, events looked for at its ends; None if it diverges into errors."""
-    from fmpy.fmi1 import FMICallException
-
     length = subject.step / parts
     with CheckedInstance(subject, "ME", "euler") as instance:
         _start(instance, subject)

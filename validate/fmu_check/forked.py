@@ -13,6 +13,7 @@ import select
 import signal
 import tempfile
 import time
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -68,8 +69,6 @@ def _answer(function: Callable[[], Any], path: Path, own_group: bool) -> None:
             os.replace(aside, path)
         code = 0
     except BaseException:  # noqa: BLE001 - it goes to the output; without an answer the parent knows enough
-        import traceback
-
         traceback.print_exc()
     finally:
         os._exit(code)

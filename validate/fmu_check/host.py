@@ -10,29 +10,63 @@ from __future__ import annotations
 import importlib
 import math
 import time
-import zipfile
+import traceback
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import fmpy
+from fmpy.fmi1 import FMICallException
+
 from models.errors import MachineError, UnknownNameError
 from validate.execution.isolated import Ending, Limits, run_isolated
 from validate.fmi.instance import Ended, Lacking, Misbehaviour
-from validate.fmi.intake import IntakeError, Problem, problems
-from validate.fmu_check.archive import ARCHIVE_CHECKS, archive, library_path
-from validate.fmu_check.catalog import BEHAVIOUR, FIRST, NAMES, READING, STATIC
+from validate.fmi.intake import IntakeError, examine, unpack
+from validate.fmu_check import archive, communication, derivatives, exchange, states, values
 from validate.fmu_check.forked import in_fork
 from validate.fmu_check.result import Check, CheckReport, Row, Scope, Status
 from validate.fmu_check.subject import Subject
 from validate.store.disk import temporary_folder
 
+# All checks, in the order of the table.
+# Of the file alone; the others need its description, and most of them run its code.
+STATIC: tuple[Check, ...] = (archive.archive, archive.valid)
+# If this one fails for a type, those after it are not run.
+FIRST = communication.lives
+READING: tuple[Check, ...] = (archive.consistent, archive.exports)
+BEHAVIOUR: tuple[Check, ...] = (
+    FIRST,
+    values.readable,
+    values.starts,
+    values.obeyed,
+    values.finite,
+    values.get_order,
+    communication.keeps_time,
+    communication.stop_time,
+    communication.event_mode,
+    communication.early_return,
+    communication.intermediate_update,
+    communication.input_derivatives,
+    states.repeats,
+    states.resets,
+    states.independent,
+    states.leaks,
+    states.restores,
+    states.serialises,
+    exchange.arrays,
+    exchange.nominals,
+    exchange.indicators,
+    derivatives.directional,
+    derivatives.adjoint,
+    derivatives.dependencies,
+    exchange.agree,
+)
+NAMES = tuple(item.name for item in (*STATIC, *READING, *BEHAVIOUR))
 _TYPES = {Scope.FILE: ("",), Scope.EACH: ("ME", "CS"), Scope.EXCHANGE: ("ME",), Scope.COSIMULATION: ("CS",)}
 
 
 def run_checks(request: dict[str, Any], _arrays: dict[str, Any]) -> dict[str, Any]:
     """See the module docstring."""
-    import fmpy
-
     if request["names"] is None:
         importlib.import_module("sksundae.cvode")  # 0.9 s, once, before anything is forked
     table = _Table(request)
@@ -69,7 +103,7 @@ class _Table:
             self.add(item, kind, (subject, kind) if kind else (subject,))
             return
         needed = (kind,) if kind else subject.types
-        missing = [name for name in needed if not library_path(subject, name).is_file()]
+        missing = [name for name in needed if not archive.library_path(subject, name).is_file()]
         broken = [name for name in needed if name in self._broken]
         if missing:
             self.skip(item, kind, "there is no binary for this machine.")
@@ -128,8 +162,6 @@ def _shorten(subject: Subject, kind: str, end: float) -> bool:
 
 def _call(item: Check, arguments: tuple[Any, ...]) -> dict[str, Any]:
     """In the fork: the finding as JSON. What an FMU refuses is a finding, too."""
-    from fmpy.fmi1 import FMICallException
-
     try:
         finding = item(*arguments)
     except Lacking as lack:
@@ -140,8 +172,6 @@ def _call(item: Check, arguments: tuple[Any, ...]) -> dict[str, Any]:
         text = str(fault) if isinstance(fault, Misbehaviour) else f"a call that must be possible is refused ({str(fault).rstrip('.')})"
         return {"status": Status.FAILED.name, "sentence": f"{text}.", "pace": None, "ended": None}
     except Exception as error:  # noqa: BLE001 - our own mistake must not pass for the FMU's
-        import traceback
-
         traceback.print_exc()
         text = f"this check itself broke off ({type(error).__name__}: {error}); please report it with the FMU."
         return {"status": Status.FAILED.name, "sentence": text, "pace": None, "ended": None}
@@ -161,30 +191,14 @@ def check_fmu(path: Path, *, names: Sequence[str] | None = None, seconds: float 
     for name in names or ():
         if name not in NAMES:
             raise UnknownNameError(f"there is no check {name!r}; there are: {', '.join(NAMES)}.")
-    found = problems(path)
-    for problem in found:
-        if problem.check not in (*ARCHIVE_CHECKS, "binary"):
-            raise IntakeError(problem)
-    if any(problem.check in ARCHIVE_CHECKS for problem in found):
-        finding = archive(path)
-        reason = "the archive is not unpacked: it is unsafe."
-        rows = [Row(name=archive.name, type="", claim=archive.claim, status=finding.status, sentence=finding.sentence, seconds=0.0)]
-        rows += [Row(name=name, type="", claim="", status=Status.NOT_OFFERED, sentence=reason, seconds=0.0) for name in NAMES[1:]]
-        return CheckReport(path=str(path), version="", types=(), rows=tuple(rows))
-    return _unpacked(path, names, seconds, unrunnable=any(problem.check == "binary" for problem in found))
-
-
-def _unpacked(path: Path, names: Sequence[str] | None, seconds: float, unrunnable: bool) -> CheckReport:
+    try:
+        intake = examine(path, but_for="binary")
+    except IntakeError as error:
+        if error.check not in archive.ARCHIVE_CHECKS:
+            raise
+        return _unsafe(path)
     with temporary_folder("touchstone-check-") as folder:
-        try:
-            with zipfile.ZipFile(path) as packed:
-                packed.extractall(folder)
-        except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError) as error:
-            raise IntakeError(Problem("zip", f"FMU {path}: it cannot be unpacked ({error}); it is damaged.")) from error
-        except OSError as error:
-            raise MachineError(
-                f"FMU {path}: it cannot be unpacked to {folder} ({error.strerror or error}); make room there, or set TMPDIR."
-            ) from error
+        unpack(intake, folder)
         request = {"path": str(path.resolve()), "folder": str(folder), "names": None if names is None else list(names), "seconds": seconds}
         limits = Limits(seconds=60.0 + 2 * len(NAMES) * seconds, memory=_MEMORY)
         done = run_isolated("validate.fmu_check.host:run_checks", request, limits=limits, what=f"the check of {path}")
@@ -200,5 +214,14 @@ def _unpacked(path: Path, names: Sequence[str] | None, seconds: float, unrunnabl
         version=done.value["version"],
         types=tuple(done.value["types"]),
         rows=rows,
-        unrunnable=unrunnable or done.value["lacking"],
+        unrunnable=not intake.kinds or done.value["lacking"],
     )
+
+
+def _unsafe(path: Path) -> CheckReport:
+    """Of a file that is not unpacked."""
+    finding, first = archive.archive(path), archive.archive
+    rows = [Row(name=first.name, type="", claim=first.claim, status=finding.status, sentence=finding.sentence, seconds=0.0)]
+    reason = "the archive is not unpacked: it is unsafe."
+    rows += [Row(name=name, type="", claim="", status=Status.NOT_OFFERED, sentence=reason, seconds=0.0) for name in NAMES[1:]]
+    return CheckReport(path=str(path), version="", types=(), rows=tuple(rows))

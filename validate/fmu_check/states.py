@@ -15,6 +15,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from fmpy.fmi1 import FMICallException
 
 from validate.fmi.instance import Ended, Misbehaviour
 from validate.fmu_check.forked import Answer, in_fork
@@ -107,8 +108,6 @@ def at_time(instance: CheckedInstance, step: int) -> None:
 
 def begin_varied(instance: CheckedInstance) -> None:
     """Begin with other parameters than a fresh instance has, so that a forgotten one shows; with its own if it refuses those."""
-    from fmpy.fmi1 import FMICallException
-
     try:
         instance.begin(before=instance.subject.varied_parameters())
     except FMICallException:
@@ -175,8 +174,6 @@ def _end_as(answer: Answer) -> None:
 
 def _caught(function: Any) -> dict[str, Any]:
     """What it gives, or what the FMU refused, or when it ended, as JSON."""
-    from fmpy.fmi1 import FMICallException
-
     try:
         return {"value": function()}
     except Ended as end:

@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 
 from validate.fmi.instance import Instance
+from validate.fmi.intake import DESCRIPTION, interfaces
 
 _FLOATS = ("Real", "Float64", "Float32")
 _WHOLE = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Enumeration")
@@ -93,13 +93,11 @@ class Subject:
 
     def can(self, kind: str, ability: str) -> bool:
         """Whether the description claims an ability, by its name in this version of FMI (FMPy does not read all of them)."""
-        return self._attributes[kind].get(ability) in ("true", "1")
+        return self._interfaces.get({"ME": "ModelExchange", "CS": "CoSimulation"}[kind], {}).get(ability) in ("true", "1")
 
     @cached_property
-    def _attributes(self) -> dict[str, dict[str, str]]:
-        root = ElementTree.parse(self.folder / "modelDescription.xml").getroot()
-        elements = {"ME": root.find("ModelExchange"), "CS": root.find("CoSimulation")}
-        return {kind: dict(element.attrib) if element is not None else {} for kind, element in elements.items()}
+    def _interfaces(self) -> dict[str, dict[str, str]]:
+        return interfaces((self.folder / DESCRIPTION).read_bytes())
 
     @cached_property
     def variables(self) -> tuple[Variable, ...]:

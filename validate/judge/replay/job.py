@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from models.errors import MachineError
 from models.trajectory import Hold, Trajectory
 from validate.execution.isolated import Ending, Limits, run_isolated
 from validate.fmi.instance import faults_of
@@ -216,8 +217,6 @@ def _in_child(
             seconds_everyday=0.0,
         )
     if done.ending is Ending.MACHINE:
-        from models.errors import MachineError
-
         raise MachineError(done.sentence)
     if not done.ok:
         raise FmuError(done.sentence)

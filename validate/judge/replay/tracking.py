@@ -36,12 +36,10 @@ number explains a verdict, and decides none.
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -153,12 +151,7 @@ def jacobians(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> t
 
 
 def _provides_derivatives(package: Package) -> bool:
-    """FMPy reads this of FMI 2.0 alone; the text was examined when the FMU was let in."""
-    if not package.is_three:
-        return bool(package.exchange is not None and package.exchange.providesDirectionalDerivative)
-    with zipfile.ZipFile(package.path) as archive:
-        interface = ElementTree.fromstring(archive.read("modelDescription.xml")).find("ModelExchange")
-    return interface is not None and interface.get("providesDirectionalDerivatives") in ("true", "1")
+    return package.can("ModelExchange", f"providesDirectionalDerivative{'s' if package.is_three else ''}")
 
 
 def _states(package: Package) -> list[Any]:
