@@ -28,7 +28,7 @@ from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 from validate.execution.isolated import Limits
-from validate.fmi.package import Package, read_package, unpacked
+from validate.fmi.description import Package, read_package, unpacked
 from validate.judge.replay import Replay
 from validate.judge.replay.everyday import simulate
 from validate.judge.replay.recording import Run

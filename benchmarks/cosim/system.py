@@ -21,8 +21,8 @@ import numpy as np
 from models.fmu import build_fmu
 from models.fmu.coupled import ContactPart, Parts, build_part, split
 from models.scene import Scene
+from validate.fmi.description import Package, read_package, unpacked
 from validate.fmi.instance import Instance, References, load_instance
-from validate.fmi.package import Package, read_package, unpacked
 
 
 class Part:

@@ -15,7 +15,7 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 from sksundae.cvode import CVODE
 
-from validate.fmi.package import Package
+from validate.fmi.description import Package
 from validate.judge.replay import everyday
 from validate.judge.replay.everyday import SAME, RollbackError, Stepping, early_return
 from validate.judge.replay.recording import DIVERGENCE, Run, Stop

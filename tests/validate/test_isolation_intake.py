@@ -11,7 +11,7 @@ import pytest
 
 from models.catalog import load_scene
 from models.fmu import build_fmu
-from validate.fmi.intake import CHECKS, DESCRIPTION, IntakeError, IntakeLimits, examine, problems, unpack
+from validate.fmi.archive import CHECKS, DESCRIPTION, IntakeError, IntakeLimits, examine, problems, unpack
 
 GOOD = '<fmiModelDescription fmiVersion="2.0"><CoSimulation modelIdentifier="m"/></fmiModelDescription>'
 LIBRARY = "binaries/linux64/m.so"

@@ -16,7 +16,7 @@ from models.codegen.kernel import load_kernel
 from models.errors import MachineError
 from models.fmu import build_fmu
 from models.trajectory import Hold, Trajectory, uniform_grid
-from validate.fmi.package import FmuError, Package, read_package, unpacked
+from validate.fmi.description import FmuError, Package, read_package, unpacked
 from validate.judge.replay import everyday
 from validate.judge.replay import reference as exchange
 from validate.judge.replay.compiled import library

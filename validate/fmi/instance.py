@@ -25,8 +25,8 @@ from typing import Any, NoReturn
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
-from validate.fmi.intake import FmuError
-from validate.fmi.package import Package
+from validate.fmi.archive import FmuError
+from validate.fmi.description import Package
 from validate.fmi.versions import CLASSES, Step
 
 # Rounds of one event iteration before it is called endless.

@@ -20,9 +20,9 @@ from fmpy.fmi1 import FMICallException
 
 from models.errors import MachineError, UnknownNameError
 from validate.execution.isolated import Ending, Limits, run_isolated
+from validate.fmi.archive import IntakeError, examine, unpack
 from validate.fmi.instance import Ended, Lacking, Misbehaviour
-from validate.fmi.intake import IntakeError, examine, unpack
-from validate.fmu_check import archive, communication, derivatives, exchange, states, values
+from validate.fmu_check import communication, derivatives, exchange, files, states, values
 from validate.fmu_check.forked import in_fork
 from validate.fmu_check.result import Check, CheckReport, Row, Scope, Status
 from validate.fmu_check.subject import Subject
@@ -30,10 +30,10 @@ from validate.store.disk import temporary_folder
 
 # All checks, in the order of the table.
 # Of the file alone; the others need its description, and most of them run its code.
-STATIC: tuple[Check, ...] = (archive.archive, archive.valid)
+STATIC: tuple[Check, ...] = (files.archive, files.valid)
 # If this one fails for a type, those after it are not run.
 FIRST = communication.lives
-READING: tuple[Check, ...] = (archive.consistent, archive.exports)
+READING: tuple[Check, ...] = (files.consistent, files.exports)
 BEHAVIOUR: tuple[Check, ...] = (
     FIRST,
     values.readable,
@@ -103,7 +103,7 @@ class _Table:
             self.add(item, kind, (subject, kind) if kind else (subject,))
             return
         needed = (kind,) if kind else subject.types
-        missing = [name for name in needed if not archive.library_path(subject, name).is_file()]
+        missing = [name for name in needed if not files.library_path(subject, name).is_file()]
         broken = [name for name in needed if name in self._broken]
         if missing:
             self.skip(item, kind, "there is no binary for this machine.")
@@ -194,7 +194,7 @@ def check_fmu(path: Path, *, names: Sequence[str] | None = None, seconds: float 
     try:
         intake = examine(path, but_for="binary")
     except IntakeError as error:
-        if error.check not in archive.ARCHIVE_CHECKS:
+        if error.check not in files.ARCHIVE_CHECKS:
             raise
         return _unsafe(path)
     with temporary_folder("touchstone-check-") as folder:
@@ -220,7 +220,7 @@ def check_fmu(path: Path, *, names: Sequence[str] | None = None, seconds: float 
 
 def _unsafe(path: Path) -> CheckReport:
     """Of a file that is not unpacked."""
-    finding, first = archive.archive(path), archive.archive
+    finding, first = files.archive(path), files.archive
     rows = [Row(name=first.name, type="", claim=first.claim, status=finding.status, sentence=finding.sentence, seconds=0.0)]
     reason = "the archive is not unpacked: it is unsafe."
     rows += [Row(name=name, type="", claim="", status=Status.NOT_OFFERED, sentence=reason, seconds=0.0) for name in NAMES[1:]]

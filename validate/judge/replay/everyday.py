@@ -16,8 +16,8 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import fmi2Fatal
 
+from validate.fmi.description import FmuError, Package
 from validate.fmi.instance import Instance, Misbehaviour, References, load_instance
-from validate.fmi.package import FmuError, Package
 from validate.judge.replay.compiled import library
 from validate.judge.replay.compiled.library import Fmu, Reason, address_of
 from validate.judge.replay.recording import DIVERGENCE, Run

@@ -22,8 +22,8 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 
 from models.errors import MachineError
+from validate.fmi.description import Package
 from validate.fmi.instance import References, load_instance
-from validate.fmi.package import Package
 from validate.judge.replay.compiled import library
 from validate.judge.replay.compiled.library import Fmu, Reason, address_of
 from validate.judge.replay.recording import DIVERGENCE, Run, Stop

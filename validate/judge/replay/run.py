@@ -13,7 +13,7 @@ from models.codegen.kernel import Kernel, load_kernel
 from models.scene import Scene
 from models.trajectory import Trajectory
 from validate.execution.isolated import Limits
-from validate.fmi.package import Package, read_package, unpacked
+from validate.fmi.description import Package, read_package, unpacked
 from validate.judge.replay.error_estimate import (
     difference,
     estimate,

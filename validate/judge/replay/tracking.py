@@ -50,8 +50,8 @@ from models.scene import Scene
 from models.scene.goal import goal_state
 from models.trajectory import Trajectory
 from validate.execution.isolated import Limits, run_isolated
+from validate.fmi.description import Package, read_package, unpacked
 from validate.fmi.instance import faults_of
-from validate.fmi.package import Package, read_package, unpacked
 from validate.judge.replay.reference import ExchangeModel
 from validate.judge.replay.result import Growth
 from validate.judge.replay.subject import ForeignModel, Subject

@@ -1,10 +1,7 @@
-"""The file: what the intake has to say, how it is packed, and the binary for this machine.
+"""The files of an FMU: its archive, the binary for this machine, and the description - valid, and free of contradictions that no schema sees.
 
-What a shared library of Linux exports and needs, read from the file without loading it.
-
-Layout: System V Application Binary Interface, chapters 4 and 5 (sections, symbol table, dynamic section).
-
-The model description: valid by schema and rules, and free of contradictions that no schema sees.
+What a shared library of Linux exports and needs is read without loading it (System V Application Binary Interface, chapters 4 and 5: sections, symbol
+table, dynamic section).
 """
 
 from __future__ import annotations
@@ -19,7 +16,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from validate.fmi.intake import platform_folder, problems
+from fmpy.validation import validate_fmu
+
+from validate.fmi.archive import platform_folder, problems
 from validate.fmi.versions import CLASSES
 from validate.fmu_check.result import Finding, Scope, check, failed, listed, not_offered, passed
 from validate.fmu_check.subject import Subject, Variable
@@ -164,8 +163,6 @@ def _required(subject: Subject, kind: str) -> set[str]:
 @check("description is valid", "modelDescription.xml obeys its schema and the rules of FMI (FMPy's validation)", Scope.FILE)
 def valid(path: Path) -> Finding:
     """Looks at the unpacked folder; comes before the description is read without validation."""
-    from fmpy.validation import validate_fmu
-
     problems = [" ".join(str(problem).split()).rstrip(".") for problem in validate_fmu(str(path))]
     if problems:
         return failed(f"{listed(problems)}.")

@@ -1,12 +1,10 @@
-"""The door: what an FMU file must be before anything of it is unpacked or loaded. Every refusal is one sentence.
+"""The archive: what an FMU file must be before anything of it is unpacked or loaded. Every refusal is one sentence.
 
 intake = examine(path)        # raises IntakeError at the first problem
 problems(path)                # all that can be told, for a table
 unpack(intake, folder)        # bounded by the sizes that were examined
 
-How large an FMU may be that is let in.
-
-What the door reads of an XML text: its root and the interfaces an FMU offers - and no DOCTYPE, whose entities can read files and fill the memory.
+Of the XML texts the root is read and the interfaces an FMU offers - and no DOCTYPE, whose entities can read files and fill the memory.
 """
 
 from __future__ import annotations
