@@ -1,9 +1,5 @@
-"""Co-Simulation of FMI 3.0 with event mode and early return.
-
-Time: the FMU starts and ends, keeps the time it is told, and does not pass its stop time.
-
-What Co-Simulation tells and takes within a communication step: intermediate update of FMI 3.0, input derivatives of FMI 2.0.
-"""
+"""Steps: the FMU starts and ends, keeps the time it is told, does not pass its stop time; and what Co-Simulation does with events, with early return, and
+within a step (intermediate update of FMI 3.0, input derivatives of FMI 2.0)."""
 
 from __future__ import annotations
 
@@ -113,7 +109,6 @@ def stop_time(subject: Subject, kind: str) -> Finding:
     )
 
 
-# Two times are the same if they differ by less than this share of a step.
 # Rounds of an event iteration, and steps that go nowhere, before it is called endless.
 _ROUNDS, _STILL = 100, 100
 # Two ways through the same motion: a value is elsewhere if it is off by this share of its range, the motion if it is so at this share of the times.
@@ -285,7 +280,6 @@ def _asked_to_return(subject: Subject, kind: str) -> tuple[bool, str]:
     return True, ""
 
 
-# Two times are the same if they differ by less than this share of a step.
 # Stairs in place of a line: how many, and how much nearer to the line they must be than the constant is. What a slope changes must be this share of a value.
 _STAIRS, _NEARER, _VISIBLE = 64, 0.1, 1e-7
 

@@ -1,8 +1,8 @@
-"""Runs the checks of one FMU, each in a fork of its own; itself called in an isolated child (validate.execution.isolated).
+"""check_fmu(): the file is let in, unpacked, and checked by the table of checks in an isolated child (validate.execution.isolated).
 
-run_checks({"path": ..., "folder": ..., "names": [...] or None, "seconds": 60}, {}) -> rows, as JSON holds them
+    run_checks({"path": ..., "folder": ..., "names": [...] or None, "seconds": 60}, {}) -> rows, as JSON holds them
 
-check_fmu(): the file is let in, unpacked, and checked in an isolated child.
+is what the child runs: each check in a fork of its own.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from fmpy.fmi1 import FMICallException
 from models.errors import MachineError, UnknownNameError
 from validate.execution.isolated import Ending, Limits, run_isolated
 from validate.fmi.archive import IntakeError, examine, unpack
-from validate.fmi.instance import Ended, Lacking, Misbehaviour
+from validate.fmi.instance import Ended, Fault, Lacking, Misbehaviour
 from validate.fmu_check import communication, derivatives, exchange, files, states, values
 from validate.fmu_check.forked import in_fork
 from validate.fmu_check.result import Check, CheckReport, Row, Scope, Status
@@ -122,21 +122,26 @@ class _Table:
         if not self._wanted(item):
             return None
         began = time.monotonic()
-        answer = in_fork(lambda: _call(item, arguments), self._seconds, own_group=True)
-        while not answer.problem and answer.value["ended"] is not None:
-            if not _shorten(arguments[0], kind, answer.value["ended"]):
-                sentence = f"it asks for the end of the simulation at t = {answer.value['ended']:.6g} s, which leaves nothing to check."
-                self._row(item, kind, Status.FAILED if item is FIRST else Status.NOT_OFFERED, sentence, began)
-                return None
-            answer = in_fork(lambda: _call(item, arguments), self._seconds, own_group=True)
-        if answer.problem and item in STATIC:  # none of the FMU's code ran: a large description takes FMPy's validation minutes
-            self._row(item, kind, Status.NOT_OFFERED, f"it was not found out within {self._seconds:g} s: {answer.problem}.", began)
-            return None
-        if answer.problem:
-            self._row(item, kind, Status.FAILED, f"{answer.problem}.", began)
-            return None
-        self._row(item, kind, Status[answer.value["status"]], answer.value["sentence"], began)
-        return answer.value["pace"]
+        status, sentence, pace = self._found(item, kind, arguments)
+        self._row(item, kind, status, sentence, began)
+        return pace
+
+    def _found(self, item: Check, kind: str, arguments: tuple[Any, ...]) -> tuple[Status, str, float | None]:
+        """What the check finds, or what kept it from that; shorter once more where the FMU ends the simulation."""
+        while True:
+            try:
+                status, sentence, pace = in_fork(lambda: _call(item, arguments), self._seconds, own_group=True)
+                return Status[status], sentence, pace
+            except Ended as end:
+                if not _shorten(arguments[0], kind, end.time):
+                    sentence = f"it asks for the end of the simulation at t = {end.time:.6g} s, which leaves nothing to check."
+                    return Status.FAILED if item is FIRST else Status.NOT_OFFERED, sentence, None
+            except Lacking as lack:
+                return Status.NOT_OFFERED, f"{lack}.", None
+            except Misbehaviour as fault:
+                if item in STATIC:  # none of the FMU's code ran: a large description takes FMPy's validation minutes
+                    return Status.NOT_OFFERED, f"it was not found out within {self._seconds:g} s: {fault}.", None
+                return Status.FAILED, f"{fault}.", None
 
     def skip(self, item: Check, kind: str, sentence: str) -> None:
         if self._wanted(item):
@@ -160,22 +165,17 @@ def _shorten(subject: Subject, kind: str, end: float) -> bool:
     return earlier and all(subject.before_end(name, 1) for name in subject.ends)
 
 
-def _call(item: Check, arguments: tuple[Any, ...]) -> dict[str, Any]:
-    """In the fork: the finding as JSON. What an FMU refuses is a finding, too."""
+def _call(item: Check, arguments: tuple[Any, ...]) -> tuple[str, str, float | None]:
+    """In the fork: the finding - status, sentence, pace - as JSON holds it."""
     try:
         finding = item(*arguments)
-    except Lacking as lack:
-        return {"status": Status.NOT_OFFERED.name, "sentence": f"{lack}.", "pace": None, "ended": None}
-    except Ended as end:
-        return {"status": "", "sentence": "", "pace": None, "ended": end.time}
-    except (Misbehaviour, FMICallException) as fault:
-        text = str(fault) if isinstance(fault, Misbehaviour) else f"a call that must be possible is refused ({str(fault).rstrip('.')})"
-        return {"status": Status.FAILED.name, "sentence": f"{text}.", "pace": None, "ended": None}
+    except (Fault, FMICallException, MemoryError):
+        raise
     except Exception as error:  # noqa: BLE001 - our own mistake must not pass for the FMU's
         traceback.print_exc()
         text = f"this check itself broke off ({type(error).__name__}: {error}); please report it with the FMU."
-        return {"status": Status.FAILED.name, "sentence": text, "pace": None, "ended": None}
-    return {"status": finding.status.name, "sentence": finding.sentence, "pace": finding.pace, "ended": None}
+        return Status.FAILED.name, text, None
+    return finding.status.name, finding.sentence, finding.pace
 
 
 # Seconds of one check, and bytes of memory of each.

@@ -1,8 +1,6 @@
-"""Runs of an instance: communication steps of Co-Simulation, and CVODE with event location over Model Exchange.
+"""Runs of an instance, and how far two of them are apart: communication steps of Co-Simulation, and CVODE with event location over Model Exchange.
 
 A run is a pure function of the instance's state, the steps and the inputs: two runs from equal states must give equal bits.
-
-How far two runs are apart, and which variable shows it.
 """
 
 from __future__ import annotations

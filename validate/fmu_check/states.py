@@ -1,7 +1,5 @@
-"""Saved states: setting one restores everything, and a serialised one continues in another process.
-
-Instances: runs repeat, reset forgets everything, instances do not know each other, and what is freed is given back.
-"""
+"""What an instance remembers: a saved state restores everything, serialised in another process too; runs repeat, reset forgets everything, instances do
+not know each other, and what is freed is given back."""
 
 from __future__ import annotations
 
@@ -17,8 +15,8 @@ from typing import Any
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
-from validate.fmi.instance import Ended, Misbehaviour
-from validate.fmu_check.forked import Answer, in_fork
+from validate.fmi.instance import Misbehaviour
+from validate.fmu_check.forked import in_fork
 from validate.fmu_check.motion import compare, restart_limit, run
 from validate.fmu_check.result import Finding, Scope, check, failed, not_offered, passed
 from validate.fmu_check.subject import CheckedInstance, Subject
@@ -147,16 +145,15 @@ def serialises(subject: Subject, kind: str) -> Finding:
         junk.close()
         return rows
 
-    wrote = in_fork(lambda: _caught(first), _HALF_SECONDS)
-    _end_as(wrote)
-    if wrote.problem or "problem" in wrote.value:
-        return failed(f"while a state was serialised: {(wrote.problem or wrote.value['problem']).rstrip('.')}.")
-    found = wrote.value["value"]
-    read = in_fork(lambda: _caught(lambda: second(bytes.fromhex(found["data"]), found["next"])), _HALF_SECONDS)
-    _end_as(read)
-    if read.problem or "problem" in read.value:
-        return failed(f"in a new process: {(read.problem or read.value['problem']).rstrip('.')}.")
-    reference, rows = np.array(found["rows"]), np.array(read.value["value"])
+    try:
+        found = in_fork(first, _HALF_SECONDS)
+    except Misbehaviour as fault:
+        return failed(f"while a state was serialised: {fault}.")
+    try:
+        read = in_fork(lambda: second(bytes.fromhex(found["data"]), found["next"]), _HALF_SECONDS)
+    except Misbehaviour as fault:
+        return failed(f"in a new process: {fault}.")
+    reference, rows = np.array(found["rows"]), np.array(read)
     apart = compare(subject, reference, rows)
     if apart.share > restart_limit(subject) and apart.share > _restart_error(subject, kind, place, length):
         return failed(f"continued in a new process from the serialised state, {apart.where(subject, place)}.")
@@ -164,22 +161,6 @@ def serialises(subject: Subject, kind: str) -> Finding:
         return failed("one state serialised twice gives different bytes.")
     told = "equal bits" if apart.equal else f"equal to {apart.share:.1g} of their size (its integrator starts afresh)"
     return passed(f"{len(found['data']) // 2} bytes saved at t = {subject.time(place):.6g} s, continued for {length} steps: {told}.")
-
-
-def _end_as(answer: Answer) -> None:
-    """Raise Ended if the FMU ended the run in the fork."""
-    if not answer.problem and "ended" in answer.value:
-        raise Ended(answer.value["ended"])
-
-
-def _caught(function: Any) -> dict[str, Any]:
-    """What it gives, or what the FMU refused, or when it ended, as JSON."""
-    try:
-        return {"value": function()}
-    except Ended as end:
-        return {"ended": end.time}
-    except (Misbehaviour, FMICallException) as error:
-        return {"problem": str(error)}
 
 
 # Steps of instances that are stepped in turn.
