@@ -27,7 +27,7 @@ from fmpy.fmi1 import FMICallException
 
 from validate.fmi.archive import FmuError
 from validate.fmi.description import Package
-from validate.fmi.versions import CLASSES, Step
+from validate.fmi.versions import CLASSES, StepAnswer
 
 # Rounds of one event iteration before it is called endless.
 EVENT_ROUNDS = 100
@@ -45,7 +45,7 @@ class Lacking(Fault):
     """The FMU's code needs something of the machine that is not there."""
 
 
-class Ended(Fault):
+class TerminationRequested(Fault):
     """The FMU asked for the end of the simulation, as it may: a run cannot reach `time` [s]."""
 
     def __init__(self, time: float) -> None:
@@ -203,13 +203,13 @@ class Instance:
         return self.settle()
 
     def settle(self) -> bool:
-        """Event updates until the FMU is content, then Continuous-Time Mode: whether states changed. Raises Misbehaviour if that does not end, Ended."""
+        """Event updates until the FMU is content, then Continuous-Time Mode: whether states changed. Raises Misbehaviour if that does not end, TerminationRequested."""
         changed = False
         for _ in range(EVENT_ROUNDS):
             again, ends, _, states_changed, defined, following = self.fmu.update()
             changed = changed or states_changed
             if ends:
-                raise Ended(self.time)
+                raise TerminationRequested(self.time)
             if not again:
                 self.fmu.enterContinuousTimeMode()
                 self.next_event = float(following) if defined else math.inf
@@ -256,10 +256,10 @@ class Instance:
         self.fmu.setTime(time)
 
     def completed(self) -> bool:
-        """Tell of an accepted integrator step; whether the FMU wants an event. Raises Ended if it wants to end."""
+        """Tell of an accepted integrator step; whether the FMU wants an event. Raises TerminationRequested if it wants to end."""
         event, ends = self.fmu.completedIntegratorStep()
         if ends:
-            raise Ended(self.time)
+            raise TerminationRequested(self.time)
         return bool(event)
 
     @property
@@ -270,11 +270,11 @@ class Instance:
 
     # Co-Simulation
 
-    def do_step(self, time: float, step: float) -> Step:
-        """One communication step [s]. Raises Ended if the FMU wants to end."""
+    def do_step(self, time: float, step: float) -> StepAnswer:
+        """One communication step [s]. Raises TerminationRequested if the FMU wants to end."""
         answer = self.fmu.step(time, step)
         if answer.ends:
-            raise Ended(time + step)
+            raise TerminationRequested(time + step)
         return answer
 
 

@@ -33,7 +33,7 @@ _WHOLE = {"Enumeration": "Integer"}
 _WHOLE_3 = {"Enumeration": "Int64"}
 
 
-class Step(NamedTuple):
+class StepAnswer(NamedTuple):
     """What a communication step answered. event: one is to be handled; ends: the FMU asks for the end of the simulation; early: it returned
     early; reached: the time it says it reached [s] (FMI 2.0 says nothing: the end of the step)."""
 
@@ -106,15 +106,15 @@ class _Fmi2(_Calls):
     def rates(self, into: Any, count: int) -> None:
         self.getDerivatives(into, count)
 
-    def step(self, time: float, length: float) -> Step:
+    def step(self, time: float, length: float) -> StepAnswer:
         """One communication step [s]."""
         try:
             self.doStep(time, length)
         except FMICallException as error:
             if error.status == fmi2Discard and self._status(self.getBooleanStatus, fmi2Terminated):
-                return Step(False, True, False, time + length)
+                return StepAnswer(False, True, False, time + length)
             raise
-        return Step(False, False, False, time + length)
+        return StepAnswer(False, False, False, time + length)
 
     def last_successful_time(self) -> float | None:
         """May be asked after a step that was discarded; None if the FMU does not tell it."""
@@ -169,8 +169,8 @@ class _Fmi3(_Calls):
     def rates(self, into: Any, count: int) -> None:
         self.getContinuousStateDerivatives(into, count)
 
-    def step(self, time: float, length: float) -> Step:
-        return Step(*self.doStep(time, length))
+    def step(self, time: float, length: float) -> StepAnswer:
+        return StepAnswer(*self.doStep(time, length))
 
     def last_successful_time(self) -> float | None:
         """FMI 3.0 tells it with the step."""

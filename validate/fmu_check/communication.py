@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
-from validate.fmi.instance import Ended, Misbehaviour
+from validate.fmi.instance import Misbehaviour, TerminationRequested
 from validate.fmu_check.motion import compare, run
 from validate.fmu_check.result import Finding, Scope, check, failed, not_offered, passed
 from validate.fmu_check.subject import HOLD, CheckedInstance, Subject, Variable
@@ -130,7 +130,7 @@ def _settle(instance: CheckedInstance) -> float:
     for _ in range(_ROUNDS):
         again, terminate, _, _, _, _ = instance.fmu.updateDiscreteStates()
         if terminate:
-            raise Ended(instance.time)
+            raise TerminationRequested(instance.time)
         if not again:
             break
     else:

@@ -21,7 +21,7 @@ from typing import Any
 from fmpy.fmi1 import FMICallException
 
 from validate.execution.process import exit_in_words
-from validate.fmi.instance import Ended, Lacking, Misbehaviour
+from validate.fmi.instance import Lacking, Misbehaviour, TerminationRequested
 
 # Pause between two looks where the system cannot tell us the end of a process [s].
 _LOOK = 0.005
@@ -30,7 +30,7 @@ _LOOK = 0.005
 def in_fork(function: Callable[[], Any], seconds: float, *, own_group: bool = False) -> Any:
     """What function() gives in a fork, as JSON holds it. own_group: a process group of its own, ended as a whole at the time limit.
 
-    Raises Ended and Lacking as the function did; Misbehaviour for its own, for a call that was refused, and for a process that crashed or hung.
+    Raises TerminationRequested and Lacking as the function did; Misbehaviour for its own, for a call that was refused, and for a process that crashed or hung.
     """
     descriptor, name = tempfile.mkstemp(prefix="answer-")
     os.close(descriptor)
@@ -46,7 +46,7 @@ def in_fork(function: Callable[[], Any], seconds: float, *, own_group: bool = Fa
     finally:
         path.unlink(missing_ok=True)
     if "ended" in answer:
-        raise Ended(answer["ended"])
+        raise TerminationRequested(answer["ended"])
     if "lacking" in answer:
         raise Lacking(answer["lacking"])
     if "problem" in answer:
@@ -64,7 +64,7 @@ def _answer(function: Callable[[], Any], path: Path, own_group: bool) -> None:
         gc.freeze()  # what was there before the fork is no garbage of the check, and need not be looked through
         try:
             answer = {"value": function()}
-        except Ended as end:
+        except TerminationRequested as end:
             answer = {"ended": end.time}
         except Lacking as lack:
             answer = {"lacking": str(lack)}

@@ -21,7 +21,7 @@ from fmpy.fmi1 import FMICallException
 from models.errors import MachineError, UnknownNameError
 from validate.execution.isolated import Ending, Limits, run_isolated
 from validate.fmi.archive import IntakeError, examine, unpack
-from validate.fmi.instance import Ended, Fault, Lacking, Misbehaviour
+from validate.fmi.instance import Fault, Lacking, Misbehaviour, TerminationRequested
 from validate.fmu_check import communication, derivatives, exchange, files, states, values
 from validate.fmu_check.forked import in_fork
 from validate.fmu_check.result import Check, CheckReport, Row, Scope, Status
@@ -132,7 +132,7 @@ class _Table:
             try:
                 status, sentence, pace = in_fork(lambda: _call(item, arguments), self._seconds, own_group=True)
                 return Status[status], sentence, pace
-            except Ended as end:
+            except TerminationRequested as end:
                 if not _shorten(arguments[0], kind, end.time):
                     sentence = f"it asks for the end of the simulation at t = {end.time:.6g} s, which leaves nothing to check."
                     return Status.FAILED if item is FIRST else Status.NOT_OFFERED, sentence, None

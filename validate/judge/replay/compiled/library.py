@@ -18,7 +18,7 @@ import numpy as np
 from models.codegen.cache import cached
 from models.codegen.compiler import FLAGS, compile_shared, find_compiler
 from models.errors import MachineError
-from validate.fmi.instance import Ended, Instance, References, endless
+from validate.fmi.instance import Instance, References, TerminationRequested, endless
 
 _SOURCES = ("fmu_calls.h", "integration.c", "stepping.c")
 _SIZE, _ADDRESS = ctypes.c_int64, ctypes.c_void_p
@@ -149,7 +149,7 @@ def refuse(instance: Instance, fmu: Fmu) -> NoReturn:
 
 def unsettled(reason: Reason, time: float) -> NoReturn:
     """Raise Fault for an event, at `time` [s], that did not end."""
-    raise Ended(time) if reason is Reason.WANTS_END else endless()
+    raise TerminationRequested(time) if reason is Reason.WANTS_END else endless()
 
 
 def address_of(array: np.ndarray) -> int:
