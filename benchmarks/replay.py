@@ -3,7 +3,7 @@
 Scenes: names, or files; without any, three_cart and the two closed-form scenes. `three_cart` is driven by the best exact plan this
 repository finds (pipeline mpcc, cold). True error: largest position difference at the plan's nodes, to a Model Exchange run at rtol 1e-14 - for
 the closed-form scenes also the relative errors of contact time, depth and restitution against their closed forms.
-Against FMPy: the same FMU, plan and step (or rtol) by the loops in C, by those in Python, and by FMPy's `simulate_fmu`, in turn; medians, on stdout.
+Against FMPy: the same FMU, plan and step (or rtol) by the loops in C and by FMPy's `simulate_fmu`, in turn; medians, on stdout.
 The default replay (two tolerances, three steps) is timed as `python -m validate all` runs it, in this process, and in a child as `replay` does.
 CPU time: the smallest of some repetitions, imports and compilation before it. docs/replay.md tells what was found.
 """
@@ -28,10 +28,11 @@ from models.scene import Scene
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 from validate.execution.isolated import Limits
-from validate.fmi.package import Package, read_package, unpacked
+from validate.fmi.description import Package, read_package, unpacked
 from validate.judge.replay import Replay
 from validate.judge.replay.everyday import simulate
-from validate.judge.replay.reference import ExchangeModel, Run, integrate
+from validate.judge.replay.recording import Run
+from validate.judge.replay.reference import ExchangeModel, integrate
 from validate.judge.replay.run import replay
 from validate.judge.replay.subject import find_variables
 from validate.judge.replay.wiring import HeldInputs, Variables
@@ -77,10 +78,10 @@ def _positions(run: Run, nq: int) -> np.ndarray:
     return np.array(run.outputs)[run.knots, :nq]
 
 
-def _reference(package: Package, variables: Variables, plan: Trajectory, rtol: float, compiled: bool = True) -> Run:
+def _reference(package: Package, variables: Variables, plan: Trajectory, rtol: float) -> Run:
     model = ExchangeModel(package, variables)
     try:
-        return integrate(model, plan.start, HeldInputs(plan), rtol, 10_000, compiled=compiled)
+        return integrate(model, plan.start, HeldInputs(plan), rtol, 10_000)
     finally:
         model.close()
 
@@ -142,18 +143,10 @@ def _against_fmpy(scene: Scene, plan: Trajectory) -> dict[str, dict[str, float]]
         variables, folder, description = find_variables(package, scene), str(package.folder), package.description
         truth = _positions(_reference(package, variables, plan, _TRUTH), scene.nq)[-1]
 
-        def stepped(compiled: bool) -> np.ndarray:
-            return _positions(simulate(package, variables, plan.start, held, _FINENESS, compiled=compiled), scene.nq)[-1]
-
-        def integrated(compiled: bool) -> np.ndarray:
-            return _positions(_reference(package, variables, plan, _RTOL, compiled), scene.nq)[-1]
-
         methods: dict[str, Callable[[], np.ndarray]] = {
-            "Co-Simulation, loop in C": lambda: stepped(True),
-            "Co-Simulation, loop in Python": lambda: stepped(False),
+            "Co-Simulation, loop in C": lambda: _positions(simulate(package, variables, plan.start, held, _FINENESS), scene.nq)[-1],
             "Co-Simulation, simulate_fmu": lambda: _by_fmpy(folder, description, scene, plan, "CoSimulation"),
-            "Model Exchange, loop in C": lambda: integrated(True),
-            "Model Exchange, loop in Python": lambda: integrated(False),
+            "Model Exchange, loop in C": lambda: _positions(_reference(package, variables, plan, _RTOL), scene.nq)[-1],
             "Model Exchange, simulate_fmu": lambda: _by_fmpy(folder, description, scene, plan, "ModelExchange"),
         }
         seconds: dict[str, list[float]] = {name: [] for name in methods}

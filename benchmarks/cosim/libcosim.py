@@ -63,7 +63,7 @@ def run_libcosim(
 
 def _job(scene: Any, start: np.ndarray, u: np.ndarray, h: float, times: np.ndarray, inner_step: float, algorithm: str) -> dict[str, Any]:
     from models.fmu.coupled import build_part, split
-    from validate.fmi.package import read_package
+    from validate.fmi.description import read_package
 
     parts = split(scene)
     names = [item.name for item in scene.coordinates] + [item.velocity_name for item in scene.coordinates]

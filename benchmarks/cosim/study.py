@@ -22,7 +22,7 @@ from models.dynamics import derive
 from models.fmu import build_fmu
 from models.scene import Scene
 from models.trajectory import Trajectory
-from validate.fmi.package import read_package, unpacked
+from validate.fmi.description import read_package, unpacked
 from validate.judge.replay.reference import ExchangeModel, integrate
 from validate.judge.replay.subject import find_variables
 from validate.judge.replay.wiring import HeldInputs

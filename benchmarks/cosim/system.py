@@ -21,8 +21,8 @@ import numpy as np
 from models.fmu import build_fmu
 from models.fmu.coupled import ContactPart, Parts, build_part, split
 from models.scene import Scene
+from validate.fmi.description import Package, read_package, unpacked
 from validate.fmi.instance import Instance, References, load_instance
-from validate.fmi.package import Package, read_package, unpacked
 
 
 class Part:
@@ -43,7 +43,7 @@ class Part:
     def begin(self, settings: dict[str, float]) -> None:
         """A fresh instance at t = 0 with these values; what the FMU does not have is left out."""
         self.close()
-        self.fmu, self._is_open = load_instance(self._package, exchange=False), True
+        self.fmu, self._is_open = load_instance(self._package, "CS"), True
         known = [(self._by_name[name], value) for name, value in settings.items() if name in self._by_name]
         self.fmu.initialise(0.0, known, References([]), np.empty(0))
 
@@ -53,7 +53,8 @@ class Part:
 
     def set_slopes(self, rates: np.ndarray) -> None:
         """Let the inputs run as lines during the next step, at these rates of the vector of all outputs."""
-        self.fmu.input_slopes(self.inputs, rates[self.reads])
+        if self.inputs.count:
+            self.fmu.fmu.setRealInputDerivatives(self.inputs.array, [1] * self.inputs.count, rates[self.reads])
 
     def get_outputs(self, values: np.ndarray) -> None:
         values[self.writes] = self.fmu.read(self.outputs)
@@ -73,7 +74,7 @@ class Part:
             return
         if self._saved:
             self.fmu.forget(self._saved)
-        self.fmu.close()
+        self.fmu.unload()
         self._is_open = False
 
 

@@ -18,7 +18,7 @@ from benchmarks.suite.carts import INPUT_WEIGHT, SOFTPLUS_EPS, push, pushed_plan
 from models.codegen.kernel import load_kernel
 from models.fmu import build_fmu
 from models.scene import Scene
-from validate.fmi.package import read_package, unpacked
+from validate.fmi.description import read_package, unpacked
 from validate.judge.replay.everyday import simulate
 from validate.judge.replay.run import replay
 from validate.judge.replay.subject import find_variables

@@ -166,7 +166,7 @@ def _map(rng: random.Random, folder: Path) -> Path:
 
 def _read_map(path: Path) -> None:
     from models.plan_table import PlanTable
-    from validate.fmi.package import read_package
+    from validate.fmi.description import read_package
     from validate.judge.replay.map_schema import read_map
     from validate.judge.replay.mapping import wire
 
@@ -231,8 +231,8 @@ def _fmu(rng: random.Random, folder: Path) -> Path:
 def _read_fmu(path: Path) -> None:
     import shutil
 
-    from validate.fmi.intake import problems, unpack
-    from validate.fmi.package import read_package
+    from validate.fmi.archive import problems, unpack
+    from validate.fmi.description import read_package
 
     problems(path)
     package = read_package(path)

@@ -136,7 +136,7 @@ def spoilt_library(rng: random.Random, folder: Path) -> Path:
 
 
 def read_spoilt_library(path: Path) -> None:
-    from validate.fmu_check.archive import NotElf, read_library
+    from validate.fmu_check.files import NotElf, read_library
 
     try:
         read_library(path.read_bytes())

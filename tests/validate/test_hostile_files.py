@@ -45,7 +45,7 @@ def test_what_is_spoilt_was_good(tmp_path: Path):
     """Else every mutation is refused for what was wrong before it."""
     from hostile_results import library
 
-    from validate.fmu_check.archive import read_library
+    from validate.fmu_check.files import read_library
 
     made = read_library(library())
     assert (made.machine, made.exported, made.needed, made.glibc) == ("x86_64", {"fmi3DoStep"}, ("libc.so.6",), "2.34")

@@ -1,4 +1,4 @@
-"""The loops in C against the loops in Python: the same calls, and therefore the same numbers, bit for bit; and a clean way back where C cannot."""
+"""The loops in C against the loops in Python: the same calls, and therefore the same numbers, bit for bit; and what is said where they cannot run."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import python_loops
 from foreign_fmu import build_foreign
 
 from models.catalog import load_scene
@@ -15,10 +16,11 @@ from models.codegen.kernel import load_kernel
 from models.errors import MachineError
 from models.fmu import build_fmu
 from models.trajectory import Hold, Trajectory, uniform_grid
-from validate.fmi.package import Package, read_package, unpacked
-from validate.judge.replay.compiled import integration, library
-from validate.judge.replay.everyday import simulate
-from validate.judge.replay.reference import ExchangeModel, Integration, Run, integrate
+from validate.fmi.description import FmuError, Package, read_package, unpacked
+from validate.judge.replay import everyday
+from validate.judge.replay import reference as exchange
+from validate.judge.replay.compiled import library
+from validate.judge.replay.recording import Run
 from validate.judge.replay.result import ReplayOutcome
 from validate.judge.replay.subject import find_variables
 from validate.judge.replay.tracking import design_feedback
@@ -50,12 +52,26 @@ def same(one: Run, other: Run) -> None:
             assert left == right, item.name
 
 
-def reference(package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, *, compiled: bool) -> Run:
-    model = ExchangeModel(package, variables)
+def reference(package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, *, compiled: bool = True) -> Run:
+    model = python_loops.PythonModel(package, variables)
     try:
-        return integrate(model, start, inputs, 1e-10, 1000, compiled=compiled)
+        return (exchange if compiled else python_loops).integrate(model, start, inputs, 1e-10, 1000)
     finally:
         model.close()
+
+
+def simulate(
+    package: Package,
+    variables: Variables,
+    start: np.ndarray,
+    inputs: HeldInputs,
+    fineness: int,
+    *,
+    rolls_back: bool = False,
+    compiled: bool = True,
+) -> Run:
+    loop = everyday.simulate if compiled else python_loops.simulate
+    return loop(package, variables, start, inputs, fineness, rolls_back=rolls_back)
 
 
 def tracked(name: str, plan: Trajectory) -> Feedback:
@@ -105,36 +121,23 @@ def test_stepping_in_c_gives_the_bits_of_stepping_in_python(carts: tuple[Package
         same(*runs)
 
 
-def test_the_loops_in_c_are_those_that_run(carts: tuple[Package, Variables], monkeypatch: pytest.MonkeyPatch):
-    """Otherwise the tests above compare Python with Python."""
-
-    def broken(*_: object) -> None:
-        raise AssertionError("a loop of Python")
-
-    plan = pushed("three_cart")
-    monkeypatch.setattr(Integration, "advance", broken)
-    monkeypatch.setattr("validate.fmi.instance.Instance.do_step", broken)
-    assert reference(*carts, plan.start, HeldInputs(plan), compiled=True).outcome is ReplayOutcome.OK
-    assert simulate(*carts, plan.start, HeldInputs(plan), 20, rolls_back=True).outcome is ReplayOutcome.OK
-    with pytest.raises(AssertionError, match="a loop of Python"):
-        reference(*carts, plan.start, HeldInputs(plan), compiled=False)
-
-
 FOREIGN = Variables(
     q=(10,), v=(11,), u=(20,), lam=(30,), gap=(31,), energies={}, powers={}, zero=frozenset(), parameters=((40, 2.0),), start=(10, 11), internal_step=None
 )  # fmt: skip
 
 
+def foreign_inputs(steps: int = 40) -> HeldInputs:
+    empty = np.zeros((steps + 1, 1))
+    return HeldInputs(Trajectory(t=uniform_grid(0.01, steps), q=empty, v=empty, u=np.full((steps, 1), 0.004), lam=np.zeros((steps, 1))))
+
+
 @pytest.mark.parametrize("mode", ["good", "nan", "fatal"])
 def test_somebody_elses_fmu_and_how_it_goes_wrong(tmp_path: Path, mode: str):
-    steps = 40
-    empty = np.zeros((steps + 1, 1))
-    plan = Trajectory(t=uniform_grid(0.01, steps), q=empty, v=empty, u=np.full((steps, 1), 0.004), lam=np.zeros((steps, 1)))
     start = np.array([300.0, 2000.0])
     with unpacked(read_package(build_foreign(tmp_path / "cart.fmu", mode))) as package:
         pairs = [
-            [reference(package, FOREIGN, start, HeldInputs(plan), compiled=compiled) for compiled in (True, False)],
-            [simulate(package, FOREIGN, start, HeldInputs(plan), 100, compiled=compiled) for compiled in (True, False)],
+            [reference(package, FOREIGN, start, foreign_inputs(), compiled=compiled) for compiled in (True, False)],
+            [simulate(package, FOREIGN, start, foreign_inputs(), 100, compiled=compiled) for compiled in (True, False)],
         ]
     expected = {"good": ReplayOutcome.OK, "nan": ReplayOutcome.NOT_A_NUMBER, "fatal": ReplayOutcome.FATAL}[mode]
     assert [run.outcome for pair in pairs for run in pair] == [expected] * 4
@@ -150,9 +153,8 @@ def test_a_step_that_leaves_every_bound_ends_both_loops_alike(carts: tuple[Packa
     same(*runs)
 
 
-def test_without_a_compiler_python_does_it(carts: tuple[Package, Variables], monkeypatch: pytest.MonkeyPatch):
+def test_without_a_compiler_a_replay_is_refused(carts: tuple[Package, Variables], monkeypatch: pytest.MonkeyPatch):
     plan = pushed("three_cart", steps=10)
-    compiled = reference(*carts, plan.start, HeldInputs(plan), compiled=True), simulate(*carts, plan.start, HeldInputs(plan), 20)
 
     def none() -> None:
         raise MachineError("no C compiler was found.")
@@ -160,29 +162,36 @@ def test_without_a_compiler_python_does_it(carts: tuple[Package, Variables], mon
     monkeypatch.setattr(library, "find_compiler", none)
     library.load.cache_clear()
     try:
-        assert library.load() is None
-        same(compiled[0], reference(*carts, plan.start, HeldInputs(plan), compiled=True))
-        same(compiled[1], simulate(*carts, plan.start, HeldInputs(plan), 20))
+        with pytest.raises(MachineError, match="no C compiler"):
+            reference(*carts, plan.start, HeldInputs(plan))
+        with pytest.raises(MachineError, match="no C compiler"):
+            simulate(*carts, plan.start, HeldInputs(plan), 20)
     finally:
         library.load.cache_clear()
 
 
-def test_without_the_addresses_of_cvode_python_drives_it(carts: tuple[Package, Variables], monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
-    plan = pushed("three_cart", steps=10)
-    compiled = reference(*carts, plan.start, HeldInputs(plan), compiled=True)
-    assert integration._addresses(tmp_path / "_cy_cvode.so") is None
-    monkeypatch.setattr(integration, "solver_addresses", lambda: None)
-    same(compiled, reference(*carts, plan.start, HeldInputs(plan), compiled=True))
+def test_cvode_that_cannot_be_reached_is_named(tmp_path: Path):
+    with pytest.raises(MachineError, match=r"CVODE, cannot be reached in .*_cy_cvode\.so.*install scikit-sundae"):
+        exchange._addresses(tmp_path / "_cy_cvode.so")
 
 
-def test_a_binary_that_lacks_a_function_is_left_to_python(carts: tuple[Package, Variables]):
-    """FMI 3.0 has no call for slopes of inputs: asked for it, the loops in C are not begun."""
-    package, variables = carts
-    model = ExchangeModel(package, variables)
-    rates, outputs, inputs = model.references
-    try:
-        assert library.describe(model.instance, ["GetReal"], inputs=inputs, outputs=outputs, rates=rates) is not None
-        described = library.describe(model.instance, ["SetRealInputDerivatives"], inputs=inputs, outputs=outputs)
-        assert (described is None) is package.is_three
-    finally:
-        model.close()
+@pytest.mark.parametrize("function", ["fmi2GetDerivatives", "fmi2DoStep"])
+def test_a_binary_that_lacks_a_function_is_refused(tmp_path: Path, function: str):
+    """Before any loop is begun: FMPy wants all functions of the interface."""
+    with unpacked(read_package(build_foreign(tmp_path / "cart.fmu", defines=(f"{function}=another",)))) as package:
+        run = reference if function == "fmi2GetDerivatives" else lambda *given: simulate(*given, 20)
+        with pytest.raises(FmuError, match=f"cannot be loaded on this machine .a function of FMI is missing in the binary .*{function}"):
+            run(package, FOREIGN, np.zeros(2), foreign_inputs())
+
+
+@pytest.mark.parametrize("status", [-1, 7])
+def test_what_is_no_status_of_fmi_is_refused(tmp_path: Path, status: int):
+    """FMPy itself lets a negative one pass."""
+    wrong = f"fmi2ExitInitializationMode(c)=fmi2ExitInitializationMode(c){{return {status};}}int unused(c)"
+    with unpacked(read_package(build_foreign(tmp_path / "cart.fmu", defines=(wrong,)))) as package:
+        for run in (
+            reference(package, FOREIGN, np.zeros(2), foreign_inputs()),
+            simulate(package, FOREIGN, np.zeros(2), foreign_inputs(), 20),
+        ):
+            assert run.outcome is ReplayOutcome.FMU_FAILED
+            assert f"fmi2ExitInitializationMode failed with status {status}" in run.message

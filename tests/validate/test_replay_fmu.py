@@ -15,7 +15,7 @@ from models.fmu import build_fmu
 from models.scene import Contact, Coordinate, Input, Parameter, Scene, Task
 from models.scene.scene import goal_limits
 from models.trajectory import Hold, Trajectory, uniform_grid
-from validate.fmi.package import FmuError
+from validate.fmi.description import FmuError
 from validate.judge.replay import Replay, ReplayOutcome
 from validate.judge.replay.run import replay
 

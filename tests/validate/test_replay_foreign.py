@@ -15,7 +15,7 @@ from models.codegen.kernel import load_kernel
 from models.fmu import build_fmu
 from models.scene import Scene
 from models.trajectory import Hold, Trajectory, uniform_grid
-from validate.fmi.package import FmuError
+from validate.fmi.description import FmuError
 from validate.judge.replay import Replay, ReplayOutcome
 from validate.judge.replay.run import replay
 from validate.judge.score import score

@@ -18,8 +18,8 @@ from foreign_fmu import COSIMULATION, EXCHANGE, FULL_MAP, build_foreign, foreign
 from models.plan_table import PlanTable
 from validate.execution.isolated import Limits
 from validate.execution.reaper import TOKEN_VARIABLE
-from validate.fmi.intake import IntakeError
-from validate.fmi.package import read_package
+from validate.fmi.archive import IntakeError
+from validate.fmi.description import read_package
 from validate.judge.replay import Replay, ReplayOutcome
 from validate.judge.replay.map_schema import read_map
 from validate.judge.replay.mapping import wire

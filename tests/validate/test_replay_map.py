@@ -18,7 +18,7 @@ from models.netcdf import read_columns
 from models.plan_table import PlanTable
 from models.trajectory import Hold, Trajectory
 from validate.execution.isolated import Limits
-from validate.fmi.package import read_package
+from validate.fmi.description import read_package
 from validate.judge.replay import Replay
 from validate.judge.replay.equal_names import hint
 from validate.judge.replay.map_schema import read_map

@@ -1,15 +1,24 @@
-"""The reference integrator against closed forms, on small models written in Python: no FMU, no generated C."""
+"""The reference integrator against closed forms, on small models written in Python: no FMU, no generated C.
+
+By the loop in C, which calls them as it calls an FMU, and by its oracle in Python.
+"""
 
 from __future__ import annotations
 
+import ctypes
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import pytest
+import python_loops
 
 from models.trajectory import Hold, Trajectory, uniform_grid
-from validate.judge.replay.reference import PARTS, integrate
+from validate.fmi.instance import References
+from validate.judge.replay import reference
+from validate.judge.replay.recording import Run
+from validate.judge.replay.reference import PARTS
 from validate.judge.replay.result import ReplayOutcome
 from validate.judge.replay.wiring import HeldInputs
 
@@ -70,6 +79,92 @@ class Point:
         return False
 
 
+_STATES = (ctypes.c_void_p, ctypes.c_size_t)
+_VALUES = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p)
+
+
+def doubles(address: int, count: int) -> ctypes.Array[ctypes.c_double]:
+    return (ctypes.c_double * count).from_address(address)
+
+
+class PointInC:
+    """A Point in the clothes of a Model Exchange FMU of FMI 2.0: functions with addresses, for the loop in C. Value references: q 0, v 1, power 2, u 3."""
+
+    states, major, fatal, component = 2, 2, False, 1
+
+    def __init__(self, point: Point) -> None:
+        self.point, self.instance, self.fmu = point, self, self
+        self.next_event, self.nominal, self.wants_steps = point.next_event, point.nominal, point.wants_steps
+        self.indicators, self.accumulated, self.outputs = point.indicators, point.accumulated, point.outputs
+        self.references = References([2]), References([0, 1]), References([3])
+        self.start, self.read, self.event = point.start, point.read, point.event
+        self._time, self._y = 0.0, np.zeros(3)
+        self._functions = {
+            name: ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, *types)(call) for name, (call, *types) in self._calls().items()
+        }
+
+    def address(self, name: str) -> int:
+        return ctypes.cast(self._functions[name], ctypes.c_void_p).value or 0
+
+    def _calls(self) -> dict[str, tuple[Any, ...]]:
+        def set_time(_: int, time: float) -> int:
+            self._time = time
+            return 0
+
+        def set_states(_: int, x: int, n: int) -> int:
+            self._y[:2] = doubles(x, n)
+            return 0
+
+        def get_derivatives(_: int, rates: int, n: int) -> int:
+            doubles(rates, n)[:] = self._rates()[:n]
+            return 0
+
+        def get_real(_: int, references: int, n: int, values: int) -> int:
+            known = [*self._y[:2], self._rates()[2]]
+            doubles(values, n)[:] = [known[reference] for reference in (ctypes.c_uint * n).from_address(references)]
+            return 0
+
+        def set_real(_: int, references: int, n: int, values: int) -> int:
+            self.point.set_inputs(doubles(values, n)[:])
+            return 0
+
+        def get_indicators(_: int, values: int, n: int) -> int:
+            self.point.indicate(self._time, self._y, np.frombuffer(doubles(values, n)))
+            return 0
+
+        def completed(_: int, last: int, event: Any, ends: Any) -> int:
+            event[0] = self.point.step_completed(self._time, self._y)
+            return 0
+
+        def new_discrete_states(_: int, info: int) -> int:
+            self.point.event(self._time, self._y, np.array([self.point.u]))  # inputs jumped; events of gaps come by `event`
+            return 0
+
+        flag = ctypes.POINTER(ctypes.c_int)
+        return {
+            "SetTime": (set_time, ctypes.c_double), "SetContinuousStates": (set_states, *_STATES), "GetContinuousStates": (lambda *_: 0, *_STATES),
+            "GetDerivatives": (get_derivatives, *_STATES), "GetReal": (get_real, *_VALUES), "SetReal": (set_real, *_VALUES),
+            "GetEventIndicators": (get_indicators, *_STATES), "CompletedIntegratorStep": (completed, ctypes.c_int, flag, flag),
+            "EnterEventMode": (lambda _: 0,), "EnterContinuousTimeMode": (lambda _: 0,),
+            "NewDiscreteStates": (new_discrete_states, ctypes.c_void_p),
+        }  # fmt: skip
+
+    def _rates(self) -> list[float]:
+        rates = np.empty(3)
+        self.point.rates(self._time, self._y, rates)
+        return rates.tolist()
+
+
+Integrate = Callable[[Point, np.ndarray, HeldInputs, float, int], Run]
+
+
+@pytest.fixture(params=["C", "Python"])
+def integrate(request: pytest.FixtureRequest) -> Integrate:
+    if request.param == "Python":
+        return python_loops.integrate
+    return lambda model, *given: reference.integrate(PointInC(model), *given)  # type: ignore[arg-type] - it has what the loop asks for
+
+
 def plan(u: Sequence[float], step: float, hold: Hold = Hold.ZERO_ORDER) -> HeldInputs:
     steps = len(u)
     zeros = np.zeros((steps + 1, 1))
@@ -81,7 +176,7 @@ def free(q: float, v: float, u: float, closed: bool) -> float:
     return u
 
 
-def test_held_inputs_give_the_exact_parabolas():
+def test_held_inputs_give_the_exact_parabolas(integrate: Integrate):
     u = [1.0, -2.0, -2.0, 0.5]
     run = integrate(Point(free), np.zeros(2), plan(u, 0.25), RTOL, 10)
     q = v = work = 0.0
@@ -91,7 +186,7 @@ def test_held_inputs_give_the_exact_parabolas():
         assert run.accumulated[knot][0] == pytest.approx(work, abs=1e-12)
 
 
-def test_ramped_inputs_are_applied_within_the_step():
+def test_ramped_inputs_are_applied_within_the_step(integrate: Integrate):
     """u = t on [0, 1]: q = t^3/6 at every recorded point. The last step of the plan is held."""
     steps = 6
     run = integrate(Point(free), np.zeros(2), plan(uniform_grid(0.2, steps - 1), 0.2, Hold.LINEAR), RTOL, 10)
@@ -104,7 +199,7 @@ def test_ramped_inputs_are_applied_within_the_step():
     assert abs(held.outputs[-1][0] - run.outputs[-1][0]) > 1e-2  # the hold convention makes a difference that a test can see
 
 
-def test_a_ramp_that_turns_restarts_the_integrator_where_it_turns():
+def test_a_ramp_that_turns_restarts_the_integrator_where_it_turns(integrate: Integrate):
     u = np.array([0.0, 1.0, 0.0, -1.0, 0.0])
     run = integrate(Point(free), np.zeros(2), plan(u, 0.5, Hold.LINEAR), RTOL, 10)
     q = v = 0.0
@@ -113,13 +208,13 @@ def test_a_ramp_that_turns_restarts_the_integrator_where_it_turns():
     assert run.outputs[-1] == pytest.approx([q, v], abs=1e-12)
 
 
-def test_inputs_that_do_not_change_cost_no_restart():
+def test_inputs_that_do_not_change_cost_no_restart(integrate: Integrate):
     model = Point(free)
     integrate(model, np.zeros(2), plan([1.0] * 50, 0.01), RTOL, 10)
     assert model.events == 0
 
 
-def test_a_bounce_on_a_spring_is_timed_to_the_closed_form():
+def test_a_bounce_on_a_spring_is_timed_to_the_closed_form(integrate: Integrate):
     mass, gravity, stiffness, drop = 1.0, 9.81, 1000.0, 0.5
     rate, speed = math.sqrt(stiffness / mass), math.sqrt(2 * gravity * drop)
     fall = speed / gravity
@@ -132,7 +227,7 @@ def test_a_bounce_on_a_spring_is_timed_to_the_closed_form():
     assert v**2 / 2 + gravity * q == pytest.approx(gravity * drop, rel=1e-10)
 
 
-def test_events_are_points_of_the_grid_and_knots_stay_the_plan():
+def test_events_are_points_of_the_grid_and_knots_stay_the_plan(integrate: Integrate):
     model = Point(lambda q, v, u, closed: -10.0 - (1e3 * q if closed else 0.0), gap=lambda q: q)
     held = plan([0.0] * 40, 0.01)
     run = integrate(model, np.array([0.2, 0.0]), held, 1e-10, 10)
@@ -141,7 +236,7 @@ def test_events_are_points_of_the_grid_and_knots_stay_the_plan():
     assert (np.diff(run.t) > 0).all()
 
 
-def test_a_bouncing_ball_that_comes_to_rest_ends_with_its_event_budget():
+def test_a_bouncing_ball_that_comes_to_rest_ends_with_its_event_budget(integrate: Integrate):
     """Zeno: restitution 1/2 from 1 m at 10 m/s^2 rests after sqrt(0.2)*3 = 1.34 s, after infinitely many events."""
     run = integrate(
         Point(lambda q, v, u, closed: -10.0, gap=lambda q: q, bounce=0.5), np.array([1.0, 0.0]), plan([0.0] * 200, 0.01), RTOL, 12
@@ -153,27 +248,27 @@ def test_a_bouncing_ball_that_comes_to_rest_ends_with_its_event_budget():
     assert run.t[-1] < 3 * first
 
 
-def test_a_state_that_runs_away_is_an_outcome():
+def test_a_state_that_runs_away_is_an_outcome(integrate: Integrate):
     run = integrate(Point(lambda q, v, u, closed: v * v), np.array([0.0, 1.0]), plan([0.0] * 200, 0.01), RTOL, 10)
     assert run.outcome in (ReplayOutcome.DIVERGED, ReplayOutcome.INTEGRATION_FAILED)
     assert 0.9 < run.t[-1] < 1.0  # v = 1/(1 - t)
     assert np.isfinite(np.array(run.outputs)).all()
 
 
-def test_exponential_growth_stops_at_the_bound():
+def test_exponential_growth_stops_at_the_bound(integrate: Integrate):
     run = integrate(Point(lambda q, v, u, closed: 400.0 * q), np.array([1.0, 20.0]), plan([0.0] * 300, 0.01), RTOL, 10)
     assert run.outcome is ReplayOutcome.DIVERGED
     assert run.t[-1] == pytest.approx(math.log(1e9) / 20, abs=0.1)
 
 
-def test_a_rate_that_is_no_number_is_an_outcome():
+def test_a_rate_that_is_no_number_is_an_outcome(integrate: Integrate):
     run = integrate(Point(lambda q, v, u, closed: math.nan if q > 0.5 else 1.0), np.zeros(2), plan([0.0] * 200, 0.01), RTOL, 10)
     assert run.outcome is ReplayOutcome.NOT_A_NUMBER
     assert "finite" in run.message
     assert np.isfinite(np.array(run.outputs)).all()
 
 
-def test_a_model_that_wants_to_know_its_steps_is_told_and_moves_the_same():
+def test_a_model_that_wants_to_know_its_steps_is_told_and_moves_the_same(integrate: Integrate):
     def spring(q: float, v: float, u: float, closed: bool) -> float:
         return -10.0 - (1e3 * q if closed else 0.0)
 

@@ -14,10 +14,9 @@ from models.fmu import build_fmu
 from models.plan_table import PlanTable
 from models.trajectory import Trajectory, uniform_grid
 from validate.execution.isolated import Limits
-from validate.fmi.package import FmuError, read_package, unpacked
+from validate.fmi.description import FmuError, read_package, unpacked
 from validate.judge.replay import Replay, ReplayOutcome
-from validate.judge.replay.compiled.stepping import offers_rollback
-from validate.judge.replay.everyday import simulate
+from validate.judge.replay.everyday import offers_rollback, simulate
 from validate.judge.replay.map_schema import read_map
 from validate.judge.replay.mapping import wire
 from validate.judge.replay.run import replay, replay_foreign

@@ -13,7 +13,7 @@ from models.catalog import load_scene
 from models.fmu import build_fmu
 from models.plan_table import PlanTable
 from validate.execution.isolated import Limits
-from validate.fmi.package import read_package
+from validate.fmi.description import read_package
 from validate.judge.replay.map_schema import read_map
 from validate.judge.replay.mapping import wire
 from validate.judge.replay.run import replay_foreign

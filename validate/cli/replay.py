@@ -129,7 +129,7 @@ def _of_scene(scene: str, plan: Path, hold: str | None, limits: Any, track: bool
 
 def _of_fmu(fmu: Path, plan: Path, map_path: Path | None, hold: str | None, limits: Any, track: bool) -> tuple[Judgement, list[str]]:
     from models.plan_table import PlanTable
-    from validate.fmi.package import read_package
+    from validate.fmi.description import read_package
     from validate.judge.judgement import judge_on_fmu
     from validate.judge.replay.equal_names import hint
     from validate.judge.replay.map_schema import MapError, read_map

@@ -1,1 +1,1 @@
-"""Anybody's FMU: let in, described, loaded and called."""
+"""Anybody's FMU: let in (archive), described (description), loaded and called (instance, over FMPy's classes: versions)."""

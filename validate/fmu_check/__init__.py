@@ -3,7 +3,7 @@
     report = check_fmu(Path("model.fmu"))
     report.ok, [row for row in report.rows if row.status is Status.FAILED]
 
-Each check is one function that claims something of a sound FMU and finds out; catalog.py lists them. They run in forks of an isolated child,
+Each check is one function that claims something of a sound FMU and finds out; host.py lists them. They run in forks of an isolated child,
 each with its time and memory: an FMU that hangs or crashes has failed a check, and nothing else happens.
 """
 

@@ -1,9 +1,5 @@
-"""Co-Simulation of FMI 3.0 with event mode and early return.
-
-Time: the FMU starts and ends, keeps the time it is told, and does not pass its stop time.
-
-What Co-Simulation tells and takes within a communication step: intermediate update of FMI 3.0, input derivatives of FMI 2.0.
-"""
+"""Steps: the FMU starts and ends, keeps the time it is told, does not pass its stop time; and what Co-Simulation does with events, with early return, and
+within a step (intermediate update of FMI 3.0, input derivatives of FMI 2.0)."""
 
 from __future__ import annotations
 
@@ -16,11 +12,10 @@ from typing import Any
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
-from validate.fmu_check.instance import Ended, Instance, Misbehaviour, new_instance
-from validate.fmu_check.instance_versions import Instance3
+from validate.fmi.instance import Misbehaviour, TerminationRequested
 from validate.fmu_check.motion import compare, run
 from validate.fmu_check.result import Finding, Scope, check, failed, not_offered, passed
-from validate.fmu_check.subject import HOLD, Subject, Variable
+from validate.fmu_check.subject import HOLD, CheckedInstance, Subject, Variable
 
 # Two times are the same if they differ by less than this share of a step.
 _SAME = 1e-6
@@ -34,7 +29,7 @@ _FIRST_STEPS, _EVALUATIONS = 5, 30
 def lives(subject: Subject, kind: str) -> Finding:
     version = {2: "2.0", 3: "3.0"}[subject.major]
     steps = subject.before_end(kind, _FIRST_STEPS)
-    with new_instance(subject, kind) as instance:
+    with CheckedInstance(subject, kind) as instance:
         told = instance.fmu.getVersion()
         if not told.startswith(version):
             return failed(f"the binary says that it is FMI {told}, the description says {version}.")
@@ -59,12 +54,10 @@ def keeps_time(subject: Subject, kind: str) -> Finding:
     clocks = [item for item in subject.variables if item.causality == "independent" and item.is_float]
     told: set[str] = set()
     wrong: list[str] = []
-    with new_instance(subject, kind) as instance:
+    with CheckedInstance(subject, kind) as instance:
         instance.begin()
 
-        def look(source: str, value: float | None, right: float) -> None:
-            if value is None:
-                return
+        def look(source: str, value: float, right: float) -> None:
             told.add(source)
             if not abs(value - right) <= _SAME * subject.step:
                 wrong.append(f"{source} says {value:.10g} s at t = {right:.10g} s")
@@ -75,7 +68,9 @@ def keeps_time(subject: Subject, kind: str) -> Finding:
             if kind == "ME":
                 instance.set_time(end)
             else:
-                look("fmi3DoStep's lastSuccessfulTime", instance.do_step(begin, subject.step), end)
+                reached = instance.do_step(begin, subject.step).reached
+                if subject.major >= 3:
+                    look("fmi3DoStep's lastSuccessfulTime", reached, end)
             for clock in clocks:
                 look(f"the variable {clock.name}", float(instance.get([clock])[0]), end)
     if wrong:
@@ -88,7 +83,7 @@ def keeps_time(subject: Subject, kind: str) -> Finding:
 @check("stop time is respected", "a step up to the stop time is made, a step beyond it is refused", Scope.COSIMULATION)
 def stop_time(subject: Subject, kind: str) -> Finding:
     steps = subject.before_end(kind, 4)
-    with new_instance(subject, kind) as instance:
+    with CheckedInstance(subject, kind) as instance:
         instance.begin(stop=subject.time(steps))
         for step in range(steps):
             try:
@@ -101,7 +96,7 @@ def stop_time(subject: Subject, kind: str) -> Finding:
         try:
             instance.do_step(subject.time(steps), subject.step)
         except FMICallException as error:
-            told = instance.last_successful_time() if error.status == _DISCARD else None
+            told = instance.fmu.last_successful_time() if error.status == _DISCARD else None
             if told is not None and not abs(told - subject.time(steps)) <= _SAME * subject.step:
                 return failed(
                     f"the step beyond the stop time is discarded, and the last successful time is told as {told:.6g} s; it is {subject.time(steps):.6g} s."
@@ -114,7 +109,6 @@ def stop_time(subject: Subject, kind: str) -> Finding:
     )
 
 
-# Two times are the same if they differ by less than this share of a step.
 # Rounds of an event iteration, and steps that go nowhere, before it is called endless.
 _ROUNDS, _STILL = 100, 100
 # Two ways through the same motion: a value is elsewhere if it is off by this share of its range, the motion if it is so at this share of the times.
@@ -131,12 +125,12 @@ class _Told:
     early: int = 0
 
 
-def _settle(instance: Instance) -> float:
+def _settle(instance: CheckedInstance) -> float:
     """Event updates until it is content, once more without effect, then Step Mode; the time of the next event (inf: none)."""
     for _ in range(_ROUNDS):
         again, terminate, _, _, _, _ = instance.fmu.updateDiscreteStates()
         if terminate:
-            raise Ended(instance.time)
+            raise TerminationRequested(instance.time)
         if not again:
             break
     else:
@@ -151,9 +145,8 @@ def _settle(instance: Instance) -> float:
     return float(when) if defined else math.inf
 
 
-def _through(instance: Instance, steps: int, told: _Told) -> np.ndarray:
+def _through(instance: CheckedInstance, steps: int, told: _Told) -> np.ndarray:
     """The run with event mode, (steps + 1, observed). Raises Misbehaviour where an answer of fmi3DoStep cannot be right."""
-    assert isinstance(instance, Instance3)
     subject, may_return = instance.subject, instance.options["earlyReturnAllowed"]
     near = _SAME * subject.step
     t, following = subject.start_time, _settle(instance)
@@ -165,7 +158,7 @@ def _through(instance: Instance, steps: int, told: _Told) -> np.ndarray:
         goal, still = subject.time(step + 1), 0
         while goal - t > near:
             target = min(goal, max(following, t + near))
-            event, early, reached = instance.answered_step(t, target - t)
+            event, _, early, reached = instance.do_step(t, target - t)
             where = f"the step from t = {t:.6g} s to {target:.6g} s"
             if early and not may_return:
                 raise Misbehaviour(f"{where} returned early, which was not allowed")
@@ -217,14 +210,14 @@ def event_mode(subject: Subject, kind: str) -> Finding:
     if subject.major < 3 or not subject.can(kind, "hasEventMode"):
         return not_offered("FMI 2.0 has none." if subject.major < 3 else "hasEventMode is false.")
     steps, told = subject.long_steps(kind), _Told()
-    with new_instance(subject, kind) as instance:
+    with CheckedInstance(subject, kind) as instance:
         plain = run(instance.begin(), 0, steps)
-    with new_instance(subject, kind, options=_options(subject.can(kind, _MIGHT))) as instance:
+    with CheckedInstance(subject, kind, options=_options(subject.can(kind, _MIGHT))) as instance:
         rows = _through(instance.begin(), steps, told)
         wrong = elsewhere(subject, plain, rows)
         if wrong:
             return failed(f"with event mode, {wrong} than without: not every event is announced and handled.")
-        instance.reset()
+        instance.fmu.reset()
         apart = compare(subject, rows, _through(instance.begin(), steps, _Told()))
         if not apart.equal:
             return failed(f"after reset in a run with event mode, {apart.where(subject)}.")
@@ -246,7 +239,7 @@ def early_return(subject: Subject, kind: str) -> Finding:
     if subject.can(kind, "hasEventMode"):
         told = _Told()
         for early in (False, True):
-            with new_instance(subject, kind, options=_options(early)) as instance:
+            with CheckedInstance(subject, kind, options=_options(early)) as instance:
                 _through(instance.begin(), subject.long_steps(kind), told)
         if told.early and not might:
             return failed(f"it returned early, though {_MIGHT} is false.")
@@ -272,11 +265,10 @@ def _asked_to_return(subject: Subject, kind: str) -> tuple[bool, str]:
 
     step = 10.0 * subject.step if subject.can(kind, "canHandleVariableCommunicationStepSize") else subject.step
     options = {"earlyReturnAllowed": True, "intermediateUpdate": ask}
-    with new_instance(subject, kind, options=options) as instance:
-        assert isinstance(instance, Instance3)
+    with CheckedInstance(subject, kind, options=options) as instance:
         instance.begin()
         begin = subject.start_time
-        _, early, reached = instance.answered_step(begin, step)
+        _, _, early, reached = instance.do_step(begin, step)
         near = _SAME * subject.step
         if not chances:
             return False, ""
@@ -284,11 +276,10 @@ def _asked_to_return(subject: Subject, kind: str) -> tuple[bool, str]:
             return True, f"it was asked at {chances[0]:.9g} s to return early, and went on to {reached:.9g} s"
         if early and not chances[0] - near <= reached < begin + step + near:
             return True, f"it was asked to return at {chances[0]:.9g} s, and says that it reached {reached:.9g} s"
-        instance.answered_step(reached, begin + step - reached if begin + step - reached > near else subject.step)
+        instance.do_step(reached, begin + step - reached if begin + step - reached > near else subject.step)
     return True, ""
 
 
-# Two times are the same if they differ by less than this share of a step.
 # Stairs in place of a line: how many, and how much nearer to the line they must be than the constant is. What a slope changes must be this share of a value.
 _STAIRS, _NEARER, _VISIBLE = 64, 0.1, 1e-7
 
@@ -304,7 +295,7 @@ def intermediate_update(subject: Subject, kind: str) -> Finding:
     steps = min(subject.steps(kind), 2 * HOLD)
     wrong: list[str] = []
     calls = [0, 0]  # all, those in which values may be got
-    reading: list[Instance] = []
+    reading: list[CheckedInstance] = []
     last = [-math.inf]
 
     def update(_environment: Any, time: float, _set: bool, may_get: bool, _finished: bool, may: bool, _early: Any, _when: Any) -> None:
@@ -330,10 +321,10 @@ def intermediate_update(subject: Subject, kind: str) -> Finding:
                     wrong.append(f"at t = {time:.6g} s a value is no finite number")
 
     watched: list[Variable] = [item for item in subject.outputs if item.is_float]
-    with new_instance(subject, kind) as instance:
+    with CheckedInstance(subject, kind) as instance:
         plain = _stepped(instance.begin(), steps, lambda: None)
     options = {"intermediateUpdate": update, "requiredIntermediateVariables": [item.reference for item in watched]}
-    with new_instance(subject, kind, options=options) as instance:
+    with CheckedInstance(subject, kind, options=options) as instance:
         reading.append(instance)
         rows = _stepped(instance.begin(), steps, lambda: wrong and _stop(wrong[0]))
     if not calls[0]:
@@ -350,7 +341,7 @@ def _stop(sentence: str) -> None:
     raise Misbehaviour(sentence)
 
 
-def _stepped(instance: Instance, steps: int, after: Callable[[], object]) -> np.ndarray:
+def _stepped(instance: CheckedInstance, steps: int, after: Callable[[], object]) -> np.ndarray:
     subject = instance.subject
     rows = [instance.observe()]
     for step in range(steps):
@@ -375,7 +366,7 @@ def input_derivatives(subject: Subject, kind: str) -> Finding:
     slope = (last - first) / length
 
     def end(stairs: int, slopes: np.ndarray | None, climb: np.ndarray = slope) -> np.ndarray:
-        with new_instance(subject, kind) as instance:
+        with CheckedInstance(subject, kind) as instance:
             instance.begin()
             for stair in range(stairs):
                 at = first if slopes is not None else first + climb * length * (stair + 0.5) / stairs

@@ -18,10 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
-from validate.fmu_check.instance import Instance, new_instance
 from validate.fmu_check.motion import Record, run
 from validate.fmu_check.result import Finding, Scope, check, failed, listed, not_offered, passed
-from validate.fmu_check.subject import Subject, Variable
+from validate.fmu_check.subject import CheckedInstance, Subject, Variable
 
 # Steps: from this share of the variable's size, each a quarter of the one before.
 _LARGEST, _COUNT = 1e-2, 9
@@ -98,7 +97,7 @@ class Point:
     """An instance at a point: `evaluate` maps the knowns (their entries in order) to the unknowns, and leaves the instance at the point after back()."""
 
     where: str
-    instance: Instance
+    instance: CheckedInstance
     knowns: list[Variable]
     unknowns: list[Variable]
     x: np.ndarray
@@ -152,7 +151,7 @@ def points(subject: Subject, kind: str) -> Iterator[Point]:
         return
     count = sum(item.size for item in states)
     places = _places(subject, kind, steps)
-    with new_instance(subject, kind) as instance:
+    with CheckedInstance(subject, kind) as instance:
         instance.begin()
         for before, place in itertools.pairwise([0, *places]):
             if place > before:
@@ -168,7 +167,7 @@ def _places(subject: Subject, kind: str, steps: int) -> list[int]:
     places = {int(share * steps) for share in SHARES}
     if kind == "ME":
         record = Record()
-        with new_instance(subject, kind, "events") as instance:
+        with CheckedInstance(subject, kind, "events") as instance:
             run(instance.begin(), 0, steps, observe="end", record=record)
         ends = [math.ceil((time - subject.start_time) / subject.step) for time, crossed, _ in record.events if crossed]
         # Where events crowd, a run that starts afresh at each point could not follow.
@@ -190,11 +189,11 @@ def initial_point(subject: Subject, kind: str) -> Point | None:
     ]
     if not knowns or not unknowns:
         return None
-    instance = new_instance(subject, kind, "initial")
-    instance.setup(subject.start_time, None)
+    instance = CheckedInstance(subject, kind, "initial")
+    instance.setup()
     # A little off the starts, where symmetric models have kinks and zeros.
     instance.set_all(subject.varied_parameters())
-    instance.enter_initialisation(subject.start_time, None)
+    instance.enter_initialisation()
     point = Point("in Initialization Mode", instance, knowns, unknowns, instance.get(knowns), subject.start_time, 0)
     try:
         point.back()
@@ -253,7 +252,7 @@ def _claimed(point: Point, place: int) -> np.ndarray:
     known, within = _locate(point.knowns, place)
     seed = np.zeros(known.size)
     seed[within] = 1.0
-    return point.instance.directional(point.unknowns, [known], list(seed))
+    return point.instance.directional(point.unknowns, known, list(seed))
 
 
 def _locate(knowns: list[Variable], place: int) -> tuple[Variable, int]:

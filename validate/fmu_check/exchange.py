@@ -13,11 +13,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from fmpy.fmi1 import FMICallException
 
-from validate.fmu_check.instance import Instance, Misbehaviour, new_instance
+from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.motion import Crowded, Exchange, run
 from validate.fmu_check.result import Finding, Scope, check, failed, not_offered, passed
-from validate.fmu_check.subject import HOLD, Subject, Variable
+from validate.fmu_check.subject import HOLD, CheckedInstance, Subject, Variable
 
 # Values read in two ways are the same number.
 _SAME = 1e-12
@@ -38,7 +39,7 @@ def arrays(subject: Subject, kind: str) -> Finding:
     if not count:
         return not_offered("there are no continuous states.")
     worst: list[str] = []
-    with new_instance(subject, kind) as instance:
+    with CheckedInstance(subject, kind) as instance:
         instance.begin()
         if subject.major >= 3 and (told := instance.fmu.getNumberOfContinuousStates()) != count:
             return failed(f"the binary says {told} continuous states, the description lists {count}.")
@@ -60,7 +61,7 @@ def arrays(subject: Subject, kind: str) -> Finding:
     return passed(f"{count} states and {count} derivatives, by array and by variable, at {steps + 1} times: equal.")
 
 
-def _unequal(instance: Instance, what: str, variables: list[Variable], values: np.ndarray, time: float) -> list[str]:
+def _unequal(instance: CheckedInstance, what: str, variables: list[Variable], values: np.ndarray, time: float) -> list[str]:
     read = instance.get(variables)
     for place in np.flatnonzero(~np.isclose(read, values, rtol=_SAME, atol=0.0, equal_nan=True)):
         name = [item.name for item in variables for _ in range(item.size)][place]
@@ -73,7 +74,7 @@ def nominals(subject: Subject, kind: str) -> Finding:
     count = int(subject.description.numberOfContinuousStates)
     if not count:
         return not_offered("there are no continuous states.")
-    with new_instance(subject, kind) as instance:
+    with CheckedInstance(subject, kind) as instance:
         values = instance.begin().nominals()
     if not (np.isfinite(values) & (values > 0.0)).all():
         return failed(f"a nominal is {values[~(np.isfinite(values) & (values > 0.0))][0]:g}; it must be positive.")
@@ -91,7 +92,7 @@ def nominals(subject: Subject, kind: str) -> Finding:
     Scope.EXCHANGE,
 )
 def indicators(subject: Subject, kind: str) -> Finding:
-    with new_instance(subject, kind) as instance:
+    with CheckedInstance(subject, kind) as instance:
         instance.begin()
         count = instance.indicator_count
         if subject.major >= 3:
@@ -219,7 +220,7 @@ def _running(rows: np.ndarray) -> np.ndarray:
     return np.maximum.accumulate(np.where(np.isfinite(rows), rows, np.inf), axis=0)
 
 
-def _start(instance: Instance, subject: Subject) -> None:
+def _start(instance: CheckedInstance, subject: Subject) -> None:
     instance.begin(during=_inputs(subject, 0))
 
 
@@ -238,7 +239,7 @@ def _exchange(subject: Subject, compared: list[Variable], steps: int, rtol: floa
 
 
 def _integrate(subject: Subject, compared: list[Variable], steps: int, rtol: float, method: str) -> tuple[np.ndarray, int]:
-    with new_instance(subject, "ME", "reference") as instance:
+    with CheckedInstance(subject, "ME", "reference") as instance:
         _start(instance, subject)
         mover = Exchange(instance, rtol, method)
         mover.renew(subject.start_time)
@@ -256,7 +257,7 @@ def _integrate(subject: Subject, compared: list[Variable], steps: int, rtol: flo
 
 def _cosimulation(subject: Subject, compared: list[Variable], steps: int, parts: int) -> tuple[np.ndarray, int]:
     """Values after each step, and in how many of its parts (at most, over all steps) they moved."""
-    with new_instance(subject, "CS", f"parts {parts}") as instance:
+    with CheckedInstance(subject, "CS", f"parts {parts}") as instance:
         _start(instance, subject)
         rows = [instance.get(compared)]
         length = subject.step / parts
@@ -277,10 +278,8 @@ def _cosimulation(subject: Subject, compared: list[Variable], steps: int, parts:
 
 def _euler(subject: Subject, compared: list[Variable], steps: int, parts: int) -> np.ndarray | None:
     """Explicit Euler with a part of the communication step, events looked for at its ends; None if it diverges into errors."""
-    from fmpy.fmi1 import FMICallException
-
     length = subject.step / parts
-    with new_instance(subject, "ME", "euler") as instance:
+    with CheckedInstance(subject, "ME", "euler") as instance:
         _start(instance, subject)
         rows = [instance.get(compared)]
         for step in range(steps):

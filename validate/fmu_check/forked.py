@@ -1,6 +1,6 @@
 """A check in a fork of this process, which never loads an FMU itself: libraries are imported once, and each check has a fresh process.
 
-The answer is a file written last and whole; what the FMU prints, and how the process exits, cannot pass for one.
+The answer is a file written last and whole; what the FMU prints, and how the process exits, cannot pass for one. A Fault is raised here as it was there.
 """
 
 from __future__ import annotations
@@ -13,27 +13,25 @@ import select
 import signal
 import tempfile
 import time
+import traceback
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from fmpy.fmi1 import FMICallException
+
 from validate.execution.process import exit_in_words
+from validate.fmi.instance import Lacking, Misbehaviour, TerminationRequested
 
 # Pause between two looks where the system cannot tell us the end of a process [s].
 _LOOK = 0.005
 
 
-@dataclass(frozen=True)
-class Answer:
-    """value: what the function gave (as JSON holds it), if it came to its end; else the end in words: `it crashed with ...`."""
+def in_fork(function: Callable[[], Any], seconds: float, *, own_group: bool = False) -> Any:
+    """What function() gives in a fork, as JSON holds it. own_group: a process group of its own, ended as a whole at the time limit.
 
-    value: Any
-    problem: str
-
-
-def in_fork(function: Callable[[], Any], seconds: float, *, own_group: bool = False) -> Answer:
-    """Call function() in a fork. own_group: a process group of its own, ended as a whole at the time limit."""
+    Raises TerminationRequested and Lacking as the function did; Misbehaviour for its own, for a call that was refused, and for a process that crashed or hung.
+    """
     descriptor, name = tempfile.mkstemp(prefix="answer-")
     os.close(descriptor)
     path = Path(name)
@@ -44,10 +42,16 @@ def in_fork(function: Callable[[], Any], seconds: float, *, own_group: bool = Fa
     try:
         answer = json.loads(path.read_text(encoding="utf-8"))
     except ValueError:
-        return Answer(None, problem or "its process ended without a result (exit code 0)")
+        raise Misbehaviour(problem or "its process ended without a result (exit code 0)") from None
     finally:
         path.unlink(missing_ok=True)
-    return Answer(answer.get("value"), answer.get("problem", ""))
+    if "ended" in answer:
+        raise TerminationRequested(answer["ended"])
+    if "lacking" in answer:
+        raise Lacking(answer["lacking"])
+    if "problem" in answer:
+        raise Misbehaviour(answer["problem"])
+    return answer["value"]
 
 
 def _answer(function: Callable[[], Any], path: Path, own_group: bool) -> None:
@@ -60,6 +64,14 @@ def _answer(function: Callable[[], Any], path: Path, own_group: bool) -> None:
         gc.freeze()  # what was there before the fork is no garbage of the check, and need not be looked through
         try:
             answer = {"value": function()}
+        except TerminationRequested as end:
+            answer = {"ended": end.time}
+        except Lacking as lack:
+            answer = {"lacking": str(lack)}
+        except Misbehaviour as fault:
+            answer = {"problem": str(fault)}
+        except FMICallException as error:
+            answer = {"problem": f"a call that must be possible is refused ({str(error).rstrip('.')})"}
         except MemoryError:
             answer = {"problem": "it was ended at its memory limit"}
         if os.getpid() == first:  # an FMU may fork within a call: only the first process answers
@@ -68,8 +80,6 @@ def _answer(function: Callable[[], Any], path: Path, own_group: bool) -> None:
             os.replace(aside, path)
         code = 0
     except BaseException:  # noqa: BLE001 - it goes to the output; without an answer the parent knows enough
-        import traceback
-
         traceback.print_exc()
     finally:
         os._exit(code)

@@ -1,8 +1,8 @@
-"""Runs the checks of one FMU, each in a fork of its own; itself called in an isolated child (validate.execution.isolated).
+"""check_fmu(): the file is let in, unpacked, and checked by the table of checks in an isolated child (validate.execution.isolated).
 
-run_checks({"path": ..., "folder": ..., "names": [...] or None, "seconds": 60}, {}) -> rows, as JSON holds them
+    run_checks({"path": ..., "folder": ..., "names": [...] or None, "seconds": 60}, {}) -> rows, as JSON holds them
 
-check_fmu(): the file is let in, unpacked, and checked in an isolated child.
+is what the child runs: each check in a fork of its own.
 """
 
 from __future__ import annotations
@@ -10,29 +10,63 @@ from __future__ import annotations
 import importlib
 import math
 import time
-import zipfile
+import traceback
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import fmpy
+from fmpy.fmi1 import FMICallException
+
 from models.errors import MachineError, UnknownNameError
 from validate.execution.isolated import Ending, Limits, run_isolated
-from validate.fmi.intake import IntakeError, Problem, problems
-from validate.fmu_check.archive import ARCHIVE_CHECKS, archive, library_path
-from validate.fmu_check.catalog import BEHAVIOUR, FIRST, NAMES, READING, STATIC
+from validate.fmi.archive import IntakeError, examine, unpack
+from validate.fmi.instance import Fault, Lacking, Misbehaviour, TerminationRequested
+from validate.fmu_check import communication, derivatives, exchange, files, states, values
 from validate.fmu_check.forked import in_fork
-from validate.fmu_check.instance import Ended, Lacking, Misbehaviour
 from validate.fmu_check.result import Check, CheckReport, Row, Scope, Status
 from validate.fmu_check.subject import Subject
 from validate.store.disk import temporary_folder
 
+# All checks, in the order of the table.
+# Of the file alone; the others need its description, and most of them run its code.
+STATIC: tuple[Check, ...] = (files.archive, files.valid)
+# If this one fails for a type, those after it are not run.
+FIRST = communication.lives
+READING: tuple[Check, ...] = (files.consistent, files.exports)
+BEHAVIOUR: tuple[Check, ...] = (
+    FIRST,
+    values.readable,
+    values.starts,
+    values.obeyed,
+    values.finite,
+    values.get_order,
+    communication.keeps_time,
+    communication.stop_time,
+    communication.event_mode,
+    communication.early_return,
+    communication.intermediate_update,
+    communication.input_derivatives,
+    states.repeats,
+    states.resets,
+    states.independent,
+    states.leaks,
+    states.restores,
+    states.serialises,
+    exchange.arrays,
+    exchange.nominals,
+    exchange.indicators,
+    derivatives.directional,
+    derivatives.adjoint,
+    derivatives.dependencies,
+    exchange.agree,
+)
+NAMES = tuple(item.name for item in (*STATIC, *READING, *BEHAVIOUR))
 _TYPES = {Scope.FILE: ("",), Scope.EACH: ("ME", "CS"), Scope.EXCHANGE: ("ME",), Scope.COSIMULATION: ("CS",)}
 
 
 def run_checks(request: dict[str, Any], _arrays: dict[str, Any]) -> dict[str, Any]:
     """See the module docstring."""
-    import fmpy
-
     if request["names"] is None:
         importlib.import_module("sksundae.cvode")  # 0.9 s, once, before anything is forked
     table = _Table(request)
@@ -69,7 +103,7 @@ class _Table:
             self.add(item, kind, (subject, kind) if kind else (subject,))
             return
         needed = (kind,) if kind else subject.types
-        missing = [name for name in needed if not library_path(subject, name).is_file()]
+        missing = [name for name in needed if not files.library_path(subject, name).is_file()]
         broken = [name for name in needed if name in self._broken]
         if missing:
             self.skip(item, kind, "there is no binary for this machine.")
@@ -88,21 +122,26 @@ class _Table:
         if not self._wanted(item):
             return None
         began = time.monotonic()
-        answer = in_fork(lambda: _call(item, arguments), self._seconds, own_group=True)
-        while not answer.problem and answer.value["ended"] is not None:
-            if not _shorten(arguments[0], kind, answer.value["ended"]):
-                sentence = f"it asks for the end of the simulation at t = {answer.value['ended']:.6g} s, which leaves nothing to check."
-                self._row(item, kind, Status.FAILED if item is FIRST else Status.NOT_OFFERED, sentence, began)
-                return None
-            answer = in_fork(lambda: _call(item, arguments), self._seconds, own_group=True)
-        if answer.problem and item in STATIC:  # none of the FMU's code ran: a large description takes FMPy's validation minutes
-            self._row(item, kind, Status.NOT_OFFERED, f"it was not found out within {self._seconds:g} s: {answer.problem}.", began)
-            return None
-        if answer.problem:
-            self._row(item, kind, Status.FAILED, f"{answer.problem}.", began)
-            return None
-        self._row(item, kind, Status[answer.value["status"]], answer.value["sentence"], began)
-        return answer.value["pace"]
+        status, sentence, pace = self._found(item, kind, arguments)
+        self._row(item, kind, status, sentence, began)
+        return pace
+
+    def _found(self, item: Check, kind: str, arguments: tuple[Any, ...]) -> tuple[Status, str, float | None]:
+        """What the check finds, or what kept it from that; shorter once more where the FMU ends the simulation."""
+        while True:
+            try:
+                status, sentence, pace = in_fork(lambda: _call(item, arguments), self._seconds, own_group=True)
+                return Status[status], sentence, pace
+            except TerminationRequested as end:
+                if not _shorten(arguments[0], kind, end.time):
+                    sentence = f"it asks for the end of the simulation at t = {end.time:.6g} s, which leaves nothing to check."
+                    return Status.FAILED if item is FIRST else Status.NOT_OFFERED, sentence, None
+            except Lacking as lack:
+                return Status.NOT_OFFERED, f"{lack}.", None
+            except Misbehaviour as fault:
+                if item in STATIC:  # none of the FMU's code ran: a large description takes FMPy's validation minutes
+                    return Status.NOT_OFFERED, f"it was not found out within {self._seconds:g} s: {fault}.", None
+                return Status.FAILED, f"{fault}.", None
 
     def skip(self, item: Check, kind: str, sentence: str) -> None:
         if self._wanted(item):
@@ -126,26 +165,17 @@ def _shorten(subject: Subject, kind: str, end: float) -> bool:
     return earlier and all(subject.before_end(name, 1) for name in subject.ends)
 
 
-def _call(item: Check, arguments: tuple[Any, ...]) -> dict[str, Any]:
-    """In the fork: the finding as JSON. What an FMU refuses is a finding, too."""
-    from fmpy.fmi1 import FMICallException
-
+def _call(item: Check, arguments: tuple[Any, ...]) -> tuple[str, str, float | None]:
+    """In the fork: the finding - status, sentence, pace - as JSON holds it."""
     try:
         finding = item(*arguments)
-    except Lacking as lack:
-        return {"status": Status.NOT_OFFERED.name, "sentence": f"{lack}.", "pace": None, "ended": None}
-    except Ended as end:
-        return {"status": "", "sentence": "", "pace": None, "ended": end.time}
-    except (Misbehaviour, FMICallException) as fault:
-        text = str(fault) if isinstance(fault, Misbehaviour) else f"a call that must be possible is refused ({str(fault).rstrip('.')})"
-        return {"status": Status.FAILED.name, "sentence": f"{text}.", "pace": None, "ended": None}
+    except (Fault, FMICallException, MemoryError):
+        raise
     except Exception as error:  # noqa: BLE001 - our own mistake must not pass for the FMU's
-        import traceback
-
         traceback.print_exc()
         text = f"this check itself broke off ({type(error).__name__}: {error}); please report it with the FMU."
-        return {"status": Status.FAILED.name, "sentence": text, "pace": None, "ended": None}
-    return {"status": finding.status.name, "sentence": finding.sentence, "pace": finding.pace, "ended": None}
+        return Status.FAILED.name, text, None
+    return finding.status.name, finding.sentence, finding.pace
 
 
 # Seconds of one check, and bytes of memory of each.
@@ -161,30 +191,14 @@ def check_fmu(path: Path, *, names: Sequence[str] | None = None, seconds: float 
     for name in names or ():
         if name not in NAMES:
             raise UnknownNameError(f"there is no check {name!r}; there are: {', '.join(NAMES)}.")
-    found = problems(path)
-    for problem in found:
-        if problem.check not in (*ARCHIVE_CHECKS, "binary"):
-            raise IntakeError(problem)
-    if any(problem.check in ARCHIVE_CHECKS for problem in found):
-        finding = archive(path)
-        reason = "the archive is not unpacked: it is unsafe."
-        rows = [Row(name=archive.name, type="", claim=archive.claim, status=finding.status, sentence=finding.sentence, seconds=0.0)]
-        rows += [Row(name=name, type="", claim="", status=Status.NOT_OFFERED, sentence=reason, seconds=0.0) for name in NAMES[1:]]
-        return CheckReport(path=str(path), version="", types=(), rows=tuple(rows))
-    return _unpacked(path, names, seconds, unrunnable=any(problem.check == "binary" for problem in found))
-
-
-def _unpacked(path: Path, names: Sequence[str] | None, seconds: float, unrunnable: bool) -> CheckReport:
+    try:
+        intake = examine(path, but_for="binary")
+    except IntakeError as error:
+        if error.check not in files.ARCHIVE_CHECKS:
+            raise
+        return _unsafe(path)
     with temporary_folder("touchstone-check-") as folder:
-        try:
-            with zipfile.ZipFile(path) as packed:
-                packed.extractall(folder)
-        except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError) as error:
-            raise IntakeError(Problem("zip", f"FMU {path}: it cannot be unpacked ({error}); it is damaged.")) from error
-        except OSError as error:
-            raise MachineError(
-                f"FMU {path}: it cannot be unpacked to {folder} ({error.strerror or error}); make room there, or set TMPDIR."
-            ) from error
+        unpack(intake, folder)
         request = {"path": str(path.resolve()), "folder": str(folder), "names": None if names is None else list(names), "seconds": seconds}
         limits = Limits(seconds=60.0 + 2 * len(NAMES) * seconds, memory=_MEMORY)
         done = run_isolated("validate.fmu_check.host:run_checks", request, limits=limits, what=f"the check of {path}")
@@ -200,5 +214,14 @@ def _unpacked(path: Path, names: Sequence[str] | None, seconds: float, unrunnabl
         version=done.value["version"],
         types=tuple(done.value["types"]),
         rows=rows,
-        unrunnable=unrunnable or done.value["lacking"],
+        unrunnable=not intake.kinds or done.value["lacking"],
     )
+
+
+def _unsafe(path: Path) -> CheckReport:
+    """Of a file that is not unpacked."""
+    finding, first = files.archive(path), files.archive
+    rows = [Row(name=first.name, type="", claim=first.claim, status=finding.status, sentence=finding.sentence, seconds=0.0)]
+    reason = "the archive is not unpacked: it is unsafe."
+    rows += [Row(name=name, type="", claim="", status=Status.NOT_OFFERED, sentence=reason, seconds=0.0) for name in NAMES[1:]]
+    return CheckReport(path=str(path), version="", types=(), rows=tuple(rows))

@@ -1,8 +1,6 @@
-"""Runs of an instance: communication steps of Co-Simulation, and CVODE with event location over Model Exchange.
+"""Runs of an instance, and how far two of them are apart: communication steps of Co-Simulation, and CVODE with event location over Model Exchange.
 
 A run is a pure function of the instance's state, the steps and the inputs: two runs from equal states must give equal bits.
-
-How far two runs are apart, and which variable shows it.
 """
 
 from __future__ import annotations
@@ -14,8 +12,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from validate.fmu_check.instance import Instance, Misbehaviour
-from validate.fmu_check.subject import HOLD, Subject
+from validate.fmi.instance import Misbehaviour
+from validate.fmu_check.subject import HOLD, CheckedInstance, Subject
 
 # Runs that should be equal may differ by this share of a variable's size where an FMU's own integrator starts afresh.
 _RESTART = 1e-6
@@ -87,7 +85,7 @@ class Crowded(Exception):  # noqa: N818 - ends a run
 
 
 def run(
-    instance: Instance,
+    instance: CheckedInstance,
     first: int,
     last: int,
     *,
@@ -130,7 +128,7 @@ def run(
 class Exchange:
     """CVODE over an instance in Continuous-Time Mode."""
 
-    def __init__(self, instance: Instance, rtol: float, method: str = "BDF", max_step: float = 0.0) -> None:
+    def __init__(self, instance: CheckedInstance, rtol: float, method: str = "BDF", max_step: float = 0.0) -> None:
         self.instance, self.rtol, self.method, self.max_step = instance, rtol, method, max_step
         self.record = Record()
         self.problem: Exception | None = None

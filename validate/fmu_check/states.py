@@ -1,7 +1,5 @@
-"""Saved states: setting one restores everything, and a serialised one continues in another process.
-
-Instances: runs repeat, reset forgets everything, instances do not know each other, and what is freed is given back.
-"""
+"""What an instance remembers: a saved state restores everything, serialised in another process too; runs repeat, reset forgets everything, instances do
+not know each other, and what is freed is given back."""
 
 from __future__ import annotations
 
@@ -15,12 +13,13 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from fmpy.fmi1 import FMICallException
 
-from validate.fmu_check.forked import Answer, in_fork
-from validate.fmu_check.instance import Ended, Instance, Misbehaviour, new_instance
+from validate.fmi.instance import Misbehaviour
+from validate.fmu_check.forked import in_fork
 from validate.fmu_check.motion import compare, restart_limit, run
 from validate.fmu_check.result import Finding, Scope, check, failed, not_offered, passed
-from validate.fmu_check.subject import Subject
+from validate.fmu_check.subject import CheckedInstance, Subject
 
 # Where in a run states are saved.
 _SHARES = (0.0, 0.3, 0.7)
@@ -50,7 +49,7 @@ def restores(subject: Subject, kind: str) -> Finding:
     worst, limit = 0.0, restart_limit(subject)
     places = sorted({int(share * (steps - length)) for share in _SHARES})
     for place in places:
-        with new_instance(subject, kind) as instance:
+        with CheckedInstance(subject, kind) as instance:
             begin_varied(instance)
             if place:
                 run(instance, 0, place)
@@ -86,7 +85,7 @@ def _restart_error(subject: Subject, kind: str, first: int, length: int) -> floa
     """
     shares = []
     for tolerance in (None, _TIGHT) if kind == "CS" else ():
-        with new_instance(subject, kind, f"tolerance {tolerance}") as instance:
+        with CheckedInstance(subject, kind, f"tolerance {tolerance}") as instance:
             instance.tolerance = tolerance
             begin_varied(instance)
             if first:
@@ -99,20 +98,18 @@ def _restart_error(subject: Subject, kind: str, first: int, length: int) -> floa
     return _SAFETY * shares[0] if shares and shares[1] <= _SHRUNK * shares[0] else 0.0
 
 
-def at_time(instance: Instance, step: int) -> None:
+def at_time(instance: CheckedInstance, step: int) -> None:
     """Tell a Model Exchange FMU the time again: it is given from outside, and need not be part of a saved state."""
     if instance.kind == "ME":
         instance.set_time(instance.subject.time(step))
 
 
-def begin_varied(instance: Instance) -> None:
+def begin_varied(instance: CheckedInstance) -> None:
     """Begin with other parameters than a fresh instance has, so that a forgotten one shows; with its own if it refuses those."""
-    from fmpy.fmi1 import FMICallException
-
     try:
         instance.begin(before=instance.subject.varied_parameters())
     except FMICallException:
-        instance.reset()
+        instance.fmu.reset()
         instance.begin()
 
 
@@ -124,21 +121,21 @@ def serialises(subject: Subject, kind: str) -> Finding:
     place, length = steps // 2, max(2, steps // 4)
 
     def first() -> dict[str, Any]:
-        with new_instance(subject, kind) as instance:
+        with CheckedInstance(subject, kind) as instance:
             begin_varied(instance)
             run(instance, 0, place)
             saved, next_event = instance.save(), instance.next_event
-            data = instance.serialise(saved)
-            again = instance.serialise(saved)
+            data = instance.fmu.serializeFMUState(saved)
+            again = instance.fmu.serializeFMUState(saved)
             rows = run(instance, place, place + length)
         return {"data": data.hex(), "same": data == again, "rows": rows.tolist(), "next": next_event}
 
     def second(data: bytes, next_event: float) -> list[list[float]]:
         junk = mmap.mmap(-1, _SHIFT)
-        others = [new_instance(subject, kind, f"other {number}") for number in range(3)]
-        with new_instance(subject, kind) as instance:
+        others = [CheckedInstance(subject, kind, f"other {number}") for number in range(3)]
+        with CheckedInstance(subject, kind) as instance:
             instance.begin()
-            saved = instance.deserialise(data)
+            saved = instance.fmu.deserializeFMUState(data)
             instance.restore(saved)
             at_time(instance, place)
             instance.next_event = next_event
@@ -148,16 +145,15 @@ def serialises(subject: Subject, kind: str) -> Finding:
         junk.close()
         return rows
 
-    wrote = in_fork(lambda: _caught(first), _HALF_SECONDS)
-    _end_as(wrote)
-    if wrote.problem or "problem" in wrote.value:
-        return failed(f"while a state was serialised: {(wrote.problem or wrote.value['problem']).rstrip('.')}.")
-    found = wrote.value["value"]
-    read = in_fork(lambda: _caught(lambda: second(bytes.fromhex(found["data"]), found["next"])), _HALF_SECONDS)
-    _end_as(read)
-    if read.problem or "problem" in read.value:
-        return failed(f"in a new process: {(read.problem or read.value['problem']).rstrip('.')}.")
-    reference, rows = np.array(found["rows"]), np.array(read.value["value"])
+    try:
+        found = in_fork(first, _HALF_SECONDS)
+    except Misbehaviour as fault:
+        return failed(f"while a state was serialised: {fault}.")
+    try:
+        read = in_fork(lambda: second(bytes.fromhex(found["data"]), found["next"]), _HALF_SECONDS)
+    except Misbehaviour as fault:
+        return failed(f"in a new process: {fault}.")
+    reference, rows = np.array(found["rows"]), np.array(read)
     apart = compare(subject, reference, rows)
     if apart.share > restart_limit(subject) and apart.share > _restart_error(subject, kind, place, length):
         return failed(f"continued in a new process from the serialised state, {apart.where(subject, place)}.")
@@ -165,24 +161,6 @@ def serialises(subject: Subject, kind: str) -> Finding:
         return failed("one state serialised twice gives different bytes.")
     told = "equal bits" if apart.equal else f"equal to {apart.share:.1g} of their size (its integrator starts afresh)"
     return passed(f"{len(found['data']) // 2} bytes saved at t = {subject.time(place):.6g} s, continued for {length} steps: {told}.")
-
-
-def _end_as(answer: Answer) -> None:
-    """Raise Ended if the FMU ended the run in the fork."""
-    if not answer.problem and "ended" in answer.value:
-        raise Ended(answer.value["ended"])
-
-
-def _caught(function: Any) -> dict[str, Any]:
-    """What it gives, or what the FMU refused, or when it ended, as JSON."""
-    from fmpy.fmi1 import FMICallException
-
-    try:
-        return {"value": function()}
-    except Ended as end:
-        return {"ended": end.time}
-    except (Misbehaviour, FMICallException) as error:
-        return {"problem": str(error)}
 
 
 # Steps of instances that are stepped in turn.
@@ -199,7 +177,7 @@ def repeats(subject: Subject, kind: str) -> Finding:
     steps = subject.steps(kind)
     runs = []
     for name in ("first", "second"):
-        with new_instance(subject, kind, name) as instance:
+        with CheckedInstance(subject, kind, name) as instance:
             runs.append(run(instance.begin(), 0, steps))
     apart = compare(subject, *runs)
     if not apart.equal:
@@ -210,19 +188,19 @@ def repeats(subject: Subject, kind: str) -> Finding:
 @check("reset equals a fresh instance", "after a run with other parameters and inputs, reset forgets all of it", Scope.EACH)
 def resets(subject: Subject, kind: str) -> Finding:
     steps = subject.steps(kind)
-    with new_instance(subject, kind, "fresh") as instance:
+    with CheckedInstance(subject, kind, "fresh") as instance:
         reference = run(instance.begin(), 0, steps)
-    with new_instance(subject, kind, "reset") as instance:
+    with CheckedInstance(subject, kind, "reset") as instance:
         for terminated in (True, False):
             begin_varied(instance)
             run(instance, 0, steps // 2, seed=1, observe="end")
             if terminated:
                 instance.fmu.terminate()
-            instance.reset()
+            instance.fmu.reset()
             apart = compare(subject, reference, run(instance.begin(), 0, steps))
             if not apart.equal:
                 return failed(f"after reset{' from a terminated run' if terminated else ''}, {apart.where(subject)}.")
-            instance.reset()
+            instance.fmu.reset()
     return passed(f"reset after and without terminate, then {len(reference) - 1} steps each: equal bits.")
 
 
@@ -233,10 +211,10 @@ def independent(subject: Subject, kind: str) -> Finding:
     steps = min(subject.steps(kind), _IN_TURN)
     alone = []
     for seed in (0, 1):
-        with new_instance(subject, kind, f"alone {seed}") as instance:
+        with CheckedInstance(subject, kind, f"alone {seed}") as instance:
             _begin_as(instance, seed)
             alone.append(np.array(list(_stepwise(instance, steps, seed))))
-    pair: list[Instance] = [new_instance(subject, kind, f"pair {seed}") for seed in (0, 1)]
+    pair: list[CheckedInstance] = [CheckedInstance(subject, kind, f"pair {seed}") for seed in (0, 1)]
     for seed, instance in enumerate(pair):
         _begin_as(instance, seed)
     together = [_stepwise(instance, steps, seed) for seed, instance in enumerate(pair)]
@@ -250,14 +228,14 @@ def independent(subject: Subject, kind: str) -> Finding:
     return passed(f"{steps} steps each in turn, with different parameters and inputs: equal bits.")
 
 
-def _begin_as(instance: Instance, seed: int) -> None:
+def _begin_as(instance: CheckedInstance, seed: int) -> None:
     if seed:
         begin_varied(instance)
     else:
         instance.begin()
 
 
-def _stepwise(instance: Instance, steps: int, seed: int):
+def _stepwise(instance: CheckedInstance, steps: int, seed: int):
     """The values after each step, one at a time."""
     for step in range(steps):
         yield run(instance, step, step + 1, seed=seed, observe="end")[0]
@@ -269,7 +247,7 @@ def _stepwise(instance: Instance, steps: int, seed: int):
     Scope.EACH,
 )
 def leaks(subject: Subject, kind: str) -> Finding:
-    instance = new_instance(subject, kind)
+    instance = CheckedInstance(subject, kind)
     saves = can_save(subject, kind)
 
     made = 1
@@ -278,7 +256,7 @@ def leaks(subject: Subject, kind: str) -> Finding:
         nonlocal made
         if not instance.fmu.component:
             try:
-                instance.again()
+                instance.instantiate()
             except Misbehaviour as error:
                 raise Misbehaviour(f"{error}, after {made} others were freed") from error
         instance.begin()

@@ -1,18 +1,21 @@
-"""The FMU under check: its description, and what follows from it for all checks - variables, times, inputs, what may be varied.
+"""The FMU under check: its description, what follows from it for all checks - variables, times, inputs, what may be varied -, and an instance of it.
 
-Nothing of the FMU's code is loaded here.
+A Subject loads nothing of the FMU's code, a CheckedInstance does.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
+
+from validate.fmi.archive import DESCRIPTION, interfaces
+from validate.fmi.instance import Instance
 
 _FLOATS = ("Real", "Float64", "Float32")
 _WHOLE = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Enumeration")
@@ -90,13 +93,11 @@ class Subject:
 
     def can(self, kind: str, ability: str) -> bool:
         """Whether the description claims an ability, by its name in this version of FMI (FMPy does not read all of them)."""
-        return self._attributes[kind].get(ability) in ("true", "1")
+        return self._interfaces.get({"ME": "ModelExchange", "CS": "CoSimulation"}[kind], {}).get(ability) in ("true", "1")
 
     @cached_property
-    def _attributes(self) -> dict[str, dict[str, str]]:
-        root = ElementTree.parse(self.folder / "modelDescription.xml").getroot()
-        elements = {"ME": root.find("ModelExchange"), "CS": root.find("CoSimulation")}
-        return {kind: dict(element.attrib) if element is not None else {} for kind, element in elements.items()}
+    def _interfaces(self) -> dict[str, dict[str, str]]:
+        return interfaces((self.folder / DESCRIPTION).read_bytes())
 
     @cached_property
     def variables(self) -> tuple[Variable, ...]:
@@ -244,3 +245,100 @@ def _variable(item: Any) -> Variable | None:
 def _number(text: Any) -> float:
     words = {"true": 1.0, "false": 0.0}
     return words[str(text)] if str(text) in words else float(text)
+
+
+class CheckedInstance(Instance):
+    """One instance of `subject` of type "ME" or "CS", which knows the FMU's variables. After a failure it is left as it is: the process ends soon."""
+
+    def __init__(self, subject: Subject, kind: str, name: str = "check", options: Mapping[str, Any] | None = None) -> None:
+        """options: more arguments of FMPy's instantiate(). Raises Fault if the binary cannot be loaded or refuses."""
+        self.subject = subject
+        self.tolerance: float | None = None  # for the FMU's own integrator; None: what it likes
+        super().__init__(subject.description, subject.folder, kind, name, options)
+        self.time = subject.start_time
+
+    def __enter__(self) -> CheckedInstance:
+        return self
+
+    def __exit__(self, kind: type | None, *_: object) -> None:
+        if kind is None:
+            self.close()
+
+    def setup(self, stop: float | None = None) -> None:
+        """Before values are set."""
+        self.fmu.setup(self.subject.start_time, stop, self.tolerance)
+
+    def enter_initialisation(self, stop: float | None = None) -> None:
+        self.fmu.enter(self.subject.start_time, stop, self.tolerance)
+
+    def begin(
+        self,
+        before: Mapping[Variable, np.ndarray] | None = None,
+        during: Mapping[Variable, np.ndarray] | None = None,
+        stop: float | None = None,
+    ) -> CheckedInstance:
+        """Through initialisation, and to Continuous-Time Mode or the first step. before, during: values set before and in it."""
+        self.time = self.subject.start_time
+        self.setup(stop)
+        self.set_all(before or {})
+        self.enter_initialisation(stop)
+        self.set_all(during or {})
+        return self.finish_initialisation()
+
+    def finish_initialisation(self) -> CheckedInstance:
+        self.fmu.exitInitializationMode()
+        self.next_event = math.inf
+        if self.kind == "ME":
+            self.settle()
+        return self
+
+    def get(self, variables: Sequence[Variable]) -> np.ndarray:
+        """(sum of sizes,) the values in the order given; one call a type."""
+        if not variables:
+            return np.empty(0)
+        kinds = dict.fromkeys([item.type for item in variables])
+        if len(kinds) == 1:
+            references, size = [item.reference for item in variables], sum([item.size for item in variables])
+            return np.array(self.fmu.read(variables[0].type, references, size), dtype=float)
+        places = np.cumsum([0, *(item.size for item in variables)])
+        values = np.empty(places[-1])
+        for kind in kinds:
+            chosen = [index for index, item in enumerate(variables) if item.type == kind]
+            sizes = [variables[index].size for index in chosen]
+            read = self.fmu.read(kind, [variables[index].reference for index in chosen], sum(sizes))
+            at = 0
+            for index, size in zip(chosen, sizes, strict=True):
+                values[places[index] : places[index] + size] = read[at : at + size]
+                at += size
+        return values
+
+    def set(self, variables: Sequence[Variable], values: np.ndarray) -> None:
+        """values (sum of sizes,); one call a type."""
+        at = 0
+        groups: dict[str, tuple[list[int], list[float]]] = {}
+        for item in variables:
+            references, numbers = groups.setdefault(item.type, ([], []))
+            references.append(item.reference)
+            numbers.extend(float(value) for value in values[at : at + item.size])
+            at += item.size
+        for kind, (references, numbers) in groups.items():
+            self.fmu.write(kind, references, numbers)
+
+    def set_all(self, values: Mapping[Variable, np.ndarray]) -> None:
+        if values:
+            self.set(list(values), np.concatenate(list(values.values())))
+
+    def observe(self) -> np.ndarray:
+        return self.get(self.subject.observed)
+
+    def directional(self, unknowns: Sequence[Variable], known: Variable, seed: Sequence[float]) -> np.ndarray:
+        """(entries of the unknowns,) derivative in the direction `seed` (entries of the known,)."""
+        return np.array(self.fmu.directional(_references(unknowns), [known.reference], seed, sum(item.size for item in unknowns)))
+
+    def adjoint(self, unknowns: Sequence[Variable], knowns: Sequence[Variable], seed: Sequence[float]) -> np.ndarray:
+        """(entries of the knowns,) for `seed` (entries of the unknowns,). FMI 3.0."""
+        return np.array(self.fmu.adjoint(_references(unknowns), _references(knowns), seed, sum(item.size for item in knowns)))
+
+
+def _references(variables: Sequence[Variable]) -> list[int]:
+    return [item.reference for item in variables]

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
-from validate.fmu_check.instance import Instance, Misbehaviour, new_instance
+from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.motion import compare, run
 from validate.fmu_check.result import Finding, Scope, check, failed, listed, not_offered, passed
-from validate.fmu_check.subject import Subject, Variable
+from validate.fmu_check.subject import CheckedInstance, Subject, Variable
 
 # A start value may lose its last digits on its way through text.
 _TEXT = 1e-9
@@ -20,7 +20,7 @@ _MOVED = 0.01
 
 @check("variables can be read", "after initialisation each variable's value reference is accepted", Scope.EACH)
 def readable(subject: Subject, kind: str) -> Finding:
-    with new_instance(subject, kind) as instance:
+    with CheckedInstance(subject, kind) as instance:
         instance.begin()
         problems = []
         for item in subject.variables:
@@ -43,9 +43,9 @@ def starts(subject: Subject, kind: str) -> Finding:
     variables = _exact(subject)
     if not variables:
         return not_offered("no variable has a start value that counts.")
-    with new_instance(subject, kind) as instance:
-        instance.setup(subject.start_time, None)
-        instance.enter_initialisation(subject.start_time, None)
+    with CheckedInstance(subject, kind) as instance:
+        instance.setup()
+        instance.enter_initialisation()
         wrong = []
         for item in variables:
             value, start = instance.get([item]), item.start
@@ -78,7 +78,7 @@ def obeyed(subject: Subject, kind: str) -> Finding:
     moved = {item: value for item in _exact(subject) if (value := _moved(item)) is not None}
     if not moved:
         return not_offered("no start value can be moved.")
-    with new_instance(subject, kind, "default") as instance:
+    with CheckedInstance(subject, kind, "default") as instance:
         default = dict(zip(moved, _read(instance.begin(), list(moved)), strict=True))
     wrong, refused, tried = [], 0, 0
     for item, value, phase in ((item, value, phase) for item, value in moved.items() for phase in ("before", "in")):
@@ -89,10 +89,10 @@ def obeyed(subject: Subject, kind: str) -> Finding:
         with instance:
             given = {item: value}
             try:
-                instance.setup(subject.start_time, None)
+                instance.setup()
                 if phase == "before":
                     instance.set_all(given)
-                instance.enter_initialisation(subject.start_time, None)
+                instance.enter_initialisation()
                 if phase == "in":
                     instance.set_all(given)
                 inside = instance.get([item])
@@ -116,15 +116,15 @@ def obeyed(subject: Subject, kind: str) -> Finding:
     return passed(f"{tried // 2} start values were moved, each before and in initialisation.{more}")
 
 
-def _another(subject: Subject, kind: str) -> Instance | None:
+def _another(subject: Subject, kind: str) -> CheckedInstance | None:
     """A new instance after others were freed; None if the FMU gives no more: that is told by the check of freed instances."""
     try:
-        return new_instance(subject, kind)
+        return CheckedInstance(subject, kind)
     except Misbehaviour:
         return None
 
 
-def _read(instance: Instance, variables: list[Variable]) -> list[np.ndarray]:
+def _read(instance: CheckedInstance, variables: list[Variable]) -> list[np.ndarray]:
     return [instance.get([item]) for item in variables]
 
 
@@ -143,7 +143,7 @@ def _ignored(item: Variable, phase: str, value: np.ndarray, inside: np.ndarray, 
 @check("values stay finite", "no variable becomes infinite or not a number in a run with moderate inputs", Scope.EACH)
 def finite(subject: Subject, kind: str) -> Finding:
     steps = subject.long_steps(kind)
-    with new_instance(subject, kind) as instance:
+    with CheckedInstance(subject, kind) as instance:
         rows = run(instance.begin(), 0, steps)
     bad = np.argwhere(~np.isfinite(rows))
     if len(bad):
@@ -160,10 +160,10 @@ def get_order(subject: Subject, kind: str) -> Finding:
     steps = min(subject.steps(kind), 20)
     observed = subject.observed
     dice = np.random.default_rng(5)
-    with new_instance(subject, kind, "all") as instance:
+    with CheckedInstance(subject, kind, "all") as instance:
         reference = run(instance.begin(), 0, steps)
     other = []
-    with new_instance(subject, kind, "single") as instance:
+    with CheckedInstance(subject, kind, "single") as instance:
 
         def shuffled() -> None:
             values = np.empty(len(observed), dtype=object)
@@ -174,7 +174,7 @@ def get_order(subject: Subject, kind: str) -> Finding:
         instance.begin()
         shuffled()
         run(instance, 0, steps, after=lambda _: shuffled(), observe="end")
-    with new_instance(subject, kind, "last") as instance:
+    with CheckedInstance(subject, kind, "last") as instance:
         last = run(instance.begin(), 0, steps, observe="end")
     for rows, told in ((np.array(other), "read one by one in another order"), (last, "read only at the end")):
         apart = compare(subject, reference[-len(rows) :], rows)

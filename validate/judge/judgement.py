@@ -28,7 +28,7 @@ from validate.judge.score.verdict import Question, Verdict
 
 if TYPE_CHECKING:
     from models.scene import Scene
-    from validate.fmi.package import Package
+    from validate.fmi.description import Package
     from validate.judge.replay.run import Foreign
 
 

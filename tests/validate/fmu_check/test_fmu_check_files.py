@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from models.errors import UnknownNameError
-from validate.fmi.intake import IntakeError
+from validate.fmi.archive import IntakeError
 from validate.fmu_check import Status, check_fmu
-from validate.fmu_check.archive import NotElf, read_library
+from validate.fmu_check.files import NotElf, read_library
 
 _STATIC = ["archive", "description is valid", "exported functions"]
 

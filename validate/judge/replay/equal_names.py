@@ -12,7 +12,7 @@ from typing import Any
 
 from models.plan_table import PlanTable
 from models.scene.units import base_exponents
-from validate.fmi.package import REAL, Package
+from validate.fmi.description import REAL, Package
 from validate.judge.replay.map_schema import MapError, MapFile, composed
 
 # What each quantity may be in, but for a factor. Pure numbers and radians pass for any: an arm of 1 m is often left out.

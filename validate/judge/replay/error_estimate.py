@@ -27,7 +27,7 @@ from models.collocation import penetration_rates
 from models.scene import Scene
 from models.trajectory import Trajectory
 from validate.execution.isolated import Limits
-from validate.fmi.package import Package
+from validate.fmi.description import Package
 from validate.judge.replay.everyday import base_step
 from validate.judge.replay.job import Settings, run_job
 from validate.judge.replay.result import Difference, Replay, ReplayError, ReplayOutcome, StepSource

@@ -1,19 +1,40 @@
-"""The everyday replay: a Co-Simulation FMU with its own fine step, one doStep a step of the plan."""
+"""The everyday replay: a Co-Simulation FMU with its own fine step, one doStep a step of the plan, by the loop of stepping.c.
+
+    run = simulate(package, variables, start, inputs, fineness=200)
+
+Step halving by rollback: each step is made coarsely, taken back, and made again finely, from which the run goes on. What the two differ by is that
+step's local error, wherever earlier steps have brought the motion. The FMU must save and restore its state. The run itself is the plain one at the
+finer step, bit for bit.
+"""
 
 from __future__ import annotations
 
-import numpy as np
+import ctypes
+from dataclasses import dataclass
 
-from validate.fmi.instance import CallError, Instance, References, load_instance
-from validate.fmi.package import FmuError, Package
-from validate.judge.replay.compiled.stepping import Rollback, step_through
-from validate.judge.replay.reference import DIVERGENCE, Run
-from validate.judge.replay.result import ReplayOutcome
+import numpy as np
+from fmpy.fmi1 import FMICallException
+from fmpy.fmi2 import fmi2Fatal
+
+from validate.fmi.description import FmuError, Package
+from validate.fmi.instance import Instance, Misbehaviour, References, load_instance
+from validate.judge.replay.compiled import library
+from validate.judge.replay.compiled.library import Fmu, Reason, address_of
+from validate.judge.replay.recording import DIVERGENCE, Run
 from validate.judge.replay.wiring import HeldInputs, Variables
 
 # Calls of doStep a plan step, of an FMU that has no internal step to set: its fineness over this.
 _FINENESS_OF_A_CALL = 50
 _SHORTEST = 0.1
+# Outputs after the state is restored and those before it was left are the same within this share of their size.
+SAME = 1e-9
+
+
+class RollbackError(Exception):
+    """The FMU says that it restores its state, and does not."""
+
+    def __init__(self) -> None:
+        super().__init__("the state it restores is not the one it saved")
 
 
 def base_step(times: np.ndarray) -> float:
@@ -39,109 +60,171 @@ def _takes_slopes(package: Package) -> bool:
     return not package.is_three and package.cosimulation is not None and package.cosimulation.canInterpolateInputs
 
 
+def offers_rollback(package: Package, variables: Variables) -> bool:
+    """Whether the Co-Simulation saves and restores its state - and takes half a step in the middle of a run."""
+    interface = package.cosimulation
+    if interface is None or not interface.canGetAndSetFMUstate:
+        return False
+    if variables.internal_step is None:
+        return bool(interface.canHandleVariableCommunicationStepSize)
+    owners = [item for item in package.description.modelVariables if int(item.valueReference) == variables.internal_step]
+    return any(item.variability == "tunable" for item in owners)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stepping:
+    """An initialised FMU and what is to be done with it.
+
+    parts: calls of doStep a step of the plan; slopes: whether the FMU is told those of the inputs; states: how many of the outputs are positions and
+    velocities, and come first; own_step_of: the reference of the FMU's own step, empty if it has none to set; own_step: that step [s], twice that in a
+    coarse step.
+    """
+
+    fmu: Instance
+    given: References
+    outputs: References
+    inputs: HeldInputs
+    parts: int
+    slopes: bool
+    states: int
+    rolls_back: bool
+    own_step_of: References
+    own_step: float
+
+
 def simulate(
-    package: Package,
-    variables: Variables,
-    start: np.ndarray,
-    inputs: HeldInputs,
-    fineness: int,
-    *,
-    rolls_back: bool = False,
-    compiled: bool = True,
+    package: Package, variables: Variables, start: np.ndarray, inputs: HeldInputs, fineness: int, *, rolls_back: bool = False
 ) -> Run:
     """Step over the plan's grid from start (in the order of Variables.start); outputs and knots are those of the plan's nodes, accumulated stays empty.
 
     fineness: internal steps a plan step; an FMU without the parameter `internal_step` gets fineness/50 calls of doStep a step. Inputs that
     are lines within a step become stairs of `fineness` calls, each at its middle, for an FMU that takes no slopes: wrong by the square of a stair.
-    rolls_back: every step is made at half that fineness too, and taken back (validate.judge.replay.compiled.stepping); what the two differ by is `Run.local`.
-    compiled: by the loop in C where it can be had (validate.judge.replay.compiled), which gives the same numbers. Raises RollbackError if the FMU does not
-    restore its state.
+    rolls_back: every step is made at half that fineness too, and taken back; what the two differ by is `Run.local`.
+    Raises RollbackError if the FMU does not restore its state, Fault if it returns early, MachineError without a compiler.
     """
     run = Run()
     try:
-        fmu = load_instance(package, exchange=False)
+        fmu = load_instance(package, "CS")
         try:
-            inputs_of, outputs_of = References(variables.u), References(variables.outputs)
-            settings = [*variables.parameters, *zip(variables.start, start.tolist(), strict=True)]
+            has_own = variables.internal_step is not None
+            own_step_of = References([] if variables.internal_step is None else [variables.internal_step])
             own_step = base_step(inputs.times) / fineness
+            given, settings = References(variables.u), [*variables.parameters, *zip(variables.start, start.tolist(), strict=True)]
             if variables.internal_step is not None:
                 settings.append((variables.internal_step, own_step))
             fmu.choose(variables.choices)
-            fmu.initialise(float(inputs.times[0]), settings, inputs_of, inputs.begin(0, None))
-            parts = 1 if variables.internal_step is not None else max(1, fineness // _FINENESS_OF_A_CALL)
+            fmu.initialise(float(inputs.times[0]), settings, given, inputs.begin(0, None))
             slopes = inputs.linear and _takes_slopes(package)
-            states = len(variables.q) + len(variables.v)
+            parts = 1 if has_own else max(1, fineness // _FINENESS_OF_A_CALL)
             parts = fineness if inputs.linear and not slopes else parts
-            if not rolls_back:
-                _step_through(fmu, (inputs_of, outputs_of), inputs, parts, slopes, states, run, compiled=compiled)
-                return run
-            parts = parts if variables.internal_step is not None else 2 * ((parts + 1) // 2)
-            with Rollback(fmu, outputs_of, states, variables.internal_step, own_step) as rollback:
-                run.local = rollback.differences
-                _step_through(fmu, (inputs_of, outputs_of), inputs, parts, slopes, states, run, rollback, compiled=compiled)
+            parts = 2 * ((parts + 1) // 2) if rolls_back and not has_own else parts
+            stepping = Stepping(
+                fmu=fmu, given=given, outputs=References(variables.outputs), inputs=inputs, parts=parts, slopes=slopes,
+                states=len(variables.q) + len(variables.v), rolls_back=rolls_back, own_step_of=own_step_of, own_step=own_step,
+            )  # fmt: skip
+            if _record_start(stepping, run):
+                step_through(stepping, run)
         finally:
-            fmu.close()
-    except CallError as error:
-        reached = run.t[-1] if run.t else float(inputs.times[0])
-        run.outcome = ReplayOutcome.FATAL if error.fatal else ReplayOutcome.FMU_FAILED
-        run.message = f"{error} (after t = {reached:.6g} s)."
+            fmu.unload()
+    except FMICallException as error:
+        run.end_refused(error, float(inputs.times[0]))
     return run
 
 
-def _step_through(
-    fmu: Instance,
-    references: tuple[References, References],
-    inputs: HeldInputs,
-    parts: int,
-    slopes: bool,
-    states: int,
-    run: Run,
-    rollback: Rollback | None = None,
-    *,
-    compiled: bool,
-) -> None:
-    inputs_of, outputs_of = references
-    times = inputs.times
-
-    def record(time: float) -> bool:
-        values = fmu.read(outputs_of).copy()
-        if not np.isfinite(values).all():
-            run.end_without_number(time)
-            return False
-        if np.abs(values[:states]).max(initial=0.0) > DIVERGENCE:
-            run.end_out_of_bounds(time)
-            return False
-        run.knots.append(len(run.t))
+def _record_start(stepping: Stepping, run: Run) -> bool:
+    """Record the outputs at the first node; False if they end the run."""
+    time, values = float(stepping.inputs.times[0]), stepping.fmu.read(stepping.outputs).copy()
+    if not np.isfinite(values).all():
+        run.end_without_number(time)
+    elif np.abs(values[: stepping.states]).max(initial=0.0) > DIVERGENCE:
+        run.end_out_of_bounds(time)
+    else:
+        run.knots.append(0)
         run.t.append(time)
         run.outputs.append(values)
-        return True
+    return bool(run.t)
 
-    if not record(float(times[0])):
-        return
-    if compiled and step_through(fmu, references, inputs, parts, slopes, states, run, rollback):
-        return
-    for step in range(len(inputs.values)):
-        begin, length = float(times[step]), float(times[step + 1] - times[step])
-        value = inputs.begin(step, run.outputs[-1][:states])
-        if inputs.feedback is not None:
-            run.applied.append(value.copy())
 
-        def advance(calls: int, begin: float = begin, length: float = length, step: int = step, value: np.ndarray = value) -> None:
-            for call in range(calls):
-                if inputs_of.count:
-                    at = call if slopes or not inputs.linear else call + 0.5
-                    fmu.write(inputs_of, value + inputs.slopes[step] * (length * at / calls))
-                    if slopes:
-                        fmu.input_slopes(inputs_of, inputs.slopes[step])
-                # Communication points are taken from the grid, never summed up.
-                fmu.do_step(begin + length * call / calls, length / calls)
+class _Loop(ctypes.Structure):
+    """struct stepping of stepping.c."""
 
-        if rollback is None:
-            advance(parts)
-        else:
-            rollback.step(advance, parts, run.outputs[-1])
-        if not record(float(times[step + 1])):
-            return
+    _fields_ = (
+        ("fmu", Fmu),
+        ("times", ctypes.c_void_p),
+        ("values", ctypes.c_void_p),
+        ("slopes", ctypes.c_void_p),
+        ("linear", ctypes.c_int64),
+        ("gives_slopes", ctypes.c_int64),
+        ("orders", ctypes.c_void_p),
+        ("parts", ctypes.c_int64),
+        ("bounded", ctypes.c_int64),
+        ("bound", ctypes.c_double),
+        ("outputs", ctypes.c_void_p),
+        ("applied", ctypes.c_void_p),
+        ("rolls_back", ctypes.c_int64),
+        ("own_step_count", ctypes.c_int64),
+        ("own_step_reference", ctypes.c_void_p),
+        ("own_step", ctypes.c_double),
+        ("same", ctypes.c_double),
+        ("place", ctypes.c_void_p),
+        ("coarse", ctypes.c_void_p),
+        ("local", ctypes.c_void_p),
+        ("done", ctypes.c_int64),
+        ("reached", ctypes.c_double),
+    )
+
+
+def step_through(stepping: Stepping, run: Run) -> None:
+    """All steps of the plan, recorded in `run`, which holds the first node. Raises RollbackError, FMICallException, Fault."""
+    fmu, inputs, states = stepping.fmu, stepping.inputs, stepping.states
+    given, width, steps = stepping.given.count, stepping.outputs.count, len(inputs.values)
+    called = ["GetReal", "SetReal", "DoStep"]
+    called += ["SetRealInputDerivatives"] if stepping.slopes else []
+    called += ["GetFMUstate", "SetFMUstate"] if stepping.rolls_back else []
+    loops, described = library.load(), library.describe(fmu, called, inputs=stepping.given, outputs=stepping.outputs)
+    times, values, rates = (np.array(array, dtype=float, order="C") for array in (inputs.times, inputs.values, inputs.slopes))
+    outputs, local = np.empty((steps + 1, width)), np.empty((steps, width))
+    outputs[0] = run.outputs[0]
+    orders, applied, coarse, own = np.ones(given, dtype=np.int32), np.empty(given), np.empty(width), stepping.own_step_of
+    loop = _Loop(
+        fmu=described, times=address_of(times), values=address_of(values), slopes=address_of(rates), linear=inputs.linear,
+        gives_slopes=stepping.slopes, orders=address_of(orders), parts=stepping.parts, bounded=states, bound=DIVERGENCE,
+        outputs=address_of(outputs), applied=address_of(applied), rolls_back=stepping.rolls_back, own_step_count=own.count,
+        own_step_reference=ctypes.addressof(own.array), own_step=stepping.own_step, same=SAME, coarse=address_of(coarse), local=address_of(local),
+    )  # fmt: skip
+    reason, place = Reason.DONE, ctypes.byref(loop)
+    if inputs.feedback is None:
+        reason = Reason(loops.step_through(place, 0, steps))
+    else:
+        for step in range(steps):
+            values[step] = inputs.begin(step, outputs[step, :states])
+            run.applied.append(values[step].copy())
+            reason = Reason(loops.step_through(place, step, step + 1))
+            if reason is not Reason.DONE:
+                break
+    done = int(loop.done)
+    run.knots.extend(range(1, done + 1))
+    run.t.extend(times[1 : done + 1].tolist())
+    run.outputs.extend(outputs[1 : done + 1])
+    if stepping.rolls_back:
+        run.local.extend(local[: done + (reason in (Reason.OUTPUT_NOT_FINITE, Reason.OUT_OF_BOUNDS))])
+    if loop.place and loop.fmu.fault_status != fmi2Fatal:
+        fmu.forget(ctypes.c_void_p(loop.place))
+    if reason is Reason.CALL_REFUSED:
+        library.refuse(fmu, loop.fmu)
+    if reason is Reason.EARLY_RETURN:
+        raise early_return(loop.reached)
+    if reason is Reason.NOT_RESTORED:
+        raise RollbackError
+    if reason is Reason.OUTPUT_NOT_FINITE:
+        run.end_without_number(times[done + 1])
+    elif reason is Reason.OUT_OF_BOUNDS:
+        run.end_out_of_bounds(times[done + 1])
+
+
+def early_return(reached: float) -> Misbehaviour:
+    """reached: where the FMU came back from a step before its end [s]."""
+    return Misbehaviour(f"it returned early at {reached:g} s, which was not allowed")
 
 
 def require_some_method(package: Package, refusal: str | None) -> None:

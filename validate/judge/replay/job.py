@@ -15,14 +15,16 @@ from typing import Any
 
 import numpy as np
 
+from models.errors import MachineError
 from models.trajectory import Hold, Trajectory
 from validate.execution.isolated import Ending, Limits, run_isolated
-from validate.fmi.package import FmuError, Package, read_package, unpacked
+from validate.fmi.description import FmuError, Package, read_package, unpacked
+from validate.fmi.instance import faults_of
 from validate.judge.replay.compiled.library import adopt, library_path
-from validate.judge.replay.compiled.stepping import RollbackError, offers_rollback
-from validate.judge.replay.everyday import everyday_refusal, require_some_method
+from validate.judge.replay.everyday import RollbackError, everyday_refusal, offers_rollback, require_some_method
 from validate.judge.replay.everyday import simulate as simulate_everyday
-from validate.judge.replay.reference import PARTS, ExchangeModel, Run, integrate
+from validate.judge.replay.recording import Run
+from validate.judge.replay.reference import PARTS, ExchangeModel, integrate
 from validate.judge.replay.result import ReplayOutcome
 from validate.judge.replay.wiring import Feedback, HeldInputs, Variables
 
@@ -69,7 +71,7 @@ class Simulated:
 def simulate(
     request: Mapping[str, Any], arrays: Mapping[str, np.ndarray], package: Package | None = None
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """request: path, variables, hold, tolerances, fineness, event_budget, parts, max_step, rolls_back, loops (the compiled ones, or None);
+    """request: path, variables, hold, tolerances, fineness, event_budget, parts, max_step, rolls_back, loops (the compiled ones, where they are not to be looked for);
     arrays: t (nodes,), u (steps, nu), start (n,), u_end (nu,) where the plan has one, and with feedback its fields. Raises FmuError."""
     variables = Variables.from_json(request["variables"])
     empty = np.zeros((len(arrays["t"]), 0))
@@ -87,7 +89,7 @@ def simulate(
         for name in _RECORDED:
             found[f"{number}_{name}"] = np.array(getattr(run, name))
 
-    with unpacked(package or read_package(Path(request["path"]))) as package:
+    with unpacked(package or read_package(Path(request["path"]))) as package, faults_of(package.path):
         value["refusal"] = refusal = everyday_refusal(package, inputs)
         require_some_method(package, refusal)
         began = clock.process_time()
@@ -162,8 +164,7 @@ def run_job(
     if limits is None:
         value, arrays = simulate(request, given, package)
         return _simulated(value, arrays, "")
-    loops = library_path()  # compiled here, where no limit of the FMU's holds
-    request["loops"] = None if loops is None else str(loops)
+    request["loops"] = str(library_path())  # compiled here, where no limit of the FMU's holds
     if not _only_once(package):
         return _in_child(package, variables, request, given, limits)
     # One instance a process: every run has a process of its own.
@@ -216,8 +217,6 @@ def _in_child(
             seconds_everyday=0.0,
         )
     if done.ending is Ending.MACHINE:
-        from models.errors import MachineError
-
         raise MachineError(done.sentence)
     if not done.ok:
         raise FmuError(done.sentence)

@@ -16,7 +16,7 @@ from models.errors import TrajectoryError
 from models.plan_table import PlanTable
 from models.scene.scene import Limit
 from models.trajectory import Trajectory, declared_hold, declared_scheme, missing_groups, times_and_inputs
-from validate.fmi.package import REAL, Package
+from validate.fmi.description import REAL, Package
 from validate.judge.replay.equal_names import CONTACT_UNITS, QUANTITIES, Dimensions, Named, by_equal_names, hint, may_be_rate
 from validate.judge.replay.map_schema import InputSignal, MapError, MapFile, Signal
 from validate.judge.replay.result import Difference

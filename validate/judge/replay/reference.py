@@ -1,199 +1,139 @@
-"""The reference integrator: CVODE over a continuous model, stopped at every gap event and at every jump of the inputs.
+"""The reference integrator: CVODE over a Model Exchange FMU, stopped at every gap event and at every jump of the inputs.
+
+    run = integrate(ExchangeModel(package, variables), start, inputs, rtol=1e-13, event_budget=10_000)
 
 Between two such points the right-hand side is smooth, so the integrator's order and its error control hold; across one they
 would not. Adams' method (orders 1 to 12) needs half the evaluations of BDF here: contacts are springs, hardly damped.
 
-A Model Exchange FMU as a continuous model: states, their rates, gaps and events, as the reference integrator needs them.
+The loop is integration.c: one call a step of the plan, and one an event. CVODE is the library that scikit-sundae brings.
 """
 
 from __future__ import annotations
 
+import ctypes
+import importlib.util
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
+from fmpy.fmi1 import FMICallException
 
-from validate.fmi.instance import Instance, References, buffer, load_instance
-from validate.fmi.package import Package
+from models.errors import MachineError
+from validate.fmi.description import Package
+from validate.fmi.instance import References, load_instance
+from validate.judge.replay.compiled import library
+from validate.judge.replay.compiled.library import Fmu, Reason, address_of
+from validate.judge.replay.recording import DIVERGENCE, Run, Stop
 from validate.judge.replay.result import ReplayOutcome
 from validate.judge.replay.wiring import HeldInputs, Variables
 
-
-class ContinuousModel(Protocol):
-    """What the reference integrator drives. x (nx,): the model's states; rates: dx/dt and then the rates of `accumulated` quantities.
-
-    outputs: number of values `read` gives; indicators: number of event functions; nominal (nx,): typical size of each state.
-    """
-
-    nominal: np.ndarray
-    accumulated: int
-    indicators: int
-    outputs: int
-    wants_steps: bool  # whether `step_completed` must be called after every internal step
-    next_event: float  # time of the next event the model knows of [s]; infinite without
-
-    def start(self, time: float, state: np.ndarray, u: np.ndarray) -> np.ndarray: ...
-
-    def set_inputs(self, u: Sequence[float] | np.ndarray) -> None: ...
-
-    def rates(self, time: float, y: np.ndarray, rates: np.ndarray) -> None: ...
-
-    def indicate(self, time: float, y: np.ndarray, values: np.ndarray) -> None: ...
-
-    def read(self, time: float, y: np.ndarray) -> np.ndarray: ...
-
-    def event(self, time: float, y: np.ndarray, u: np.ndarray | None) -> np.ndarray: ...
-
-    def step_completed(self, time: float, y: np.ndarray) -> bool: ...
-
-
-class ExchangeModel:
-    """ContinuousModel over an instance for Model Exchange. Every FMI call that fails raises CallError."""
-
-    def __init__(self, package: Package, variables: Variables) -> None:
-        description = package.description
-        self._variables = variables
-        self._fmu = load_instance(package, exchange=True)
-        self.states = int(description.numberOfContinuousStates)
-        self.indicators = int(description.numberOfEventIndicators)
-        self.accumulated = len(variables.rates)
-        self.outputs = len(variables.outputs)
-        # FMI 3 turned the flag round: steps are told only where the FMU asks for it.
-        exchange = description.modelExchange
-        self.wants_steps = bool(
-            exchange.needsCompletedIntegratorStep if package.is_three else not exchange.completedIntegratorStepNotNeeded
-        )
-        self.nominal = np.ones(self.states)
-        self.next_event = math.inf
-        # One buffer a purpose, seen by both C and numpy: the right-hand side allocates nothing.
-        self._x, self._x_view = buffer(self.states)
-        self._dx, self._dx_view = buffer(self.states)
-        self._gaps, self._gaps_view = buffer(self.indicators)
-        self._rates = References(variables.rates)
-        self._out = References(variables.outputs)
-        self._inputs = References(variables.u)
-
-    @property
-    def instance(self) -> Instance:
-        """What its functions are called of."""
-        return self._fmu
-
-    @property
-    def references(self) -> tuple[References, References, References]:
-        """Of what is accumulated, of outputs, of inputs."""
-        return self._rates, self._out, self._inputs
-
-    def start(self, time: float, state: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Initialise at `time` [s] with the plan's start, in the order of Variables.start; the states (nx,)."""
-        fmu, variables = self._fmu, self._variables
-        settings = [*variables.parameters, *zip(variables.start, state.tolist(), strict=True)]
-        fmu.choose(variables.choices)
-        fmu.initialise(time, settings, self._inputs, u)
-        _, self.next_event = fmu.settle()
-        x, x_view = buffer(self.states)
-        fmu.states(x, self.states)
-        nominal, view = buffer(self.states)
-        fmu.nominals(nominal, self.states)
-        self.nominal = np.where(np.isfinite(view) & (view > 0), view, 1.0)
-        return x_view.copy()
-
-    def set_inputs(self, u: Sequence[float] | np.ndarray) -> None:
-        self._fmu.write(self._inputs, u)
-
-    def rates(self, time: float, y: np.ndarray, rates: np.ndarray) -> None:
-        self._move(time, y)
-        self._fmu.derivatives(self._dx, self.states)
-        rates[: self.states] = self._dx_view
-        if self.accumulated:
-            rates[self.states :] = self._fmu.read(self._rates)
-
-    def indicate(self, time: float, y: np.ndarray, values: np.ndarray) -> None:
-        self._move(time, y)
-        self._fmu.indicators(self._gaps, self.indicators)
-        values[:] = self._gaps_view
-
-    def read(self, time: float, y: np.ndarray) -> np.ndarray:
-        """(outputs,) q, v, lam, gap, energies - those that the FMU has."""
-        self._move(time, y)
-        return self._fmu.read(self._out).copy()
-
-    def event(self, time: float, y: np.ndarray, u: np.ndarray | None) -> np.ndarray:
-        """Event mode at (time, y), with new inputs if u is given; y afterwards (other states, if the FMU changed them)."""
-        fmu = self._fmu
-        self._move(time, y)
-        fmu.enter_event_mode()
-        if u is not None:
-            self.set_inputs(u)
-        changed, self.next_event = fmu.settle()
-        if not changed:
-            return y
-        fmu.states(self._x, self.states)
-        return np.concatenate([self._x_view, y[self.states :]])
-
-    def jacobian(self, time: float, x: np.ndarray, unknowns: Sequence[int], knowns: Sequence[int]) -> np.ndarray:
-        """(unknowns, knowns) directional derivatives at (time, x), by value references."""
-        self._move(time, x)
-        return self._fmu.jacobian(unknowns, knowns)
-
-    def step_completed(self, time: float, y: np.ndarray) -> bool:
-        """Tell the FMU that the integrator accepted a step; whether it wants an event now."""
-        self._move(time, y)
-        return self._fmu.step_completed()
-
-    def close(self) -> None:
-        self._fmu.close()
-
-    def _move(self, time: float, y: np.ndarray) -> None:
-        self._x_view[:] = y[: self.states]
-        self._fmu.move(time, self._x, self.states)
-
-
 # Parts of each step of the plan at whose ends the motion is recorded: enough to see what happens between nodes.
 PARTS = 3
-# A state this many times its nominal (and its start) has left every bound.
-DIVERGENCE = 1e9
 # Internal steps to the next point before the integrator is given up (a step of three_cart takes about 20).
 STEP_LIMIT = 100_000
 # The absolute tolerance is this fraction of rtol * nominal, so that small coordinates (penetrations) are resolved too.
-_ABSOLUTE_FRACTION = 0.1
-_TSTOP_RETURN, _ROOT_RETURN = 1, 2
+ABSOLUTE_FRACTION = 0.1
+_ROOT_RETURN = 2
+# The functions of SUNDIALS in the order of integration.c, and the only major version whose arguments are known to be these.
+SOLVER = (
+    "SUNContext_Create", "SUNContext_ClearErrHandlers", "SUNContext_Free", "N_VNew_Serial", "N_VGetArrayPointer", "N_VDestroy",
+    "SUNDenseMatrix", "SUNMatDestroy", "SUNLinSol_Dense", "SUNLinSolFree", "CVodeCreate", "CVodeFree", "CVodeInit", "CVodeReInit",
+    "CVodeSVtolerances", "CVodeSetUserData", "CVodeSetLinearSolver", "CVodeSetMaxNonlinIters", "CVodeSetMaxConvFails", "CVodeRootInit",
+    "CVodeSetRootDirection", "CVodeSetInitStep", "CVodeSetMinStep", "CVodeSetMaxStep", "CVodeSetMaxOrd", "CVodeSetMaxNumSteps",
+    "CVodeSetStopTime", "CVodeClearStopTime", "CVode", "CVodeGetRootInfo",
+)  # fmt: skip
+_VERSION = 7
+_CALLED = (
+    "GetReal", "SetReal", "SetTime", "SetContinuousStates", "GetContinuousStates", "GetDerivatives", "GetEventIndicators",
+    "CompletedIntegratorStep", "EnterEventMode", "NewDiscreteStates", "EnterContinuousTimeMode",
+)  # fmt: skip
 
 
-@dataclass(kw_only=True)
-class Run:
-    """What one integration recorded: times, outputs of the model and accumulated quantities per point; rows that are nodes;
-    events as (time, indicator, closes); with feedback the inputs applied from the start of each step on; with rollback what halving each step changed."""
+class ExchangeModel:
+    """An FMU for Model Exchange. Every FMI call that is refused raises FMICallException.
 
-    t: list[float] = field(default_factory=list)
-    outputs: list[np.ndarray] = field(default_factory=list)
-    accumulated: list[np.ndarray] = field(default_factory=list)
-    knots: list[int] = field(default_factory=list)
-    events: list[tuple[float, int, bool]] = field(default_factory=list)
-    applied: list[np.ndarray] = field(default_factory=list)
-    local: list[np.ndarray] = field(default_factory=list)
-    outcome: ReplayOutcome = ReplayOutcome.OK
-    message: str = ""
+    states, indicators, accumulated, outputs: how many there are; nominal (states,): typical size of each; references: of what is accumulated, of
+    outputs, of inputs.
+    """
 
-    def end_without_number(self, time: float) -> None:
-        """The outputs at a time [s] are not all finite."""
-        self.outcome, self.message = ReplayOutcome.NOT_A_NUMBER, f"An output was not a finite number at t = {time:.6g} s."
+    def __init__(self, package: Package, variables: Variables) -> None:
+        self._variables = variables
+        self.instance = load_instance(package, "ME")
+        self.states, self.indicators = self.instance.state_count, self.instance.indicator_count
+        self.accumulated, self.outputs = len(variables.rates), len(variables.outputs)
+        self.nominal = np.ones(self.states)
+        self.references = References(variables.rates), References(variables.outputs), References(variables.u)
 
-    def end_out_of_bounds(self, time: float) -> None:
-        """A state is beyond any bound at a time [s] that was stepped to."""
-        self.outcome, self.message = ReplayOutcome.DIVERGED, f"A state left every bound by t = {time:.6g} s."
+    def start(self, time: float, state: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Initialise at `time` [s] with the plan's start, in the order of Variables.start; the states (states,)."""
+        fmu, variables = self.instance, self._variables
+        fmu.choose(variables.choices)
+        settings = [*variables.parameters, *zip(variables.start, state.tolist(), strict=True)]
+        fmu.initialise(time, settings, self.references[2], u)
+        fmu.settle()
+        x, nominal = fmu.states(), fmu.nominals()
+        self.nominal = np.where(np.isfinite(nominal) & (nominal > 0), nominal, 1.0)
+        return x
+
+    def read(self, time: float, y: np.ndarray) -> np.ndarray:
+        """(outputs,) q, v, lam, gap, energies - those that the FMU has - at y (states and accumulated)."""
+        self.move(time, y)
+        return self.instance.read(self.references[1]).copy()
+
+    def event(self, time: float, y: np.ndarray, u: np.ndarray | None) -> np.ndarray:
+        """Event mode at (time, y), with new inputs if u is given; y afterwards (other states, if the FMU changed them)."""
+        fmu = self.instance
+        self.move(time, y)
+        fmu.fmu.enterEventMode()
+        if u is not None:
+            fmu.write(self.references[2], u)
+        return np.concatenate([fmu.states(), y[self.states :]]) if fmu.settle() else y
+
+    def jacobian(self, time: float, x: np.ndarray, unknowns: Sequence[int], knowns: Sequence[int]) -> np.ndarray:
+        """(unknowns, knowns) directional derivatives at (time, x), by value references."""
+        self.move(time, x)
+        columns = [self.instance.fmu.directional(unknowns, [known], [1.0], len(unknowns)) for known in knowns]
+        return np.array(columns, dtype=float).reshape(len(knowns), len(unknowns)).T
+
+    def move(self, time: float, y: np.ndarray) -> None:
+        self.instance.move(time, y[: self.states])
+
+    def close(self) -> None:
+        self.instance.unload()
 
 
-class Stop(Exception):  # noqa: N818 - it ends a run, and is no error of the program
-    def __init__(self, outcome: ReplayOutcome, message: str) -> None:
-        super().__init__(message)
-        self.outcome = outcome
-        self.message = message
+@lru_cache(maxsize=1)
+def solver_addresses() -> tuple[int, ...]:
+    """Of the functions of CVODE in the libraries that scikit-sundae brings, without importing it. Raises MachineError."""
+    found = importlib.util.find_spec("sksundae")
+    for folder in (found.submodule_search_locations or []) if found is not None else []:
+        for path in sorted(Path(folder).glob("_cy_cvode*")):
+            if path.suffix in (".so", ".dylib"):
+                return _addresses(path)
+    raise MachineError("the replay's integrator, CVODE, is missing: scikit-sundae has no module _cy_cvode here; install scikit-sundae.")
+
+
+def _addresses(path: Path) -> tuple[int, ...]:
+    version = [ctypes.c_int() for _ in range(3)]
+    label = ctypes.create_string_buffer(32)
+    try:
+        module = ctypes.CDLL(str(path))  # a lookup by this handle goes on to the libraries that the module needs
+        module.SUNDIALSGetVersionNumber(*map(ctypes.byref, version), label, len(label))
+        addresses = [ctypes.cast(module[name], ctypes.c_void_p).value or 0 for name in SOLVER]
+    except (OSError, AttributeError) as error:
+        raise MachineError(f"the replay's integrator, CVODE, cannot be reached in {path} ({error}); install scikit-sundae anew.") from error
+    if version[0].value != _VERSION:
+        raise MachineError(
+            f"the replay's integrator, CVODE, is of SUNDIALS {version[0].value} in {path}, not {_VERSION}; install another scikit-sundae."
+        )
+    return tuple(addresses)
 
 
 def integrate(
-    model: ContinuousModel,
+    model: ExchangeModel,
     start: np.ndarray,
     inputs: HeldInputs,
     rtol: float,
@@ -201,186 +141,218 @@ def integrate(
     *,
     parts: int = PARTS,
     max_step: float = math.inf,
-    compiled: bool = True,
 ) -> Run:
     """Integrate over the plan's grid from start (2*nq,). Numerical failure is the run's outcome, never an exception.
 
-    parts: of each step of the plan, at whose ends the motion is recorded; max_step: the integrator's own steps are no longer [s]. compiled: by the loop in C where it can be had (validate.judge.replay.compiled), which gives the same numbers.
+    parts: of each step of the plan, at whose ends the motion is recorded; max_step: the integrator's own steps are no longer [s].
+    Raises Fault if the FMU does not settle or ends, MachineError without a compiler or CVODE.
     """
-    from validate.fmi.instance import CallError
-    from validate.judge.replay.compiled.integration import compiled_integration
-
     run = Run()
-    in_c = compiled_integration(model, inputs, rtol, event_budget, run, parts, max_step) if compiled else None
-    integration = in_c or Integration(model, inputs, rtol, event_budget, run, parts, max_step)
+    integration = _Integration(model, inputs, rtol, event_budget, run, parts, max_step)
     try:
         integration.over_all_steps(start)
     except Stop as stop:
         run.outcome, run.message = stop.outcome, stop.message
-    except CallError as error:
-        reached = run.t[-1] if run.t else float(inputs.times[0])
-        run.outcome = ReplayOutcome.FATAL if error.fatal else ReplayOutcome.FMU_FAILED
-        run.message = f"{error} (after t = {reached:.6g} s)."
+    except FMICallException as error:
+        run.end_refused(error, float(inputs.times[0]))
     finally:
         integration.close()
     return run
 
 
-class Integration:
+class _Loop(ctypes.Structure):
+    """struct integration of integration.c."""
+
+    _fields_ = (
+        ("fmu", Fmu),
+        ("solver", ctypes.c_void_p * len(SOLVER)),
+        ("rtol", ctypes.c_double),
+        ("min_step", ctypes.c_double),
+        ("max_step", ctypes.c_double),
+        ("max_steps", ctypes.c_int64),
+        ("wants_steps", ctypes.c_int64),
+        ("linear", ctypes.c_int64),
+        ("absolute", ctypes.c_void_p),
+        ("bound", ctypes.c_void_p),
+        ("roots", ctypes.c_void_p),
+        ("begin", ctypes.c_double),
+        ("values", ctypes.c_void_p),
+        ("slopes", ctypes.c_void_p),
+        ("applied", ctypes.c_void_p),
+        ("time", ctypes.c_double),
+        ("next_event", ctypes.c_double),
+        ("y", ctypes.c_void_p),
+        ("flag", ctypes.c_int64),
+        ("reached", ctypes.c_int64),
+        ("fault_time", ctypes.c_double),
+        ("fault", ctypes.c_int64),
+        ("own", ctypes.c_void_p * 6),
+    )
+
+
+class _Integration:
     """One run in progress. targets (steps, parts): the points recorded within each step of the plan, the last its end [s]; y: the states and
     what is accumulated at the last of them."""
 
     def __init__(
-        self, model: ContinuousModel, inputs: HeldInputs, rtol: float, event_budget: int, run: Run, parts: int, max_step: float
+        self, model: ExchangeModel, inputs: HeldInputs, rtol: float, event_budget: int, run: Run, parts: int, max_step: float
     ) -> None:
         self.model, self.inputs, self.rtol, self.event_budget, self.run = model, inputs, rtol, event_budget, run
         self.step = 0
-        self.bound, self.y = np.empty(0), np.empty(0)
-        self.solver: Any = None
         begin, end = inputs.times[:-1], inputs.times[1:]
         inner = [begin + (end - begin) * point / parts for point in range(1, parts)]
         self.targets = np.column_stack([*inner, end])
-        # Smaller steps than this do not change the time any more.
-        self.min_step = 4e-16 * float(np.abs(inputs.times).max())
-        self.max_step = min(float(np.ptp(inputs.times)), max_step)
+        self._loops = library.load()
+        rates, outputs, given = model.references
+        fmu = library.describe(
+            model.instance, _CALLED, inputs=given, outputs=outputs, rates=rates, states=model.states, indicators=model.indicators
+        )
+        size, (steps, points) = model.states + model.accumulated, self.targets.shape
+        self.y, self._roots = np.empty(size), np.zeros(max(1, model.indicators), dtype=np.int32)
+        self._values, self._slopes, self._applied = (np.zeros(fmu.inputs) for _ in range(3))
+        self._outputs, self._sums = np.empty((steps, points, model.outputs)), np.empty((steps, points, model.accumulated))
+        self._targets_at, self._outputs_at, self._sums_at = map(address_of, (self.targets, self._outputs, self._sums))
+        self._absolute, self._bound = np.empty(size), np.empty(model.states)
+        self._loop = _Loop(
+            fmu=fmu, solver=(ctypes.c_void_p * len(SOLVER))(*solver_addresses()), rtol=rtol, max_steps=STEP_LIMIT,
+            # Smaller steps than this do not change the time any more.
+            min_step=4e-16 * float(np.abs(inputs.times).max()), max_step=min(float(np.ptp(inputs.times)), max_step),
+            wants_steps=model.instance.wants_steps, linear=inputs.linear, absolute=address_of(self._absolute), bound=address_of(self._bound),
+            roots=address_of(self._roots), values=address_of(self._values), slopes=address_of(self._slopes),
+            applied=address_of(self._applied), y=address_of(self.y),
+        )  # fmt: skip
+        self._at = ctypes.addressof(self._loop)
 
     def over_all_steps(self, start: np.ndarray) -> None:
-        times, values = self.inputs.times, self.inputs.values
-        x = self.model.start(times[0], start, self.inputs.begin(0, None))
-        self.bound = DIVERGENCE * np.maximum(self.model.nominal, np.abs(x))
-        self.y = np.concatenate([x, np.zeros(self.model.accumulated)])
-        self.record(times[0], self.y, knot=True)
-        self.renew(times[0], self.y)
-        stop = times[self.inputs.stop_after(0)]
-        for step in range(len(values)):
+        model, inputs, run = self.model, self.inputs, self.run
+        times = inputs.times
+        x = model.start(times[0], start, inputs.begin(0, None))
+        self._bound[:] = DIVERGENCE * np.maximum(model.nominal, np.abs(x))
+        self._absolute[:] = ABSOLUTE_FRACTION * self.rtol * np.concatenate([model.nominal, np.ones(model.accumulated)])
+        self.y[:] = np.concatenate([x, np.zeros(model.accumulated)])
+        self._record(times[0], knot=True)
+        self._renew(times[0])
+        stop = times[inputs.stop_after(0)]
+        for step in range(len(inputs.values)):
             self.step = step
-            feedback = self.inputs.feedback
+            feedback = inputs.feedback
             if step:
-                self.inputs.begin(step, None if feedback is None else self.run.outputs[-1][: feedback.reference.shape[1]])
+                inputs.begin(step, None if feedback is None else run.outputs[-1][: feedback.reference.shape[1]])
             if feedback is not None:
-                self.run.applied.append(values[step].copy())
-            if step and self.inputs.breaks[step]:
+                run.applied.append(inputs.values[step].copy())
+            if step and inputs.breaks[step]:
                 # Inputs that jump are an event of the FMU; a new slope is not, but the integrator must start afresh as well.
-                self.jump(times[step], values[step], is_event=not self.inputs.linear or feedback is not None)
-                stop = times[self.inputs.stop_after(step)]
-            self.over_points(stop)
-
-    def jump(self, time: float, values: np.ndarray, is_event: bool) -> None:
-        """Go on afresh from `time` with other inputs, values (nu,), or other slopes."""
-        if is_event:
-            self.y = self.model.event(time, self.y, values)
-        self.solver.init_step(time, self.y)
-
-    def over_points(self, stop: float) -> None:
-        """Integrate over the plan's step in progress, through every event in it, and record its points. stop [s]: beyond which no integration may go."""
-        *inner, end = self.targets[self.step].tolist()
-        for target in inner:
-            self.advance(target, stop)
-        self.advance(end, stop, knot=True)
-
-    def advance(self, target: float, stop: float, knot: bool = False) -> None:
-        """Integrate to `target`, through every event before it, and record it."""
-        mode = "onestep" if self.model.wants_steps else "normal"
-        while True:
-            # An FMU that wants to know each internal step is integrated up to every recorded point, the others past it.
-            # Beyond an event that the model knows of no integration may go either.
-            known = self.model.next_event
-            result = self.solver.step(min(target, known), mode, min(target if self.model.wants_steps else stop, known))
-            time, y = float(result.t), result.y
-            if result.status < 0:
-                self.within_bounds(time, y)
-                raise Stop(ReplayOutcome.INTEGRATION_FAILED, f"CVODE stopped at t = {time:.6g} s: {result.message}")
-            wanted = self.model.wants_steps and result.status != _ROOT_RETURN and self.model.step_completed(time, y)
-            is_due = result.status != _ROOT_RETURN and time >= known
-            if result.status == _ROOT_RETURN or wanted or is_due:
-                if result.status == _ROOT_RETURN:
-                    self.note(time, result.i_events[-1])
-                if self.after_event(time, y, target, knot):
-                    return
-                continue
-            if mode == "onestep" and result.status != _TSTOP_RETURN and time < target:
-                continue
-            self.record(target, y, knot=knot)
-            self.y = y
-            return
-
-    def after_event(self, time: float, y: np.ndarray, target: float, knot: bool) -> bool:
-        """The FMU's event at (time, y), its record, and a new solver from there. Whether it fell on the point `target`, but for rounding."""
-        self.y = self.model.event(time, y, None)
-        falls_on_it = abs(target - time) <= 1e-13 * max(1.0, abs(target))
-        time = target if falls_on_it else time
-        self.record(time, self.y, knot=knot and falls_on_it)
-        self.renew(time, self.y)
-        return falls_on_it
+                self._jump(times[step], is_event=not inputs.linear or feedback is not None)
+                stop = times[inputs.stop_after(step)]
+            self._over_points(stop)
 
     def close(self) -> None:
-        """Free what the garbage collector does not."""
+        self._loops.integration_close(self._at)
 
-    def absolute_tolerances(self) -> np.ndarray:
-        """(states and accumulated)."""
-        return _ABSOLUTE_FRACTION * self.rtol * np.concatenate([self.model.nominal, np.ones(self.model.accumulated)])
+    def _jump(self, time: float, is_event: bool) -> None:
+        """Go on afresh from `time` with the inputs of the step in progress: other values, or other slopes."""
+        self._loop.time = time
+        self._set_inputs()
+        self._check(self._loops.integration_jump(self._at) if is_event else self._loops.integration_restart(self._at))
+        self.model.instance.next_event = self._loop.next_event
 
-    def renew(self, time: float, y: np.ndarray) -> None:
-        """A new solver from (time, y): after an event (sksundae's own list of events would grow for ever otherwise)."""
-        from sksundae.cvode import CVODE  # 0.9 s to import
+    def _over_points(self, stop: float) -> None:
+        """Integrate over the plan's step in progress, through every event in it, and record its points. stop [s]: beyond which no integration may go."""
+        if self.inputs.linear:
+            self._set_inputs()
+        done, count = 0, self.targets.shape[1]
+        while done < count:
+            place = self.step * count + done
+            reason = self._loops.integration_advance(
+                self._at,
+                self._targets_at + 8 * place,
+                count - done,
+                stop,
+                self._outputs_at + 8 * place * self._outputs.shape[2],
+                self._sums_at + 8 * place * self._sums.shape[2],
+            )
+            first, done = done, done + self._loop.reached
+            self._take(first, done)
+            if reason == Reason.EVENT:
+                if self._loop.flag == _ROOT_RETURN:
+                    self._note(self._loop.time)
+                done += self._after_event(self._loop.time, float(self.targets[self.step, done]), knot=done == count - 1)
+            else:
+                self._check(reason)
 
-        options: dict[str, Any] = {}
-        if self.model.indicators:
-            options = {"eventsfn": self.gaps(), "num_events": self.model.indicators}
-        self.solver = CVODE(
-            self.right_hand_side(),
-            method="Adams",
-            rtol=self.rtol,
-            atol=self.absolute_tolerances(),
-            max_num_steps=STEP_LIMIT,
-            min_step=self.min_step,
-            max_step=self.max_step,
-            **options,
-        )
-        self.solver.init_step(time, y)
+    def _take(self, first: int, last: int) -> None:
+        """Record the points of the step in progress that the loop came to."""
+        run, step = self.run, self.step
+        run.t.extend(self.targets[step, first:last].tolist())
+        run.outputs.extend(self._outputs[step, first:last])
+        run.accumulated.extend(self._sums[step, first:last])
+        if last == self.targets.shape[1] and first < last:
+            run.knots.append(len(run.t) - 1)
 
-    def right_hand_side(self) -> Callable[[float, np.ndarray, np.ndarray], None]:
-        model, inputs = self.model, self.inputs
-
-        def rates(time: float, y: np.ndarray, yp: np.ndarray) -> None:
-            if inputs.linear:
-                step = self.step
-                model.set_inputs(inputs.values[step] + inputs.slopes[step] * (time - inputs.times[step]))
-            model.rates(time, y, yp)
-            if not math.isfinite(sum(yp.tolist())):
-                raise Stop(ReplayOutcome.NOT_A_NUMBER, f"A rate of change was not a finite number at t = {time:.6g} s.")
-
-        return rates
-
-    def gaps(self) -> Callable[[float, np.ndarray, np.ndarray], None]:
-        model = self.model
-
-        def gaps(time: float, y: np.ndarray, values: np.ndarray) -> None:
-            model.indicate(time, y, values)
-
-        return gaps
-
-    def within_bounds(self, time: float, y: np.ndarray) -> None:
-        """Raise Stop where a state has left every bound, or anything is no finite number."""
-        if not (np.abs(y[: len(self.bound)]) < self.bound).all():
-            raise Stop(ReplayOutcome.DIVERGED, f"A state left every bound at t = {time:.6g} s.")
-        if not np.isfinite(y).all():
-            raise Stop(ReplayOutcome.NOT_A_NUMBER, f"Work or impulse was not a finite number at t = {time:.6g} s.")
-
-    def note(self, time: float, crossed: np.ndarray) -> None:
+    def _note(self, time: float) -> None:
         """Count an event; the sign CVODE gives is that of the indicator's slope."""
-        for indicator in np.flatnonzero(crossed):
-            self.run.events.append((time, int(indicator), bool(crossed[indicator] < 0)))
+        for indicator in np.flatnonzero(self._roots):
+            self.run.events.append((time, int(indicator), bool(self._roots[indicator] < 0)))
         if len(self.run.events) > self.event_budget:
             raise Stop(ReplayOutcome.EVENT_BUDGET, f"More than {self.event_budget} contact events by t = {time:.6g} s.")
 
-    def record(self, time: float, y: np.ndarray, knot: bool = False) -> None:
-        self.within_bounds(time, y)
-        outputs = self.model.read(time, y)
+    def _after_event(self, time: float, target: float, knot: bool) -> bool:
+        """The FMU's event at `time`, its record, and a new solver from there. Whether it fell on the point `target`, but for rounding."""
+        self.y[:] = self.model.event(time, self.y, None)
+        falls_on_it = abs(target - time) <= 1e-13 * max(1.0, abs(target))
+        time = target if falls_on_it else time
+        self._record(time, knot=knot and falls_on_it)
+        self._renew(time)
+        return falls_on_it
+
+    def _record(self, time: float, knot: bool) -> None:
+        self._within_bounds(time)
+        outputs = self.model.read(time, self.y)
         if not np.isfinite(outputs).all():
             raise Stop(ReplayOutcome.NOT_A_NUMBER, f"An output was not a finite number at t = {time:.6g} s.")
         if knot:
             self.run.knots.append(len(self.run.t))
         self.run.t.append(time)
         self.run.outputs.append(outputs)
-        self.run.accumulated.append(np.array(y[len(self.bound) :]))
+        self.run.accumulated.append(self.y[self.model.states :].copy())
+
+    def _renew(self, time: float) -> None:
+        """A new solver from `time` on: after an event."""
+        self._loop.time, self._loop.next_event = time, self.model.instance.next_event
+        self._set_inputs()
+        self._check(self._loops.integration_renew(self._at))
+
+    def _set_inputs(self) -> None:
+        self._loop.begin = self.inputs.times[self.step]
+        self._values[:], self._slopes[:] = self.inputs.values[self.step], self.inputs.slopes[self.step]
+
+    def _within_bounds(self, time: float) -> None:
+        """Raise Stop where a state has left every bound, or anything is no finite number."""
+        if not (np.abs(self.y[: self.model.states]) < self._bound).all():
+            raise Stop(ReplayOutcome.DIVERGED, f"A state left every bound at t = {time:.6g} s.")
+        if not np.isfinite(self.y).all():
+            raise Stop(ReplayOutcome.NOT_A_NUMBER, f"Work or impulse was not a finite number at t = {time:.6g} s.")
+
+    def _check(self, number: int) -> None:
+        """Raise for what the loop came back with, if it is not done."""
+        reason, time = Reason(number), float(self._loop.time)
+        if reason is Reason.DONE:
+            return
+        if reason is Reason.CALL_REFUSED:
+            library.refuse(self.model.instance, self._loop.fmu)
+        if reason in (Reason.WANTS_END, Reason.NEVER_SETTLES):
+            library.unsettled(reason, time)
+        if reason is Reason.RATE_NOT_FINITE:
+            raise Stop(ReplayOutcome.NOT_A_NUMBER, f"A rate of change was not a finite number at t = {self._loop.fault_time:.6g} s.")
+        if reason is Reason.OUTPUT_NOT_FINITE:
+            raise Stop(ReplayOutcome.NOT_A_NUMBER, f"An output was not a finite number at t = {time:.6g} s.")
+        if reason in (Reason.OUT_OF_BOUNDS, Reason.SUM_NOT_FINITE, Reason.SOLVER_FAILED):
+            self._within_bounds(time)
+            self._stopped(time)
+        raise RuntimeError(f"CVODE refused {'its stop time' if reason is Reason.STOP_TIME_REFUSED else 'to be set up'} at t = {time:.6g} s")
+
+    def _stopped(self, time: float) -> NoReturn:
+        from sksundae._cy_cvode import CVMESSAGES  # 0.9 s to import
+
+        flag = int(self._loop.flag)
+        raise Stop(ReplayOutcome.INTEGRATION_FAILED, f"CVODE stopped at t = {time:.6g} s: {CVMESSAGES.get(flag, flag)}")

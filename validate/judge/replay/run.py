@@ -13,7 +13,7 @@ from models.codegen.kernel import Kernel, load_kernel
 from models.scene import Scene
 from models.trajectory import Trajectory
 from validate.execution.isolated import Limits
-from validate.fmi.package import Package, read_package, unpacked
+from validate.fmi.description import Package, read_package, unpacked
 from validate.judge.replay.error_estimate import (
     difference,
     estimate,
@@ -28,7 +28,7 @@ from validate.judge.replay.error_estimate import (
     with_steps_of,
 )
 from validate.judge.replay.job import Settings, Simulated, run_job
-from validate.judge.replay.reference import Run
+from validate.judge.replay.recording import Run
 from validate.judge.replay.result import Difference, Event, Replay, ReplayError, ReplayOutcome
 from validate.judge.replay.subject import ForeignModel, Outputs, Subject, find_variables
 from validate.judge.replay.tracking import TrackingError, design_feedback, design_foreign, measure_growth

@@ -21,9 +21,9 @@ from models.codegen.kernel import Kernel, load_kernel
 from models.dynamics import derive
 from models.scene import Scene
 from models.scene.scene import Limit
-from validate.fmi.intake import FmuError
-from validate.fmi.package import REAL, Package
-from validate.judge.replay.reference import Run
+from validate.fmi.archive import FmuError
+from validate.fmi.description import REAL, Package
+from validate.judge.replay.recording import Run
 from validate.judge.replay.wiring import ENERGIES, INTERNAL_STEP, POWERS, Variables
 
 if TYPE_CHECKING:

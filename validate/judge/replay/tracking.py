@@ -36,12 +36,10 @@ number explains a verdict, and decides none.
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -52,7 +50,8 @@ from models.scene import Scene
 from models.scene.goal import goal_state
 from models.trajectory import Trajectory
 from validate.execution.isolated import Limits, run_isolated
-from validate.fmi.package import Package, read_package, unpacked
+from validate.fmi.description import Package, read_package, unpacked
+from validate.fmi.instance import faults_of
 from validate.judge.replay.reference import ExchangeModel
 from validate.judge.replay.result import Growth
 from validate.judge.replay.subject import ForeignModel, Subject
@@ -131,7 +130,7 @@ def jacobians(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> t
     variables = Variables.from_json(request["variables"])
     t, u, states = arrays["t"], arrays["u"], arrays["states"]
     found = {name: np.empty((len(u), states.shape[1], states.shape[1] + u.shape[1])) for name in ("first", "last")}
-    with unpacked(read_package(Path(request["path"]))) as package:
+    with unpacked(read_package(Path(request["path"]))) as package, faults_of(package.path):
         order = [int(item.valueReference) for item in _states(package)]
         places = [order.index(reference) for reference in (*variables.q, *variables.v)]
         rates = [int(item.variable.valueReference) for item in package.description.derivatives]
@@ -152,12 +151,7 @@ def jacobians(request: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> t
 
 
 def _provides_derivatives(package: Package) -> bool:
-    """FMPy reads this of FMI 2.0 alone; the text was examined when the FMU was let in."""
-    if not package.is_three:
-        return bool(package.exchange is not None and package.exchange.providesDirectionalDerivative)
-    with zipfile.ZipFile(package.path) as archive:
-        interface = ElementTree.fromstring(archive.read("modelDescription.xml")).find("ModelExchange")
-    return interface is not None and interface.get("providesDirectionalDerivatives") in ("true", "1")
+    return package.can("ModelExchange", f"providesDirectionalDerivative{'s' if package.is_three else ''}")
 
 
 def _states(package: Package) -> list[Any]:

@@ -1,4 +1,4 @@
-/* A Model Exchange FMU and CVODE: from point to point of the record, until an event; the loop of validate/judge/replay/reference.py, call for call.
+/* A Model Exchange FMU and CVODE: from point to point of the record, until an event; the loop of validate/judge/replay/reference.py.
  *
  * CVODE is the library that scikit-sundae brings, by the addresses of its functions (SUNDIALS 7). */
 #include <string.h>
@@ -16,7 +16,7 @@ enum { ADAMS = 1, NORMAL = 1, ONE_STEP = 2, STOP_RETURN = 1, ROOT_RETURN = 2, MA
 /* Rounds of event iteration before an FMU is given up as never settling. */
 enum { EVENT_ROUNDS = 100 };
 
-/* Filled by validate/judge/replay/compiled/integration.py, field by field in this order. y: states, then what is accumulated. */
+/* Filled by validate/judge/replay/reference.py, field by field in this order. y: states, then what is accumulated. */
 struct integration {
     struct fmu fmu;
     function solver[SOLVER_CALLS];

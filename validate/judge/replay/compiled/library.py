@@ -1,7 +1,7 @@
 """The compiled loops: built once, found in the cache, loaded; and an FMU as they see it.
 
-loops = load()                      # None: no compiler here, and the loops of Python run
-fmu = describe(instance, ...)       # None: the FMU's binary lacks a function that the loop calls
+loops = load()
+fmu = describe(instance, ...)
 """
 
 from __future__ import annotations
@@ -13,11 +13,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, NoReturn
 
+import numpy as np
+
 from models.codegen.cache import cached
 from models.codegen.compiler import FLAGS, compile_shared, find_compiler
 from models.errors import MachineError
-from validate.fmi.instance import Instance, References
-from validate.fmi.package import FmuError
+from validate.fmi.instance import Instance, References, TerminationRequested, endless
 
 _SOURCES = ("fmu_calls.h", "integration.c", "stepping.c")
 _SIZE, _ADDRESS = ctypes.c_int64, ctypes.c_void_p
@@ -81,15 +82,12 @@ class Fmu(ctypes.Structure):
     )
 
 
-def library_path() -> Path | None:
-    """The compiled loops, built if they are not in the cache; None without a compiler that takes them."""
+def library_path() -> Path:
+    """The compiled loops, built if they are not in the cache. Raises MachineError without a compiler that takes them."""
     texts = {name: Path(__file__).with_name(name).read_text(encoding="utf-8") for name in _SOURCES}
-    try:
-        compiler = find_compiler()
-        key = "\n".join([compiler.describe(), " ".join(FLAGS), *(f"{name}\n{text}" for name, text in texts.items())])
-        return cached(key, ".so", lambda path: compile_shared(compiler, texts, path))
-    except MachineError:
-        return None
+    compiler = find_compiler()
+    key = "\n".join([compiler.describe(), " ".join(FLAGS), *(f"{name}\n{text}" for name, text in texts.items())])
+    return cached(key, ".so", lambda path: compile_shared(compiler, texts, path))
 
 
 _adopted: list[Path] = []
@@ -102,15 +100,13 @@ def adopt(path: Path) -> None:
 
 
 @lru_cache(maxsize=1)
-def load() -> Any | None:
-    """The loops; None where there are none to be had."""
+def load() -> Any:
+    """The loops. Raises MachineError."""
     path = _adopted[0] if _adopted else library_path()
-    if path is None:
-        return None
     try:
         library = ctypes.CDLL(str(path))
-    except OSError:  # a cache whose folder may not hold programs
-        return None
+    except OSError as error:
+        raise MachineError(f"{path} cannot be loaded ({error}); let TOUCHSTONE_CACHE name a folder that may hold programs.") from error
     for name, arguments in {
         "step_through": (_ADDRESS, _SIZE, _SIZE),
         "integration_renew": (_ADDRESS,),
@@ -133,26 +129,29 @@ def describe(
     rates: References | None = None,
     states: int = 0,
     indicators: int = 0,
-) -> Fmu | None:
-    """The FMU for a loop that calls `needed` (FMI 2.0's names); None if it lacks one of them. What is given must live as long as the answer."""
-    fmu = Fmu(component=instance.component, three=instance.is_three, states=states, indicators=indicators)
+) -> Fmu:
+    """The FMU for a loop that calls `needed` (FMI 2.0's names): FMPy loads no binary that lacks one of them. What is given must live as long as the answer."""
+    is_three = instance.major == 3
+    fmu = Fmu(component=instance.fmu.component, three=is_three, states=states, indicators=indicators)
     for name, group in (("input", inputs), ("output", outputs), ("rate", rates or References([]))):
         setattr(fmu, f"{name}s", group.count)
         setattr(fmu, f"{name}_references", ctypes.addressof(group.array))
     for place, names in enumerate(CALLS):
         if names[0] in needed:
-            address = instance.address(names[instance.is_three])
-            if address is None:
-                return None
-            fmu.call[place] = address
+            fmu.call[place] = instance.fmu.address(names[is_three])
     return fmu
 
 
 def refuse(instance: Instance, fmu: Fmu) -> NoReturn:
-    """Raise CallError for the call that was refused."""
-    instance.refuse(CALLS[fmu.fault_call][instance.is_three], int(fmu.fault_status))
+    """Raise FMICallException for the call that was refused."""
+    instance.refuse(CALLS[fmu.fault_call][instance.major == 3], int(fmu.fault_status))
 
 
-def unsettled(instance: Instance, reason: Reason) -> NoReturn:
-    """Raise FmuError for an event that did not end."""
-    raise FmuError(instance.ends_sentence if reason is Reason.WANTS_END else instance.unsettled_sentence)
+def unsettled(reason: Reason, time: float) -> NoReturn:
+    """Raise Fault for an event, at `time` [s], that did not end."""
+    raise TerminationRequested(time) if reason is Reason.WANTS_END else endless()
+
+
+def address_of(array: np.ndarray) -> int:
+    """Of its memory."""
+    return array.ctypes.data

@@ -1,7 +1,7 @@
 /* A Co-Simulation through a plan: inputs, doStep, outputs, step after step, until one of them is refused; the loop of validate/judge/replay/everyday.py. */
 #include "fmu_calls.h"
 
-/* Filled by validate/judge/replay/compiled/stepping.py, field by field in this order. */
+/* Filled by validate/judge/replay/everyday.py, field by field in this order. */
 struct stepping {
     struct fmu fmu;
     const double *times, *values, *slopes; /* of the plan (steps + 1), (steps, inputs), (steps, inputs) */

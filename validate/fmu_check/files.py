@@ -1,10 +1,7 @@
-"""The file: what the intake has to say, how it is packed, and the binary for this machine.
+"""The files of an FMU: its archive, the binary for this machine, and the description - valid, and free of contradictions that no schema sees.
 
-What a shared library of Linux exports and needs, read from the file without loading it.
-
-Layout: System V Application Binary Interface, chapters 4 and 5 (sections, symbol table, dynamic section).
-
-The model description: valid by schema and rules, and free of contradictions that no schema sees.
+What a shared library of Linux exports and needs is read without loading it (System V Application Binary Interface, chapters 4 and 5: sections, symbol
+table, dynamic section).
 """
 
 from __future__ import annotations
@@ -19,7 +16,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from validate.fmi.intake import platform_folder, problems
+from fmpy.validation import validate_fmu
+
+from validate.fmi.archive import platform_folder, problems
+from validate.fmi.versions import CLASSES
 from validate.fmu_check.result import Finding, Scope, check, failed, listed, not_offered, passed
 from validate.fmu_check.subject import Subject, Variable
 
@@ -157,18 +157,12 @@ def exports(subject: Subject, kind: str) -> Finding:
 
 def _required(subject: Subject, kind: str) -> set[str]:
     """Names of the functions of a type of FMI."""
-    from fmpy.fmi2 import FMU2Model, FMU2Slave
-    from fmpy.fmi3 import FMU3Model, FMU3Slave
-
-    interface = {(2, "ME"): FMU2Model, (2, "CS"): FMU2Slave, (3, "ME"): FMU3Model, (3, "CS"): FMU3Slave}[subject.major, kind]
-    return {name for name in dir(interface) if name.startswith(f"fmi{subject.major}") and name[4:5].isupper()}
+    return {name for name in dir(CLASSES[subject.major, kind]) if name.startswith(f"fmi{subject.major}") and name[4:5].isupper()}
 
 
 @check("description is valid", "modelDescription.xml obeys its schema and the rules of FMI (FMPy's validation)", Scope.FILE)
 def valid(path: Path) -> Finding:
     """Looks at the unpacked folder; comes before the description is read without validation."""
-    from fmpy.validation import validate_fmu
-
     problems = [" ".join(str(problem).split()).rstrip(".") for problem in validate_fmu(str(path))]
     if problems:
         return failed(f"{listed(problems)}.")

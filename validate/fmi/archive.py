@@ -1,12 +1,10 @@
-"""The door: what an FMU file must be before anything of it is unpacked or loaded. Every refusal is one sentence.
+"""The archive: what an FMU file must be before anything of it is unpacked or loaded. Every refusal is one sentence.
 
 intake = examine(path)        # raises IntakeError at the first problem
 problems(path)                # all that can be told, for a table
 unpack(intake, folder)        # bounded by the sizes that were examined
 
-How large an FMU may be that is let in.
-
-What the door reads of an XML text: its root and the interfaces an FMU offers - and no DOCTYPE, whose entities can read files and fill the memory.
+Of the XML texts the root is read and the interfaces an FMU offers - and no DOCTYPE, whose entities can read files and fill the memory.
 """
 
 from __future__ import annotations
@@ -52,7 +50,7 @@ class XmlReader:
     def __init__(self, keep: bool) -> None:
         self.root: dict[str, str] = {}
         self.root_name = ""
-        self.kinds: dict[str, str] = {}
+        self.kinds: dict[str, dict[str, str]] = {}
         self._keep = keep
 
     def read(self, text: bytes) -> None:
@@ -69,7 +67,14 @@ class XmlReader:
         if not self.root_name:
             self.root_name, self.root = name, attributes
         elif name in _KINDS:
-            self.kinds[name] = attributes.get("modelIdentifier", "")
+            self.kinds.setdefault(name, attributes)
+
+
+def interfaces(text: bytes) -> dict[str, dict[str, str]]:
+    """What each interface of a model description says of itself, by the attributes' names in its version of FMI: FMPy does not read all of them."""
+    reader = XmlReader(True)
+    reader.read(text)
+    return reader.kinds
 
 
 DESCRIPTION = "modelDescription.xml"
@@ -119,23 +124,24 @@ class IntakeError(FmuError):
 
 @dataclass(frozen=True, kw_only=True)
 class Intake:
-    """A file that was let in. version: as it says, for example 2.0; kinds: interface -> model identifier, those with a binary for this
+    """A file that was let in. version: as it says, for example 2.0; kinds: interface -> what it says of itself, those with a binary for this
     platform; platforms: folders with binaries; digest: SHA-256 of the file; unpacked [bytes]."""
 
     path: Path
     digest: str
     version: str
-    kinds: dict[str, str]
+    kinds: dict[str, dict[str, str]]
     platforms: tuple[str, ...]
     entries: int
     unpacked: int
 
 
-def examine(path: Path, limits: IntakeLimits | None = None) -> Intake:
-    """See the module docstring. Raises IntakeError with the first problem, MachineError if the file cannot be read."""
+def examine(path: Path, limits: IntakeLimits | None = None, *, but_for: str = "") -> Intake:
+    """See the module docstring. but_for: a check that need not hold. Raises IntakeError with the first problem, MachineError if the file cannot be read."""
     examination = _Examination(path, limits or IntakeLimits())
     for problem in examination.problems():
-        raise IntakeError(problem)
+        if problem.check != but_for:
+            raise IntakeError(problem)
     return examination.intake()
 
 
@@ -156,7 +162,7 @@ def unpack(intake: Intake, folder: Path, leave_out: tuple[str, ...] = ()) -> Non
         raise IntakeError(Problem("zip", f"FMU {intake.path}: it cannot be unpacked ({_first(error)}); it is damaged.")) from error
     except OSError as error:
         raise MachineError(
-            f"FMU {intake.path}: it cannot be unpacked to {folder} ({error.strerror or error}); make room or permit it."
+            f"FMU {intake.path}: it cannot be unpacked to {folder} ({error.strerror or error}); make room there or permit it, or set TMPDIR."
         ) from error
 
 
@@ -165,11 +171,11 @@ class _Examination:
         self._path, self._limits = path, limits
         self._items: list[zipfile.ZipInfo] = []
         self._root: dict[str, str] = {}
-        self._kinds: dict[str, str] = {}
+        self._kinds: dict[str, dict[str, str]] = {}
         self._names: set[str] = set()
 
     def intake(self) -> Intake:
-        present = {kind: name for kind, name in self._kinds.items() if self._library(name) in self._names}
+        present = {kind: interface for kind, interface in self._kinds.items() if self._library(interface) in self._names}
         return Intake(
             path=self._path,
             digest=_digest(self._path),
@@ -297,12 +303,13 @@ class _Examination:
             also = ", only Scheduled Execution, which needs a scheduler of its own" if only_scheduled else ""
             yield self._problem("kind", f"it offers neither Model Exchange nor Co-Simulation{also}.")
             return
-        if not any(self._library(name) in self._names for name in self._kinds.values()):
-            name = next(iter(self._kinds.values()))
+        if not any(self._library(interface) in self._names for interface in self._kinds.values()):
+            interface = next(iter(self._kinds.values()))
             has = f"it has {', '.join(self._platforms())}" if self._platforms() else "it has none at all"
-            yield self._problem("binary", f"it has no binary for this machine ({self._library(name)}); {has}.")
+            yield self._problem("binary", f"it has no binary for this machine ({self._library(interface)}); {has}.")
 
-    def _library(self, identifier: str) -> str:
+    def _library(self, interface: dict[str, str]) -> str:
+        identifier = interface.get("modelIdentifier", "")
         return f"binaries/{platform_folder(self._root.get('fmiVersion', ''))}/{identifier}{_ENDINGS.get(_system(), '.so')}"
 
     def _platforms(self) -> tuple[str, ...]:
