@@ -16,7 +16,7 @@ from formulations.contact_modes.nonlinear import PATIENCE, SoftplusHomotopy, sch
 from formulations.ipopt import IpoptResult
 from formulations.ipopt.linear_solver import band_options
 from formulations.solution import Outcome
-from formulations.transcription.account import Account
+from formulations.transcription.account import SolveBudget
 from formulations.transcription.build import build_model
 from formulations.transcription.collocation import settle_forces, stage_penetration
 from formulations.transcription.contact import ContactLaw, hold_modes, release_modes, tighten
@@ -82,7 +82,7 @@ class StageProblem:
         if start is not None:
             load_plan(bench.model, start)
 
-    def soften(self, account: Account, start: Trajectory | None, keep: Callable[[StageModes], None]) -> tuple[Outcome, str]:
+    def soften(self, account: SolveBudget, start: Trajectory | None, keep: Callable[[StageModes], None]) -> tuple[Outcome, str]:
         """The homotopy from this start; how it ended. keep: called with the modes of every stage that was solved, where there are contacts."""
 
         def solved(_: Trajectory) -> None:
@@ -92,11 +92,11 @@ class StageProblem:
         options = {"tol": self._homotopy_tolerance, "max_iter": self._most_iterations, **band_options()}
         return self.homotopy.run(account, options, start, solved, PATIENCE)
 
-    def nearest(self, account: Account, sharpest: float) -> Nearest:
+    def nearest(self, account: SolveBudget, sharpest: float) -> Nearest:
         """The plan that comes nearest to the goal, with contact no sharper than this."""
         return nearest(self._scene, account, self._most_iterations, sharpest)
 
-    def exact(self, account: Account) -> Workbench:
+    def exact(self, account: SolveBudget) -> Workbench:
         """The model with complementarity, built at its first use."""
         if self._exact is None:
             begin = perf_counter()
@@ -105,7 +105,7 @@ class StageProblem:
             self._exact = Workbench(model)
         return self._exact
 
-    def with_modes(self, account: Account, guess: StageModes) -> IpoptResult:
+    def with_modes(self, account: SolveBudget, guess: StageModes) -> IpoptResult:
         """What is left once the stages of a guess are open or closed as it says."""
         bench = self.exact(account)
         _load(bench, guess)
@@ -113,7 +113,7 @@ class StageProblem:
         options = {"tol": self._tolerance, **band_options(), **_NEAR}
         return bench.run(account, {**options, "max_iter": account.iterations + _MODE_ITERATIONS})
 
-    def from_relaxed(self, account: Account, guess: StageModes) -> IpoptResult:
+    def from_relaxed(self, account: SolveBudget, guess: StageModes) -> IpoptResult:
         """The same with the modes of a relaxed complementarity that starts at the guess."""
         bench = self.exact(account)
         _load(bench, guess)

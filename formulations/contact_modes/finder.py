@@ -16,11 +16,11 @@ from formulations.contact_modes.goal import approach, land, land_by_softplus, mi
 from formulations.contact_modes.method import MpccOptions
 from formulations.contact_modes.nonlinear import PATIENCE, NlpAnswer, NonlinearModes, Structures, schedule
 from formulations.contact_modes.quadratic import ModesAnswer, ModesProblem
-from formulations.contact_modes.search import Found, follow_pulls, search_windows
+from formulations.contact_modes.search import SearchResult, follow_pulls, search_windows
 from formulations.grids import coarse_scene, input_bounds, on_grid, plan_of
 from formulations.solution import Outcome
 from formulations.transcription.feasibility import nearest
-from formulations.transcription.workbench import Account
+from formulations.transcription.workbench import SolveBudget
 from models.codegen.kernel import Kernel
 from models.contact_law import ContactLaw
 from models.scene import Scene
@@ -142,7 +142,7 @@ class Finder:
         self._on_coarse: Finder | None = None
         self._most_work = 0.0  # of the search under way, once it has a plan
 
-    def find(self, account: Account, modes_of: Trajectory | None = None, start: Trajectory | None = None) -> Search:
+    def find(self, account: SolveBudget, modes_of: Trajectory | None = None, start: Trajectory | None = None) -> Search:
         """The best plan. modes_of: a plan whose modes are tried first; start: where the homotopy begins (None: the paper's first guess)."""
         begin = perf_counter()
         problem = self._modes_problem(account)
@@ -173,13 +173,13 @@ class Finder:
             return Search(answer=None, outcome=outcome, message=message)
         return self.searched(account, problem, answer, stride, far=not is_refined)
 
-    def _modes_problem(self, account: Account) -> ModesProblem | NonlinearModes:
+    def _modes_problem(self, account: SolveBudget) -> ModesProblem | NonlinearModes:
         ball = self._options.goal_tolerance if self._scene.task.has_goal else 0.0
         return self._structures.modes(ball, account, self._ipopt_options(self._options.tolerance))
 
     # -- where modes come from --------------------------------------------------------------------------------------------------
 
-    def _guesses(self, account: Account, modes_of: Trajectory | None, start: Trajectory | None) -> Iterator[tuple[Trajectory | None, int]]:
+    def _guesses(self, account: SolveBudget, modes_of: Trajectory | None, start: Trajectory | None) -> Iterator[tuple[Trajectory | None, int]]:
         """Plans whose modes are worth a try, with the stride (in steps) of a search around them, 0 for the usual one; None: no more from
         this source, so that what came nearest is worth an approach."""
         if modes_of is not None:
@@ -206,7 +206,7 @@ class Finder:
                 yield plan, 0
             yield None, 0
 
-    def _stages(self, account: Account, begin_at: Trajectory | None, patience: int) -> list[Trajectory]:
+    def _stages(self, account: SolveBudget, begin_at: Trajectory | None, patience: int) -> list[Trajectory]:
         """The plans of the sharpest stages of the homotopy, the sharpest first."""
         begin, own = perf_counter(), self._options
         sharpnesses = schedule(own.first_sharpness, own.last_sharpness, own.sharpness_growth)
@@ -217,7 +217,7 @@ class Finder:
         self._ending = self._words(*ending)
         return stages[: -_STAGES - 1 : -1]
 
-    def _steered(self, account: Account, first: Trajectory | None) -> Iterator[Trajectory]:
+    def _steered(self, account: SolveBudget, first: Trajectory | None) -> Iterator[Trajectory]:
         """Random inputs, and those of a plan, steered to the goal through softplus contact that grows sharper."""
         task, ball, seed = self._scene.task, self._options.goal_tolerance, self._options.seed
         for index in range(-1, 0 if self._random_is_vain else _RANDOM):  # whatever the start, these are the same
@@ -232,7 +232,7 @@ class Finder:
             if not rollout.diverged:
                 yield plan_of(self._scene, rollout, u)
 
-    def _is_out_of_reach(self, account: Account) -> bool:
+    def _is_out_of_reach(self, account: SolveBudget) -> bool:
         """Not even softplus contact had a plan: how near do the inputs come to the goal at all?"""
         if not self._scene.task.has_goal or self._options.goal_tolerance > 0.0:
             return False
@@ -242,7 +242,7 @@ class Finder:
             self._ending = (Outcome.INFEASIBLE, words)
         return found.is_out_of_reach
 
-    def _coarse(self, account: Account, start: Trajectory | None) -> tuple[Trajectory, int] | None:
+    def _coarse(self, account: SolveBudget, start: Trajectory | None) -> tuple[Trajectory, int] | None:
         """The best plan of a coarser grid, on this one."""
         coarse = coarse_scene(self._scene, self._options.coarse_steps)
         if coarse is None:
@@ -276,7 +276,7 @@ class Finder:
 
     # -- what is done with them --------------------------------------------------------------------------------------------------
 
-    def _exact(self, account: Account, problem: ModesProblem | NonlinearModes, plan: Trajectory) -> Answer | None:
+    def _exact(self, account: SolveBudget, problem: ModesProblem | NonlinearModes, plan: Trajectory) -> Answer | None:
         """The optimum for the modes of a plan; where they have none, for the modes of its inputs in true contact, steered to the goal.
 
         The latter modes have a plan, namely that rollout, whenever it arrives.
@@ -306,7 +306,7 @@ class Finder:
             yield rollout.lam > 0.0
         self._near.append((missed, rollout.lam > 0.0))
 
-    def _approached(self, account: Account, problem: ModesProblem | NonlinearModes, stride: int) -> Answer | None:
+    def _approached(self, account: SolveBudget, problem: ModesProblem | NonlinearModes, stride: int) -> Answer | None:
         """From the modes of the rollouts that came nearest to the goal, nearest first."""
         begin = perf_counter()
         near, self._near = sorted(self._near, key=lambda pair: pair[0]), []
@@ -319,7 +319,7 @@ class Finder:
             account.linear_algebra += perf_counter() - begin
         return answer
 
-    def searched(self, account: Account, problem: Any, answer: Answer, stride: int, *, far: bool) -> Search:
+    def searched(self, account: SolveBudget, problem: Any, answer: Answer, stride: int, *, far: bool) -> Search:
         """The cheapest plan around. far: whether to look further than a step (a coarser grid has seen to that already)."""
         how = "the rest is a convex quadratic program, solved exactly" if self._is_linear else "the rest was solved by Ipopt"
         if not self._scene.nc:
@@ -334,14 +334,14 @@ class Finder:
         def improve(closed: np.ndarray, near: Answer, below: float) -> Answer | None:
             return problem.solve(closed, near=near, below=below)
 
-        found = Found(best=answer, tried=0, complete=False)
+        found = SearchResult(best=answer, tried=0, complete=False)
         if self._options.search:
             found = search_windows(answer, improve, stride=stride, is_over=is_over, far=far)
         is_late = perf_counter() >= end
         if not found.complete:  # the plan is to be stationary all the same
             last = problem.solves + self._most_windows()
             pulled = follow_pulls(found.best, improve, is_over=lambda: problem.solves >= last or account.is_over)
-            found = Found(best=pulled.best, tried=found.tried + pulled.tried, complete=False)
+            found = SearchResult(best=pulled.best, tried=found.tried + pulled.tried, complete=False)
         if self._is_linear:
             account.linear_algebra += perf_counter() - begin
         message = f"With the contact windows fixed {how}; {found.tried} neighbouring windows were tried, none is cheaper than this plan."

@@ -28,7 +28,7 @@ import numpy as np
 import sympy as sp
 
 from formulations.contact_modes.linear import linear_scene, why_not_linear
-from formulations.contact_modes.quadratic import ModesProblem, Stationarity, classify
+from formulations.contact_modes.quadratic import ModesProblem, ModeStationarity, classify
 from formulations.ipopt import IpoptResult
 from formulations.mpec.certificate.plan import PlanJudge
 from formulations.solution import Outcome
@@ -36,7 +36,7 @@ from formulations.transcription.build import build_model
 from formulations.transcription.contact import ContactLaw, hold_modes, tighten
 from formulations.transcription.residuals import PlanResiduals
 from formulations.transcription.workbench import (
-    Account,
+    SolveBudget,
     Workbench,
     load_first_guess,
     load_plan,
@@ -89,7 +89,7 @@ class SoftplusHomotopy:
 
     def run(
         self,
-        account: Account,
+        account: SolveBudget,
         options: Mapping[str, Any],
         start: Trajectory | None,
         keep: Callable[[Trajectory], None],
@@ -185,7 +185,7 @@ class NlpAnswer:
     def dual_infeasibility(self) -> float:
         return self.result.residuals.dual_infeasibility
 
-    def stationarity(self) -> Stationarity:
+    def stationarity(self) -> ModeStationarity:
         """The class of the pairs that touch without pressing."""
         return classify(self.of_force, self.of_separation, self._biactive())
 
@@ -204,7 +204,7 @@ class NlpAnswer:
 class NonlinearModes:
     """One model, whose modes are moved by bounds. guess: the plan that the first solve starts from."""
 
-    def __init__(self, scene: Scene, kernel: Kernel, ball: float, account: Account, options: Mapping[str, Any]) -> None:
+    def __init__(self, scene: Scene, kernel: Kernel, ball: float, account: SolveBudget, options: Mapping[str, Any]) -> None:
         self._scene, self._kernel = scene, kernel
         # The bound is never used: products are switched off as soon as modes are held.
         model = build_model(scene, ContactLaw.COMPLEMENTARITY, eps=1.0 if scene.nc else None)
@@ -212,7 +212,7 @@ class NonlinearModes:
         self._bench, self._residuals = Workbench(model), PlanResiduals(scene)
         self.begin(ball, account, options)
 
-    def begin(self, ball: float, account: Account, options: Mapping[str, Any]) -> None:
+    def begin(self, ball: float, account: SolveBudget, options: Mapping[str, Any]) -> None:
         """As if built anew; ball: positive if it was built with one, else 0."""
         move_ball(self._bench.model, ball)
         self._account, self._options = account, {**options, "bound_relax_factor": 0.0}
@@ -294,7 +294,7 @@ class Structures:
         self._homotopies[key].move_ball(ball)
         return self._homotopies[key]
 
-    def modes(self, ball: float, account: Account, options: Mapping[str, Any]) -> ModesProblem | NonlinearModes:
+    def modes(self, ball: float, account: SolveBudget, options: Mapping[str, Any]) -> ModesProblem | NonlinearModes:
         """The problem with modes fixed, with this ball; account, options: of the runs of Ipopt that a nonlinear scene needs."""
         if self.is_linear:
             if self._linear is None:

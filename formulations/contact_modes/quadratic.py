@@ -42,7 +42,7 @@ _ZERO = 1e-6  # part of the largest multiplier that counts as zero
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stationarity:
+class ModeStationarity:
     """letter: the strongest class that holds; biactive: number of pairs; least: their smallest multiplier (0 without pairs)."""
 
     letter: str
@@ -57,17 +57,17 @@ class Stationarity:
         return f"{self.letter}-stationary: {self.biactive} {pairs} without pressing, with multipliers of at least {self.least:.3g}."
 
 
-def classify(of_force: np.ndarray, of_separation: np.ndarray, biactive: np.ndarray) -> Stationarity:
+def classify(of_force: np.ndarray, of_separation: np.ndarray, biactive: np.ndarray) -> ModeStationarity:
     """of_force, of_separation: multipliers s_G, s_H (steps, nc) per newton; biactive (steps, nc): whether both G and H are zero."""
     pairs = np.stack([of_force[biactive], of_separation[biactive]])
     if not pairs.size:
-        return Stationarity(letter="S", biactive=0, least=0.0)
+        return ModeStationarity(letter="S", biactive=0, least=0.0)
     zero = _ZERO * max(1.0, float(np.abs(np.stack([of_force, of_separation])).max()))
     low, high = pairs.min(axis=0), pairs.max(axis=0)
     is_zero = (np.abs(pairs) <= zero).any(axis=0)
     classes = (("S", low >= -zero), ("M", (low > zero) | is_zero), ("C", (low * high >= 0.0) | is_zero), ("A", high >= -zero))
     letter = next((letter for letter, holds in classes if holds.all()), "W")
-    return Stationarity(letter=letter, biactive=int(biactive.sum()), least=float(low.min()))
+    return ModeStationarity(letter=letter, biactive=int(biactive.sum()), least=float(low.min()))
 
 
 _HALVINGS = 80  # of the interval in which the logarithm of the multiplier lies: below rounding
@@ -114,7 +114,7 @@ _SOLVED = 1e-8  # largest residual of the linear system that still counts as a s
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ActiveSet:
+class WorkingSet:
     """side (steps, nu): -1 on the lower bound, 1 on the upper, 0 free; touching (steps, nc): phi = 0 is imposed."""
 
     side: np.ndarray
@@ -124,7 +124,7 @@ class ActiveSet:
     def count(self) -> int:
         return int(np.count_nonzero(self.side) + np.count_nonzero(self.touching))
 
-    def same_as(self, other: ActiveSet) -> bool:
+    def same_as(self, other: WorkingSet) -> bool:
         return np.array_equal(self.side, other.side) and np.array_equal(self.touching, other.touching)
 
 
@@ -134,7 +134,7 @@ class ModesAnswer:
 
     closed: np.ndarray
     point: Point
-    active: ActiveSet
+    active: WorkingSet
     cost: float
     phi: np.ndarray
     of_force: np.ndarray
@@ -145,7 +145,7 @@ class ModesAnswer:
     def u(self) -> np.ndarray:
         return self.point.u
 
-    def stationarity(self) -> Stationarity:
+    def stationarity(self) -> ModeStationarity:
         """The class of the pairs that touch without pressing."""
         return classify(self.of_force, self.of_separation, self._biactive())
 
@@ -174,9 +174,9 @@ class ModesProblem:
         self._floors: dict[tuple[float, float, bytes], float] = {}  # by ball, softness and modes: no plan costs less
         self._dual = DualRounds(linear, self.kkt)
 
-    def empty_set(self) -> ActiveSet:
+    def empty_set(self) -> WorkingSet:
         lin = self.linear
-        return ActiveSet(side=np.zeros((lin.steps, lin.nu), dtype=int), touching=np.zeros((lin.steps, lin.nc), dtype=bool))
+        return WorkingSet(side=np.zeros((lin.steps, lin.nu), dtype=int), touching=np.zeros((lin.steps, lin.nc), dtype=bool))
 
     def solve(self, closed: np.ndarray, *, near: ModesAnswer | None = None, below: float = np.inf) -> ModesAnswer | None:
         """The optimum, or None where these modes have no plan of a cost below `below`. near: the answer of similar modes.
@@ -206,11 +206,11 @@ class ModesProblem:
             if dual == "infeasible" or (isinstance(dual, DualAnswer) and dual.is_cut):
                 return None
             if isinstance(dual, DualAnswer):
-                guess = ActiveSet(side=dual.side, touching=dual.touching)
+                guess = WorkingSet(side=dual.side, touching=dual.touching)
         found = self._rounds(closed, guess)
         if found is None:
             named = active_set(self.linear, closed, self.ball, self.softness)
-            found = None if named is None else self._rounds(closed, ActiveSet(side=named[0], touching=named[1]))
+            found = None if named is None else self._rounds(closed, WorkingSet(side=named[0], touching=named[1]))
         return found if found is not None and found.cost < below else None
 
     def _softness(self, near: ModesAnswer) -> float:
@@ -234,11 +234,11 @@ class ModesProblem:
         x = np.hstack([point.z[:-1], point.u])
         return x @ lin.H[:, n:] + lin.g[n:] + point.y @ lin.B
 
-    def _rounds(self, closed: np.ndarray, active: ActiveSet, most: int = _ROUNDS, below: float = np.inf) -> ModesAnswer | None:
+    def _rounds(self, closed: np.ndarray, active: WorkingSet, most: int = _ROUNDS, below: float = np.inf) -> ModesAnswer | None:
         """The optimum, from a guess of its active set; or None. An answer of a cost of `below` or more may only be a lower bound: conditions
         that are imposed and all pull the right way are those of a problem with fewer."""
         sign = np.where(closed, 1.0, -1.0)
-        active = ActiveSet(side=active.side, touching=active.touching & (np.arange(len(closed)) > 0)[:, None])
+        active = WorkingSet(side=active.side, touching=active.touching & (np.arange(len(closed)) > 0)[:, None])
         for _ in range(most):
             point = self._equality(closed, active)
             if point is None:
@@ -250,7 +250,7 @@ class ModesProblem:
             active = better
         return None
 
-    def _answer(self, closed: np.ndarray, point: Point, active: ActiveSet) -> ModesAnswer:
+    def _answer(self, closed: np.ndarray, point: Point, active: WorkingSet) -> ModesAnswer:
         """With the multipliers of lam >= 0 and lam - k phi >= 0 (see `stationarity`): their sum is that of lam in the time step."""
         lin = self.linear
         both, own = point.y @ lin.E, point.mu / np.where(lin.k > 0.0, lin.k, 1.0)
@@ -271,7 +271,7 @@ class ModesProblem:
         cost = self.linear.cost(point.z[:-1], point.u)
         return cost if self.softness == 0.0 else cost + 0.5 / self.softness * float((miss(point.z[-1], self.linear.goal) ** 2).sum())
 
-    def _next(self, point: Point, sign: np.ndarray, active: ActiveSet) -> ActiveSet:
+    def _next(self, point: Point, sign: np.ndarray, active: WorkingSet) -> WorkingSet:
         lin, side = self.linear, active.side
         slope = self.slopes(point)
         keeps = side * slope <= _PULLING  # the lower bound pushes up (slope >= 0), the upper one down
@@ -281,9 +281,9 @@ class ModesProblem:
         reach = sign * lin.penetration(point.z[:-1])
         touching = np.where(active.touching, -sign * point.mu >= -_PULLING, reach < -_VIOLATED)
         touching[0] = False
-        return ActiveSet(side=moved.astype(int), touching=touching)
+        return WorkingSet(side=moved.astype(int), touching=touching)
 
-    def _equality(self, closed: np.ndarray, active: ActiveSet) -> Point | None:
+    def _equality(self, closed: np.ndarray, active: WorkingSet) -> Point | None:
         lin, held = self.linear, active.side != 0
         if not self.kkt.factor(closed, held, active.touching, softness=self.softness):
             return None

@@ -111,7 +111,7 @@ class Translate(Move):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Split(Move):
+class SplitWindow(Move):
     """A window opens in first <= t < stop, strictly inside it."""
 
     index: int
@@ -143,7 +143,7 @@ class Merge(Move):
 
     def undo(self, windows: Windows) -> Move:
         row = windows[self.contact]
-        return Split(contact=self.contact, index=self.index, first=row[self.index][1], stop=row[self.index + 1][0])
+        return SplitWindow(contact=self.contact, index=self.index, first=row[self.index][1], stop=row[self.index + 1][0])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -219,7 +219,7 @@ def rearrangements(windows: Windows, phi: np.ndarray) -> Iterator[Move]:
             yield Drop(contact=contact, index=index)
             if stop - first >= 3:
                 least = first + 1 + int(depth[first + 1 : stop - 1].argmin())
-                yield Split(contact=contact, index=index, first=least, stop=least + 1)
+                yield SplitWindow(contact=contact, index=index, first=least, stop=least + 1)
         edges = [0, *(edge for window in row for edge in window), len(depth)]
         for first, stop in zip(edges[::2], edges[1::2], strict=True):
             if stop - first >= 3:
@@ -249,7 +249,7 @@ _DETOUR = 40  # plans tried on a detour; from two pushes to one, 27 steps away, 
 _STRETCH = 4  # of the longest stride: the first on a detour
 
 
-class Candidate(Protocol):
+class ModePlan(Protocol):
     """A plan that is optimal for its modes."""
 
     @property
@@ -264,12 +264,12 @@ class Candidate(Protocol):
         ...
 
 
-Answer = TypeVar("Answer", bound=Candidate)
+Answer = TypeVar("Answer", bound=ModePlan)
 Improve = Callable[[np.ndarray, Answer, float], Answer | None]  # (modes, neighbour, below) -> its optimum if that costs less, else None
 
 
 @dataclass(frozen=True, kw_only=True)
-class Found(Generic[Answer]):
+class SearchResult(Generic[Answer]):
     """best: the cheapest; tried: neighbours solved; complete: no neighbour is cheaper (False: stopped before that was known)."""
 
     best: Answer
@@ -277,12 +277,14 @@ class Found(Generic[Answer]):
     complete: bool
 
 
-def search_windows(best: Answer, improve: Improve[Answer], *, stride: int, is_over: Callable[[], bool], far: bool = True) -> Found[Answer]:
+def search_windows(
+    best: Answer, improve: Improve[Answer], *, stride: int, is_over: Callable[[], bool], far: bool = True
+) -> SearchResult[Answer]:
     """From `best` downhill. stride: the first stride in steps; is_over: whether to stop; far: whether to look further than a move."""
     return _Search(best, improve, is_over).run(stride, far)
 
 
-def follow_pulls(best: Answer, improve: Improve[Answer], *, is_over: Callable[[], bool]) -> Found[Answer]:
+def follow_pulls(best: Answer, improve: Improve[Answer], *, is_over: Callable[[], bool]) -> SearchResult[Answer]:
     """Only switch pairs that touch and would rather be in their other mode, until none helps."""
     search = _Search(best, improve, is_over)
     search.follow_pulls()
@@ -298,10 +300,10 @@ class _Search(Generic[Answer]):
     def _is_over(self) -> bool:
         return self._tried >= self._most or self._time_is_over()
 
-    def found(self, *, complete: bool) -> Found[Answer]:
-        return Found(best=self._best, tried=self._tried, complete=complete)
+    def found(self, *, complete: bool) -> SearchResult[Answer]:
+        return SearchResult(best=self._best, tried=self._tried, complete=complete)
 
-    def run(self, stride: int, far: bool) -> Found[Answer]:
+    def run(self, stride: int, far: bool) -> SearchResult[Answer]:
         longest, repeated = stride, not far
         if far:
             self.follow_pulls()

@@ -43,7 +43,7 @@ from formulations.grids import check_warm_start, input_bounds, plan_of
 from formulations.method import Method, Session
 from formulations.mpec.certificate.certificate import Certificate
 from formulations.solution import Attempt, Outcome, Solution
-from formulations.transcription.account import Account
+from formulations.transcription.account import SolveBudget
 from formulations.transcription.residuals import PlanResiduals
 from models.codegen.kernel import Kernel, Rollout, load_kernel
 from models.scene import Scene
@@ -62,7 +62,7 @@ class Throws:
     def __init__(self, scene: Scene, kernel: Kernel, finder: Finder, options: MpccOptions, structures: Structures) -> None:
         self._scene, self._kernel, self._finder, self._options, self._structures = scene, kernel, finder, options, structures
 
-    def instead_of(self, before: Search, account: Account, seed: tuple[int, ...]) -> Search:
+    def instead_of(self, before: Search, account: SolveBudget, seed: tuple[int, ...]) -> Search:
         """A cheaper plan that throws, or the one before: it stays where there is a goal, where the end costs nothing, and where its inputs press
         a contact that is not pressed without them."""
         task = self._scene.task
@@ -83,7 +83,7 @@ class Throws:
         first = "no plan was found" if before.answer is None else f"the best plan brought no contact about (cost {before.answer.cost:.6g})"
         return replace(found, message=f"At first {first}; this one was found from throws by constant inputs. {found.message}")
 
-    def _best(self, account: Account, planned: np.ndarray, idle: np.ndarray, seed: tuple[int, ...]) -> tuple[object, Answer | None]:
+    def _best(self, account: SolveBudget, planned: np.ndarray, idle: np.ndarray, seed: tuple[int, ...]) -> tuple[object, Answer | None]:
         """The problem with modes fixed, and the cheapest of its answers to the modes of throws."""
         begin = perf_counter()
         below = final_cost(self._kernel, self._kernel.rollout(np.array(self._scene.task.start), planned, self._scene.task.step))
@@ -159,7 +159,7 @@ class MultiStart:
         self._structures = structures or Structures(scene, kernel)
         self._throws = Throws(scene, kernel, finder, options, self._structures)
 
-    def run(self, account: Account, numbers: range, warm_start: Trajectory | None) -> tuple[Search, tuple[Attempt, ...]]:
+    def run(self, account: SolveBudget, numbers: range, warm_start: Trajectory | None) -> tuple[Search, tuple[Attempt, ...]]:
         """The best of the starts of these numbers, and what became of each. Starts for which there is no time are not among them.
 
         A start may do half of the work that is left, the last one all of it: better some starts that come to their end than none.
@@ -187,7 +187,7 @@ class MultiStart:
             attempts[place] = self._attempt(attempts[place].number, start, thrown, attempts[place].seconds + process_time() - began)
         return thrown, tuple(attempts)
 
-    def _start(self, account: Account, number: int, warm_start: Trajectory | None) -> _Start:
+    def _start(self, account: SolveBudget, number: int, warm_start: Trajectory | None) -> _Start:
         if number == 0:
             words = "the paper's first guess" if warm_start is None else "the plan given"
             return _Start(words=words, plan=warm_start, for_modes=warm_start is not None)
@@ -198,7 +198,7 @@ class MultiStart:
         for_modes = number % 2 == 0 and plan is not None
         return _Start(words="random inputs, steered to the goal" if for_modes else "random inputs", plan=plan, for_modes=for_modes)
 
-    def _special(self, account: Account, number: int) -> tuple[Trajectory | None, str]:
+    def _special(self, account: SolveBudget, number: int) -> tuple[Trajectory | None, str]:
         source = {1: self._chain, 2: self._descended, 3: self._chain, 4: self._descended}.get(number)
         if source is None:
             return None, ""
@@ -207,7 +207,7 @@ class MultiStart:
             return plan, words
         return mirrored(self._scene, self._kernel, plan), f"{words}, mirrored"
 
-    def _chain(self, account: Account) -> tuple[Trajectory | None, str]:
+    def _chain(self, account: SolveBudget) -> tuple[Trajectory | None, str]:
         stages: list[Trajectory] = []
         begin = perf_counter()
         homotopy = self._structures.homotopy(self._options.goal_tolerance, _CHAIN)
@@ -216,7 +216,7 @@ class MultiStart:
         homotopy.run(account, ipopt, None, stages.append)
         return (stages[-1] if stages else None), "softplus chain"
 
-    def _descended(self, _account: Account) -> tuple[Trajectory | None, str]:
+    def _descended(self, _account: SolveBudget) -> tuple[Trajectory | None, str]:
         return descended_plan(self._scene, self._kernel), "softplus gradient descent"
 
     def _attempt(self, number: int, start: _Start, found: Search, seconds: float) -> Attempt:
@@ -270,13 +270,13 @@ class MpccSession(Session):
         self._method.check_stage(eps, time_limit)
         if warm_start is not None:
             check_warm_start(self._scene, warm_start)
-        account, self._opening = Account(time_limit, self._opening), (0.0, 0.0)
+        account, self._opening = SolveBudget(time_limit, self._opening), (0.0, 0.0)
         account.most_work = 1e6 * self._options.work
         first = self._options.first_start
         search, attempts = self._starts.run(account, range(first, first + self._options.starts), warm_start)
         return self._solution(account, search, attempts)
 
-    def _solution(self, account: Account, search: Search, attempts: tuple[Attempt, ...]) -> Solution:
+    def _solution(self, account: SolveBudget, search: Search, attempts: tuple[Attempt, ...]) -> Solution:
         several = attempts if len(attempts) > 1 else ()
         empty = Solution(
             method=self._method.name, outcome=search.outcome, message=search.message, options=asdict(self._options), starts=several
@@ -362,5 +362,5 @@ def _judged(found: Certificate, message: str) -> tuple[Outcome, str]:
     return Outcome.STALLED, f"{message} The plan holds, but {known}: {found.sentence}."
 
 
-def _columns(account: Account) -> dict[str, tuple[Any, ...]]:
+def _columns(account: SolveBudget) -> dict[str, tuple[Any, ...]]:
     return {name: tuple(values) for name, values in account.history.items()}

@@ -24,7 +24,7 @@ from formulations.ipopt.errors import MissingValueError, ModelRefusedError, Stru
 from formulations.ipopt.options import known_options
 from formulations.ipopt.problem import IpoptProblem
 from formulations.ipopt.pyomo_solver import TouchstoneIpopt
-from formulations.ipopt.result import STATUS_MAP, STATUS_NAMES, IpoptResult, Iteration, Residuals, Seconds, load, outcome_of, residuals
+from formulations.ipopt.result import STATUS_MAP, STATUS_NAMES, IpoptResult, IpoptSeconds, Iteration, Residuals, load, outcome_of, residuals
 from formulations.ipopt.solve import Start, solve
 
 __all__ = [
@@ -36,7 +36,7 @@ __all__ = [
     "MissingValueError",
     "ModelRefusedError",
     "Residuals",
-    "Seconds",
+    "IpoptSeconds",
     "Start",
     "StructureChangedError",
     "TouchstoneIpopt",

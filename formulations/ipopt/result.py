@@ -196,7 +196,7 @@ class Iteration:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Seconds:
+class IpoptSeconds:
     """Wall time of one solve [s]: inside the model's functions, in the rest of Ipopt (its linear algebra), and in all; CPU time in all."""
 
     evaluate: float = 0.0
@@ -225,7 +225,7 @@ class IpoptResult:
     iterations: int
     residuals: Residuals
     history: tuple[Iteration, ...]
-    seconds: Seconds
+    seconds: IpoptSeconds
     calls: Mapping[str, int] = field(default_factory=dict)
     options: Mapping[str, str | int | float]
     version: str

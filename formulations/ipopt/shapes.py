@@ -221,7 +221,7 @@ Signature = tuple[Hashable, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Shape:
+class ExpressionShape:
     """One analysed signature. Slots number the variables of a term; functions take rows over instances (see codegen).
 
     prepare(data) fills (1 + len(linear) + number of hoisted values, instances): constant, linear coefficients, hoisted values.
@@ -242,10 +242,10 @@ class Shape:
         return 1 + len(self.linear) + self.hoisted
 
 
-_cache: dict[Signature, Shape] = {}
+_cache: dict[Signature, ExpressionShape] = {}
 
 
-def shape_of(signature: Signature) -> Shape:
+def shape_of(signature: Signature) -> ExpressionShape:
     """The compiled shape of a signature, from the process-wide cache when it was met before."""
     shape = _cache.get(signature)
     if shape is None:
@@ -311,7 +311,7 @@ def _sum(graph: Graph, terms: list[int]) -> int:
     return total
 
 
-def compile_shape(graph: Graph, root: int) -> Shape:
+def compile_shape(graph: Graph, root: int) -> ExpressionShape:
     split = split_linear(graph, root)
     slopes = gradient(graph, split.nonlinear)
     used = {graph.args[n][0] for n in graph.reachable(split.nonlinear) if graph.op[n] == "variable"}
@@ -339,7 +339,7 @@ def compile_shape(graph: Graph, root: int) -> Shape:
         hessian = generate_by_products(graph, products, pairs, hoisted, local, operations)
     elif entries:
         hessian = generate(graph, list(entries.values()), hoisted, local, "hessian")
-    return Shape(
+    return ExpressionShape(
         linear=linear,
         curved=curved,
         hoisted=len(hoisted),
@@ -381,7 +381,7 @@ class TermGroup:
     columns: (slots, N) the variable in each slot
     """
 
-    def __init__(self, shape: Shape, bucket: Bucket) -> None:
+    def __init__(self, shape: ExpressionShape, bucket: Bucket) -> None:
         self.shape = shape
         self.rows = np.array(bucket.rows, dtype=np.intp)
         self.weights = np.array(bucket.weights, dtype=float)

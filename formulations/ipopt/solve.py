@@ -25,9 +25,9 @@ from formulations.ipopt.result import (
     NOT_SENT,
     UNKNOWN,
     IpoptResult,
+    IpoptSeconds,
     Iteration,
     Residuals,
-    Seconds,
     name_of,
     outcome_of,
     residuals,
@@ -108,7 +108,7 @@ def _products(distance: np.ndarray, multiplier: np.ndarray, where: np.ndarray) -
 
 
 @dataclass(frozen=True, kw_only=True)
-class Answer:
+class IpoptExit:
     """Where Ipopt ended: its status code, the point and its multipliers in Ipopt's signs; a message only where Ipopt was not needed."""
 
     status: int
@@ -127,7 +127,7 @@ def version() -> str:
     return f"cyipopt {cyipopt.__version__}, Ipopt {'.'.join(str(part) for part in ipopt_version())}"
 
 
-def run(problem: IpoptProblem, functions: Evaluations, start: Start, options: Mapping[str, str | int | float]) -> Answer:
+def run(problem: IpoptProblem, functions: Evaluations, start: Start, options: Mapping[str, str | int | float]) -> IpoptExit:
     """Raises UnknownOptionError for a value that Ipopt does not take, and what a callback raised, as it was."""
     nlp = cyipopt.Problem(
         n=problem.n,
@@ -151,7 +151,7 @@ def run(problem: IpoptProblem, functions: Evaluations, start: Start, options: Ma
         nlp.close()
     if functions.error is not None:
         raise functions.error
-    return Answer(
+    return IpoptExit(
         status=int(info["status"]),
         x=np.array(x, dtype=float),
         lagrange=np.array(info["mult_g"], dtype=float).reshape(problem.m),
@@ -222,7 +222,7 @@ def solve(
         iterations=max(0, recorder.last),
         residuals=certificate,
         history=tuple(recorder.lines),
-        seconds=Seconds(
+        seconds=IpoptSeconds(
             evaluate=functions.seconds,
             linear_algebra=max(0.0, wall - functions.seconds - recorder.seconds),
             wall=wall,
@@ -273,7 +273,7 @@ class _Recorder:
         return go_on is None or bool(go_on)
 
 
-def _decided_without_ipopt(problem: IpoptProblem, start: Start) -> Answer | None:
+def _decided_without_ipopt(problem: IpoptProblem, start: Start) -> IpoptExit | None:
     """An answer where nothing is left for Ipopt: contradicting bounds, a false constraint of numbers, no variable at all."""
     violation, name = problem.trivial_violation()
     crossed = np.flatnonzero(problem.lower > problem.upper)
@@ -290,10 +290,10 @@ def _decided_without_ipopt(problem: IpoptProblem, start: Start) -> Answer | None
     if message is None:
         return None
     zero = np.zeros(problem.n)
-    return Answer(status=NOT_SENT, message=message, x=start.x, lagrange=np.zeros(problem.m), zl=zero, zu=zero.copy())
+    return IpoptExit(status=NOT_SENT, message=message, x=start.x, lagrange=np.zeros(problem.m), zl=zero, zu=zero.copy())
 
 
-def _judge(problem: IpoptProblem, answer: Answer, options: Mapping[str, Any]) -> tuple[Outcome, str, Residuals]:
+def _judge(problem: IpoptProblem, answer: IpoptExit, options: Mapping[str, Any]) -> tuple[Outcome, str, Residuals]:
     """Ipopt's claim, checked: no 'solved' without residuals that say so."""
     vectors = (answer.x, answer.lagrange, answer.zl, answer.zu)
     finite = all(bool(np.all(np.isfinite(v))) for v in vectors)

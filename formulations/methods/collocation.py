@@ -18,7 +18,7 @@ import numpy as np
 
 from formulations.method import Kind, Method, Session, option, without_inputs
 from formulations.solution import ModelSize, Outcome, Solution
-from formulations.transcription.account import Account
+from formulations.transcription.account import SolveBudget
 from formulations.transcription.method import TranscriptionOptions, why_not_collocated
 from formulations.transcription.residuals import PlanResiduals
 from models.codegen.kernel import load_kernel
@@ -75,7 +75,7 @@ class CollocationSession(Session):
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
         self._method.check_stage(eps, time_limit)
-        account, self._opening = Account(time_limit, self._opening), (0.0, 0.0)
+        account, self._opening = SolveBudget(time_limit, self._opening), (0.0, 0.0)
         begin, problem = perf_counter(), self._problem
         problem.prepare(warm_start)
         account.build += perf_counter() - begin
@@ -98,7 +98,7 @@ class CollocationSession(Session):
         message = "no modes of the stages that were tried have a plan; a finer grid, or another start, may."
         return self._solution(account, None, Outcome.STALLED, message)
 
-    def _softened(self, account: Account, start: Trajectory | None) -> tuple[list[StageModes], Outcome, str]:
+    def _softened(self, account: SolveBudget, start: Trajectory | None) -> tuple[list[StageModes], Outcome, str]:
         """The last stages of the homotopy, the sharpest first; where its first stage has no plan, from the plan that comes nearest to the goal."""
         guesses: list[StageModes] = []
         outcome, message = self._problem.soften(account, start, guesses.append)
@@ -112,7 +112,7 @@ class CollocationSession(Session):
                 outcome, message = self._problem.soften(account, found.plan, guesses.append)
         return guesses[: -_TRIED - 1 : -1], outcome, message
 
-    def _solution(self, account: Account, bench: Workbench | None, outcome: Outcome, message: str) -> Solution:
+    def _solution(self, account: SolveBudget, bench: Workbench | None, outcome: Outcome, message: str) -> Solution:
         plan, cost, residuals = None, None, {}
         if bench is not None and outcome.has_answer:
             try:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, cast
 from formulations.grids import coarse_scene, on_grid
 from formulations.method import Kind, Method, Session, option, without_inputs
 from formulations.solution import Outcome, Solution
-from formulations.transcription.account import Account
+from formulations.transcription.account import SolveBudget
 from formulations.transcription.method import BarrierOptions, StageRules, Work, ended
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw
@@ -103,12 +103,12 @@ class RelaxedLCPSession(Session):
             promises=promises,
         )
 
-    def _found(self, account: Account, eps: float, start: Trajectory | None) -> IpoptResult:
+    def _found(self, account: SolveBudget, eps: float, start: Trajectory | None) -> IpoptResult:
         """Solve the model, which holds the start already."""
         if self._scene.task.steps <= self._longest or self._solver.last is not None:  # a later stage starts from a plan of this grid
             with self._homotopy.stage(account) as stage:
                 return self._reached_cold(stage, account, eps) if start is None else stage.reach(eps, start)
-        on_coarser = Account(account.remaining)
+        on_coarser = SolveBudget(account.remaining)
         coarse = self._from_coarser_grid(on_coarser, eps, start)
         if coarse is not None:
             self._solver.load(coarse)
@@ -117,7 +117,7 @@ class RelaxedLCPSession(Session):
         account.include(on_coarser)
         return result
 
-    def _from_coarser_grid(self, account: Account, eps: float, start: Trajectory | None) -> Trajectory | None:
+    def _from_coarser_grid(self, account: SolveBudget, eps: float, start: Trajectory | None) -> Trajectory | None:
         """A plan of every second step, on this grid, or None if there is none."""
         coarse = coarse_scene(self._scene, math.ceil(self._scene.task.steps / 2))
         if coarse is None or not step_stability(coarse).is_stable:
@@ -131,7 +131,7 @@ class RelaxedLCPSession(Session):
         solved = session._solver.last
         return None if solved is None else on_grid(solved.plan, self._scene)
 
-    def _reached_cold(self, stage: Stage, account: Account, eps: float) -> IpoptResult:
+    def _reached_cold(self, stage: Stage, account: SolveBudget, eps: float) -> IpoptResult:
         """From the first guess, which the model holds; softer first where that leads nowhere soon."""
         levels = [eps]
         while self._scene.nl and 10.0 * levels[-1] < 1.0:

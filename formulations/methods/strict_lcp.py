@@ -20,7 +20,7 @@ import numpy as np
 
 from formulations.method import Kind, Method, Session, option, without_inputs
 from formulations.solution import Outcome, Solution
-from formulations.transcription.account import Account
+from formulations.transcription.account import SolveBudget
 from formulations.transcription.method import BarrierOptions, Work, ended
 from models.codegen.kernel import load_kernel
 from models.dynamics import derive
@@ -99,11 +99,11 @@ class StrictLCPSession(Session):
     def solve_modes(self, closed: np.ndarray, time_limit: float = 60.0) -> IpoptResult:
         """Step 2 alone, from the paper's first guess: closed (steps, nc + 2 nf) as in `hold_modes`."""
         self._solver.prepare(self._options.attack_bound, None)
-        return self._with_modes(Account(time_limit), closed)
+        return self._with_modes(SolveBudget(time_limit), closed)
 
     # -- the three steps --------------------------------------------------------------------------------------------------------
 
-    def _found(self, account: Account, start: Trajectory | None) -> IpoptResult:
+    def _found(self, account: SolveBudget, start: Trajectory | None) -> IpoptResult:
         if not self._scene.nl:
             return self._solver.attempt(account, self._ipopt(start), from_plan=self._options.ipopt())
         bound = self._options.attack_bound
@@ -134,7 +134,7 @@ class StrictLCPSession(Session):
         products = max(found.get("complementarity", 0.0), found.get("friction_law", 0.0))
         return products <= bound + tolerance and max(found["terminal_error"], found["dynamics_defect"]) <= tolerance
 
-    def _attack(self, account: Account, start: Trajectory | None, bound: float) -> IpoptResult:
+    def _attack(self, account: SolveBudget, start: Trajectory | None, bound: float) -> IpoptResult:
         """Step 1; a plan that leads nowhere is left for the first guess."""
         self._solver.release_modes()
         if start is not None:
@@ -144,7 +144,7 @@ class StrictLCPSession(Session):
             self._solver.load(None)
         return self._narrowed(account, None, bound)
 
-    def _narrowed(self, account: Account, start: Trajectory | None, bound: float) -> IpoptResult:
+    def _narrowed(self, account: SolveBudget, start: Trajectory | None, bound: float) -> IpoptResult:
         """The model solved at the bound from what it holds: at once, or by way of looser bounds, each from the plan before."""
         bounds = [bound]
         while not derive(self._scene).structure.linear and bounds[0] < _FIRST_BOUND:
@@ -157,7 +157,7 @@ class StrictLCPSession(Session):
             start = self._solver.read()
         return result
 
-    def _attempted(self, account: Account, start: Trajectory | None, *, is_first: bool) -> IpoptResult:
+    def _attempted(self, account: SolveBudget, start: Trajectory | None, *, is_first: bool) -> IpoptResult:
         """At the bound of the model; a plan that leads nowhere with Ipopt's own barrier is tried once more from well inside its bounds."""
         options, from_plan = self._attack_options(account, start), self._options.ipopt()
         if start is None or not is_first:
@@ -173,11 +173,11 @@ class StrictLCPSession(Session):
     def _ipopt(self, start: Trajectory | None) -> dict[str, Any]:
         return {**self._options.ipopt(), **(self._options.cold_barrier() if start is None else {})}
 
-    def _attack_options(self, account: Account, start: Trajectory | None) -> dict[str, Any]:
+    def _attack_options(self, account: SolveBudget, start: Trajectory | None) -> dict[str, Any]:
         options, most = self._ipopt(start), _ATTACK.iterations(self._solver.unknowns)
         return {**options, "max_iter": min(options["max_iter"], account.iterations + min(most, self._options.attack_iterations))}
 
-    def _exact(self, account: Account, plan: Trajectory) -> IpoptResult:
+    def _exact(self, account: SolveBudget, plan: Trajectory) -> IpoptResult:
         """Step 2 with the modes of a plan; where they have none, with those of its inputs under the true law, which have one: that motion,
         if it only reached the goal. Where friction begins to hold, a mode that is one step early leaves nothing."""
         exact = self._with_modes(account, self._solver.residuals.modes(plan))
@@ -190,7 +190,7 @@ class StrictLCPSession(Session):
         self._solver.load(motion)
         return self._with_modes(account, self._solver.residuals.modes(motion))
 
-    def _with_modes(self, account: Account, closed: np.ndarray) -> IpoptResult:
+    def _with_modes(self, account: SolveBudget, closed: np.ndarray) -> IpoptResult:
         if self._modes is None:
             self._modes = self._solver.with_fixed_modes(self._options.mode_switches)
         return self._modes.solve(account, closed)

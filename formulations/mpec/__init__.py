@@ -3,8 +3,8 @@
 import formulations.mpec                                     # registers SolverFactory("mpec_ipopt")
 pyo.SolverFactory("mpec_ipopt").solve(model)                 # any model with Complementarity components
 
-from formulations.mpec import Settings, certify, load, solve_mpec
-result = solve_mpec(model, Settings(strategy="scholtes"))    # the model is only read
+from formulations.mpec import MpecSettings, certify, load, solve_mpec
+result = solve_mpec(model, MpecSettings(strategy="scholtes"))    # the model is only read
 load(result)
 certify(model).sentence                                      # of any point, whoever computed it
 certify_plan(scene, trajectory).sentence                     # of a scene's plan, in the scene's strict model
@@ -17,7 +17,7 @@ from formulations.mpec.certificate.certificate import Certificate, Multipliers, 
 from formulations.mpec.certificate.plan import certify_plan, certify_solution
 from formulations.mpec.pyomo_solver import MpecIpopt
 from formulations.mpec.result import MpecResult, PairState, load
-from formulations.mpec.settings import FALLBACKS, STRATEGY_NAMES, Settings, read_settings
+from formulations.mpec.settings import FALLBACKS, STRATEGY_NAMES, MpecSettings, read_settings
 from formulations.mpec.solve import solve_mpec
 
 __all__ = [
@@ -28,7 +28,7 @@ __all__ = [
     "MpecResult",
     "Multipliers",
     "PairState",
-    "Settings",
+    "MpecSettings",
     "Stationarity",
     "Tolerances",
     "certify",

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from formulations.ipopt import IpoptResult, Start
-from formulations.mpec.homotopy import Account
+from formulations.mpec.homotopy import WorkBudget
 from formulations.mpec.refine import lagrangian_slope, refined
-from formulations.mpec.settings import Settings
+from formulations.mpec.settings import MpecSettings
 from formulations.mpec.workspace import Columns, Workspace
 from formulations.solution import Outcome
 
@@ -56,7 +56,7 @@ class Branch:
 
 
 class Branching:
-    def __init__(self, work: Workspace, settings: Settings, account: Account) -> None:
+    def __init__(self, work: Workspace, settings: MpecSettings, account: WorkBudget) -> None:
         self._work, self._settings, self._account = work, settings, account
         self._columns = work.branches
         self._known: dict[bytes, Branch | None] = {}

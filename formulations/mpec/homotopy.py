@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from formulations.ipopt import IpoptResult, Start, solve
-from formulations.mpec.settings import Settings
+from formulations.mpec.settings import MpecSettings
 from formulations.mpec.strategies import Strategy
 from formulations.mpec.workspace import Workspace, natural_residual
 from formulations.solution import Outcome
@@ -38,7 +38,7 @@ class Step:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Point:
+class PathPoint:
     """Where the path is after a step that can be believed."""
 
     eps: float
@@ -46,7 +46,7 @@ class Point:
     result: IpoptResult
 
 
-class Account:
+class WorkBudget:
     """Time and iterations of a whole solve; `remaining` is None where there is no limit."""
 
     def __init__(self, limit: float | None) -> None:
@@ -75,25 +75,25 @@ class Path:
     """The steps of one strategy, taken one at a time by `points`. `gave_up`: it ended before its last eps, and `last_outcome`
     tells why."""
 
-    def __init__(self, work: Workspace, strategy: Strategy, settings: Settings, account: Account) -> None:
+    def __init__(self, work: Workspace, strategy: Strategy, settings: MpecSettings, account: WorkBudget) -> None:
         self._work, self._strategy, self._settings, self._account = work, strategy, settings, account
         self.steps: list[Step] = []
         self.gave_up = False
         self.last_outcome = Outcome.SOLVED
         self.last_message = ""
 
-    def points(self, start: np.ndarray) -> Iterator[Point]:
+    def points(self, start: np.ndarray) -> Iterator[PathPoint]:
         """Points of smaller and smaller eps; ends at the last eps, at a limit, or where no shorter step helps either."""
         settings, strategy = self._settings, self._strategy
         first = settings.eps_start or strategy.first
         last = min(settings.eps_end or strategy.last, first)
-        good: Point | None = None
+        good: PathPoint | None = None
         eps, factor, failures, tried = first, _FIRST_FACTOR, 0, {first}
         while True:
             result = self._take(eps, start, good)
             if _is_usable(result):
                 self.gave_up = False
-                good, failures = Point(eps=eps, x=result.x, result=result), max(0, failures - 1)
+                good, failures = PathPoint(eps=eps, x=result.x, result=result), max(0, failures - 1)
                 yield good
                 if eps <= last:
                     return
@@ -116,7 +116,7 @@ class Path:
                 factor = math.sqrt(factor)
                 eps = math.sqrt(eps * good.eps)
 
-    def _take(self, eps: float, start: np.ndarray, good: Point | None) -> IpoptResult:
+    def _take(self, eps: float, start: np.ndarray, good: PathPoint | None) -> IpoptResult:
         begin = time.perf_counter()
         self._work.set(eps)
         options: dict[str, Any] = {"max_iter": self._settings.step_iterations, "bound_relax_factor": 0.0}

@@ -21,15 +21,15 @@ from pyomo.core.staleflag import StaleFlagManager
 
 from formulations.mpec.branching import Branch
 from formulations.mpec.certificate.certificate import Certificate, Multipliers
-from formulations.mpec.homotopy import Account, Point, Step
+from formulations.mpec.homotopy import PathPoint, Step, WorkBudget
 from formulations.mpec.lifted import BoxCondition, Lifted, SimpleCondition
-from formulations.mpec.settings import Settings
+from formulations.mpec.settings import MpecSettings
 from formulations.mpec.strategies import Strategy
 from formulations.mpec.workspace import Columns, Workspace
 from formulations.solution import Outcome
 
 
-def verdict(candidate: Candidate, residual: float, certificate: Certificate | None, settings: Settings) -> tuple[Outcome, str]:
+def verdict(candidate: Candidate, residual: float, certificate: Certificate | None, settings: MpecSettings) -> tuple[Outcome, str]:
     """Outcome and sentence of a candidate that has a point."""
     told = f"{candidate.strategy.name}: " + (
         certificate.sentence if certificate else f"complementarity {residual:.1e}, no certificate asked for"
@@ -53,7 +53,7 @@ def verdict(candidate: Candidate, residual: float, certificate: Certificate | No
     return Outcome.SOLVED, told
 
 
-def outcome_without_point(outcome: Outcome, message: str, account: Account) -> tuple[Outcome, str]:
+def outcome_without_point(outcome: Outcome, message: str, account: WorkBudget) -> tuple[Outcome, str]:
     """Outcome and sentence where no relaxation could be solved."""
     if account.is_over:
         return Outcome.TIME_LIMIT, f"the time limit was reached before any relaxation was solved; {message}"
@@ -70,7 +70,7 @@ class Candidate:
     lifted: Lifted
     work: Workspace
     branch: Branch | None
-    point: Point | None
+    point: PathPoint | None
     outcome: Outcome
     message: str
     steps: tuple[Step, ...]
@@ -149,8 +149,8 @@ def result_of(
     x: np.ndarray | None,
     outcome: Outcome,
     message: str,
-    settings: Settings,
-    account: Account,
+    settings: MpecSettings,
+    account: WorkBudget,
     seconds: float,
 ) -> MpecResult:
     """columns, x: where the point is; None if there is none."""

@@ -20,7 +20,7 @@ FALLBACKS = ("smoothing", "scholtes", "l1_penalty")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class MpecSettings:
     """strategy: how pairs are made smooth; "auto" takes FALLBACKS in order until one succeeds (with at most `search` pairs, until two do)
     eps_start, eps_end: where the relaxation starts and ends (None: the strategy's own)
     complementarity_tolerance: largest min(v, w) of a pair that counts as complementary without polish
@@ -47,10 +47,10 @@ class Settings:
         return FALLBACKS if self.strategy == "auto" else (self.strategy,)
 
 
-_OWN = {item.name: item for item in fields(Settings) if item.name != "ipopt"}
+_OWN = {item.name: item for item in fields(MpecSettings) if item.name != "ipopt"}
 
 
-def read_settings(options: Mapping[str, Any]) -> Settings:
+def read_settings(options: Mapping[str, Any]) -> MpecSettings:
     """Split and check. Raises UnknownOptionError with what to write instead."""
     own = {name: value for name, value in options.items() if name in _OWN}
     ipopt = {name: value for name, value in options.items() if name not in _OWN and name != "solver"}
@@ -62,7 +62,7 @@ def read_settings(options: Mapping[str, Any]) -> Settings:
             if not close:
                 raise UnknownOptionError(f"there is no option '{name}', neither Ipopt's nor one of mpec_ipopt: {', '.join(_OWN)}")
     checked_options(ipopt)
-    return Settings(**{name: _checked(name, value) for name, value in own.items()}, ipopt=MappingProxyType(ipopt))
+    return MpecSettings(**{name: _checked(name, value) for name, value in own.items()}, ipopt=MappingProxyType(ipopt))
 
 
 def _checked(name: str, value: Any) -> Any:

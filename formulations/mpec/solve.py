@@ -16,7 +16,7 @@ import numpy as np
 from formulations.mpec.branching import Branch, Branching
 from formulations.mpec.certificate.certificate import certify
 from formulations.mpec.certificate.derivatives import values_set
-from formulations.mpec.homotopy import Account, Path, Point, Step
+from formulations.mpec.homotopy import Path, PathPoint, Step, WorkBudget
 from formulations.mpec.lifted import lift
 from formulations.mpec.result import (
     Candidate,
@@ -28,7 +28,7 @@ from formulations.mpec.result import (
     verdict,
     without_multipliers,
 )
-from formulations.mpec.settings import Settings
+from formulations.mpec.settings import MpecSettings
 from formulations.mpec.strategies import STRATEGIES, Strategy
 from formulations.mpec.workspace import Workspace, natural_residual
 from formulations.solution import Outcome
@@ -42,13 +42,13 @@ _EARLY_EPS, _NEAR = 1e-3, 1e-2
 WRONG_MULTIPLIERS = 1e-4
 
 
-def solve_mpec(model: Any, settings: Settings | None = None, *, time_limit: float | None = None) -> MpecResult:
+def solve_mpec(model: Any, settings: MpecSettings | None = None, *, time_limit: float | None = None) -> MpecResult:
     """Solve from the current values of the model's variables. The model is only read, also by the certificate.
 
     Raises ModelRefusedError for what cannot be treated and MissingValueError for data without a value, before anything runs.
     """
-    settings = settings or Settings()
-    begin, account = time.perf_counter(), Account(time_limit)
+    settings = settings or MpecSettings()
+    begin, account = time.perf_counter(), WorkBudget(time_limit)
     best: MpecResult | None = None
     steps: list[Step] = []
     solved_before = False
@@ -69,7 +69,7 @@ def solve_mpec(model: Any, settings: Settings | None = None, *, time_limit: floa
     return replace(best, steps=tuple(steps), iterations=account.iterations, solves=account.solves, seconds=time.perf_counter() - begin)
 
 
-def run_strategy(model: Any, strategy: Strategy, settings: Settings, account: Account) -> Candidate:
+def run_strategy(model: Any, strategy: Strategy, settings: MpecSettings, account: WorkBudget) -> Candidate:
     """One strategy from the model's values: its path, and the branch it leads to."""
     lifted = lift(model)
     work = Workspace(lifted, strategy)
@@ -106,7 +106,7 @@ def run_strategy(model: Any, strategy: Strategy, settings: Settings, account: Ac
 
 
 def _without_branch(
-    work: Workspace, branching: Branching, path: Path, last: Point | None, settings: Settings, account: Account
+    work: Workspace, branching: Branching, path: Path, last: PathPoint | None, settings: MpecSettings, account: WorkBudget
 ) -> tuple[Branch | None, Outcome, str]:
     """What to make of a path that led to no branch: all branches are tried where there are few, else it is told why the path ended."""
     if settings.polish and len(work.lifted.pairs) <= settings.max_biactive and not account.is_over:
@@ -128,7 +128,7 @@ def _without_branch(
     return None, Outcome.SOLVED, ""
 
 
-def judged(model: Any, candidate: Candidate, settings: Settings, account: Account, begin: float) -> MpecResult:
+def judged(model: Any, candidate: Candidate, settings: MpecSettings, account: WorkBudget, begin: float) -> MpecResult:
     """The result of a candidate; nothing is `solved` without residuals and a certificate that say so."""
     if candidate.branch is None and candidate.point is None:
         outcome, message = outcome_without_point(candidate.outcome, candidate.message, account)

@@ -10,7 +10,7 @@ import numpy as np
 from formulations.grids import plan_of
 from formulations.method import Method, Session, without_inputs
 from formulations.multiple_shooting.costs import Costs, GoalTerm
-from formulations.multiple_shooting.solver import Found, MultipleShootingOptions, Solver
+from formulations.multiple_shooting.solver import MultipleShootingOptions, Solver, SolverResult
 from formulations.shooting.ending import arrived, first_inputs, plan_residuals
 from formulations.shooting.growth import measure_growth
 from formulations.solution import Seconds, Solution
@@ -67,7 +67,7 @@ class MultipleShootingSession(Session):
         x[0] = start
         return x, u
 
-    def _solution(self, found: Found, eps: float | None) -> Solution:
+    def _solution(self, found: SolverResult, eps: float | None) -> Solution:
         """The plan: the motion that the inputs make, or the nodes themselves while there are gaps between them."""
         scene, task, law = self._scene, self._scene.task, self._method.law
         base = {

@@ -126,7 +126,7 @@ _FIRST_PRECISION = 1e-3  # before the first update of the multipliers; each one 
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Found:
+class SolverResult:
     """x (steps+1, 2*nq), u (steps, nu): the nodes and inputs it ended with; gap: largest entry; miss: |x_T - goal| at the last node;
     slope: promised decrease of the penalty function; history: columns of equal length, one row an iteration."""
 
@@ -162,7 +162,7 @@ class Solver:
         default_factory=lambda: {"penalty": [], "cost": [], "terminal_error": [], "gap": [], "length": []}
     )
 
-    def solve(self, x: np.ndarray, u: np.ndarray, goal: GoalTerm, deadline: float) -> Found:
+    def solve(self, x: np.ndarray, u: np.ndarray, goal: GoalTerm, deadline: float) -> SolverResult:
         """From nodes x (steps+1, 2*nq), x[0] the start, and inputs u (steps, nu) within their bounds; deadline: of perf_counter."""
         scene, options = self.steps.scene, self.options
         self._lower, self._upper = np.array([i.lower for i in scene.inputs]), np.array([i.upper for i in scene.inputs])
@@ -171,10 +171,10 @@ class Solver:
         precision = max(options.tolerance, _FIRST_PRECISION) if goal.any else options.tolerance
         lin = self._linearise(x, u)
 
-        def ended(outcome: Outcome, message: str) -> Found:
+        def ended(outcome: Outcome, message: str) -> SolverResult:
             gap = np.inf if lin is None else float(np.abs(lin.next - x[1:]).max())
             miss = float(np.linalg.norm(goal.miss(x[-1])))
-            return Found(
+            return SolverResult(
                 outcome=outcome, message=message, x=x, u=u, gap=gap, miss=miss, slope=slope, iterations=iteration, history=self._history
             )
 

@@ -26,7 +26,7 @@ SLACK = 1e-6  # relative, and absolute for bounds below 1: a hundred times Clara
 
 
 @dataclass(frozen=True)
-class Answer:
+class RelaxationResult:
     """status: "solved", "infeasible" or "unfinished"; bound: of the minimum from below, lowered by SLACK (-inf if unfinished)."""
 
     status: str
@@ -49,15 +49,17 @@ class Relaxation:
         self._equalities = self._dynamics()
         self._always = self._bounds()
 
-    def least_cost(self, lower: np.ndarray, upper: np.ndarray) -> Answer:
+    def least_cost(self, lower: np.ndarray, upper: np.ndarray) -> RelaxationResult:
         """A lower bound of the cost."""
         factor, offset, linear_part, constant = self._cost
         quadratic = sp.triu(factor.T @ factor).tocsc()
         constant += 0.5 * float(offset @ offset)
         answer = self._solve(quadratic, linear_part + factor.T @ offset, lower, upper, [], [])
-        return Answer(answer.status, _lowered(answer.bound + constant))
+        return RelaxationResult(answer.status, _lowered(answer.bound + constant))
 
-    def least_penetration(self, t: int, contact: int, sign: float, lower: np.ndarray, upper: np.ndarray, ceiling: float) -> Answer:
+    def least_penetration(
+        self, t: int, contact: int, sign: float, lower: np.ndarray, upper: np.ndarray, ceiling: float
+    ) -> RelaxationResult:
         """A lower bound of sign * phi[t, contact], t >= 1, over all plans that cost at most `ceiling` (infinite: all plans)."""
         row = (t - 1) * self._linear.contacts + contact
         objective = sign * self._penetration[[row]].toarray().ravel()
@@ -69,9 +71,11 @@ class Relaxation:
             rows = [(sp.vstack([slope, -slope, -factor]), np.concatenate([[0.5 * (1.0 + room), 0.5 * (1.0 - room)], offset]))]
             cones = [clarabel.SecondOrderConeT(2 + len(offset))]
         answer = self._solve(sp.csc_matrix((self._size, self._size)), objective, lower, upper, rows, cones)
-        return Answer(answer.status, _lowered(answer.bound + sign * self._offset[row]))
+        return RelaxationResult(answer.status, _lowered(answer.bound + sign * self._offset[row]))
 
-    def _solve(self, quadratic: Any, objective: np.ndarray, lower: np.ndarray, upper: np.ndarray, rows: list, cones: list) -> Answer:
+    def _solve(
+        self, quadratic: Any, objective: np.ndarray, lower: np.ndarray, upper: np.ndarray, rows: list, cones: list
+    ) -> RelaxationResult:
         left, right = self._equalities
         inner = [self._always, *self._hull(lower[1:].ravel(), upper[1:].ravel())]
         matrix = sp.vstack([left, *(part[0] for part in inner), *(part[0] for part in rows)]).tocsc()
@@ -83,10 +87,10 @@ class Relaxation:
         found = clarabel.DefaultSolver(quadratic, objective, matrix, vector, kinds, settings).solve()
         status = str(found.status)
         if status == "PrimalInfeasible":
-            return Answer("infeasible", np.inf)
+            return RelaxationResult("infeasible", np.inf)
         if status != "Solved":
-            return Answer("unfinished", -np.inf)
-        return Answer("solved", float(found.obj_val_dual))
+            return RelaxationResult("unfinished", -np.inf)
+        return RelaxationResult("solved", float(found.obj_val_dual))
 
     def _hull(self, lower: np.ndarray, upper: np.ndarray) -> list[tuple[Any, np.ndarray]]:
         """Rows A x <= b of the triangles and of the bounds themselves."""

@@ -25,7 +25,7 @@ _LARGEST_EXPONENT = 690.0  # exp of it is still a float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Growth:
+class GradientGrowth:
     """exponents (steps+1,): natural logarithm of the spectral norm of d x_T/d x_t, 0 at the end; step [s]."""
 
     exponents: np.ndarray
@@ -61,7 +61,7 @@ class Growth:
         )
 
 
-def told(message: str, growth: Growth) -> str:
+def told(message: str, growth: GradientGrowth) -> str:
     """A message of a method that did not solve its scene, with what the growth has to do with it."""
     return f"{message} {growth.sentence()}".strip()
 
@@ -73,7 +73,7 @@ def _power(exponent: float) -> str:
 
 def measure_growth(
     steps: Steps, x: np.ndarray, u: np.ndarray, law: ContactLaw = ContactLaw.RELU, eps: float | None = None
-) -> Growth | None:
+) -> GradientGrowth | None:
     """Along nodes x (steps+1, 2*nq) and inputs u (steps, nu); None where a step is not finite."""
     step = steps.scene.task.step
     linear = steps.linearise(x[:-1], u, step, law, eps)
@@ -91,4 +91,4 @@ def measure_growth(
         products[t], scales[t] = product / size, scales[t + 1] + math.log(size)
     norms = np.linalg.norm(products, 2, axis=(1, 2))
     with np.errstate(divide="ignore"):
-        return Growth(exponents=np.maximum(np.log(norms), -_LARGEST_EXPONENT) + scales, step=step)
+        return GradientGrowth(exponents=np.maximum(np.log(norms), -_LARGEST_EXPONENT) + scales, step=step)

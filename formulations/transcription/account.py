@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 _COLUMNS = ("objective", "inf_pr", "inf_du", "mu")
 
 
-class Account:
+class SolveBudget:
     """Where one stage spends its iterations, work and seconds. `opened`: wall and CPU seconds spent before the stage that belong to it.
 
     work: iterations of Ipopt times nonzeros of the Jacobian and the Hessian, which is what an iteration's time grows with; most_work: of it there
@@ -59,7 +59,7 @@ class Account:
             for name in _COLUMNS:
                 self.history[name].append(getattr(line, name))
 
-    def include(self, earlier: Account) -> None:
+    def include(self, earlier: SolveBudget) -> None:
         """What was spent before, in this account's time."""
         self.iterations += earlier.iterations
         self.work += earlier.work

@@ -35,7 +35,7 @@ from formulations.ipopt import Iteration, compile_model, load, solve
 from formulations.solution import Outcome
 from formulations.transcription.build import build_model
 from formulations.transcription.contact import ContactLaw
-from formulations.transcription.workbench import Account, Workbench, read_plan, release_goal
+from formulations.transcription.workbench import SolveBudget, Workbench, read_plan, release_goal
 from models.codegen.kernel import load_kernel
 from models.scene import Scene
 from models.scene.goal import goal_state, miss
@@ -84,7 +84,7 @@ class Watch(Patience):
         return super().__call__(line) and not self.has_lost_goal
 
 
-def plan_with_goal_released(scene: Scene, eps: float, account: Account, options: Mapping[str, Any]) -> Trajectory | None:
+def plan_with_goal_released(scene: Scene, eps: float, account: SolveBudget, options: Mapping[str, Any]) -> Trajectory | None:
     """The plan of the softplus model at eps with the goal as a penalty; None where that is not solved either."""
     model: Any = build_model(scene, ContactLaw.SOFTPLUS, eps=eps)
     nominal = {coordinate.name: coordinate.nominal for coordinate in scene.coordinates}
@@ -122,7 +122,7 @@ class Nearest:
         return self.is_solved and self.miss > _OUT_OF_REACH
 
 
-def nearest(scene: Scene, account: Account, max_iterations: int, sharpest: float = math.inf) -> Nearest:
+def nearest(scene: Scene, account: SolveBudget, max_iterations: int, sharpest: float = math.inf) -> Nearest:
     """See the module docstring. sharpest: b [1/m] of the last solve, where contact is not to be sharper than that."""
     model: Any = build_model(scene, ContactLaw.SOFTPLUS, eps=0.5)
     _aim_at_goal(model, scene)

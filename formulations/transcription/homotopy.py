@@ -20,7 +20,7 @@ from formulations.solution import Outcome, Solution
 from formulations.transcription.contact import ContactLaw
 from formulations.transcription.method import StageRules, TranscriptionOptions, Work, ended
 from formulations.transcription.solving import PlanSolver, beyond
-from formulations.transcription.workbench import Account
+from formulations.transcription.workbench import SolveBudget
 from models.contact_law import ContactLaw as ForceLaw
 from models.errors import TrajectoryError
 from models.scene import Scene
@@ -69,13 +69,13 @@ class Homotopy:
         return Solution(method=self._method, outcome=outcome, message=message, options=asdict(self._options))
 
     @contextmanager
-    def stage(self, account: Account) -> Iterator[Stage]:
+    def stage(self, account: SolveBudget) -> Iterator[Stage]:
         """A stage, whose solves are in the account when it ends."""
         stage = Stage(self.solver, self.rules, self._options, account, self._counts_nonzeros)
         yield stage
         stage.settle()
 
-    def solution(self, account: Account, eps: float, start: Trajectory | None, result: IpoptResult) -> Solution:
+    def solution(self, account: SolveBudget, eps: float, start: Trajectory | None, result: IpoptResult) -> Solution:
         """The plan that the model holds, checked by the rules of its eps; that there is none is remembered."""
         rules = self.rules(eps)
         found = self.solver.solution(
@@ -99,12 +99,12 @@ class Stage:
         solver: PlanSolver,
         rules: Callable[[float], StageRules],
         options: TranscriptionOptions,
-        account: Account,
+        account: SolveBudget,
         counts_nonzeros: bool,
     ) -> None:
         self._solver, self._rules, self._account, self._counts_nonzeros = solver, rules, account, counts_nonzeros
         self._most = options.max_iterations
-        self._accounts: list[Account] = []
+        self._accounts: list[SolveBudget] = []
         self._spent = 0
 
     @property
@@ -134,7 +134,7 @@ class Stage:
         """Solve once at this eps from the start, which the model holds already. cold_work: most of it without a plan, if not as in the rules."""
         rules = self._rules(eps)
         size = self._solver.nonzeros(self._account) if self._counts_nonzeros else self._solver.unknowns
-        own = Account(self._account.remaining)
+        own = SolveBudget(self._account.remaining)
         self._accounts.append(own)
         cold = self._limited({**rules.ipopt, **rules.cold}, cold_work or rules.cold_work, size)
         warm = self._limited({**rules.ipopt}, rules.warm_work, size)

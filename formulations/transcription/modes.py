@@ -13,7 +13,7 @@ import numpy as np
 
 from formulations.ipopt import IpoptProblem, IpoptResult
 from formulations.solution import Outcome
-from formulations.transcription.account import Account
+from formulations.transcription.account import SolveBudget
 from formulations.transcription.contact import hold_modes, pressed_columns, sides
 from formulations.transcription.workbench import Workbench, load_plan, read_plan
 
@@ -34,7 +34,7 @@ class FixedModes:
         self._model, self._options, self._most_switches = model, {**options, **_NEAR}, most_switches
         self._bench = Workbench(model)
 
-    def solve(self, account: Account, closed: np.ndarray) -> IpoptResult:
+    def solve(self, account: SolveBudget, closed: np.ndarray) -> IpoptResult:
         """The last solved problem, its plan left in the model; closed (steps, nc + 2 nf + springs + switches) as in `hold_modes`."""
         hold_modes(self._model, closed)
         best = self._run(account)
@@ -53,7 +53,7 @@ class FixedModes:
             best = again
         return best
 
-    def _run(self, account: Account) -> IpoptResult:
+    def _run(self, account: SolveBudget) -> IpoptResult:
         most = min(self._options["max_iter"], account.iterations + _MODE_ITERATIONS)
         return self._bench.run(account, {**self._options, "max_iter": most})
 

@@ -25,7 +25,7 @@ from formulations.transcription.feasibility import Nearest, Patience, Watch, nea
 from formulations.transcription.method import StageRules, TranscriptionOptions, ended
 from formulations.transcription.modes import FixedModes
 from formulations.transcription.residuals import PlanResiduals
-from formulations.transcription.workbench import Account, Workbench, load_first_guess, load_plan, primal_dual, size_on_paper
+from formulations.transcription.workbench import SolveBudget, Workbench, load_first_guess, load_plan, primal_dual, size_on_paper
 from models.errors import TrajectoryError
 from models.scene import Scene
 from models.trajectory import Trajectory
@@ -34,7 +34,7 @@ IpoptOptions = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
-class Solved:
+class SolvedModel:
     """A stage that was solved: at which eps, its plan, and what Ipopt knew of it."""
 
     eps: float
@@ -48,7 +48,7 @@ class PlanSolver:
     def __init__(self, scene: Scene, contact: ContactLaw, options: TranscriptionOptions, opening: tuple[float, float]) -> None:
         self._scene, self._contact, self._options = scene, contact, options
         self.residuals = PlanResiduals(scene)
-        self.last: Solved | None = None
+        self.last: SolvedModel | None = None
         self._bench: Workbench | None = None
         self._nearest: dict[float, Nearest] = {}
         self._opening = (perf_counter() - opening[0], process_time() - opening[1])
@@ -62,9 +62,9 @@ class PlanSolver:
             raise ValueError("no model has been prepared yet.")
         return self._bench
 
-    def begin(self, eps: float, start: Trajectory | None, time_limit: float) -> Account:
+    def begin(self, eps: float, start: Trajectory | None, time_limit: float) -> SolveBudget:
         """A stage begins: its account, and the model with its start."""
-        account, self._opening = Account(time_limit, self._opening), (0.0, 0.0)
+        account, self._opening = SolveBudget(time_limit, self._opening), (0.0, 0.0)
         begin = perf_counter()
         self.prepare(eps, start)
         account.build += perf_counter() - begin
@@ -99,7 +99,7 @@ class PlanSolver:
         """The model without complementarity, of a translation of its own."""
         return FixedModes(self.bench.model, self._options.ipopt(), most_switches)
 
-    def nonzeros(self, account: Account) -> int:
+    def nonzeros(self, account: SolveBudget) -> int:
         """Of the translated model."""
         return self.bench.problem(account).nonzeros
 
@@ -111,7 +111,7 @@ class PlanSolver:
     # -- solving ------------------------------------------------------------------------------------------------------------------
 
     def solve_at(
-        self, eps: float, start: Trajectory | None, account: Account, rules: StageRules, options: IpoptOptions, from_plan: IpoptOptions
+        self, eps: float, start: Trajectory | None, account: SolveBudget, rules: StageRules, options: IpoptOptions, from_plan: IpoptOptions
     ) -> IpoptResult:
         """Solve at this eps the model, which holds the start already; with the multipliers of the stage before where the rules say so.
 
@@ -126,10 +126,10 @@ class PlanSolver:
         if result.outcome is not Outcome.SOLVED and duals is not None and not account.is_over:
             self.load(start)  # multipliers of another eps can mislead: the plan alone, then
             result = self.attempt(account, options, from_plan=from_plan, sharpest=rules.sharpest)
-        self.last = Solved(eps, self.read(), result) if result.outcome is Outcome.SOLVED else None
+        self.last = SolvedModel(eps, self.read(), result) if result.outcome is Outcome.SOLVED else None
         return result
 
-    def solved_before(self, plan: Trajectory) -> Solved | None:
+    def solved_before(self, plan: Trajectory) -> SolvedModel | None:
         """The stage solved last, if this is its plan."""
         solved = self.last
         if solved is None:
@@ -137,13 +137,13 @@ class PlanSolver:
         same = all(np.array_equal(getattr(solved.plan, name), getattr(plan, name)) for name in ("q", "v", "u", "lam"))
         return solved if same else None
 
-    def run(self, account: Account, options: IpoptOptions, after: IpoptResult | None = None) -> IpoptResult:
+    def run(self, account: SolveBudget, options: IpoptOptions, after: IpoptResult | None = None) -> IpoptResult:
         """Ipopt once, from what the model holds, or with all that it knew after another solve."""
         return self.bench.run(account, options, None if after is None else primal_dual(after))
 
     def attempt(
         self,
-        account: Account,
+        account: SolveBudget,
         options: IpoptOptions,
         *,
         from_plan: IpoptOptions,
@@ -189,7 +189,7 @@ class PlanSolver:
             return replace(again, outcome=Outcome.STALLED, message=message)
         return again
 
-    def _nearest_plan(self, account: Account, sharpest: float) -> Nearest:
+    def _nearest_plan(self, account: SolveBudget, sharpest: float) -> Nearest:
         """Searched once for each sharpness; searched again if it was cut off."""
         found = self._nearest.get(sharpest)
         if found is None or not found.is_solved:
@@ -205,7 +205,7 @@ class PlanSolver:
     def solution(
         self,
         method: str,
-        account: Account,
+        account: SolveBudget,
         result: IpoptResult,
         residuals_of: Callable[[Trajectory], dict[str, float]],
         *,

@@ -27,7 +27,7 @@ import pyomo.environ as pyo
 
 from formulations.ipopt import IpoptProblem, IpoptResult, Iteration, Start, compile_model, load, solve
 from formulations.solution import ModelSize
-from formulations.transcription.account import Account
+from formulations.transcription.account import SolveBudget
 from formulations.transcription.collocation import forces_at_nodes, is_collocated, scheme_of, settle_stages
 from formulations.transcription.contact import ContactLaw, settle_separation
 from models.errors import TrajectoryError
@@ -160,7 +160,7 @@ class Workbench:
         self.model = model
         self._problem: IpoptProblem | None = None
 
-    def problem(self, account: Account) -> IpoptProblem:
+    def problem(self, account: SolveBudget) -> IpoptProblem:
         """The translation, current with the model's Params and bounds."""
         begin = perf_counter()
         if self._problem is None:
@@ -181,7 +181,7 @@ class Workbench:
 
     def run(
         self,
-        account: Account,
+        account: SolveBudget,
         options: Mapping[str, Any],
         start: Start | None = None,
         *,

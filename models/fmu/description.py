@@ -29,7 +29,7 @@ from models.errors import MachineError, SceneError, TouchstoneError, UnknownName
 from models.fmu.reference import Equations, MotionError, Piece, true_motion_and_method
 from models.fmu.rendering import render
 from models.fmu.structure import Dependency, dependencies
-from models.fmu.variables import INTEGRATORS, Kind, Variable, friction_nominals, variable_table
+from models.fmu.variables import INTEGRATORS, Variable, VariableKind, friction_nominals, variable_table
 from models.scene import Input, Scene
 from models.scene.units import base_exponents
 
@@ -202,7 +202,7 @@ def model_structure(scene: Scene, standard: Standard) -> dict[str, list[Unknown]
     """
     table = variable_table(scene)
     number = {variable.name: position for position, variable in enumerate(table, start=standard.first_index)}
-    parameters = {variable.name for variable in table if variable.kind is Kind.PARAMETER}
+    parameters = {variable.name for variable in table if variable.kind is VariableKind.PARAMETER}
     left_out = parameters if standard.version == "2.0" else set[str]()
     depends = dependencies(scene)
 
@@ -218,12 +218,14 @@ def model_structure(scene: Scene, standard: Standard) -> dict[str, list[Unknown]
         ]
         return Unknown(number[variable.name], tuple(row[0] for row in rows), tuple(row[1] for row in rows))
 
-    derivatives = [variable for variable in table if variable.kind in (Kind.POSITION_RATE, Kind.VELOCITY_RATE)]
+    derivatives = [variable for variable in table if variable.kind in (VariableKind.POSITION_RATE, VariableKind.VELOCITY_RATE)]
     return {
         "outputs": [running(variable) for variable in table if variable.causality == "output"],
         "derivatives": [running(variable) for variable in derivatives],
         "initial": [initial(variable) for variable in table if variable.initial == "calculated"],
-        "indicators": [running(variable) for variable in table if variable.kind in (Kind.GAP, Kind.RESERVE, Kind.PRESSING)],
+        "indicators": [
+            running(variable) for variable in table if variable.kind in (VariableKind.GAP, VariableKind.RESERVE, VariableKind.PRESSING)
+        ],
     }
 
 
@@ -250,7 +252,9 @@ def describe(scene: Scene, sources: Mapping[str, str], standard: Standard) -> De
     nominals = [coordinate.nominal for coordinate in scene.coordinates]
     numbers = {variable.name: position for position, variable in enumerate(table, start=standard.first_index)}
     state_of = {
-        variable.name: numbers[variable.name[4:-1]] for variable in table if variable.kind in (Kind.POSITION_RATE, Kind.VELOCITY_RATE)
+        variable.name: numbers[variable.name[4:-1]]
+        for variable in table
+        if variable.kind in (VariableKind.POSITION_RATE, VariableKind.VELOCITY_RATE)
     }
     source_files = sorted(name for name in sources if name.endswith(".c"))
 

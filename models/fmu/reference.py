@@ -35,7 +35,7 @@ class MotionError(SceneError):
 
 
 @dataclass(frozen=True)
-class Method:
+class ReferenceIntegrator:
     """name: scipy's; tolerance: relative, the absolute one is this times the nominal of each state; words: what the user is told of it."""
 
     name: str
@@ -43,9 +43,9 @@ class Method:
     words: str
 
 
-EXPLICIT = Method("DOP853", 1e-12, "a Runge-Kutta method of order 8")
+EXPLICIT = ReferenceIntegrator("DOP853", 1e-12, "a Runge-Kutta method of order 8")
 # An implicit method of order 5 gets no further with less.
-IMPLICIT = Method("Radau", 1e-9, "Radau IIA, an implicit method of order 5,")
+IMPLICIT = ReferenceIntegrator("Radau", 1e-9, "Radau IIA, an implicit method of order 5,")
 
 
 @dataclass(frozen=True)
@@ -217,7 +217,7 @@ def true_motion(equations: Equations, pieces: Sequence[Piece], times: np.ndarray
     return true_motion_and_method(equations, pieces, times)[0]
 
 
-def true_motion_and_method(equations: Equations, pieces: Sequence[Piece], times: np.ndarray) -> tuple[np.ndarray, Method]:
+def true_motion_and_method(equations: Equations, pieces: Sequence[Piece], times: np.ndarray) -> tuple[np.ndarray, ReferenceIntegrator]:
     """The same, and the method that came to the end."""
     # Without inertia velocities settle within the lag, which explicit steps would have to follow all the way.
     if equations.scene.lag is None:
@@ -226,7 +226,7 @@ def true_motion_and_method(equations: Equations, pieces: Sequence[Piece], times:
     return _motion_by(IMPLICIT, equations, pieces, times), IMPLICIT
 
 
-def _motion_by(method: Method, equations: Equations, pieces: Sequence[Piece], times: np.ndarray) -> np.ndarray:
+def _motion_by(method: ReferenceIntegrator, equations: Equations, pieces: Sequence[Piece], times: np.ndarray) -> np.ndarray:
     scene, left = equations.scene, BUDGET
     x, t = np.array(scene.task.start, dtype=float), 0.0
     nominal = np.tile([coordinate.nominal for coordinate in scene.coordinates], 2)

@@ -14,7 +14,7 @@ import sympy as sp
 
 from models.codegen.kept import kept_text
 from models.dynamics import Dynamics, derive
-from models.fmu.variables import Kind, Variable, variable_table
+from models.fmu.variables import Variable, VariableKind, variable_table
 from models.scene import Scene
 
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
@@ -59,33 +59,33 @@ def derived_dependencies(scene: Scene) -> dict[str, dict[str, Dependency]]:
 def _knowns(d: Dynamics, variable: Variable) -> dict[sp.Symbol, Dependency] | None:
     index = variable.index
     match variable.kind:
-        case Kind.POSITION:
+        case VariableKind.POSITION:
             return {d.q[index]: Dependency.CONSTANT}
-        case Kind.VELOCITY | Kind.POSITION_RATE:
+        case VariableKind.VELOCITY | VariableKind.POSITION_RATE:
             return {d.v[index]: Dependency.CONSTANT}
-        case Kind.VELOCITY_RATE:
+        case VariableKind.VELOCITY_RATE:
             return _of_acceleration(d, index)
-        case Kind.FORCE:
+        case VariableKind.FORCE:
             return _of_contact(d, index) if index < len(d.lam) else _of_everything(d)
-        case Kind.SLIP:
+        case VariableKind.SLIP:
             return _of_expressions(d, [d.slip[index]])
-        case Kind.RESERVE:
+        case VariableKind.RESERVE:
             return _of_everything(d)
-        case Kind.PRESSING:
+        case VariableKind.PRESSING:
             return _of_contact(d, d.scene.damped[index - d.scene.nl])
-        case Kind.GAP:
+        case VariableKind.GAP:
             return _of_expressions(d, [d.penetration[index]])
-        case Kind.KINETIC_ENERGY:
+        case VariableKind.KINETIC_ENERGY:
             return _of_expressions(d, [d.kinetic_energy])
-        case Kind.POTENTIAL_ENERGY:
+        case VariableKind.POTENTIAL_ENERGY:
             return _of_expressions(d, [d.potential_energy])
-        case Kind.CONTACT_ENERGY:
+        case VariableKind.CONTACT_ENERGY:
             return _merge(_of_spring(d, contact) for contact in range(len(d.lam)))
-        case Kind.INPUT_POWER:
+        case VariableKind.INPUT_POWER:
             return _of_expressions(d, [d.input_power])
-        case Kind.DISSIPATED_POWER if d.f:
+        case VariableKind.DISSIPATED_POWER if d.f:
             return _of_everything(d)
-        case Kind.DISSIPATED_POWER:
+        case VariableKind.DISSIPATED_POWER:
             return _merge([_of_expressions(d, [d.dissipated_power]), *(_of_contact(d, contact) for contact in d.scene.damped)])
         case _:
             return None

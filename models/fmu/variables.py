@@ -28,7 +28,7 @@ INTEGRATORS = (
 )
 
 
-class Kind(Enum):
+class VariableKind(Enum):
     """What a variable is; the value is the constant of `shell/model.h`."""
 
     TIME = "KIND_TIME"
@@ -53,16 +53,16 @@ class Kind(Enum):
 
 
 # Kind -> (causality, variability, initial) in the words of FMI.
-_ROLES: dict[Kind, tuple[str, str, str | None]] = {
-    Kind.TIME: ("independent", "continuous", None),
-    Kind.POSITION: ("output", "continuous", "exact"),
-    Kind.VELOCITY: ("output", "continuous", "exact"),
-    Kind.POSITION_RATE: ("local", "continuous", "calculated"),
-    Kind.VELOCITY_RATE: ("local", "continuous", "calculated"),
-    Kind.INPUT: ("input", "continuous", None),
-    Kind.PARAMETER: ("parameter", "fixed", "exact"),
-    Kind.INTERNAL_STEP: ("parameter", "tunable", "exact"),
-    Kind.INTEGRATOR: ("parameter", "tunable", "exact"),
+_ROLES: dict[VariableKind, tuple[str, str, str | None]] = {
+    VariableKind.TIME: ("independent", "continuous", None),
+    VariableKind.POSITION: ("output", "continuous", "exact"),
+    VariableKind.VELOCITY: ("output", "continuous", "exact"),
+    VariableKind.POSITION_RATE: ("local", "continuous", "calculated"),
+    VariableKind.VELOCITY_RATE: ("local", "continuous", "calculated"),
+    VariableKind.INPUT: ("input", "continuous", None),
+    VariableKind.PARAMETER: ("parameter", "fixed", "exact"),
+    VariableKind.INTERNAL_STEP: ("parameter", "tunable", "exact"),
+    VariableKind.INTEGRATOR: ("parameter", "tunable", "exact"),
 }
 _OUTPUT = ("output", "continuous", "calculated")
 
@@ -75,7 +75,7 @@ class Variable:
     """
 
     name: str
-    kind: Kind
+    kind: VariableKind
     index: int = 0
     unit: str
     description: str
@@ -98,7 +98,7 @@ class Variable:
 
     @property
     def is_enumeration(self) -> bool:
-        return self.kind is Kind.INTEGRATOR
+        return self.kind is VariableKind.INTEGRATOR
 
 
 # The internal step may be shortened to this [s]; below it a communication step of 10 ms takes ten million steps.
@@ -137,30 +137,30 @@ def variable_names(scene: Scene) -> VariableNames:
     """The names under which the scene's quantities appear in its FMU."""
     table = variable_table(scene)
 
-    def names(kind: Kind) -> tuple[str, ...]:
+    def names(kind: VariableKind) -> tuple[str, ...]:
         return tuple(variable.name for variable in table if variable.kind is kind)
 
-    def single(kind: Kind) -> str | None:
+    def single(kind: VariableKind) -> str | None:
         return next(iter(names(kind)), None)
 
     return VariableNames(
-        q=names(Kind.POSITION),
-        v=names(Kind.VELOCITY),
-        der_q=names(Kind.POSITION_RATE),
-        der_v=names(Kind.VELOCITY_RATE),
-        u=names(Kind.INPUT),
-        lam=names(Kind.FORCE)[: scene.nc],
-        gap=names(Kind.GAP),
-        friction=names(Kind.FORCE)[scene.nc :],
-        slip=names(Kind.SLIP),
-        parameters=names(Kind.PARAMETER),
-        kinetic_energy=names(Kind.KINETIC_ENERGY)[0],
-        potential_energy=single(Kind.POTENTIAL_ENERGY),
-        contact_energy=single(Kind.CONTACT_ENERGY),
-        input_power=single(Kind.INPUT_POWER),
-        dissipated_power=single(Kind.DISSIPATED_POWER),
-        internal_step=names(Kind.INTERNAL_STEP)[0],
-        integrator=names(Kind.INTEGRATOR)[0],
+        q=names(VariableKind.POSITION),
+        v=names(VariableKind.VELOCITY),
+        der_q=names(VariableKind.POSITION_RATE),
+        der_v=names(VariableKind.VELOCITY_RATE),
+        u=names(VariableKind.INPUT),
+        lam=names(VariableKind.FORCE)[: scene.nc],
+        gap=names(VariableKind.GAP),
+        friction=names(VariableKind.FORCE)[scene.nc :],
+        slip=names(VariableKind.SLIP),
+        parameters=names(VariableKind.PARAMETER),
+        kinetic_energy=names(VariableKind.KINETIC_ENERGY)[0],
+        potential_energy=single(VariableKind.POTENTIAL_ENERGY),
+        contact_energy=single(VariableKind.CONTACT_ENERGY),
+        input_power=single(VariableKind.INPUT_POWER),
+        dissipated_power=single(VariableKind.DISSIPATED_POWER),
+        internal_step=names(VariableKind.INTERNAL_STEP)[0],
+        integrator=names(VariableKind.INTEGRATOR)[0],
     )
 
 
@@ -170,7 +170,7 @@ def variable_table(scene: Scene) -> tuple[Variable, ...]:
     Raises SceneError if the scene uses a name that the FMU needs for itself.
     """
     table = (
-        Variable(name="time", kind=Kind.TIME, unit="s", description="time"),
+        Variable(name="time", kind=VariableKind.TIME, unit="s", description="time"),
         *_states(scene),
         *_inputs(scene),
         *_contacts(scene),
@@ -192,12 +192,12 @@ def _states(scene: Scene) -> list[Variable]:
         what = coordinate.description or f"coordinate {q}"
         start, nominal = scene.task.start, coordinate.nominal
         positions.append(
-            Variable(name=q, kind=Kind.POSITION, index=index, unit=unit, start=start[index], nominal=nominal, description=what)
+            Variable(name=q, kind=VariableKind.POSITION, index=index, unit=unit, start=start[index], nominal=nominal, description=what)
         )
         velocities.append(
             Variable(
                 name=v,
-                kind=Kind.VELOCITY,
+                kind=VariableKind.VELOCITY,
                 index=index,
                 unit=coordinate.velocity_unit,
                 start=start[scene.nq + index],
@@ -205,9 +205,13 @@ def _states(scene: Scene) -> list[Variable]:
                 description=f"velocity of {q}",
             )
         )
-        rate = Variable(name=f"der({q})", kind=Kind.POSITION_RATE, index=index, unit=coordinate.velocity_unit, description=f"rate of {q}")
+        rate = Variable(
+            name=f"der({q})", kind=VariableKind.POSITION_RATE, index=index, unit=coordinate.velocity_unit, description=f"rate of {q}"
+        )
         position_rates.append(rate)
-        rate = Variable(name=f"der({v})", kind=Kind.VELOCITY_RATE, index=index, unit=f"{unit}/s^2", description=f"acceleration of {q}")
+        rate = Variable(
+            name=f"der({v})", kind=VariableKind.VELOCITY_RATE, index=index, unit=f"{unit}/s^2", description=f"acceleration of {q}"
+        )
         velocity_rates.append(rate)
     return [*positions, *velocities, *position_rates, *velocity_rates]
 
@@ -216,7 +220,7 @@ def _inputs(scene: Scene) -> list[Variable]:
     return [
         Variable(
             name=item.name,
-            kind=Kind.INPUT,
+            kind=VariableKind.INPUT,
             index=index,
             unit=item.unit,
             start=0.0,
@@ -233,7 +237,7 @@ def _contacts(scene: Scene) -> list[Variable]:
     forces = [
         Variable(
             name=contact.force_name,
-            kind=Kind.FORCE,
+            kind=VariableKind.FORCE,
             index=index,
             unit="N",
             nominal=stiffness[index] * contact.nominal,
@@ -244,7 +248,7 @@ def _contacts(scene: Scene) -> list[Variable]:
     gaps = [
         Variable(
             name=contact.gap_name,
-            kind=Kind.GAP,
+            kind=VariableKind.GAP,
             index=index,
             unit="m",
             nominal=contact.nominal,
@@ -272,7 +276,7 @@ def _frictions(scene: Scene) -> list[Variable]:
     forces = [
         Variable(
             name=item.force_name,
-            kind=Kind.FORCE,
+            kind=VariableKind.FORCE,
             index=scene.nc + index,
             unit="N",
             nominal=nominal,
@@ -281,13 +285,15 @@ def _frictions(scene: Scene) -> list[Variable]:
         for item, what, nominal, index in rows
     ]
     slips = [
-        Variable(name=item.slip_name, kind=Kind.SLIP, index=index, unit="m/s", nominal=item.nominal, description=f"slip speed, {what}")
+        Variable(
+            name=item.slip_name, kind=VariableKind.SLIP, index=index, unit="m/s", nominal=item.nominal, description=f"slip speed, {what}"
+        )
         for item, what, _, index in rows
     ]
     reserves = [
         Variable(
             name=f"reserve_{item.name}",
-            kind=Kind.RESERVE,
+            kind=VariableKind.RESERVE,
             index=index,
             unit="1",
             nominal=1.0,
@@ -303,7 +309,7 @@ def _pressing(scene: Scene) -> list[Variable]:
     return [
         Variable(
             name=scene.contacts[contact].pressing_name,
-            kind=Kind.PRESSING,
+            kind=VariableKind.PRESSING,
             index=scene.nl + row,
             unit="1",
             nominal=1.0,
@@ -318,13 +324,13 @@ def _energies(scene: Scene) -> list[Variable]:
     dynamics = derive(scene)
     parts = [f"{what} and by " for what, present in (("friction", scene.nf), ("the damping of contacts", scene.damped)) if present]
     rows = (
-        ("kinetic_energy", Kind.KINETIC_ENERGY, "J", "kinetic energy", True),
-        ("potential_energy", Kind.POTENTIAL_ENERGY, "J", "potential energy without contacts", dynamics.potential_energy != 0),
-        ("contact_energy", Kind.CONTACT_ENERGY, "J", "energy stored in the contacts, sum of k/2 max(phi, 0)^2", scene.nc > 0),
-        ("input_power", Kind.INPUT_POWER, "W", "power put in by the inputs", dynamics.input_power != 0),
+        ("kinetic_energy", VariableKind.KINETIC_ENERGY, "J", "kinetic energy", True),
+        ("potential_energy", VariableKind.POTENTIAL_ENERGY, "J", "potential energy without contacts", dynamics.potential_energy != 0),
+        ("contact_energy", VariableKind.CONTACT_ENERGY, "J", "energy stored in the contacts, sum of k/2 max(phi, 0)^2", scene.nc > 0),
+        ("input_power", VariableKind.INPUT_POWER, "W", "power put in by the inputs", dynamics.input_power != 0),
         (
             "dissipated_power",
-            Kind.DISSIPATED_POWER,
+            VariableKind.DISSIPATED_POWER,
             "W",
             f"power taken out by {''.join(parts)}forces that remain without inputs",
             dynamics.dissipated_power != 0 or bool(parts),
@@ -337,7 +343,7 @@ def _parameters(scene: Scene) -> list[Variable]:
     physical = [
         Variable(
             name=parameter.name,
-            kind=Kind.PARAMETER,
+            kind=VariableKind.PARAMETER,
             index=index,
             unit=parameter.unit,
             start=parameter.value,
@@ -349,7 +355,7 @@ def _parameters(scene: Scene) -> list[Variable]:
     ]
     step = Variable(
         name="internal_step",
-        kind=Kind.INTERNAL_STEP,
+        kind=VariableKind.INTERNAL_STEP,
         unit="s",
         start=min(scene.task.step / INTERNAL_STEPS, math.inf if scene.lag is None else scene.lag),
         lower=SMALLEST_INTERNAL_STEP,
@@ -357,7 +363,7 @@ def _parameters(scene: Scene) -> list[Variable]:
     )
     integrator = Variable(
         name="integrator",
-        kind=Kind.INTEGRATOR,
+        kind=VariableKind.INTEGRATOR,
         unit="",
         start=float(len(INTEGRATORS)),
         lower=1.0,

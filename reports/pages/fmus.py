@@ -13,7 +13,7 @@ STATUSES = ("passed", "failed", "not offered")
 
 
 @dataclass(frozen=True)
-class View:
+class FmuView:
     """One examination; fmu: None where it ended before there was an answer. ended: the word for how it ended, if it did not pass."""
 
     record: ExaminationRecord
@@ -32,13 +32,13 @@ def build(report: Report) -> Section | None:
     return Section("fmus", "FMUs", "fmus.html", {"views": views, "statuses": STATUSES, "sentence": _sentence(views)})
 
 
-def _view(record: ExaminationRecord, place: int) -> View:
+def _view(record: ExaminationRecord, place: int) -> FmuView:
     ended = "" if record.passed else "failed" if record.outcome == "answered" else record.outcome.replace("_", " ")
     name, _, version = record.name.partition(", FMI ")
-    return View(record, record.fmu, record.scene or name, record.fmu.version if record.fmu else version, f"fmu-{place + 1}", ended)
+    return FmuView(record, record.fmu, record.scene or name, record.fmu.version if record.fmu else version, f"fmu-{place + 1}", ended)
 
 
-def _sentence(views: list[View]) -> str:
+def _sentence(views: list[FmuView]) -> str:
     scenes = len({view.name for view in views})
     versions = listing(sorted({view.version for view in views if view.version}))
     looked = [view.fmu for view in views if view.fmu is not None]

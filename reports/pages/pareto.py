@@ -38,7 +38,7 @@ Point = tuple[float, float, Row]
 
 
 @dataclass(frozen=True)
-class View:
+class ParetoView:
     """A plot and the sentence that concludes from its numbers."""
 
     plot: Plot
@@ -51,7 +51,7 @@ class Pareto:
     nothing: why there is no plot, where there is none."""
 
     scene: SceneRecord
-    views: list[View]
+    views: list[ParetoView]
     failed: list[tuple[Row, str]]
     refused: list[str]
     nothing: str = ""
@@ -109,7 +109,7 @@ def _why_absent(row: Row) -> str:
     return ""
 
 
-def _error_view(rows: list[Row]) -> View | None:
+def _error_view(rows: list[Row]) -> ParetoView | None:
     points = [(max(cpu(row), _TICK), value, row) for row in rows if (value := _told_error(row)) is not None]
     if not points:
         return None
@@ -122,7 +122,7 @@ def _error_view(rows: list[Row]) -> View | None:
         lambda before, after: f"{_nearer(before / after)} nearer to its replay",
         _SAME_ERROR,
     )
-    return View(plot, said or _nothing_holds(len(points)))
+    return ParetoView(plot, said or _nothing_holds(len(points)))
 
 
 def _told_error(row: Row) -> float | None:
@@ -133,7 +133,7 @@ def _told_error(row: Row) -> float | None:
     return max(metric.value, (replay.error_estimate if replay else None) or 0.0, _SMALLEST)
 
 
-def _cost_view(scene: SceneRecord, rows: list[Row]) -> View | None:
+def _cost_view(scene: SceneRecord, rows: list[Row]) -> ParetoView | None:
     plans = [row for row in rows if row.stage.cost is not None and replay_error(row) is not None]
     points = [(max(cpu(row), _TICK), price, row) for row in plans if arrives(row) and (price := row.stage.cost) is not None]
     off = len(plans) - len(points)
@@ -155,7 +155,7 @@ def _cost_view(scene: SceneRecord, rows: list[Row]) -> View | None:
         _SAME_COST,
     )
     left = f" Not compared, because the replay ends farther from the goal than the scene allows: {count(off, 'plan')}." if off else ""
-    return View(plot, (said or _nothing_holds(len(points))) + left)
+    return ParetoView(plot, (said or _nothing_holds(len(points))) + left)
 
 
 def _nothing_holds(plans: int) -> str:

@@ -9,7 +9,7 @@ from reports.records.record import HOLD, SceneRecord
 
 
 @dataclass(frozen=True)
-class Listed:
+class SceneLink:
     """A scene; holds: so many of its `asked` runs, which could."""
 
     scene: SceneRecord
@@ -25,5 +25,5 @@ def build(report: Report) -> Section | None:
     for scene in report.scenes:
         verdicts = [run.verdict for run in report.stored.runs if run.scene.name == scene.name]
         asked = [verdict for verdict in verdicts if verdict not in ("not applicable", "consistent")]
-        listed.append(Listed(scene, report.scene_link(scene), sum(verdict in HOLD for verdict in asked), len(asked)))
+        listed.append(SceneLink(scene, report.scene_link(scene), sum(verdict in HOLD for verdict in asked), len(asked)))
     return Section("scenes", "The scenes", "scenes.html", {"listed": listed})

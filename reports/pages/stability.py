@@ -38,7 +38,7 @@ class Shown:
 
 
 @dataclass(frozen=True)
-class Row:
+class StabilityRow:
     """One case. number and title are parts of its name; decisive: the figures that the table shows."""
 
     anchor: str
@@ -67,11 +67,11 @@ def build(report: Report) -> Section | None:
     )
 
 
-def _row(record: ExaminationRecord) -> Row:
+def _row(record: ExaminationRecord) -> StabilityRow:
     place, _, title = record.name.partition(" ")
     sign = PASS if record.passed else FAIL if record.outcome == "answered" else LOST
     judged = [figure for figure in record.figures if figure.ok is not None]
-    return Row(
+    return StabilityRow(
         anchor=f"hard-case-{place}",
         number=place.lstrip("0") or place,
         title=title or record.name,

@@ -54,23 +54,23 @@ def spoilt_folder(rng: random.Random, folder: Path) -> Path:
 def _entry() -> Any:
     from formulations.method import Leg, Pipeline
     from models.catalog import load_scene
-    from validate.plan.runs import Entry
-    from validate.tasks.run import Cell
+    from validate.plan.runs import PlannedRun
+    from validate.tasks.run import RunTask
 
     pipeline = Pipeline(name="p", title="p", legs=(Leg(method="m"),))
-    cell = Cell(key=KEY, scene="three_cart", scene_name="s", pipeline=pipeline, tools="", time_limit=9.0)
-    return Entry(cell=cell, scene=load_scene("three_cart"), plan=())
+    cell = RunTask(key=KEY, scene="three_cart", scene_name="s", pipeline=pipeline, tools="", time_limit=9.0)
+    return PlannedRun(cell=cell, scene=load_scene("three_cart"), plan=())
 
 
 def resume(path: Path) -> None:
     from reports.records.load import load
-    from validate.plan.runs import Settings, reasons, with_stored
+    from validate.plan.runs import CampaignSettings, reasons, with_stored
     from validate.plan.warnings import time_steps
     from validate.store.compare import compare
     from validate.store.store import Store
     from validate.store.stored import CAMPAIGN, campaign_text, earlier_schema, only_last_failed
 
-    store, settings = Store(path), Settings(out=path)
+    store, settings = Store(path), CampaignSettings(out=path)
     store.prepare()
     found = with_stored([_entry()], store, settings)
     reasons(found, store)

@@ -10,7 +10,7 @@ import pytest
 from formulations.pipelines import find_pipeline, stage_plan
 from models.catalog import load_scene
 from validate.plan import Campaign, CampaignFile, ConfigError, read_campaign
-from validate.plan.runs import Settings, select
+from validate.plan.runs import CampaignSettings, select
 from validate.tasks.variant import Variant, state_names, varied
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "docs" / "campaigns").glob("*.toml"))
@@ -76,7 +76,7 @@ def read(folder: Path, text: str) -> Campaign:
 
 
 def keys(campaign: Campaign) -> dict[str, str]:
-    entries, _ = select(Settings(out=Path("nowhere"), **campaign.settings()))
+    entries, _ = select(CampaignSettings(out=Path("nowhere"), **campaign.settings()))
     return {entry.cell.title: entry.cell.key for entry in entries}
 
 
@@ -190,7 +190,7 @@ def test_options_and_schedules_are_part_of_the_key(tmp_path):
 
 
 def test_what_is_not_changed_has_the_key_that_all_gives_it(tmp_path):
-    entries, _ = select(Settings(out=tmp_path, scenes=("three_cart",), expression='="strict"'))
+    entries, _ = select(CampaignSettings(out=tmp_path, scenes=("three_cart",), expression='="strict"'))
     assert keys(read(tmp_path, 'scenes = ["three_cart"]\npipelines = ["strict"]')) == {"three_cart x strict": entries[0].cell.key}
 
 

@@ -16,7 +16,7 @@ from models.catalog import load_scene, scene_names
 from models.codegen.kernel import load_kernel
 from models.trajectory import Trajectory, uniform_grid
 from validate.execution.campaign import Settings, select
-from validate.plan.runs import Entry, Examined
+from validate.plan.runs import PlannedCheck, PlannedRun
 from validate.store.results import FRONT, write_sweeps
 from validate.store.results import STARTS as STARTS_FILE
 from validate.tasks.records import certificate_record, front_records, start_records
@@ -89,13 +89,13 @@ def test_a_quick_campaign_leaves_out_the_long_scenes_unless_they_are_named(tmp_p
     scenes = {name: load_scene(name) for name in scene_names()}
     long = {name for name, scene in scenes.items() if not scene.quick}
     assert long
-    assert {entry.scene.name for entry in entries if isinstance(entry, Entry)} == set(scenes) - long
+    assert {entry.scene.name for entry in entries if isinstance(entry, PlannedRun)} == set(scenes) - long
     assert {f"{name} x every pipeline" for name in long} <= set(left_out)
-    assert not {entry.cell.scene for entry in entries if isinstance(entry, Examined)} & long
+    assert not {entry.cell.scene for entry in entries if isinstance(entry, PlannedCheck)} & long
     named, _ = select(Settings(out=tmp_path, quick=True, scenes=(min(long),)))
-    assert {entry.scene.name for entry in named if isinstance(entry, Entry)} == {min(long)}
+    assert {entry.scene.name for entry in named if isinstance(entry, PlannedRun)} == {min(long)}
     every, _ = select(Settings(out=tmp_path))
-    assert {entry.scene.name for entry in every if isinstance(entry, Entry)} == set(scenes)
+    assert {entry.scene.name for entry in every if isinstance(entry, PlannedRun)} == set(scenes)
 
 
 def test_a_certificate_becomes_a_record() -> None:

@@ -11,7 +11,7 @@ import pytest
 from models.errors import MachineError
 from reports.records.record import LegRecord, RunRecord
 from validate.execution.campaign import Settings, select, with_stored
-from validate.execution.worker import Lost
+from validate.execution.worker import ChildExit
 from validate.plan.runs import reasons
 from validate.store.disk import disk_error, write_durably
 from validate.store.provenance import gather
@@ -75,7 +75,7 @@ def test_a_certificate_that_time_took_is_made_when_there_is_more(tmp_path, entry
     place(partial, 1).mkdir(parents=True)
     stages = tuple(stage.model_copy(update={"certificate_missing": True}) for stage in record.stages)
     write_leg(place(partial, 1), LegRecord(key=leg.key, pipeline="relu_gd", stages=stages, files={}))
-    lost = Lost(outcome="time_limit", message=f"ended at its time limit of {time_limit:g} s.", wall=time_limit, cpu=1.0, log="")
+    lost = ChildExit(outcome="time_limit", message=f"ended at its time limit of {time_limit:g} s.", wall=time_limit, cpu=1.0, log="")
     kept = entry.lost(gather("test"))(lost, partial)
     assert kept.outcome == "solved"
     _stored(store, entry, kept, time_limit)

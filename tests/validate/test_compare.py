@@ -13,7 +13,7 @@ import pytest
 
 from reports.records.load import load
 from reports.records.record import RunRecord
-from validate.store.compare import Comparison, Kind, compare
+from validate.store.compare import ChangeKind, Comparison, compare
 
 _FACTORY = importlib.util.spec_from_file_location("record_factory_of_compare", Path(__file__).parents[1] / "reports" / "record_factory.py")
 assert _FACTORY is not None
@@ -61,13 +61,13 @@ def test_a_plan_that_got_worse_is_a_regression_and_the_way_back_an_improvement(t
     worse = changed_last(run, **changes)
     there = compared(tmp_path / "there", [run], [worse])
     assert what in {change.what for change in there.regressions}
-    assert there.changes[0].kind is Kind.REGRESSION, "worst first"
+    assert there.changes[0].kind is ChangeKind.REGRESSION, "worst first"
     back = compared(tmp_path / "back", [worse], [run])
     assert back.regressions == ()
-    assert {change.kind for change in back.changes} == {Kind.IMPROVEMENT}
+    assert {change.kind for change in back.changes} == {ChangeKind.IMPROVEMENT}
 
 
-@pytest.mark.parametrize(("factor", "kind"), [(1 + 1e-3, Kind.REGRESSION), (1 - 1e-3, Kind.IMPROVEMENT), (1 + 1e-9, None)])
+@pytest.mark.parametrize(("factor", "kind"), [(1 + 1e-3, ChangeKind.REGRESSION), (1 - 1e-3, ChangeKind.IMPROVEMENT), (1 + 1e-9, None)])
 def test_costs_are_compared_beyond_rounding(tmp_path, runs, factor, kind):
     run = direct(runs)
     cost = run.stages[-1].cost or 1.0
@@ -88,13 +88,13 @@ def test_a_metric_that_left_its_limit_is_a_regression(tmp_path, runs):
     place, metric = next((place, metric) for place, metric in enumerate(stage.metrics) if metric.ok)
     metrics = (*stage.metrics[:place], metric.model_copy(update={"ok": False}), *stage.metrics[place + 1 :])
     (change,) = compared(tmp_path, [run], [changed_last(run, metrics=metrics)]).changes
-    assert (change.kind, change.what) == (Kind.REGRESSION, metric.name)
+    assert (change.kind, change.what) == (ChangeKind.REGRESSION, metric.name)
 
 
 def test_rows_that_are_gone_and_new_ones(tmp_path, runs):
     lost, kept = runs[0], runs[1]
     found = compared(tmp_path, [lost, kept], [kept])
-    assert [change.kind for change in found.changes] == [Kind.GONE] * len(lost.stages)
+    assert [change.kind for change in found.changes] == [ChangeKind.GONE] * len(lost.stages)
     assert len(found.regressions) == len(lost.stages)
     assert compared(tmp_path / "new", [kept], [lost, kept]).regressions == ()
 
@@ -106,7 +106,7 @@ def test_time_is_told_but_is_no_regression(tmp_path, runs):
         return changed_last(run, seconds=run.stages[-1].seconds.model_copy(update={"stage_cpu": seconds}))
 
     (change,) = compared(tmp_path / "slow", [taking(10.0)], [taking(20.0)]).changes
-    assert change.kind is Kind.SLOWER
+    assert change.kind is ChangeKind.SLOWER
     assert compared(tmp_path / "noise", [taking(0.1)], [taking(0.9)]).changes == ()
     assert compared(tmp_path / "alike", [taking(10.0)], [taking(14.0)]).changes == ()
 

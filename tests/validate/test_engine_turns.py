@@ -19,9 +19,9 @@ from models.errors import MachineError
 from validate.execution import campaign as module
 from validate.execution.campaign import Settings, run_cells, select
 from validate.execution.dask import DaskEngine, Request, local_cluster
-from validate.execution.engine import LocalEngine, Site
-from validate.execution.worker import Lost
-from validate.plan.runs import Entry
+from validate.execution.engine import ExecutionContext, LocalEngine
+from validate.execution.worker import ChildExit
+from validate.plan.runs import PlannedRun
 from validate.store.provenance import gather
 from validate.store.store import Store
 
@@ -36,7 +36,7 @@ class Campaign:
         settings = Settings(
             out=folder, tools="campaign_fakes:TOOLS", scenes=("three_cart",), expression="only_good or only_segfault or only_hang"
         )
-        self.entries = [entry for entry in select(settings)[0] if isinstance(entry, Entry)]
+        self.entries = [entry for entry in select(settings)[0] if isinstance(entry, PlannedRun)]
         self.cells = [entry.cell for entry in self.entries]
         self.crashing: set[str] = set()
         self.begun: list[str] = []
@@ -45,13 +45,15 @@ class Campaign:
         self.dumb, self.told = False, list[str]()
         self._provenance, store = gather("a test"), Store(folder)
         store.prepare()
-        self.site = Site(store=store, provenance=self._provenance, lost=lambda cell: pytest.fail("no cell is lost here"), token="0" * 16)
+        self.site = ExecutionContext(
+            store=store, provenance=self._provenance, lost=lambda cell: pytest.fail("no cell is lost here"), token="0" * 16
+        )
 
     def record(self, key: str):
         self.begun.append(key)
         (entry,) = [entry for entry in self.entries if entry.cell.key == key]
         outcome = "crashed" if key in self.crashing else "time_limit"
-        return entry.lost(self._provenance)(Lost(outcome=outcome, message="as told", wall=0.0, cpu=0.0, log=""), self.site.store.runs)
+        return entry.lost(self._provenance)(ChildExit(outcome=outcome, message="as told", wall=0.0, cpu=0.0, log=""), self.site.store.runs)
 
     def again(self, record: Any) -> bool:
         self.crashes[record.key] += record.outcome == "crashed"

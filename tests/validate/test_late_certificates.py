@@ -20,7 +20,7 @@ from validate.store.results import rows
 from validate.store.store import Store
 from validate.tasks.leg import planned_legs, planned_stages
 from validate.tasks.path import run_cell
-from validate.tasks.run import Cell
+from validate.tasks.run import RunTask
 
 HERE = Path(__file__).parent
 
@@ -32,12 +32,12 @@ def in_reach(monkeypatch):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, [str(HERE), os.environ.get("PYTHONPATH", "")])))
 
 
-def _cell(last: str) -> Cell:
+def _cell(last: str) -> RunTask:
     from certificate_fakes import TOOLS, pipeline
 
     chosen = pipeline(last)
     plan = planned_stages(chosen, {leg.method: TOOLS.load_method(leg.method) for leg in chosen.legs})
-    return Cell(
+    return RunTask(
         key=f"key_of_{last}",
         scene="three_cart",
         scene_name="three_cart",

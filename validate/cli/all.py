@@ -58,7 +58,7 @@ def command(arguments: tuple[str, ...], as_json: bool, **options: Any) -> int:
     starts.csv (one row a start), front.csv (one row a terminal tolerance), campaign.json and, for each cell, runs/<key>.
     """
     from validate.cli.running import run_and_tell
-    from validate.plan.runs import Settings
+    from validate.plan.runs import CampaignSettings
     from validate.store.provenance import command_line
 
-    return run_and_tell(Settings(command=command_line(arguments), **options), arguments, as_json)
+    return run_and_tell(CampaignSettings(command=command_line(arguments), **options), arguments, as_json)

@@ -13,7 +13,7 @@ from validate.cli.doubts import tell_doubts
 from validate.cli.table import one_line, table
 
 if TYPE_CHECKING:
-    from validate.plan.runs import Settings
+    from validate.plan.runs import CampaignSettings
 
 _EPILOG = """\b
 Examples:
@@ -34,19 +34,19 @@ def command(as_json: bool, **options: Any) -> int:
 
     Nothing is run or written.
     """
-    from validate.plan.runs import Settings
+    from validate.plan.runs import CampaignSettings
 
-    return tell_plan(Settings(**options), as_json)
+    return tell_plan(CampaignSettings(**options), as_json)
 
 
-def tell_plan(settings: Settings, as_json: bool) -> int:
+def tell_plan(settings: CampaignSettings, as_json: bool) -> int:
     """Print it. Raises TouchstoneError."""
-    from validate.plan.runs import Entry, reasons, select, with_stored
+    from validate.plan.runs import PlannedRun, reasons, select, with_stored
     from validate.store.store import Store
     from validate.store.stored import earlier_schema, only_last_failed
 
     entries, left_out = select(settings)
-    scenes = {entry.scene.name: entry.scene for entry in entries if isinstance(entry, Entry)}
+    scenes = {entry.scene.name: entry.scene for entry in entries if isinstance(entry, PlannedRun)}
     tell_doubts(scenes.values(), steps=True)
     if sentence := earlier_schema(settings.out):
         click.echo(one_line(f"warning: {sentence}"), err=True)

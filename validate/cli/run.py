@@ -57,9 +57,11 @@ def command(
         raise click.UsageError("give a campaign file, such as docs/campaigns/stiffness.toml.")
     from validate.cli.plan import tell_plan
     from validate.cli.running import run_and_tell
-    from validate.plan.runs import Settings
+    from validate.plan.runs import CampaignSettings
     from validate.store.provenance import command_line
 
     campaign = read_campaign(file, tools)
-    settings = Settings(out=out or Path("runs") / file.stem, tools=tools, command=command_line(arguments), **options, **campaign.settings())
+    settings = CampaignSettings(
+        out=out or Path("runs") / file.stem, tools=tools, command=command_line(arguments), **options, **campaign.settings()
+    )
     return tell_plan(settings, as_json) if only_plan else run_and_tell(settings, arguments, as_json)

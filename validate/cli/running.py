@@ -13,14 +13,14 @@ from models.errors import MachineError
 from validate.cli.table import use_colour
 
 if TYPE_CHECKING:
-    from validate.execution.campaign import Outcome
-    from validate.plan.runs import Settings
+    from validate.execution.campaign import CampaignResult
+    from validate.plan.runs import CampaignSettings
 
 # Words of a command that the same command, typed again to go on, does without.
 _ONCE = frozenset({"--fresh", "--lf", "-x"})
 
 
-def run_and_tell(settings: Settings, arguments: Sequence[str], as_json: bool) -> int:
+def run_and_tell(settings: CampaignSettings, arguments: Sequence[str], as_json: bool) -> int:
     """Run it, progress on stderr, results on stdout; the exit code. arguments: the words of the command. Raises TouchstoneError."""
     from validate.cli.narrator import narrator
     from validate.execution.campaign import run_campaign
@@ -52,7 +52,7 @@ def run_and_tell(settings: Settings, arguments: Sequence[str], as_json: bool) ->
     return outcome.exit_code
 
 
-def _print_table(outcome: Outcome, settings: Settings, resume: str) -> None:
+def _print_table(outcome: CampaignResult, settings: CampaignSettings, resume: str) -> None:
     from validate.cli.table import one_line, results_table
 
     colour = use_colour()
@@ -77,7 +77,7 @@ def _print_table(outcome: Outcome, settings: Settings, resume: str) -> None:
     click.echo(f"again:   {resume}   (stored cells are used again; --fresh runs them anew)")
 
 
-def _print_json(outcome: Outcome, settings: Settings) -> None:
+def _print_json(outcome: CampaignResult, settings: CampaignSettings) -> None:
     from validate.store.results import examination_rows, rows
 
     data = {

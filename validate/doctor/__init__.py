@@ -4,6 +4,6 @@ for finding in examine_machine(Path("runs/all")):
     print(finding.name, finding.state, finding.sentence, finding.remedy)
 """
 
-from validate.doctor.examine import Finding, State, examine_machine
+from validate.doctor.examine import MachineFinding, State, examine_machine
 
-__all__ = ["Finding", "State", "examine_machine"]
+__all__ = ["MachineFinding", "State", "examine_machine"]

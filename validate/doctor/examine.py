@@ -28,7 +28,7 @@ class State(Enum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class MachineFinding:
     """sentence: what was found; remedy: what to do about it ("" if nothing); seconds of the clock."""
 
     name: str
@@ -72,7 +72,7 @@ TRIALS = (
 )
 
 
-def examine_machine(out: Path, trials: tuple[Trial, ...] = TRIALS) -> Iterator[Finding]:
+def examine_machine(out: Path, trials: tuple[Trial, ...] = TRIALS) -> Iterator[MachineFinding]:
     """One finding after the other, as they are made. out: the folder a campaign would write to."""
     yield _interpreter()
     yield _store(out)
@@ -87,11 +87,11 @@ def examine_machine(out: Path, trials: tuple[Trial, ...] = TRIALS) -> Iterator[F
         yield finding
 
 
-def _interpreter() -> Finding:
+def _interpreter() -> MachineFinding:
     version = ".".join(map(str, sys.version_info[:3]))
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     good = sys.version_info >= (3, 11)
-    return Finding(
+    return MachineFinding(
         name="Python",
         state=State.OK if good else State.BROKEN,
         sentence=f"Python {version} on {cores} {'core' if cores == 1 else 'cores'}",
@@ -99,7 +99,7 @@ def _interpreter() -> Finding:
     )
 
 
-def _store(out: Path) -> Finding:
+def _store(out: Path) -> MachineFinding:
     """Write, sync, rename and read back where the campaign would, and leave nothing."""
     began = time.monotonic()
     place = next(folder for folder in (out, *out.absolute().parents) if folder.exists())
@@ -119,12 +119,14 @@ def _store(out: Path) -> Finding:
         room = shutil.disk_usage(place).free
     except OSError as error:
         sentence = f"{place} cannot be written to ({error.strerror})"
-        return Finding(name="store", state=State.BROKEN, sentence=sentence, remedy="choose another folder with --out, or free this one")
+        return MachineFinding(
+            name="store", state=State.BROKEN, sentence=sentence, remedy="choose another folder with --out, or free this one"
+        )
     finally:
         if trial is not None:
             shutil.rmtree(trial, ignore_errors=True)
     enough = room >= _ROOM
-    return Finding(
+    return MachineFinding(
         name="store",
         state=State.OK if enough else State.BROKEN,
         sentence=f"{place} can be written to and has {room / 1024**3:.1f} GiB free",
@@ -133,15 +135,15 @@ def _store(out: Path) -> Finding:
     )
 
 
-def _tried(trial: Trial) -> Finding:
+def _tried(trial: Trial) -> MachineFinding:
     done = run_isolated(
         f"validate.doctor.trials:{trial.function}", {}, limits=Limits(seconds=_SECONDS, memory=16 * 1024**3), what=trial.name
     )
     if done.ok and done.value:
-        return Finding(name=trial.name, state=State.OK, sentence=str(done.value), seconds=done.wall)
+        return MachineFinding(name=trial.name, state=State.OK, sentence=str(done.value), seconds=done.wall)
     if done.ok:
-        return Finding(name=trial.name, state=State.ABSENT, sentence=trial.absent, remedy=trial.remedy, seconds=done.wall)
-    return Finding(
+        return MachineFinding(name=trial.name, state=State.ABSENT, sentence=trial.absent, remedy=trial.remedy, seconds=done.wall)
+    return MachineFinding(
         name=trial.name, state=State.BROKEN if trial.needed else State.ABSENT, sentence=_why(done), remedy=trial.remedy, seconds=done.wall
     )
 

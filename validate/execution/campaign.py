@@ -1,6 +1,6 @@
 """A campaign: which cells, which of them are stored, the others run, and everything written that is told of them.
 
-    outcome = run_campaign(Settings(out=Path("runs/all"), quick=True), narrator)
+    outcome = run_campaign(CampaignSettings(out=Path("runs/all"), quick=True), narrator)
     outcome.exit_code, outcome.records, outcome.report
 
 Cells are content-addressed: a stored one is used again, unless it crashed, or ran out of a shorter time limit than it would have now.
@@ -17,24 +17,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from validate.execution.engine import Engine, Running, Site, check_engine, new_token, open_engine
+from validate.execution.engine import Engine, ExecutionContext, Running, check_engine, new_token, open_engine
 from validate.execution.process import interrupts_wait
 from validate.execution.worker import Job
-from validate.plan.runs import CampaignError, Entry, Examined, Settings, select, with_stored
+from validate.plan.runs import CampaignError, CampaignSettings, PlannedCheck, PlannedRun, select, with_stored
 from validate.store.disk import write_durably
 from validate.store.results import write_examinations, write_results, write_sweeps
 from validate.store.store import Store
 from validate.store.stored import CAMPAIGN, campaign_text, earlier_schema, of_content, only_last_failed, stored_campaign
 from validate.tasks.leg import PlannedLeg, forget, must_wait
 from validate.tasks.plugins import load_tools
-from validate.tasks.run import Cell
+from validate.tasks.run import RunTask
 
 if TYPE_CHECKING:
     from reports.records.check_record import ExaminationRecord
     from reports.records.record import CampaignRecord, ProvenanceRecord, RunRecord, TimeStepRecord, ViolationPoint
     from validate.execution.worker import Job
 
-__all__ = ["CampaignError", "Narrator", "Outcome", "Settings", "run_campaign", "select", "stored_campaign", "with_stored"]
+__all__ = ["CampaignError", "Narrator", "CampaignResult", "CampaignSettings", "run_campaign", "select", "stored_campaign", "with_stored"]
 
 TITLE = "Plans through contact, replayed and scored"
 # Pause between two looks at what is not a cell's end [s]; a cell that ends is seen at once.
@@ -45,7 +45,7 @@ RESULTS, EXAMINATIONS, VIOLATION = "results.csv", "examinations.csv", "violation
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CampaignResult:
     """What came of a campaign. findings: what the replay found that fails nothing (reports.rule); report: None where it was not written."""
 
     records: tuple[RunRecord, ...]
@@ -70,7 +70,7 @@ class Narrator(Protocol):
     def ends(self) -> None: ...
 
 
-def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
+def run_campaign(settings: CampaignSettings, narrator: Narrator) -> CampaignResult:
     """Run what is not stored and write campaign.json, results.csv, examinations.csv, violation.csv, starts.csv, front.csv and the report.
 
     Raises TouchstoneError for what the user can mend; KeyboardInterrupt passes through when children are stopped and what finished is written.
@@ -134,7 +134,7 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
     for sentence in (
         *filter(None, [earlier]),
         *(item.warning for item in steps if item.warning),
-        *doubts(entry.scene for entry in entries if isinstance(entry, Entry)),
+        *doubts(entry.scene for entry in entries if isinstance(entry, PlannedRun)),
     ):
         narrator.warns(sentence)
     try:
@@ -153,7 +153,7 @@ def run_campaign(settings: Settings, narrator: Narrator) -> Outcome:
             narrator.ends()
             done, examinations = write()
     report = load_tools(settings.tools).write_report(settings.out)
-    return Outcome(
+    return CampaignResult(
         records=done,
         examinations=examinations,
         failures=failures(done, examinations),
@@ -170,27 +170,27 @@ def _untold(keys: Sequence[str], store: Store, provenance: ProvenanceRecord) -> 
             yield record
 
 
-def _violation(entries: Sequence[Entry | Examined]) -> tuple[ViolationPoint, ...]:
+def _violation(entries: Sequence[PlannedRun | PlannedCheck]) -> tuple[ViolationPoint, ...]:
     """What relaxations do to contact physics, on the first scene that has contacts; nothing where no scene is planned for."""
     from validate.tasks.paper import measure
 
-    scenes = [entry.scene for entry in entries if isinstance(entry, Entry)]
+    scenes = [entry.scene for entry in entries if isinstance(entry, PlannedRun)]
     return tuple(measure(next((scene for scene in scenes if scene.nc), scenes[0]))) if scenes else ()
 
 
-def _time_steps(entries: Sequence[Entry | Examined], out: Path) -> tuple[TimeStepRecord, ...]:
+def _time_steps(entries: Sequence[PlannedRun | PlannedCheck], out: Path) -> tuple[TimeStepRecord, ...]:
     """Whether the step of each scene is stable in contact; what an earlier campaign of this folder said is used again."""
     from validate.plan.warnings import time_steps
 
-    scenes = {entry.scene.name: entry.scene for entry in entries if isinstance(entry, Entry)}
+    scenes = {entry.scene.name: entry.scene for entry in entries if isinstance(entry, PlannedRun)}
     return time_steps(scenes.values(), out / CAMPAIGN)
 
 
 def _run(
-    entries: Sequence[Entry | Examined],
+    entries: Sequence[PlannedRun | PlannedCheck],
     store: Store,
     provenance: ProvenanceRecord,
-    settings: Settings,
+    settings: CampaignSettings,
     narrator: Narrator,
 ) -> Generator[RunRecord | ExaminationRecord, None, None]:
     if not entries:
@@ -210,7 +210,7 @@ def _run(
     def waits(cell: Job, running: Sequence[Job]) -> bool:
         return must_wait(_path(cell), map(_path, running), store.legs, cell.time_limit)
 
-    site = Site(store=store, provenance=provenance, lost=lambda cell: by_key[cell.key].lost(provenance), token=new_token())
+    site = ExecutionContext(store=store, provenance=provenance, lost=lambda cell: by_key[cell.key].lost(provenance), token=new_token())
     with open_engine(settings.engine, settings.jobs, site, len(entries)) as engine:
         yield from run_cells([entry.cell for entry in entries], engine, site, waits, again, narrator)
 
@@ -218,7 +218,7 @@ def _run(
 def run_cells(
     cells: Sequence[Job],
     engine: Engine,
-    site: Site,
+    site: ExecutionContext,
     waits: Callable[[Job, Sequence[Job]], bool],
     again: Callable[[RunRecord | ExaminationRecord], bool],
     narrator: Narrator,
@@ -262,7 +262,7 @@ def _startable(waiting: deque[Job], running: list[Job], jobs: int | None, waits:
             yield cell
 
 
-def _begun(cells: Iterable[Job], site: Site) -> list[Running]:
+def _begun(cells: Iterable[Job], site: ExecutionContext) -> list[Running]:
     """Those of the cells that have an unfinished folder, wherever they run."""
     folders = {path.name.split("-")[1]: path for path in site.unfinished()}
     return [Running(cell=cell, folder=folders[cell.key[:12]]) for cell in cells if cell.key[:12] in folders]
@@ -270,4 +270,4 @@ def _begun(cells: Iterable[Job], site: Site) -> list[Running]:
 
 def _path(job: Job) -> tuple[PlannedLeg, ...]:
     """The legs of a run; an examination has none."""
-    return job.legs if isinstance(job, Cell) else ()
+    return job.legs if isinstance(job, RunTask) else ()

@@ -42,7 +42,7 @@ def main(folder: Path) -> int:
     from validate.store.store import RECORD, REQUEST
     from validate.tasks.examination import Examination, run_examination
     from validate.tasks.path import run_cell
-    from validate.tasks.run import Cell
+    from validate.tasks.run import RunTask
 
     random.seed(SEED)
     np.random.seed(SEED)
@@ -53,7 +53,7 @@ def main(folder: Path) -> int:
             record = run_examination(Examination.from_json(wanted), provenance, folder, began)
         else:
             profile.lap("imports")
-            record = run_cell(Cell.from_json(wanted), provenance, folder, began, profile)
+            record = run_cell(RunTask.from_json(wanted), provenance, folder, began, profile)
         write_durably(folder / RECORD, record.model_dump_json(indent=1))
     except MachineError as error:
         return _machine(folder, error)

@@ -33,10 +33,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from models.errors import MachineError
-from validate.execution.engine import CAMPAIGN, Site
+from validate.execution.engine import CAMPAIGN, ExecutionContext
 from validate.execution.fork_server import WORTH, ForkServer, modules_for, terminal_blocked
 from validate.execution.process import ForkServerError, interrupts_wait, shared_watchdog
-from validate.execution.worker import Job, Lost, Worker
+from validate.execution.worker import ChildExit, Job, Worker
 from validate.store.disk import disk_error, write_durably
 from validate.store.store import LOG, RECORD, REQUEST, Store
 
@@ -212,20 +212,20 @@ def _here(provenance: ProvenanceRecord) -> ProvenanceRecord:
     return provenance.model_copy(update=machine())
 
 
-def _lost(job: Job, provenance: ProvenanceRecord) -> Callable[[Lost, Path], RunRecord | ExaminationRecord]:
+def _lost(job: Job, provenance: ProvenanceRecord) -> Callable[[ChildExit, Path], RunRecord | ExaminationRecord]:
     """Makes the record of a child that left none."""
     from models.catalog import load_scene
     from validate.tasks.examination import Examination, lost_examination
     from validate.tasks.leg import planned_stages
     from validate.tasks.path import lost_run
     from validate.tasks.plugins import load_tools
-    from validate.tasks.run import Cell
+    from validate.tasks.run import RunTask
     from validate.tasks.variant import varied
 
-    def record(lost: Lost, folder: Path) -> RunRecord | ExaminationRecord:
+    def record(lost: ChildExit, folder: Path) -> RunRecord | ExaminationRecord:
         if isinstance(job, Examination):
             return lost_examination(job, provenance, lost)
-        assert isinstance(job, Cell)
+        assert isinstance(job, RunTask)
         tools, scene = load_tools(job.tools), load_scene(job.scene)
         if job.variant is not None:
             scene = varied(scene, job.variant)
@@ -243,7 +243,7 @@ _GONE = "the Dask scheduler is gone; what finished is stored, and the same comma
 
 
 @contextmanager
-def open_dask(where: str, jobs: int | None, site: Site, cells: int) -> Iterator[DaskEngine]:
+def open_dask(where: str, jobs: int | None, site: ExecutionContext, cells: int) -> Iterator[DaskEngine]:
     """The engine of a cluster. where: address or scheduler file, "" for worker processes here; jobs: that many of them, or cells at a time;
     cells: how many there are.
 
@@ -285,7 +285,7 @@ class DaskEngine:
     """See the module docstring. jobs: at most so many cells are given to Dask at a time, None: all, since a cluster grows by what waits for it; mark: the
     folder by which a worker sees that it has the campaign's folder before it; cells: how many there are."""
 
-    def __init__(self, client: Any, site: Site, jobs: int | None, mark: Path, cells: int) -> None:
+    def __init__(self, client: Any, site: ExecutionContext, jobs: int | None, mark: Path, cells: int) -> None:
         from validate.store.provenance import fingerprint
 
         self._client, self._site, self.jobs, self._mark = client, site, jobs, mark
@@ -344,7 +344,7 @@ class DaskEngine:
         site = self._site
         wall = time.monotonic() - tries.since
         folder = site.store.open_partial(cell.key, site.token + uuid.uuid4().hex[:16])
-        record = site.lost(cell)(Lost(outcome="crashed", message=message, wall=wall, cpu=0.0, log=""), folder)
+        record = site.lost(cell)(ChildExit(outcome="crashed", message=message, wall=wall, cpu=0.0, log=""), folder)
         request = {"cell": cell.to_json(), "provenance": site.provenance.model_dump(mode="json")}
         write_durably(folder / REQUEST, json.dumps(request, indent=1))
         write_durably(folder / LOG, "")

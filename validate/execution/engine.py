@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from models.errors import MachineError, TouchstoneError
 from validate.execution.process import interrupts_wait, shared_watchdog
-from validate.execution.worker import Job, Lost, Worker, progress_in
+from validate.execution.worker import ChildExit, Job, Worker, progress_in
 from validate.store.disk import PARTIAL
 
 if TYPE_CHECKING:
@@ -41,13 +41,13 @@ class EngineError(TouchstoneError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Site:
+class ExecutionContext:
     """What an engine has of a campaign. lost: makes the record of a child of a cell that left none; token: 16 letters and digits, by which
     the campaign knows its own unfinished folders."""
 
     store: Store
     provenance: ProvenanceRecord
-    lost: Callable[[Job], Callable[[Lost, Path], RunRecord | ExaminationRecord]]
+    lost: Callable[[Job], Callable[[ChildExit, Path], RunRecord | ExaminationRecord]]
     token: str
 
     def unfinished(self) -> list[Path]:
@@ -117,7 +117,7 @@ def new_token() -> str:
 
 
 @contextmanager
-def open_engine(name: str, jobs: int | None, site: Site, cells: int) -> Iterator[Engine]:
+def open_engine(name: str, jobs: int | None, site: ExecutionContext, cells: int) -> Iterator[Engine]:
     """The engine of a name; at the end, what runs is stopped. jobs: cells at a time, None for what the engine chooses; cells: how many there are.
     Raises MachineError."""
     if name == LOCAL:
@@ -141,7 +141,7 @@ def open_engine(name: str, jobs: int | None, site: Site, cells: int) -> Iterator
 class LocalEngine:
     """Children on this machine, each watched by the thread that started it. (Linux kills a child when that thread ends.)"""
 
-    def __init__(self, jobs: int, site: Site, server: ForkServer | None) -> None:
+    def __init__(self, jobs: int, site: ExecutionContext, server: ForkServer | None) -> None:
         self.jobs, self._site, self._server = jobs, site, server
         self._threads, self._closed = ThreadPoolExecutor(jobs), threading.Event()
 

@@ -51,7 +51,7 @@ class Job(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lost:
+class ChildExit:
     """How a child ended that left no record. outcome: `crashed` or `time_limit`; message: one sentence; wall, cpu [s]; log: its end."""
 
     outcome: str
@@ -71,7 +71,7 @@ class Worker:
     def __init__(
         self,
         cell: Job,
-        lost: Callable[[Lost, Path], RunRecord | ExaminationRecord],
+        lost: Callable[[ChildExit, Path], RunRecord | ExaminationRecord],
         provenance: ProvenanceRecord,
         store: Store,
         server: ForkServer | None = None,
@@ -203,7 +203,7 @@ class Worker:
             ]
             message = "; ".join(filter(None, words)) + "."
         wall = time.monotonic() - self._began
-        lost = Lost(outcome=outcome, message=message, wall=wall, cpu=self._ended.cpu, log=log)
+        lost = ChildExit(outcome=outcome, message=message, wall=wall, cpu=self._ended.cpu, log=log)
         record = self._lost(lost, self._folder)
         write_durably(self._folder / RECORD, record.model_dump_json(indent=1))
         return record

@@ -15,7 +15,7 @@ from fmpy.fmi1 import FMICallException
 from validate.fmi.instance import Misbehaviour, TerminationRequested
 from validate.fmu_check.motion import compare, run
 from validate.fmu_check.result import Finding, Scope, check, failed, not_offered, passed
-from validate.fmu_check.subject import HOLD, CheckedInstance, Subject, Variable
+from validate.fmu_check.subject import HOLD, CheckedInstance, FmuVariable, Subject
 
 # Two times are the same if they differ by less than this share of a step.
 _SAME = 1e-6
@@ -320,7 +320,7 @@ def intermediate_update(subject: Subject, kind: str) -> Finding:
                 if not finite:
                     wrong.append(f"at t = {time:.6g} s a value is no finite number")
 
-    watched: list[Variable] = [item for item in subject.outputs if item.is_float]
+    watched: list[FmuVariable] = [item for item in subject.outputs if item.is_float]
     with CheckedInstance(subject, kind) as instance:
         plain = _stepped(instance.begin(), steps, lambda: None)
     options = {"intermediateUpdate": update, "requiredIntermediateVariables": [item.reference for item in watched]}

@@ -20,7 +20,7 @@ from fmpy.fmi1 import FMICallException
 
 from validate.fmu_check.motion import Record, run
 from validate.fmu_check.result import Finding, Scope, check, failed, listed, not_offered, passed
-from validate.fmu_check.subject import CheckedInstance, Subject, Variable
+from validate.fmu_check.subject import CheckedInstance, FmuVariable, Subject
 
 # Steps: from this share of the variable's size, each a quarter of the one before.
 _LARGEST, _COUNT = 1e-2, 9
@@ -32,7 +32,7 @@ _EPS = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
-class Column:
+class DerivativeColumn:
     """d(unknowns)/d(one known): value, error estimate and where there is no derivative, each (unknowns,)."""
 
     value: np.ndarray
@@ -40,7 +40,9 @@ class Column:
     kink: np.ndarray
 
 
-def column(evaluate: Callable[[np.ndarray], np.ndarray], x: np.ndarray, place: int, size: float, largest: float = _LARGEST) -> Column:
+def column(
+    evaluate: Callable[[np.ndarray], np.ndarray], x: np.ndarray, place: int, size: float, largest: float = _LARGEST
+) -> DerivativeColumn:
     """The column of entry `place` of x at x; size: the typical magnitude of that entry."""
     middle = evaluate(x)
     central, forward, backward, noise = [], [], [], []
@@ -65,7 +67,7 @@ def column(evaluate: Callable[[np.ndarray], np.ndarray], x: np.ndarray, place: i
     # A smooth function's one-sided differences approach each other as the step; four times smaller, four times nearer.
     here, before = gap[best + 2, columns], gap[best + 1, columns]
     kink = (here > 0.5 * before) & (here > 10.0 * rounding[best + 2, columns])
-    return Column(extrapolated[best + 1, columns], error[best, columns], kink)
+    return DerivativeColumn(extrapolated[best + 1, columns], error[best, columns], kink)
 
 
 def rounding_of(claimed: np.ndarray) -> float:
@@ -73,13 +75,13 @@ def rounding_of(claimed: np.ndarray) -> float:
     return _ULPS * _EPS * float(np.abs(claimed[np.isfinite(claimed)]).max(initial=0.0))
 
 
-def agrees(claimed: np.ndarray, found: Column) -> np.ndarray:
+def agrees(claimed: np.ndarray, found: DerivativeColumn) -> np.ndarray:
     """(unknowns,) whether a claimed column is within the error of the one found; True where nothing can be said."""
     allowed = 10.0 * found.error + _SHARE * np.maximum(np.abs(claimed), np.abs(found.value)) + rounding_of(claimed)
     return (np.abs(claimed - found.value) <= allowed) | found.kink | ~np.isfinite(found.error)
 
 
-def resolved(claimed: np.ndarray, found: Column) -> np.ndarray:
+def resolved(claimed: np.ndarray, found: DerivativeColumn) -> np.ndarray:
     """(unknowns,) whether an error of a thousandth of the entry would show."""
     size = np.maximum(np.abs(claimed), np.abs(found.value))
     return ~found.kink & ((found.error <= 1e-3 * size) | (np.abs(claimed - found.value) <= found.error))
@@ -93,13 +95,13 @@ MOST_KNOWNS = 60
 
 
 @dataclass
-class Point:
+class CheckedPoint:
     """An instance at a point: `evaluate` maps the knowns (their entries in order) to the unknowns, and leaves the instance at the point after back()."""
 
     where: str
     instance: CheckedInstance
-    knowns: list[Variable]
-    unknowns: list[Variable]
+    knowns: list[FmuVariable]
+    unknowns: list[FmuVariable]
     x: np.ndarray
     time: float
     state_entries: int
@@ -116,13 +118,13 @@ class Point:
         self.evaluate(self.x)
 
     @property
-    def _states(self) -> list[Variable]:
+    def _states(self) -> list[FmuVariable]:
         return self.instance.subject.states if self.state_entries else []
 
     def sizes(self) -> np.ndarray:
         return np.concatenate([np.full(item.size, item.scale) for item in self.knowns])
 
-    def entries(self) -> list[tuple[int, Variable]]:
+    def entries(self) -> list[tuple[int, FmuVariable]]:
         """(place in x, known) of the entries to look at: all, or some of a large FMU."""
         every = [item for item in self.knowns for _ in range(item.size)]
         places = range(len(every))
@@ -135,7 +137,7 @@ class Point:
         return [item.name for item in self.unknowns for _ in range(item.size)]
 
 
-def points(subject: Subject, kind: str) -> Iterator[Point]:
+def points(subject: Subject, kind: str) -> Iterator[CheckedPoint]:
     """Points along a run: unknowns are derivatives and outputs, knowns are states and continuous inputs (Co-Simulation: inputs, outputs)."""
     steps = subject.long_steps(kind)
     exchange = kind == "ME"
@@ -157,7 +159,7 @@ def points(subject: Subject, kind: str) -> Iterator[Point]:
             if place > before:
                 run(instance, before, place, observe="end")
             x = np.concatenate([instance.states() if count else np.empty(0), instance.get(subject.continuous_inputs)])
-            point = Point(f"at t = {subject.time(place):.6g} s", instance, knowns, unknowns, x, subject.time(place), count)
+            point = CheckedPoint(f"at t = {subject.time(place):.6g} s", instance, knowns, unknowns, x, subject.time(place), count)
             yield point
             point.back()
 
@@ -176,7 +178,7 @@ def _places(subject: Subject, kind: str, steps: int) -> list[int]:
     return sorted(places)
 
 
-def initial_point(subject: Subject, kind: str) -> Point | None:
+def initial_point(subject: Subject, kind: str) -> CheckedPoint | None:
     """In Initialization Mode: unknowns are those of the ModelStructure, knowns all that has an exact start; None if there are none or it is refused."""
     unknowns = [item for item in subject.of(subject.description.initialUnknowns) if item.is_float]
     knowns = [
@@ -194,7 +196,7 @@ def initial_point(subject: Subject, kind: str) -> Point | None:
     # A little off the starts, where symmetric models have kinks and zeros.
     instance.set_all(subject.varied_parameters())
     instance.enter_initialisation()
-    point = Point("in Initialization Mode", instance, knowns, unknowns, instance.get(knowns), subject.start_time, 0)
+    point = CheckedPoint("in Initialization Mode", instance, knowns, unknowns, instance.get(knowns), subject.start_time, 0)
     try:
         point.back()
     except FMICallException:
@@ -246,7 +248,7 @@ def directional(subject: Subject, kind: str) -> Finding:
     return passed(f"{looked} entries at {places} points agree; for {sharp} an error of a thousandth would show{at_kinks}.")
 
 
-def _claimed(point: Point, place: int) -> np.ndarray:
+def _claimed(point: CheckedPoint, place: int) -> np.ndarray:
     """The column that the FMU gives for an entry of the knowns."""
     point.back()
     known, within = _locate(point.knowns, place)
@@ -255,7 +257,7 @@ def _claimed(point: Point, place: int) -> np.ndarray:
     return point.instance.directional(point.unknowns, known, list(seed))
 
 
-def _locate(knowns: list[Variable], place: int) -> tuple[Variable, int]:
+def _locate(knowns: list[FmuVariable], place: int) -> tuple[FmuVariable, int]:
     for known in knowns:
         if place < known.size:
             return known, place
@@ -263,7 +265,7 @@ def _locate(knowns: list[Variable], place: int) -> tuple[Variable, int]:
     raise IndexError(place)
 
 
-def _wrong(point: Point, place: int, known: Variable, claimed: np.ndarray, found: Column) -> list[str]:
+def _wrong(point: CheckedPoint, place: int, known: FmuVariable, claimed: np.ndarray, found: DerivativeColumn) -> list[str]:
     bad = ~agrees(claimed, found)
     if not bad.any():
         return []
@@ -347,7 +349,7 @@ def _declared(subject: Subject, unknowns: list) -> dict[str, dict[str, str]]:
     return found
 
 
-def _missing(point: Point, declared: dict[str, dict[str, str]], wrong: list[str]) -> int:
+def _missing(point: CheckedPoint, declared: dict[str, dict[str, str]], wrong: list[str]) -> int:
     """Add to `wrong` what changes undeclared; the number of pairs looked at."""
     looked = 0
     names = point.names()
@@ -373,7 +375,7 @@ def _missing(point: Point, declared: dict[str, dict[str, str]], wrong: list[str]
 
 
 def _factors(
-    point: Point, declared: dict[str, dict[str, str]], slopes: dict[tuple[str, str], tuple[float, float, str]], wrong: list[str]
+    point: CheckedPoint, declared: dict[str, dict[str, str]], slopes: dict[tuple[str, str], tuple[float, float, str]], wrong: list[str]
 ) -> None:
     """Compare the slopes of dependencies declared `constant` or `fixed` with those at the points before."""
     names = point.names()

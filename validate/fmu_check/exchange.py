@@ -18,7 +18,7 @@ from fmpy.fmi1 import FMICallException
 from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.motion import Crowded, Exchange, run
 from validate.fmu_check.result import Finding, Scope, check, failed, not_offered, passed
-from validate.fmu_check.subject import HOLD, CheckedInstance, Subject, Variable
+from validate.fmu_check.subject import HOLD, CheckedInstance, FmuVariable, Subject
 
 # Values read in two ways are the same number.
 _SAME = 1e-12
@@ -61,7 +61,7 @@ def arrays(subject: Subject, kind: str) -> Finding:
     return passed(f"{count} states and {count} derivatives, by array and by variable, at {steps + 1} times: equal.")
 
 
-def _unequal(instance: CheckedInstance, what: str, variables: list[Variable], values: np.ndarray, time: float) -> list[str]:
+def _unequal(instance: CheckedInstance, what: str, variables: list[FmuVariable], values: np.ndarray, time: float) -> list[str]:
     read = instance.get(variables)
     for place in np.flatnonzero(~np.isclose(read, values, rtol=_SAME, atol=0.0, equal_nan=True)):
         name = [item.name for item in variables for _ in range(item.size)][place]
@@ -184,7 +184,7 @@ def agree(subject: Subject) -> Finding:
     return _judge(subject, compared, _Traces(fine[:length], np.abs(fine[:length] - coarse[:length]), parts, awake, events))
 
 
-def _judge(subject: Subject, compared: list[Variable], traces: _Traces) -> Finding:
+def _judge(subject: Subject, compared: list[FmuVariable], traces: _Traces) -> Finding:
     names = [item.name for item in compared for _ in range(item.size)]
     floor = np.concatenate([np.full(item.size, item.scale) for item in compared])
     size = np.maximum(np.abs(traces.reference).max(axis=0), 1e-3 * floor)
@@ -224,13 +224,13 @@ def _start(instance: CheckedInstance, subject: Subject) -> None:
     instance.begin(during=_inputs(subject, 0))
 
 
-def _inputs(subject: Subject, step: int) -> dict[Variable, np.ndarray]:
+def _inputs(subject: Subject, step: int) -> dict[FmuVariable, np.ndarray]:
     values = subject.inputs_at(step)
     ends = np.cumsum([item.size for item in subject.continuous_inputs])
     return dict(zip(subject.continuous_inputs, np.split(values, ends[:-1]), strict=True)) if len(ends) else {}
 
 
-def _exchange(subject: Subject, compared: list[Variable], steps: int, rtol: float) -> tuple[np.ndarray, int]:
+def _exchange(subject: Subject, compared: list[FmuVariable], steps: int, rtol: float) -> tuple[np.ndarray, int]:
     """By CVODE; shorter if events crowd. Adams where it does, BDF where the model is stiff."""
     try:
         return _integrate(subject, compared, steps, rtol, "Adams")
@@ -238,7 +238,7 @@ def _exchange(subject: Subject, compared: list[Variable], steps: int, rtol: floa
         return _integrate(subject, compared, steps, rtol, "BDF")
 
 
-def _integrate(subject: Subject, compared: list[Variable], steps: int, rtol: float, method: str) -> tuple[np.ndarray, int]:
+def _integrate(subject: Subject, compared: list[FmuVariable], steps: int, rtol: float, method: str) -> tuple[np.ndarray, int]:
     with CheckedInstance(subject, "ME", "reference") as instance:
         _start(instance, subject)
         mover = Exchange(instance, rtol, method)
@@ -255,7 +255,7 @@ def _integrate(subject: Subject, compared: list[Variable], steps: int, rtol: flo
         return np.array(rows), sum(bool(event[1]) for event in mover.record.events)
 
 
-def _cosimulation(subject: Subject, compared: list[Variable], steps: int, parts: int) -> tuple[np.ndarray, int]:
+def _cosimulation(subject: Subject, compared: list[FmuVariable], steps: int, parts: int) -> tuple[np.ndarray, int]:
     """Values after each step, and in how many of its parts (at most, over all steps) they moved."""
     with CheckedInstance(subject, "CS", f"parts {parts}") as instance:
         _start(instance, subject)
@@ -276,7 +276,7 @@ def _cosimulation(subject: Subject, compared: list[Variable], steps: int, parts:
         return np.array(rows), awake
 
 
-def _euler(subject: Subject, compared: list[Variable], steps: int, parts: int) -> np.ndarray | None:
+def _euler(subject: Subject, compared: list[FmuVariable], steps: int, parts: int) -> np.ndarray | None:
     """Explicit Euler with a part of the communication step, events looked for at its ends; None if it diverges into errors."""
     length = subject.step / parts
     with CheckedInstance(subject, "ME", "euler") as instance:

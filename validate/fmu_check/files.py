@@ -21,7 +21,7 @@ from fmpy.validation import validate_fmu
 from validate.fmi.archive import platform_folder, problems
 from validate.fmi.versions import CLASSES
 from validate.fmu_check.result import Finding, Scope, check, failed, listed, not_offered, passed
-from validate.fmu_check.subject import Subject, Variable
+from validate.fmu_check.subject import FmuVariable, Subject
 
 _HEADER = 52  # bytes of the shorter header, that of 32 bits
 _CLASSES = {1: 32, 2: 64}
@@ -185,7 +185,7 @@ def consistent(subject: Subject) -> Finding:
     return passed(f"{len(subject.variables)} variables.")
 
 
-def _of_variable(item: Variable) -> list[str]:
+def _of_variable(item: FmuVariable) -> list[str]:
     wrong = []
     if item.lower > item.upper:
         wrong.append(f"{item.name} has the empty range {item.lower:g} .. {item.upper:g}")
@@ -200,7 +200,7 @@ def _of_variable(item: Variable) -> list[str]:
 
 def _of_aliases(subject: Subject) -> list[str]:
     """Variables that share a value must share its start."""
-    first: dict[tuple[int, str], Variable] = {}
+    first: dict[tuple[int, str], FmuVariable] = {}
     wrong = []
     for item in subject.variables:
         other = first.setdefault((item.reference, item.type), item)

@@ -20,7 +20,7 @@ _RESTART = 1e-6
 
 
 @dataclass(frozen=True)
-class Difference:
+class MotionDifference:
     """The largest difference, as a share of the variable's size over the run; its variable and row. equal: bit for bit."""
 
     equal: bool
@@ -33,13 +33,13 @@ class Difference:
         return f"{self.name} differs by {self.absolute:.2g} at t = {subject.time(first + self.row):.6g} s"
 
 
-def compare(subject: Subject, one: np.ndarray, other: np.ndarray) -> Difference:
+def compare(subject: Subject, one: np.ndarray, other: np.ndarray) -> MotionDifference:
     """Two (rows, observed) arrays of values."""
     rows = min(len(one), len(other))
     if len(one) != len(other):
-        return Difference(False, np.inf, np.inf, f"the length of the run ({len(one)} against {len(other)} steps)", rows)
+        return MotionDifference(False, np.inf, np.inf, f"the length of the run ({len(one)} against {len(other)} steps)", rows)
     if np.array_equal(one, other, equal_nan=True):
-        return Difference(True, 0.0, 0.0, "", 0)
+        return MotionDifference(True, 0.0, 0.0, "", 0)
     names = [item.name for item in subject.observed for _ in range(item.size)]
     scales = np.concatenate([np.full(item.size, item.scale) for item in subject.observed])
     with np.errstate(invalid="ignore"):
@@ -48,7 +48,7 @@ def compare(subject: Subject, one: np.ndarray, other: np.ndarray) -> Difference:
     size = np.maximum(np.nan_to_num(np.abs(one), nan=0.0, posinf=0.0).max(axis=0), scales * 1e-6)
     shares = apart / size
     row, column = np.unravel_index(int(np.argmax(shares)), shares.shape)
-    return Difference(False, float(shares[row, column]), float(apart[row, column]), names[column], int(row))
+    return MotionDifference(False, float(shares[row, column]), float(apart[row, column]), names[column], int(row))
 
 
 def restart_limit(subject: Subject) -> float:

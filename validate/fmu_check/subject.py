@@ -33,7 +33,7 @@ DEFAULT_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Variable:
+class FmuVariable:
     """A variable of the FMU that has a number: `size` entries, start as numbers (or None)."""
 
     name: str
@@ -100,44 +100,44 @@ class Subject:
         return interfaces((self.folder / DESCRIPTION).read_bytes())
 
     @cached_property
-    def variables(self) -> tuple[Variable, ...]:
+    def variables(self) -> tuple[FmuVariable, ...]:
         """All variables that have numbers, in the order of the description (aliases included)."""
         made = (_variable(item) for item in self.description.modelVariables)
         return tuple(item for item in made if item is not None)
 
     @cached_property
-    def by_name(self) -> dict[str, Variable]:
+    def by_name(self) -> dict[str, FmuVariable]:
         return {variable.name: variable for variable in self.variables}
 
-    def of(self, unknowns: list[Any]) -> list[Variable]:
+    def of(self, unknowns: list[Any]) -> list[FmuVariable]:
         """The variables of a section of the ModelStructure, those without numbers left out."""
         return [self.by_name[item.variable.name] for item in unknowns if item.variable.name in self.by_name]
 
     @cached_property
-    def states(self) -> list[Variable]:
+    def states(self) -> list[FmuVariable]:
         """Of which the derivatives are listed, in that order."""
         names = [item.variable.derivative.name for item in self.description.derivatives if item.variable.derivative is not None]
         return [self.by_name[name] for name in names if name in self.by_name]
 
     @cached_property
-    def derivatives(self) -> list[Variable]:
+    def derivatives(self) -> list[FmuVariable]:
         return self.of(self.description.derivatives)
 
     @cached_property
-    def outputs(self) -> list[Variable]:
+    def outputs(self) -> list[FmuVariable]:
         return self.of(self.description.outputs)
 
     @cached_property
-    def observed(self) -> list[Variable]:
+    def observed(self) -> list[FmuVariable]:
         """One variable a value reference and type: what runs are compared by."""
         return list({(item.reference, item.type): item for item in reversed(self.variables)}.values())[::-1]
 
     @cached_property
-    def continuous_inputs(self) -> list[Variable]:
+    def continuous_inputs(self) -> list[FmuVariable]:
         return [item for item in self.variables if item.causality == "input" and item.is_float and item.variability == "continuous"]
 
     @cached_property
-    def parameters(self) -> list[Variable]:
+    def parameters(self) -> list[FmuVariable]:
         """Floating-point parameters that may be set before a run."""
         return [item for item in self.variables if item.causality == "parameter" and item.is_float and item.variability != "constant"]
 
@@ -198,12 +198,12 @@ class Subject:
             values.append(np.clip(start + size * dice.uniform(-1.0, 1.0, start.shape), item.lower, item.upper))
         return np.concatenate(values) if values else np.empty(0)
 
-    def varied_parameters(self, share: float = 0.01) -> dict[Variable, np.ndarray]:
+    def varied_parameters(self, share: float = 0.01) -> dict[FmuVariable, np.ndarray]:
         """Other values of the parameters, a little off their starts."""
         return {item: item.near(item.start, share) for item in self.parameters if item.start is not None}
 
 
-def _variable(item: Any) -> Variable | None:
+def _variable(item: Any) -> FmuVariable | None:
     """Ours for FMPy's; None if it has no number."""
     if item.type not in (*_FLOATS, *_WHOLE, "Boolean"):
         return None
@@ -226,7 +226,7 @@ def _variable(item: Any) -> Variable | None:
     if start is not None and start.size == 1:
         start = np.full(size, start[0])
     lower, upper = number("min"), number("max")
-    return Variable(
+    return FmuVariable(
         name=item.name,
         reference=int(item.valueReference),
         type=item.type,
@@ -273,8 +273,8 @@ class CheckedInstance(Instance):
 
     def begin(
         self,
-        before: Mapping[Variable, np.ndarray] | None = None,
-        during: Mapping[Variable, np.ndarray] | None = None,
+        before: Mapping[FmuVariable, np.ndarray] | None = None,
+        during: Mapping[FmuVariable, np.ndarray] | None = None,
         stop: float | None = None,
     ) -> CheckedInstance:
         """Through initialisation, and to Continuous-Time Mode or the first step. before, during: values set before and in it."""
@@ -292,7 +292,7 @@ class CheckedInstance(Instance):
             self.settle()
         return self
 
-    def get(self, variables: Sequence[Variable]) -> np.ndarray:
+    def get(self, variables: Sequence[FmuVariable]) -> np.ndarray:
         """(sum of sizes,) the values in the order given; one call a type."""
         if not variables:
             return np.empty(0)
@@ -312,7 +312,7 @@ class CheckedInstance(Instance):
                 at += size
         return values
 
-    def set(self, variables: Sequence[Variable], values: np.ndarray) -> None:
+    def set(self, variables: Sequence[FmuVariable], values: np.ndarray) -> None:
         """values (sum of sizes,); one call a type."""
         at = 0
         groups: dict[str, tuple[list[int], list[float]]] = {}
@@ -324,21 +324,21 @@ class CheckedInstance(Instance):
         for kind, (references, numbers) in groups.items():
             self.fmu.write(kind, references, numbers)
 
-    def set_all(self, values: Mapping[Variable, np.ndarray]) -> None:
+    def set_all(self, values: Mapping[FmuVariable, np.ndarray]) -> None:
         if values:
             self.set(list(values), np.concatenate(list(values.values())))
 
     def observe(self) -> np.ndarray:
         return self.get(self.subject.observed)
 
-    def directional(self, unknowns: Sequence[Variable], known: Variable, seed: Sequence[float]) -> np.ndarray:
+    def directional(self, unknowns: Sequence[FmuVariable], known: FmuVariable, seed: Sequence[float]) -> np.ndarray:
         """(entries of the unknowns,) derivative in the direction `seed` (entries of the known,)."""
         return np.array(self.fmu.directional(_references(unknowns), [known.reference], seed, sum(item.size for item in unknowns)))
 
-    def adjoint(self, unknowns: Sequence[Variable], knowns: Sequence[Variable], seed: Sequence[float]) -> np.ndarray:
+    def adjoint(self, unknowns: Sequence[FmuVariable], knowns: Sequence[FmuVariable], seed: Sequence[float]) -> np.ndarray:
         """(entries of the knowns,) for `seed` (entries of the unknowns,). FMI 3.0."""
         return np.array(self.fmu.adjoint(_references(unknowns), _references(knowns), seed, sum(item.size for item in knowns)))
 
 
-def _references(variables: Sequence[Variable]) -> list[int]:
+def _references(variables: Sequence[FmuVariable]) -> list[int]:
     return [item.reference for item in variables]

@@ -8,7 +8,7 @@ from fmpy.fmi1 import FMICallException
 from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.motion import compare, run
 from validate.fmu_check.result import Finding, Scope, check, failed, listed, not_offered, passed
-from validate.fmu_check.subject import CheckedInstance, Subject, Variable
+from validate.fmu_check.subject import CheckedInstance, FmuVariable, Subject
 
 # A start value may lose its last digits on its way through text.
 _TEXT = 1e-9
@@ -33,7 +33,7 @@ def readable(subject: Subject, kind: str) -> Finding:
     return passed(f"{len(subject.variables)} variables were read.")
 
 
-def _exact(subject: Subject) -> list[Variable]:
+def _exact(subject: Subject) -> list[FmuVariable]:
     """Variables whose start is their value in initialisation."""
     return [item for item in subject.variables if item.start is not None and (item.initial == "exact" or item.causality == "input")]
 
@@ -58,7 +58,7 @@ def starts(subject: Subject, kind: str) -> Finding:
     return passed(f"{len(variables)} start values agree to {_TEXT:g}.")
 
 
-def _moved(item: Variable) -> np.ndarray | None:
+def _moved(item: FmuVariable) -> np.ndarray | None:
     """Another value that may be given to it; None if there is none that is surely legal."""
     if item.start is None or item.variability == "constant" or item.causality == "structuralParameter":
         return None
@@ -124,11 +124,11 @@ def _another(subject: Subject, kind: str) -> CheckedInstance | None:
         return None
 
 
-def _read(instance: CheckedInstance, variables: list[Variable]) -> list[np.ndarray]:
+def _read(instance: CheckedInstance, variables: list[FmuVariable]) -> list[np.ndarray]:
     return [instance.get([item]) for item in variables]
 
 
-def _ignored(item: Variable, phase: str, value: np.ndarray, inside: np.ndarray, after: np.ndarray, default: np.ndarray) -> list[str]:
+def _ignored(item: FmuVariable, phase: str, value: np.ndarray, inside: np.ndarray, after: np.ndarray, default: np.ndarray) -> list[str]:
     """Why the value was not obeyed; nothing if it was. The first event may move a state, but not back to where it would be anyhow."""
     told = f"{item.name} was set to {value[0]:.10g} {phase} initialisation"
     if not np.allclose(inside, value, rtol=_TEXT, atol=0.0):

@@ -14,7 +14,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from validate.plan.schema import CampaignFile, LegEntry, LimitEntry, PipelineEntry, SceneEntry
+from validate.plan.schema import CampaignFile, CampaignLimit, LegEntry, PipelineEntry, SceneEntry
 
 # A file of nothing but mistakes: the first tell enough.
 MOST_TOLD = 50
@@ -70,7 +70,7 @@ def _model_at(place: _Place) -> type[BaseModel]:
     if len(place) == 1:
         return CampaignFile
     if place[0] == "scenes":
-        return SceneEntry if len(place) == 3 else LimitEntry
+        return SceneEntry if len(place) == 3 else CampaignLimit
     return PipelineEntry if len(place) == 3 else LegEntry
 
 

@@ -1,6 +1,6 @@
 """Which cells a campaign has, in order: scenes by pipelines, then examinations; and which of them are stored.
 
-entries, left_out = select(Settings(out=Path("runs/all"), quick=True))
+entries, left_out = select(CampaignSettings(out=Path("runs/all"), quick=True))
 entries = with_stored(entries, store, settings)
 """
 
@@ -22,14 +22,14 @@ from validate.store.store import Store
 from validate.tasks.examination import Examination, SceneReference, lost_examination
 from validate.tasks.leg import Planned, planned_legs, planned_stages
 from validate.tasks.plugins import DEFAULT_TOOLS, Tools, load_tools, tools_source
-from validate.tasks.run import Cell
+from validate.tasks.run import RunTask
 
 if TYPE_CHECKING:
     from formulations.method import Pipeline
     from models.scene import Scene
     from reports.records.check_record import ExaminationRecord
     from reports.records.record import ProvenanceRecord, RunRecord
-    from validate.execution.worker import Lost
+    from validate.execution.worker import ChildExit
 
 
 NOTHING_STORED = "nothing is stored of it"
@@ -40,7 +40,7 @@ class CampaignError(TouchstoneError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class CampaignSettings:
     """What the user asked for.
 
     scenes: names or paths; empty for all of the catalog. last_failed: of what is not stored, run only what failed when the folder's campaign
@@ -71,16 +71,16 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Entry:
+class PlannedRun:
     """A cell of a scene by a pipeline with what the parent knows of it: its scene, its stages, and its stored record if that can be used."""
 
-    cell: Cell
+    cell: RunTask
     scene: Scene
     plan: tuple[Planned, ...]
     stored: RunRecord | ExaminationRecord | None = None
     why: str = ""  # it is run, although something like it may be stored
 
-    def lost(self, provenance: ProvenanceRecord) -> Callable[[Lost, Path], RunRecord]:
+    def lost(self, provenance: ProvenanceRecord) -> Callable[[ChildExit, Path], RunRecord]:
         """Makes the record of a child that left none, of what it left in its folder."""
         from validate.tasks.path import lost_run
 
@@ -88,23 +88,23 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Examined:
+class PlannedCheck:
     """An examination, and its stored record if that can be used."""
 
     cell: Examination
     stored: RunRecord | ExaminationRecord | None = None
     why: str = ""
 
-    def lost(self, provenance: ProvenanceRecord) -> Callable[[Lost, Path], ExaminationRecord]:
+    def lost(self, provenance: ProvenanceRecord) -> Callable[[ChildExit, Path], ExaminationRecord]:
         """Makes the record of a child that left none."""
         return lambda lost, folder: lost_examination(self.cell, provenance, lost)
 
 
-def select(settings: Settings) -> tuple[list[Entry | Examined], tuple[str, ...]]:
+def select(settings: CampaignSettings) -> tuple[list[PlannedRun | PlannedCheck], tuple[str, ...]]:
     """The cells asked for, in order, and what a quick campaign leaves out, in words. Raises TouchstoneError."""
     tools = load_tools(settings.tools)
     scenes = list(settings.chosen) or _scenes(settings)
-    entries: list[Entry | Examined] = []
+    entries: list[PlannedRun | PlannedCheck] = []
     seen: list[str] = []
     left_out: list[tuple[str, str]] = []
     long: list[str] = []
@@ -123,7 +123,7 @@ def select(settings: Settings) -> tuple[list[Entry | Examined], tuple[str, ...]]
                     left_out.append((scene.name, pipeline.name))
                 else:
                     for part in cells_of(pipeline):
-                        cell = Cell(
+                        cell = RunTask(
                             key="",
                             scene=reference.where,
                             scene_name=scene.name,
@@ -142,12 +142,12 @@ def select(settings: Settings) -> tuple[list[Entry | Examined], tuple[str, ...]]
     return [*entries, *examined], told
 
 
-def _is_too_long(settings: Settings, scene: Scene) -> bool:
+def _is_too_long(settings: CampaignSettings, scene: Scene) -> bool:
     """A quick campaign leaves out the scenes that say so themselves, unless they are asked for by name."""
     return settings.quick and not scene.quick and not settings.scenes
 
 
-def _scenes(settings: Settings) -> list[SceneReference]:
+def _scenes(settings: CampaignSettings) -> list[SceneReference]:
     from validate.judge.score import check_limits
 
     scenes: list[SceneReference] = []
@@ -162,8 +162,8 @@ def _scenes(settings: Settings) -> list[SceneReference]:
 
 
 def _examined(
-    settings: Settings, tools: Tools, scenes: Sequence[SceneReference], seen: list[str]
-) -> tuple[list[Examined], tuple[str, ...]]:
+    settings: CampaignSettings, tools: Tools, scenes: Sequence[SceneReference], seen: list[str]
+) -> tuple[list[PlannedCheck], tuple[str, ...]]:
     """The examinations asked for, and what of them a quick campaign leaves out; `seen` is told their names.
 
     Where scenes are named, only examinations of these scenes are meant.
@@ -171,7 +171,7 @@ def _examined(
     from validate.store.provenance import examination_key
 
     long = {reference.scene.name for reference in scenes if _is_too_long(settings, reference.scene)}
-    examined: list[Examined] = []
+    examined: list[PlannedCheck] = []
     left_out: list[Examination] = []
     for item in tools.examinations(scenes):
         if item.scene is None and (settings.scenes or settings.chosen):
@@ -182,7 +182,7 @@ def _examined(
         if settings.quick and (not item.quick or item.scene in long):
             left_out.append(item)
             continue
-        examined.append(Examined(replace(item, key=examination_key(item), time_limit=settings.time_limit)))
+        examined.append(PlannedCheck(replace(item, key=examination_key(item), time_limit=settings.time_limit)))
     return examined, _counted(left_out)
 
 
@@ -200,7 +200,7 @@ def _in_words(cells: Sequence[tuple[str, str]], scenes: int) -> tuple[str, ...]:
     return tuple(dict.fromkeys(f"{'every scene' if times[pipeline] == scenes > 1 else scene} x {pipeline}" for scene, pipeline in cells))
 
 
-def _entry(cell: Cell, scene: Scene, tools: Tools) -> Entry:
+def _entry(cell: RunTask, scene: Scene, tools: Tools) -> PlannedRun:
     from validate.store.provenance import content_key
 
     plan = planned_stages(cell.pipeline, {leg.method: tools.load_method(leg.method) for leg in cell.pipeline.legs})
@@ -210,10 +210,10 @@ def _entry(cell: Cell, scene: Scene, tools: Tools) -> Entry:
         return content_key(scene, [*named, [planned.asked() for planned in stages]], {planned.name for planned in stages}, source)
 
     key = key_of(plan, cell.pipeline.name, cell.pipeline.title)
-    return Entry(cell=replace(cell, key=key, legs=planned_legs(plan, key_of)), scene=scene, plan=plan)
+    return PlannedRun(cell=replace(cell, key=key, legs=planned_legs(plan, key_of)), scene=scene, plan=plan)
 
 
-def _nothing(settings: Settings, seen: list[str], left_out: tuple[str, ...]) -> CampaignError:
+def _nothing(settings: CampaignSettings, seen: list[str], left_out: tuple[str, ...]) -> CampaignError:
     if left_out:
         return CampaignError(
             f"nothing to run: --quick leaves out all that -k {settings.expression!r} selects ({', '.join(left_out)}); drop --quick."
@@ -224,16 +224,16 @@ def _nothing(settings: Settings, seen: list[str], left_out: tuple[str, ...]) -> 
     return CampaignError(f"nothing to run: -k {settings.expression!r} selects no cell; {hint}")
 
 
-def with_stored(entries: Sequence[Entry | Examined], store: Store, settings: Settings) -> list[Entry | Examined]:
+def with_stored(entries: Sequence[PlannedRun | PlannedCheck], store: Store, settings: CampaignSettings) -> list[PlannedRun | PlannedCheck]:
     """The same cells, each with its stored record where that can be used again, else with the reason why not."""
-    found: list[Entry | Examined] = []
+    found: list[PlannedRun | PlannedCheck] = []
     for entry in entries:
         record, why = _usable(store, entry.cell, settings.fresh)
         found.append(replace(entry, stored=record, why=why))
     return found
 
 
-def _usable(store: Store, cell: Cell | Examination, fresh: bool) -> tuple[RunRecord | ExaminationRecord | None, str]:
+def _usable(store: Store, cell: RunTask | Examination, fresh: bool) -> tuple[RunRecord | ExaminationRecord | None, str]:
     record = store.read(cell.key)
     if record is None:
         return None, "stored, but its record cannot be read" if (store.runs / cell.key).is_dir() else NOTHING_STORED
@@ -254,7 +254,7 @@ def _usable(store: Store, cell: Cell | Examination, fresh: bool) -> tuple[RunRec
     return record, ""
 
 
-def reasons(entries: Sequence[Entry | Examined], store: Store) -> list[str]:
+def reasons(entries: Sequence[PlannedRun | PlannedCheck], store: Store) -> list[str]:
     """For each cell why it would be run, "" where its record is used; one of which another version is stored says that."""
     others = {identity(request) for request in store.requests()}
     return [

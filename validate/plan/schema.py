@@ -71,14 +71,14 @@ Ends = Annotated[
 Option = Annotated[Any, BeforeValidator(_option, json_schema_input_type=bool | int | float | str | list[bool | int | float | str])]
 
 
-class LimitEntry(_Strict):
+class CampaignLimit(_Strict):
     """A limit on a figure of the score, and its reason."""
 
     value: float = Field(ge=0.0, description="The largest value with which a plan still holds.")
     reason: str = "set in the campaign file"
 
 
-OfLimit = Annotated[LimitEntry, BeforeValidator(_short_limit, json_schema_input_type=float | LimitEntry)]
+OfLimit = Annotated[CampaignLimit, BeforeValidator(_short_limit, json_schema_input_type=float | CampaignLimit)]
 
 
 class SceneEntry(_Strict):

@@ -28,7 +28,7 @@ TIME_FACTOR, TIME_FLOOR = 1.5, 1.0
 _Item = TypeVar("_Item")
 
 
-class Kind(IntEnum):
+class ChangeKind(IntEnum):
     """Worst first."""
 
     REGRESSION = 0
@@ -44,7 +44,7 @@ class Kind(IntEnum):
 class Change:
     """One difference. where: which stage or examination; what: the quantity; before, after: its values as they are shown."""
 
-    kind: Kind
+    kind: ChangeKind
     where: str
     what: str
     before: str
@@ -60,7 +60,7 @@ class Comparison:
 
     @property
     def regressions(self) -> tuple[Change, ...]:
-        return tuple(change for change in self.changes if change.kind in (Kind.REGRESSION, Kind.GONE))
+        return tuple(change for change in self.changes if change.kind in (ChangeKind.REGRESSION, ChangeKind.GONE))
 
 
 def compare(before: Stored, after: Stored) -> Comparison:
@@ -86,9 +86,9 @@ def _pair(
     for key in dict.fromkeys([*before, *after]):
         where = _where(key)
         if key not in after:
-            found.append(Change(kind=Kind.GONE, where=where, what="row", before="there", after="gone"))
+            found.append(Change(kind=ChangeKind.GONE, where=where, what="row", before="there", after="gone"))
         elif key not in before:
-            found.append(Change(kind=Kind.NEW, where=where, what="row", before="not there", after="new"))
+            found.append(Change(kind=ChangeKind.NEW, where=where, what="row", before="not there", after="new"))
         else:
             found.extend(changes(where, before[key], after[key]))
     return found, len(set(before) & set(after))
@@ -108,17 +108,19 @@ def _stage_changes(where: str, before: StageRecord, after: StageRecord) -> Itera
         on_ladder = before.verdict in _VERDICTS and after.verdict in _VERDICTS
         better = _VERDICTS.index(after.verdict) - _VERDICTS.index(before.verdict) if on_ladder else 0
         relaxed = expected and {before.verdict, after.verdict} <= {*HOLD, "violates"}
-        kind = Kind.OTHER if relaxed or not better else Kind.IMPROVEMENT if better > 0 else Kind.REGRESSION
+        kind = ChangeKind.OTHER if relaxed or not better else ChangeKind.IMPROVEMENT if better > 0 else ChangeKind.REGRESSION
         yield Change(kind=kind, where=where, what="verdict", before=before.verdict, after=after.verdict)
     if before.outcome != after.outcome:
-        kind = {"solved": Kind.REGRESSION}.get(before.outcome, {"solved": Kind.IMPROVEMENT}.get(after.outcome, Kind.OTHER))
+        kind = {"solved": ChangeKind.REGRESSION}.get(
+            before.outcome, {"solved": ChangeKind.IMPROVEMENT}.get(after.outcome, ChangeKind.OTHER)
+        )
         yield Change(kind=kind, where=where, what="outcome", before=before.outcome, after=after.outcome)
     elif before.verdict == after.verdict and before.cost is not None and after.cost is not None:
         yield from _cost_change(where, before.cost, after.cost)
     for metric in after.metrics:
         was = before.metric(metric.name)
         if was is not None and was.ok is not None and metric.ok is not None and was.ok != metric.ok:
-            kind = Kind.OTHER if expected else Kind.IMPROVEMENT if metric.ok else Kind.REGRESSION
+            kind = ChangeKind.OTHER if expected else ChangeKind.IMPROVEMENT if metric.ok else ChangeKind.REGRESSION
             words = ("within its limit", "beyond its limit")
             yield Change(kind=kind, where=where, what=metric.name, before=words[not was.ok], after=words[not metric.ok])
     yield from _time_change(where, before.seconds.stage_cpu, after.seconds.stage_cpu)
@@ -126,7 +128,7 @@ def _stage_changes(where: str, before: StageRecord, after: StageRecord) -> Itera
 
 def _cost_change(where: str, before: float, after: float) -> Iterable[Change]:
     if abs(after - before) > COST_TOLERANCE * max(abs(before), abs(after)) + COST_FLOOR:
-        kind = Kind.REGRESSION if after > before else Kind.IMPROVEMENT
+        kind = ChangeKind.REGRESSION if after > before else ChangeKind.IMPROVEMENT
         yield Change(kind=kind, where=where, what="cost", before=f"{before:.9g}", after=f"{after:.9g}")
 
 
@@ -134,12 +136,12 @@ def _time_change(where: str, before: float, after: float) -> Iterable[Change]:
     """A time is not a regression by itself: machines are shared."""
     slow, fast = max(before, after), min(before, after)
     if slow - fast > TIME_FLOOR and slow > TIME_FACTOR * fast:
-        kind = Kind.SLOWER if after > before else Kind.FASTER
+        kind = ChangeKind.SLOWER if after > before else ChangeKind.FASTER
         yield Change(kind=kind, where=where, what="CPU seconds", before=f"{before:.3g}", after=f"{after:.3g}")
 
 
 def _examination_changes(where: str, before: ExaminationRecord, after: ExaminationRecord) -> Iterable[Change]:
     if before.passed != after.passed:
         words = {True: "passed", False: "failed", None: "no answer"}
-        kind = Kind.IMPROVEMENT if after.passed else Kind.REGRESSION if before.passed else Kind.OTHER
+        kind = ChangeKind.IMPROVEMENT if after.passed else ChangeKind.REGRESSION if before.passed else ChangeKind.OTHER
         yield Change(kind=kind, where=where, what="examination", before=words[before.passed], after=words[after.passed])

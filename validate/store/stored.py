@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from validate.plan.runs import CampaignError, Entry, Examined, identity
+from validate.plan.runs import CampaignError, PlannedCheck, PlannedRun, identity
 from validate.store.store import Store
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def earlier_schema(folder: Path) -> str:
     )
 
 
-def only_last_failed(entries: Sequence[Entry | Examined], store: Store) -> list[Entry | Examined]:
+def only_last_failed(entries: Sequence[PlannedRun | PlannedCheck], store: Store) -> list[PlannedRun | PlannedCheck]:
     """Of these cells those that failed when the folder's campaign last ran, to be run anew, and those that are stored, as they are.
 
     What is neither is left out. Raises CampaignError where there is no campaign, or nothing of this choice failed.

@@ -2,8 +2,8 @@
 
     CASE = HardCase(name="h02_restitution", title="...", expected="...", measure=measure)
 
-    def measure() -> Finding:
-        return Finding(happened="...", figures=(at_most("...", 1e-9, 1e-6, reason="..."),), charts=(Chart(...),))
+    def measure() -> CaseFinding:
+        return CaseFinding(happened="...", figures=(at_most("...", 1e-9, 1e-6, reason="..."),), charts=(Chart(...),))
 
 A case passes if each figure with a limit keeps it. A figure that is not a finite number fails, and so does a case without a figure.
 A case may end in an honest refusal: that is then what its figures count.
@@ -65,7 +65,7 @@ class Chart:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class CaseFinding:
     """What happened, in a sentence or two, with figures and the data of plots."""
 
     happened: str
@@ -86,7 +86,7 @@ class HardCase:
     name: str
     title: str
     expected: str
-    measure: Callable[[], Finding]
+    measure: Callable[[], CaseFinding]
     quick: bool = False
     scenes: tuple[str, ...] = ()
     methods: tuple[str, ...] = ()

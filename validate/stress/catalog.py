@@ -18,7 +18,7 @@ FOLDER = Path(__file__).parent / "cases"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Description:
+class CaseDescription:
     """The literals of a case's CASE = HardCase(...)."""
 
     name: str
@@ -39,7 +39,7 @@ def case_names() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in FOLDER.glob("h*.py")))
 
 
-def describe_case(name: str) -> Description:
+def describe_case(name: str) -> CaseDescription:
     """What a case says of itself. Raises UnknownNameError."""
     tree = ast.parse(_path(name).read_text(encoding="utf-8"))
     for node in tree.body:
@@ -49,7 +49,7 @@ def describe_case(name: str) -> Description:
             and [ast.unparse(target) for target in node.targets] == ["CASE"]
         ):
             literals = {word.arg: ast.literal_eval(word.value) for word in node.value.keywords if word.arg and word.arg != "measure"}
-            return Description(**literals)
+            return CaseDescription(**literals)
     raise UnknownNameError(f"hard case file {name}.py: it must define CASE = HardCase(...) with literals for all but `measure`.")
 
 

@@ -16,7 +16,7 @@ from validate.tasks.examination import Course, Examination, Found, SceneReferenc
 if TYPE_CHECKING:
     from reports.records.check_record import ChartRecord
     from reports.records.record import MetricRecord
-    from validate.stress.case import Chart, Figure, Finding
+    from validate.stress.case import CaseFinding, Chart, Figure
 
 KIND = "hard case"
 # What a case's numbers depend on beside its own file; scenes by their text, methods one by one.
@@ -62,7 +62,7 @@ def examine(arguments: Mapping[str, Any], course: Course) -> Found:
     return found_of(case.measure())
 
 
-def found_of(finding: Finding) -> Found:
+def found_of(finding: CaseFinding) -> Found:
     """What is stored of a finding."""
     return Found(
         passed=finding.passed,

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from models.scene import Scene
     from reports.records.check_record import ExaminationRecord
     from reports.records.record import MetricRecord, ProvenanceRecord
-    from validate.execution.worker import Lost
+    from validate.execution.worker import ChildExit
     from validate.tasks.variant import Variant
 
 # Of an examination's time limit, what is kept for writing down what was found: a twentieth, but no more than 5 s.
@@ -141,7 +141,7 @@ def run_examination(examination: Examination, provenance: ProvenanceRecord, fold
     return _record(examination, provenance, found, outcome, message, time.monotonic() - began, cpu, text)
 
 
-def lost_examination(examination: Examination, provenance: ProvenanceRecord, lost: Lost) -> ExaminationRecord:
+def lost_examination(examination: Examination, provenance: ProvenanceRecord, lost: ChildExit) -> ExaminationRecord:
     """The record of an examination whose child left none."""
     return _record(examination, provenance, Found(False, ""), lost.outcome, lost.message, lost.wall, lost.cpu, lost.log)
 

@@ -28,15 +28,15 @@ from validate.tasks.plugins import Tools, load_tools
 from validate.tasks.profile import Profile
 from validate.tasks.records import run_record, stages_of, unfinished_stage
 from validate.tasks.scene_record import scene_record
-from validate.tasks.stage import Judge, OpenLeg, Solved, first_line, prepare
+from validate.tasks.stage import Judge, OpenLeg, SolvedStage, first_line, prepare
 from validate.tasks.variant import varied
 
 if TYPE_CHECKING:
     from models.scene import Scene
     from models.trajectory import Trajectory
     from reports.records.record import ProvenanceRecord, RunRecord, StageRecord
-    from validate.execution.worker import Lost
-    from validate.tasks.run import Cell
+    from validate.execution.worker import ChildExit
+    from validate.tasks.run import RunTask
 
 # Of a run's time limit, what is kept for certificates, replaying and scoring: a quarter, but no more than 60 s. The paper's scene needs 2 s;
 # the certificate of two fingers takes 3 CPU s.
@@ -46,7 +46,7 @@ _JUDGING_SHARE, _JUDGING_MOST = 0.25, 60.0
 Unfinished: TypeAlias = "tuple[Planned, Outcome, str]"
 
 
-def run_cell(cell: Cell, provenance: ProvenanceRecord, folder: Path, began: float, profile: Profile | None = None) -> RunRecord:
+def run_cell(cell: RunTask, provenance: ProvenanceRecord, folder: Path, began: float, profile: Profile | None = None) -> RunRecord:
     """The record of a run. began: time.monotonic() at the start of the process, from which the time limit counts; profile: of the process until
     now.
 
@@ -77,7 +77,9 @@ def run_cell(cell: Cell, provenance: ProvenanceRecord, folder: Path, began: floa
     return run_record(cell, drawn, stages, provenance, wall=wall, cpu=cpu, log=text, message=cause, profile=profile.seconds)
 
 
-def lost_run(cell: Cell, scene: Scene, plan: Sequence[Planned], provenance: ProvenanceRecord, lost: Lost, folder: Path) -> RunRecord:
+def lost_run(
+    cell: RunTask, scene: Scene, plan: Sequence[Planned], provenance: ProvenanceRecord, lost: ChildExit, folder: Path
+) -> RunRecord:
     """The record of a run whose child left none, with the legs that lie in its folder. One that ran out of time has the outcome of its last stage, one
     that crashed has crashed."""
     found, is_late = legs.legs_in(folder, cell.legs), lost.outcome == "time_limit"
@@ -109,7 +111,7 @@ def _without_certificate(stage: StageRecord, why: str) -> StageRecord:
     return stage.model_copy(update={"message": f"{stage.message} {why}".strip()})
 
 
-def _told(cell: Cell, folder: Path, found: Sequence[LegRecord], stages: int) -> list[StageRecord]:
+def _told(cell: RunTask, folder: Path, found: Sequence[LegRecord], stages: int) -> list[StageRecord]:
     """The stages of these legs as those of a run of so many stages; their files under the names they have there."""
     number = 0
     for place, leg in enumerate(found, 1):
@@ -135,7 +137,7 @@ class _Path:
     """The legs of a run, into its folder. deadline: time.monotonic() by which solving ends; judging and certifying do not count."""
 
     def __init__(
-        self, cell: Cell, tools: Tools, scene: Scene, plan: tuple[Planned, ...], folder: Path, profile: Profile, deadline: float
+        self, cell: RunTask, tools: Tools, scene: Scene, plan: tuple[Planned, ...], folder: Path, profile: Profile, deadline: float
     ) -> None:
         self._cell, self._tools, self._scene, self._plan, self._folder, self._profile = cell, tools, scene, plan, folder, profile
         self._deadline = deadline
@@ -157,7 +159,7 @@ class _Path:
         """Take a leg from the store or run it; the stages that do not run any more."""
         limit = self._cell.time_limit
         taken = self._take(number, leg, leg.key, limit)
-        solved: list[Solved] = []
+        solved: list[SolvedStage] = []
         rest: list[Unfinished] = []
         key = leg.key
         if taken is None:
@@ -199,9 +201,9 @@ class _Path:
             prepare(self._tools, self._scene, self._plan[leg.first :], self._folder, self._profile)
             self._is_prepared = True
 
-    def _solve(self, leg: PlannedLeg, opened: OpenLeg) -> tuple[list[Solved], list[Unfinished]]:
+    def _solve(self, leg: PlannedLeg, opened: OpenLeg) -> tuple[list[SolvedStage], list[Unfinished]]:
         """The stages of a leg that ran, and those of the path that do not run any more."""
-        solved: list[Solved] = []
+        solved: list[SolvedStage] = []
         for planned in self._plan[leg.first : leg.end]:
             left = self._deadline - time.monotonic()
             if left <= 0:
@@ -220,7 +222,7 @@ class _Path:
             self._start = item.solution.trajectory or self._start
         return solved, []
 
-    def _finish(self, number: int, leg: PlannedLeg, key: str, solved: list[Solved], *, is_over: bool) -> None:
+    def _finish(self, number: int, leg: PlannedLeg, key: str, solved: list[SolvedStage], *, is_over: bool) -> None:
         """Judge and certify what was solved of a leg, and store the leg if others would find the same. is_over: the time for solving is up."""
         folder = legs.place(self._folder, number)
         folder.mkdir()

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from models.trajectory import Trajectory
     from reports.records.record import LegRecord, ProvenanceRecord, StageRecord
     from validate.tasks.leg import Planned
-    from validate.tasks.run import Cell
+    from validate.tasks.run import RunTask
 
 
 def certificate_record(certificate: Certificate | None) -> CertificateRecord | None:
@@ -204,7 +204,7 @@ def unfinished_stage(scene: str, pipeline: str, planned: Planned, outcome: Outco
 
 
 def run_record(
-    cell: Cell,
+    cell: RunTask,
     scene: SceneRecord,
     stages: Sequence[StageRecord],
     provenance: ProvenanceRecord,

@@ -13,7 +13,7 @@ from validate.tasks.variant import Variant
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cell:
+class RunTask:
     """What is to be run. scene: a name or an absolute path of a scene file; variant: what a campaign file changes of it; tools: a dotted
     name (validate.tasks.plugins); legs: its path."""
 
@@ -44,7 +44,7 @@ class Cell:
         }
 
     @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Cell:
+    def from_json(cls, data: Mapping[str, Any]) -> RunTask:
         variant = Variant.from_json(data["variant"]) if "variant" in data else None
         legs = tuple(PlannedLeg(**leg) for leg in data["legs"])
         return cls(**{**data, "pipeline": pipeline_from_json(data["pipeline"]), "variant": variant, "legs": legs})

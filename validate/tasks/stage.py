@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Solved:
+class SolvedStage:
     """A stage that ran: its solution and the wall and CPU seconds it took, opening the method included."""
 
     planned: Planned
@@ -91,7 +91,7 @@ class OpenLeg:
         self._opening = (self._opening[0] + time.perf_counter() - wall, self._opening[1] + time.process_time() - cpu)
         return cold
 
-    def run(self, planned: Planned, start: Trajectory | None, time_limit: float) -> Solved:
+    def run(self, planned: Planned, start: Trajectory | None, time_limit: float) -> SolvedStage:
         """Run a stage. Raises what its method raises, TypeError for an answer that is no Solution, TrajectoryError for a plan of another scene or of
         another duration."""
         wall, cpu = time.perf_counter() - self._opening[0], time.process_time() - self._opening[1]
@@ -111,7 +111,7 @@ class OpenLeg:
                 )
             if planned.method.kind is Kind.DIRECT:
                 solution = as_asked(self._scene, solution)
-        return Solved(planned, solution, wall, cpu)
+        return SolvedStage(planned, solution, wall, cpu)
 
     def __enter__(self) -> OpenLeg:
         return self
@@ -130,7 +130,7 @@ class Judge:
         self._tools, self._scene, self._profile = tools, scene, profile
         self._fmu: Path | None = None
 
-    def record(self, item: Solved, folder: Path, index: int, before: float) -> StageRecord:
+    def record(self, item: SolvedStage, folder: Path, index: int, before: float) -> StageRecord:
         """The record of stage `index` (from 0) of a leg, without its certificate; its files in the folder. before [s]: of its leg's stages before it."""
         if self._fmu is None and item.solution.trajectory is not None:
             self._fmu = self._tools.build_fmu(self._scene)
@@ -166,7 +166,7 @@ class Judge:
             return Judged(seconds=time.perf_counter() - began, problem=f"the judge ended with {type(error).__name__}: {first_line(error)}")
         return Judged(replay=replay, score=judgement.score, seconds=seconds)
 
-    def certified(self, record: StageRecord, item: Solved) -> StageRecord:
+    def certified(self, record: StageRecord, item: SolvedStage) -> StageRecord:
         """The record with the certificate of its plan, and those of its front."""
         try:
             solution = self._tools.certify(self._scene, item.solution)

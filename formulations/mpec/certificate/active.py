@@ -14,7 +14,7 @@ from enum import Enum
 import numpy as np
 import scipy.sparse as sparse
 
-from formulations.mpec.certificate.derivatives import LocalModel, Row
+from formulations.mpec.certificate.derivatives import ConstraintRow, LocalModel
 
 
 class Stationarity(Enum):
@@ -139,7 +139,7 @@ def _covered_bounds(local: LocalModel) -> set[int]:
     return covered
 
 
-def _multiplier_limits(row: Row, tolerance: float) -> tuple[float | None, float | None] | None:
+def _multiplier_limits(row: ConstraintRow, tolerance: float) -> tuple[float | None, float | None] | None:
     """Limits of the multiplier of an active row; None for one that is not active."""
     low = row.value - row.lower <= tolerance * max(1.0, abs(row.lower)) if np.isfinite(row.lower) else False
     high = row.upper - row.value <= tolerance * max(1.0, abs(row.upper)) if np.isfinite(row.upper) else False

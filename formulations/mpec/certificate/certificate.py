@@ -29,7 +29,7 @@ from scipy.optimize import linprog
 from scipy.sparse.linalg import lsqr
 
 from formulations.mpec.certificate.active import ActiveSet, Stationarity, active_set, class_of
-from formulations.mpec.certificate.derivatives import LocalModel, Pair, Row, read_local
+from formulations.mpec.certificate.derivatives import ConstraintRow, LocalModel, Pair, read_local
 from formulations.mpec.certificate.stationarity import classify, steepest_piece
 
 # The step may change a variable by this, relative to max(1, |x|): far more than tolerances ask for, far less than another solution.
@@ -307,13 +307,13 @@ def _given_class(local: LocalModel, active: ActiveSet, multipliers: Multipliers)
     return class_of([pair_multipliers(local.pairs[k], multipliers) for k in active.both], STATIONARITY * active.scale)
 
 
-def _violation(row: Row) -> float:
+def _violation(row: ConstraintRow) -> float:
     if math.isnan(row.value) or math.isnan(row.lower) or math.isnan(row.upper):
         return math.nan
     return max(0.0, row.lower - row.value, row.value - row.upper)
 
 
-def _size(row: Row) -> float:
+def _size(row: ConstraintRow) -> float:
     return max(1.0, *(abs(bound) for bound in (row.lower, row.upper) if math.isfinite(bound)), 1.0)
 
 

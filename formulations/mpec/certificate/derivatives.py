@@ -235,7 +235,7 @@ def _number(source: Any) -> float:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Row:
+class ConstraintRow:
     """lower <= value <= upper, of component `source`: a constraint, a variable's bounds, or an argument of a complementarity that must hold."""
 
     source: Any
@@ -266,9 +266,9 @@ class LocalModel:
     variables: tuple[Any, ...]
     objective: float
     gradient: np.ndarray
-    rows: tuple[Row, ...]
+    rows: tuple[ConstraintRow, ...]
     jacobian: sparse.csr_matrix
-    bounds: tuple[Row, ...]
+    bounds: tuple[ConstraintRow, ...]
     pairs: tuple[Pair, ...]
     first_jacobian: sparse.csr_matrix
     second_jacobian: sparse.csr_matrix
@@ -314,13 +314,13 @@ def read_local(model: Any, near: float) -> LocalModel:
 
     Raises MissingValueError where one of them needs an Expression that is empty.
     """
-    rows: list[Row] = []
+    rows: list[ConstraintRow] = []
     bodies: list[Any] = []
 
     def add_row(source: Any, body: Any, lower: Any, upper: Any, argument: int | None = None) -> None:
         low = -math.inf if lower is None else number_of(lower)
         high = math.inf if upper is None else number_of(upper)
-        rows.append(Row(source=source, value=_filled(source, body, number_of(body)), lower=low, upper=high, argument=argument))
+        rows.append(ConstraintRow(source=source, value=_filled(source, body, number_of(body)), lower=low, upper=high, argument=argument))
         bodies.append(body)
 
     for constraint in model.component_data_objects(pyo.Constraint, active=True, descend_into=pyo.Block):
@@ -364,9 +364,9 @@ def read_local(model: Any, near: float) -> LocalModel:
     )
 
 
-def _bounds_of(variable: Any) -> Row:
+def _bounds_of(variable: Any) -> ConstraintRow:
     low, high = variable.bounds
-    return Row(
+    return ConstraintRow(
         source=variable,
         value=number_of(variable),
         lower=-math.inf if low is None else float(low),

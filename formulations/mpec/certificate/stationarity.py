@@ -110,7 +110,7 @@ def _same_sides(active: ActiveSet) -> list[bool]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Verdict:
+class StationarityVerdict:
     """kind: the strongest class whose multipliers exist; residual: what they leave of the gradient, or their largest wrong sign (relative);
     least: the smallest multiplier of a biactive pair (0 without pairs, NaN unless it is the only one possible); unique: whether there are
     no other multipliers; descent: slope of a direction that goes down, relative (0: there is none; NaN: not known)."""
@@ -122,7 +122,7 @@ class Verdict:
     descent: float = math.nan
 
 
-def classify(active: ActiveSet, tolerance: float, given: Stationarity = Stationarity.NONE) -> Verdict:
+def classify(active: ActiveSet, tolerance: float, given: Stationarity = Stationarity.NONE) -> StationarityVerdict:
     """The strongest class whose multipliers exist. given: a class whose multipliers are known to exist.
 
     Where there is only one candidate it decides; elsewhere classes with too many sign patterns to try are told only where `given` or the multipliers
@@ -131,7 +131,7 @@ def classify(active: ActiveSet, tolerance: float, given: Stationarity = Stationa
     return _only_candidate(active, tolerance) or _one_of_many(active, tolerance) or _by_signs(active, tolerance, given)
 
 
-def _only_candidate(active: ActiveSet, tolerance: float) -> Verdict | None:
+def _only_candidate(active: ActiveSet, tolerance: float) -> StationarityVerdict | None:
     """What the least-squares multipliers say; None where others may exist."""
     found = least_squares(active.matrix, active.gradient)
     if found is None:
@@ -150,10 +150,10 @@ def _only_candidate(active: ActiveSet, tolerance: float) -> Verdict | None:
         steepest = int(np.argmax(wrong))
         descent = -float(wrong[steepest] / np.max(np.abs(found.leaving(steepest)))) / active.scale
     least = float(np.min(pairs)) if count else 0.0
-    return Verdict(kind=kind, residual=max(residual, own), least=least, unique=True, descent=descent)
+    return StationarityVerdict(kind=kind, residual=max(residual, own), least=least, unique=True, descent=descent)
 
 
-def _one_of_many(active: ActiveSet, tolerance: float) -> Verdict | None:
+def _one_of_many(active: ActiveSet, tolerance: float) -> StationarityVerdict | None:
     """Class S, or that there are no multipliers, where least squares with dependent gradients show it; else None."""
     count = len(active.both)
     low, high = limits(active, CHOICES[Stationarity.STRONG] * count)
@@ -162,20 +162,20 @@ def _one_of_many(active: ActiveSet, tolerance: float) -> Verdict | None:
         return None
     residual = float(np.max(np.abs(found.rest), initial=0.0))
     if residual <= tolerance:
-        return Verdict(kind=Stationarity.STRONG, residual=residual, least=math.nan if count else 0.0)
+        return StationarityVerdict(kind=Stationarity.STRONG, residual=residual, least=math.nan if count else 0.0)
     return _none_leave_less(active, found.least, found.across, tolerance)
 
 
-def _none_leave_less(active: ActiveSet, rest: np.ndarray, across: float, tolerance: float) -> Verdict | None:
+def _none_leave_less(active: ActiveSet, rest: np.ndarray, across: float, tolerance: float) -> StationarityVerdict | None:
     """That there are no multipliers, by what the best of any sign leave in the 2-norm; None where it does not show that."""
     if not excludes(active.gradient / active.scale, rest, across, tolerance):
         return None
     most = float(np.max(np.abs(rest)))
     # against what is left everything active stays as it is, and the objective falls
-    return Verdict(kind=Stationarity.NONE, residual=most, descent=-float(rest @ rest) / most)
+    return StationarityVerdict(kind=Stationarity.NONE, residual=most, descent=-float(rest @ rest) / most)
 
 
-def _by_signs(active: ActiveSet, tolerance: float, given: Stationarity) -> Verdict:
+def _by_signs(active: ActiveSet, tolerance: float, given: Stationarity) -> StationarityVerdict:
     count = len(active.both)
     none = 0.0 if not count else math.nan
     any_signs, question = [ANY] * count, (active.matrix, active.gradient / active.scale)
@@ -183,22 +183,24 @@ def _by_signs(active: ActiveSet, tolerance: float, given: Stationarity) -> Verdi
     if weak.exists is None:
         strong = _with(active, CHOICES[Stationarity.STRONG] * count, tolerance)
         if strong.exists:
-            return Verdict(kind=Stationarity.STRONG, residual=strong.residual, least=none)
+            return StationarityVerdict(kind=Stationarity.STRONG, residual=strong.residual, least=none)
         weak = multipliers_within(*question, *limits(active, any_signs), tolerance) if count else strong
         weak = weak if weak.exists else least_residual(*question, *limits(active, any_signs), tolerance)
     if not weak.exists:
-        return Verdict(kind=Stationarity.NONE, residual=weak.residual, descent=math.nan if weak.polar is None else weak.slope)
+        return StationarityVerdict(kind=Stationarity.NONE, residual=weak.residual, descent=math.nan if weak.polar is None else weak.slope)
     known = {tuple(any_signs): weak}
     pairs = pairs_of(active, weak.y)
     own = class_of(pairs, tolerance)
     for kind, choices in CHOICES.items():
         if kind is own:
-            return Verdict(kind=kind, residual=max(weak.residual, *(wrong_by(pair, choices) for pair in pairs), 0.0), least=none)
+            return StationarityVerdict(
+                kind=kind, residual=max(weak.residual, *(wrong_by(pair, choices) for pair in pairs), 0.0), least=none
+            )
         if kind is given:
-            return Verdict(kind=kind, residual=weak.residual, least=none)
+            return StationarityVerdict(kind=kind, residual=weak.residual, least=none)
         residual = _pattern(active, kind, tolerance, known)
         if residual is not None:
-            return Verdict(kind=kind, residual=residual, least=none)
+            return StationarityVerdict(kind=kind, residual=residual, least=none)
     raise AssertionError("every point with multipliers is weakly stationary")
 
 

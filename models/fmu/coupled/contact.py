@@ -21,7 +21,7 @@ from models.fmu.description import find_standard, source_epoch, standard_headers
 from models.fmu.package import pack
 from models.fmu.platforms import find_platforms, platform_compiler
 from models.fmu.rendering import render
-from models.fmu.variables import Kind, Variable
+from models.fmu.variables import Variable, VariableKind
 from models.scene.units import base_exponents
 
 _HERE = Path(__file__).parent
@@ -30,7 +30,12 @@ _ICON = _HERE.parent / "icon"
 
 def contact_table(part: ContactPart) -> tuple[Variable, ...]:
     """Every variable of the contact's FMU; the position in the table is the value reference: time, inputs, parameters, outputs."""
-    return (Variable(name="time", kind=Kind.TIME, unit="s", description="time"), *_inputs(part), *_parameters(part), *_outputs(part))
+    return (
+        Variable(name="time", kind=VariableKind.TIME, unit="s", description="time"),
+        *_inputs(part),
+        *_parameters(part),
+        *_outputs(part),
+    )
 
 
 def build_contact(part: ContactPart) -> Path:
@@ -103,14 +108,18 @@ def _inputs(part: ContactPart) -> list[Variable]:
     count = len(part.coordinates)
     positions = [
         Variable(
-            name=item.name, kind=Kind.INPUT, unit=item.unit, start=part.start[i], description=item.description or f"coordinate {item.name}"
+            name=item.name,
+            kind=VariableKind.INPUT,
+            unit=item.unit,
+            start=part.start[i],
+            description=item.description or f"coordinate {item.name}",
         )
         for i, item in enumerate(part.coordinates)
     ]
     velocities = [
         Variable(
             name=item.velocity_name,
-            kind=Kind.INPUT,
+            kind=VariableKind.INPUT,
             unit=item.velocity_unit,
             start=part.start[count + i],
             description=f"velocity of {item.name}",
@@ -124,7 +133,7 @@ def _parameters(part: ContactPart) -> list[Variable]:
     return [
         Variable(
             name=item.name,
-            kind=Kind.PARAMETER,
+            kind=VariableKind.PARAMETER,
             unit=item.unit,
             start=item.value,
             lower=item.lower,
@@ -140,13 +149,13 @@ def _outputs(part: ContactPart) -> list[Variable]:
     stiffness = float(contact.stiffness.subs({item.symbol: item.value for item in part.parameters}))
     size = stiffness * contact.nominal
     rows = [
-        (contact.force_name, Kind.FORCE, "N", size, "contact force"),
-        (contact.gap_name, Kind.GAP, "m", contact.nominal, "gap, negative in contact"),
-        ("contact_energy", Kind.CONTACT_ENERGY, "J", size * contact.nominal, "energy stored in the contact, k/2 max(phi, 0)^2"),
-        ("contact_power", Kind.INPUT_POWER, "W", size, "power that the contact hands to the bodies"),
+        (contact.force_name, VariableKind.FORCE, "N", size, "contact force"),
+        (contact.gap_name, VariableKind.GAP, "m", contact.nominal, "gap, negative in contact"),
+        ("contact_energy", VariableKind.CONTACT_ENERGY, "J", size * contact.nominal, "energy stored in the contact, k/2 max(phi, 0)^2"),
+        ("contact_power", VariableKind.INPUT_POWER, "W", size, "power that the contact hands to the bodies"),
     ]
     rows += [
-        (part.force_name(item), Kind.FORCE, force_unit(item), size, f"generalised force of the contact on {item.name}")
+        (part.force_name(item), VariableKind.FORCE, force_unit(item), size, f"generalised force of the contact on {item.name}")
         for item in part.coordinates
     ]
     return [Variable(name=name, kind=kind, unit=unit, nominal=nominal, description=text) for name, kind, unit, nominal, text in rows]

@@ -14,7 +14,7 @@ from formulations.contact_modes.search import (
     Drop,
     Merge,
     MoveEnd,
-    Split,
+    SplitWindow,
     Translate,
     closed_of,
     fewer,
@@ -55,7 +55,7 @@ def test_moves_do_what_they_say() -> None:
     assert MoveEnd(contact=0, index=1, end=1, by=3).apply(windows, STEPS) == (((5, 10), (20, 33)), ())
     assert Translate(contact=0, index=0, by=4).apply(windows, STEPS) == (((9, 14), (20, 30)), ())
     assert Merge(contact=0, index=0).apply(windows, STEPS) == (((5, 30),), ())
-    assert Split(contact=0, index=1, first=24, stop=26).apply(windows, STEPS) == (((5, 10), (20, 24), (26, 30)), ())
+    assert SplitWindow(contact=0, index=1, first=24, stop=26).apply(windows, STEPS) == (((5, 10), (20, 24), (26, 30)), ())
     assert Drop(contact=0, index=0).apply(windows, STEPS) == (((20, 30),), ())
     assert Add(contact=1, first=0, stop=1).apply(windows, STEPS) == (((5, 10), (20, 30)), ((0, 1),))
 
@@ -70,7 +70,7 @@ def test_moves_do_what_they_say() -> None:
         Translate(contact=0, index=0, by=12),  # overlaps
         MoveEnd(contact=0, index=2, end=0, by=1),
         Merge(contact=0, index=1),
-        Split(contact=0, index=0, first=5, stop=6),  # at the edge
+        SplitWindow(contact=0, index=0, first=5, stop=6),  # at the edge
         Drop(contact=1, index=0),
         Add(contact=0, first=8, stop=12),
     ],

@@ -11,7 +11,7 @@ import pytest
 from formulations.contact_modes.dual_active_set import active_set
 from formulations.contact_modes.linear import linear_scene, why_not_linear
 from formulations.contact_modes.nonlinear import NonlinearModes
-from formulations.contact_modes.quadratic import ActiveSet, ModesProblem
+from formulations.contact_modes.quadratic import ModesProblem, WorkingSet
 from formulations.contact_modes.search import closed_of
 from formulations.transcription.workbench import Account
 from models.catalog import load_scene
@@ -108,7 +108,7 @@ def test_the_interior_point_names_the_conditions_that_are_active(seed: int, ball
     assert answer is not None
     named = active_set(linear, closed, ball, softness)
     assert named is not None
-    held = problem._rounds(closed, ActiveSet(side=named[0], touching=named[1]), most=2)
+    held = problem._rounds(closed, WorkingSet(side=named[0], touching=named[1]), most=2)
     assert held is not None, "two rounds, so that a condition whose multiplier is zero may be named or not"
     assert held.cost == pytest.approx(answer.cost, rel=1e-11)
 

@@ -12,7 +12,7 @@ from cyipopt import CyIpoptEvaluationError
 
 from formulations.ipopt import STATUS_MAP, STATUS_NAMES, Start, compile_model, outcome_of, residuals, solve
 from formulations.ipopt.problem import Evaluations
-from formulations.ipopt.solve import Answer
+from formulations.ipopt.solve import IpoptExit
 from formulations.solution import Outcome
 
 
@@ -161,7 +161,7 @@ def liar(monkeypatch):
     def settle(status, x=None, multiplier=0.0):
         def run(problem, functions, start, options):
             zeros, point = np.zeros(problem.n), start.x if x is None else np.full(problem.n, x)
-            return Answer(status=status, x=point, lagrange=np.full(problem.m, multiplier), zl=zeros, zu=zeros)
+            return IpoptExit(status=status, x=point, lagrange=np.full(problem.m, multiplier), zl=zeros, zu=zeros)
 
         monkeypatch.setattr(sys.modules[solve.__module__], "run", run)
 

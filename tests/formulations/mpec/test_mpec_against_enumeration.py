@@ -11,7 +11,7 @@ from pyomo.mpec import Complementarity, complements
 
 from formulations import ContactLaw, build_model
 from formulations.ipopt import compile_model, solve
-from formulations.mpec import STRATEGY_NAMES, Settings, certify, load, solve_mpec
+from formulations.mpec import STRATEGY_NAMES, MpecSettings, certify, load, solve_mpec
 
 _PAIRS = 4
 
@@ -63,7 +63,7 @@ def test_random_problems_end_at_the_best_branch(seed):
 def test_what_is_called_solved_is_certified(strategy):
     for seed in range(20, 24):
         m = random_problem(seed)
-        result = solve_mpec(m, Settings(strategy=strategy, search=0))
+        result = solve_mpec(m, MpecSettings(strategy=strategy, search=0))
         assert result.solved, result.message
         load(result)
         assert certify(m).holds  # again, from the loaded values alone

@@ -13,9 +13,9 @@ from pyomo.common.collections import ComponentMap
 from pyomo.mpec import Complementarity, complements
 from pyomo.opt import SolverStatus, TerminationCondition
 
-from formulations.mpec import Multipliers, Settings, Stationarity, certify, solve_mpec
+from formulations.mpec import MpecSettings, Multipliers, Stationarity, certify, solve_mpec
 from formulations.mpec.branching import Branching
-from formulations.mpec.homotopy import Account
+from formulations.mpec.homotopy import WorkBudget
 from formulations.mpec.lifted import lift
 from formulations.mpec.strategies import STRATEGIES
 from formulations.mpec.workspace import Workspace
@@ -179,7 +179,7 @@ def test_a_biactive_pair_that_wants_its_other_branch_gets_it():
     work = Workspace(lift(m), STRATEGIES["scholtes"])
     x = np.zeros(work.relaxed.problem.n)
     x[work.relaxed.second] = 1.0  # y > x: the branch read off holds x
-    branching = Branching(work, Settings(), Account(None))
+    branching = Branching(work, MpecSettings(), WorkBudget(None))
     branch = branching.polish(x)
     assert branch is not None
     assert branch.objective == pytest.approx(1.0, abs=1e-8)
@@ -223,13 +223,13 @@ def test_a_maximised_objective():
     m.cost.deactivate()
     m.gain = pyo.Objective(expr=-near(m), sense=pyo.maximize)
     for strategy in ("scholtes", "l1_penalty", "elastic"):
-        result = solve_mpec(m, Settings(strategy=strategy))
+        result = solve_mpec(m, MpecSettings(strategy=strategy))
         assert result.solved
         assert result.objective == pytest.approx(-1.0, abs=1e-8)
 
 
 def test_an_iteration_limit_is_told():
-    result = solve_mpec(two(near), Settings(strategy="scholtes", step_iterations=1))
+    result = solve_mpec(two(near), MpecSettings(strategy="scholtes", step_iterations=1))
     assert result.outcome is Outcome.ITERATION_LIMIT
 
 

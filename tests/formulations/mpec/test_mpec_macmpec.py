@@ -19,7 +19,7 @@ from pathlib import Path
 import pyomo.environ as pyo
 import pytest
 
-from formulations.mpec import Settings, Stationarity, load, solve_mpec
+from formulations.mpec import MpecSettings, Stationarity, load, solve_mpec
 
 _RELATIVE = 1e-5  # published figures have six digits
 
@@ -55,7 +55,7 @@ def test_there_are_at_least_forty():
 @pytest.mark.parametrize(("name", "builder", "optimum"), PROBLEMS, ids=[name for name, _, _ in PROBLEMS])
 def test_published_optimum(name, builder, optimum):
     model = builder()
-    result = solve_mpec(model, Settings(ipopt={"max_wall_time": 60.0}))
+    result = solve_mpec(model, MpecSettings(ipopt={"max_wall_time": 60.0}))
     if name in MISPRINTS:
         printed, optimum, _ = MISPRINTS[name]
         assert printed == {n: o for n, _, o in PROBLEMS}[name]

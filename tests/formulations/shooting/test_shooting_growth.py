@@ -8,7 +8,7 @@ import pytest
 
 from formulations.pipelines import load_method
 from formulations.shooting.diagnosis import sensitivity
-from formulations.shooting.growth import Growth, measure_growth
+from formulations.shooting.growth import GradientGrowth, measure_growth
 from formulations.shooting.objective import Objective
 from formulations.solution import Outcome
 from models.catalog import load_scene
@@ -18,7 +18,7 @@ from models.contact_law import ContactLaw
 HILL = load_scene(str(Path(__file__).parents[2] / "scenes" / "leaning_mass.py"))
 
 
-def _growth(steps: int) -> Growth:
+def _growth(steps: int) -> GradientGrowth:
     found = measure_growth(load_steps(HILL.with_task(steps=steps)), np.zeros((steps + 1, 2)), np.zeros((steps, 1)))
     assert found is not None
     return found

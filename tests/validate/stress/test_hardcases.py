@@ -15,7 +15,7 @@ from models.errors import UnknownNameError
 from reports.records.check_record import ExaminationRecord
 from reports.records.record import ProvenanceRecord
 from reports.rule import failures
-from validate.stress.case import Finding, HardCase, Series, at_least, at_most, none_of, told
+from validate.stress.case import CaseFinding, HardCase, Series, at_least, at_most, none_of, told
 from validate.stress.catalog import FOLDER, case_names, describe_case, load_case
 from validate.stress.tasks import examinations, found_of
 
@@ -38,7 +38,7 @@ CHEAP: dict[str, dict[str, object]] = {
 }
 
 
-def record_of(name: str, finding: Finding) -> ExaminationRecord:
+def record_of(name: str, finding: CaseFinding) -> ExaminationRecord:
     """The record that a campaign would store, through JSON and back."""
     case, found = describe_case(name), found_of(finding)
     provenance = ProvenanceRecord(
@@ -144,15 +144,15 @@ def test_a_figure_keeps_its_limit_or_does_not(figure, ok: bool | None):
 
 
 def test_a_case_without_a_judged_figure_has_not_passed():
-    assert not Finding(happened="", figures=()).passed
-    assert not Finding(happened="", figures=(told("only told", 1.0),)).passed
+    assert not CaseFinding(happened="", figures=()).passed
+    assert not CaseFinding(happened="", figures=(told("only told", 1.0),)).passed
 
 
 def test_numbers_that_are_none_get_into_no_record():
     from validate.stress.case import Chart
 
     chart = Chart(title="t", x=("x", ""), y=("y", ""), series=(Series(name="s", x=[1.0, 2.0, 3.0], y=[1.0, math.nan, math.inf]),))
-    finding = Finding(happened="two\nlines", figures=(at_most("error", math.nan, 1.0, reason="r"),), charts=(chart,))
+    finding = CaseFinding(happened="two\nlines", figures=(at_most("error", math.nan, 1.0, reason="r"),), charts=(chart,))
     record = record_of(NAMES[0], finding)
     assert not record.passed
     assert record.figures[0].value is None

@@ -29,7 +29,7 @@ from models.trajectory import Trajectory
 from validate.execution.isolated import Limits
 from validate.fmi.description import Package
 from validate.judge.replay.everyday import base_step
-from validate.judge.replay.job import Settings, run_job
+from validate.judge.replay.job import ReplaySettings, run_job
 from validate.judge.replay.result import Difference, Replay, ReplayError, ReplayOutcome, StepSource
 from validate.judge.replay.subject import Outputs, Subject, find_variables
 from validate.judge.replay.wiring import Feedback, Variables
@@ -73,7 +73,7 @@ def overlooked(kernel: Kernel, replayed: Replay) -> float | None:
     return float(np.min(2.0 * np.sqrt(-2.0 * lowest[dips] / bend))) / _WITHIN
 
 
-def with_steps_of(subject: Subject, times: np.ndarray, settings: Settings) -> Settings:
+def with_steps_of(subject: Subject, times: np.ndarray, settings: ReplaySettings) -> ReplaySettings:
     """Settings for a plan of nodes `times` [s], however long its steps are: nothing is seen less often than on the task's own grid."""
     step = float(subject.task.step)  # type: ignore[union-attr] - every subject that is replayed has one
     longest = math.ceil(float(np.diff(times).max()) / step - 1e-6)
@@ -82,7 +82,7 @@ def with_steps_of(subject: Subject, times: np.ndarray, settings: Settings) -> Se
     return replace(settings, parts=parts, fineness=tuple(factor * fineness for fineness in settings.fineness))
 
 
-def with_max_step(scene: Scene, times: np.ndarray, settings: Settings, longest: float) -> Settings | None:
+def with_max_step(scene: Scene, times: np.ndarray, settings: ReplaySettings, longest: float) -> ReplaySettings | None:
     """The same with integrator steps of at most `longest` [s], in the everyday replay too; None where that takes more than a million."""
     if np.ptp(times) / longest > _MOST:
         return None
@@ -95,7 +95,7 @@ def with_max_step(scene: Scene, times: np.ndarray, settings: Settings, longest: 
 _LAGS_IN_A_STEP = 2.0
 
 
-def fine_enough(scene: Scene, plan: Trajectory, settings: Settings) -> Settings:
+def fine_enough(scene: Scene, plan: Trajectory, settings: ReplaySettings) -> ReplaySettings:
     """Settings whose coarsest everyday run is stable at this relaxation time; as they are for a scene with inertia."""
     if scene.lag is None or not settings.fineness:
         return settings
@@ -118,7 +118,7 @@ def with_lag_error(
     package: Package,
     twice: Variables | None,
     plan: Trajectory,
-    settings: Settings,
+    settings: ReplaySettings,
     limits: Limits | None,
     feedback: Feedback | None,
     replayed: Replay,

@@ -44,7 +44,7 @@ _ENDED = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class ReplaySettings:
     """tolerances: relative, of the reference, the looser first; fineness: internal steps a plan step of the everyday replay, the coarser first.
     parts, max_step: of the reference (validate.judge.replay.reference.integrate)."""
 
@@ -137,7 +137,7 @@ def run_job(
     variables: Variables,
     plan: Trajectory,
     start: np.ndarray,
-    settings: Settings,
+    settings: ReplaySettings,
     limits: Limits | None,
     feedback: Feedback | None = None,
 ) -> Simulated:

@@ -76,7 +76,7 @@ class ContactEntry(_Strict):
         return self
 
 
-class LimitEntry(_Strict):
+class MapLimit(_Strict):
     """value: the largest with which a plan still holds; waived: the metric's default limit does not count, for a reason that must be given."""
 
     value: float | None = Field(default=None, ge=0.0)
@@ -84,7 +84,7 @@ class LimitEntry(_Strict):
     reason: str = ""
 
     @model_validator(mode="after")
-    def _one_of_two(self) -> LimitEntry:
+    def _one_of_two(self) -> MapLimit:
         if self.waived == (self.value is not None):
             raise PydanticCustomError("limit", "it needs one of the two: a value, or waived = true with a reason")
         if self.waived and not self.reason.strip():
@@ -124,7 +124,7 @@ def _short_limit(value: Any) -> Any:
 OfSignal = Annotated[Signal, BeforeValidator(_short)]
 OfInput = Annotated[InputSignal, BeforeValidator(_short)]
 OfVelocity = Annotated[VelocitySignal, BeforeValidator(_short)]
-OfLimit = Annotated[LimitEntry, BeforeValidator(_short_limit)]
+OfLimit = Annotated[MapLimit, BeforeValidator(_short_limit)]
 
 
 class MapFile(_Strict):
@@ -196,6 +196,6 @@ def _model_at(place: tuple[str | int, ...]) -> type[BaseModel]:
         return MapFile
     inside: dict[str, type[BaseModel]] = {
         "plan": PlanEntry, "task": TaskEntry, "accuracy": AccuracyEntry, "inputs": InputSignal,
-        "velocities": VelocitySignal, "limits": LimitEntry, "contacts": ContactEntry,
+        "velocities": VelocitySignal, "limits": MapLimit, "contacts": ContactEntry,
     }  # fmt: skip
     return Signal if len(place) == 4 else inside.get(str(place[0]), Signal)

@@ -27,7 +27,7 @@ from validate.judge.replay.error_estimate import (
     with_max_step,
     with_steps_of,
 )
-from validate.judge.replay.job import Settings, Simulated, run_job
+from validate.judge.replay.job import ReplaySettings, Simulated, run_job
 from validate.judge.replay.recording import Run
 from validate.judge.replay.result import Difference, Event, Replay, ReplayError, ReplayOutcome
 from validate.judge.replay.subject import ForeignModel, Outputs, Subject, find_variables
@@ -82,7 +82,7 @@ def replay(
     """
     trajectory.check_fits(scene)
     scene = scene.continuous()
-    settings = with_steps_of(scene, trajectory.t, Settings(tolerances=tolerances, fineness=fineness, event_budget=event_budget))
+    settings = with_steps_of(scene, trajectory.t, ReplaySettings(tolerances=tolerances, fineness=fineness, event_budget=event_budget))
     settings = fine_enough(scene, trajectory, settings)
     with nullcontext(read_package(fmu)) if limits is not None else unpacked(read_package(fmu)) as package:
         variables = find_variables(package, scene, names)
@@ -96,7 +96,7 @@ def _replay_twice(
     variables: Variables,
     twice: Variables | None,
     trajectory: Trajectory,
-    settings: Settings,
+    settings: ReplaySettings,
     limits: Limits | None,
     track: bool | Callable[[Replay], bool],
 ) -> Replay:
@@ -127,7 +127,7 @@ def _seeing_all(
     package: Package,
     variables: Variables,
     plan: Trajectory,
-    settings: Settings,
+    settings: ReplaySettings,
     limits: Limits | None,
     feedback: Feedback | None,
 ) -> tuple[Replay, Simulated]:
@@ -171,7 +171,9 @@ def replay_foreign(
     Raises TrackingError if track is True and cannot be.
     """
     trajectory.check_fits(foreign.model)  # type: ignore[arg-type] - it answers what a scene answers
-    settings = with_steps_of(foreign.model, trajectory.t, Settings(tolerances=tolerances, fineness=fineness, event_budget=event_budget))
+    settings = with_steps_of(
+        foreign.model, trajectory.t, ReplaySettings(tolerances=tolerances, fineness=fineness, event_budget=event_budget)
+    )
     driven = trajectory.with_inputs_in(foreign.input_scale, foreign.input_offset)
     simulated = run_job(package, foreign.variables, driven, foreign.start, settings, limits)
     opened = _assemble(foreign.model, package, foreign.variables, _in_plan_units(foreign, simulated), event_budget)

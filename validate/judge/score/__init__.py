@@ -23,7 +23,7 @@ from validate.judge.replay.subject import Subject
 from validate.judge.score.cause import Told, explain
 from validate.judge.score.equations import MEASURES
 from validate.judge.score.evidence import Evidence
-from validate.judge.score.table import GROWTH, TABLE, Entry, Measured, feedback_entries, limit_name
+from validate.judge.score.table import GROWTH, TABLE, Measured, MetricEntry, feedback_entries, limit_name
 from validate.judge.score.verdict import (
     EFFORT,
     MARGIN,
@@ -157,7 +157,7 @@ def _check_belongs(scene: Subject, trajectory: Trajectory, replay: Replay) -> No
         )
 
 
-def _why_not_asked(entry: Entry, case: Evidence) -> str:
+def _why_not_asked(entry: MetricEntry, case: Evidence) -> str:
     """Why a plan is not asked this; empty: it is."""
     plan, scene = case.trajectory, case.scene
     for need in entry.needs:
@@ -173,7 +173,7 @@ def _why_not_asked(entry: Entry, case: Evidence) -> str:
     return ""
 
 
-def _not_asked(scene: Subject, rows: list[Entry], metrics: tuple[Metric, ...]) -> tuple[str, ...]:
+def _not_asked(scene: Subject, rows: list[MetricEntry], metrics: tuple[Metric, ...]) -> tuple[str, ...]:
     """A sentence for each group of metrics that could not be asked."""
     found: dict[str, list[str]] = {}
     for entry, metric in zip(rows, metrics, strict=True):
@@ -211,7 +211,7 @@ def _worst(measured: Measured | tuple[float, float] | float, limited: bool) -> _
     return _Worst(float(values[place]), float(errors[place]), float(scales[place]), float(allowed[place]), measured.base, unit)
 
 
-def _metric(entry: Entry, case: Evidence) -> Metric:
+def _metric(entry: MetricEntry, case: Evidence) -> Metric:
     unit, own = entry.unit(case.scene), case.scene.limit(limit_name(entry.name))
     empty = Metric(name=entry.name, question=entry.question, value=None, unit=unit, meaning=entry.meaning)
     absent = _why_not_asked(entry, case)
@@ -249,7 +249,7 @@ def _metric(entry: Entry, case: Evidence) -> Metric:
     return replace(found, limit=bound, reason=reason, ok=compare(worst.value, worst.error, bound, margin), default=own is None)
 
 
-def _can_be_asked(entry: Entry, case: Evidence) -> bool:
+def _can_be_asked(entry: MetricEntry, case: Evidence) -> bool:
     """Whether a metric that could not be measured leaves a question open: somebody's FMU is not asked what it does not show, nor its plan."""
     if isinstance(case.scene, Scene):
         return True

@@ -12,7 +12,7 @@ import numpy as np
 
 from models.catalog import load_scene
 from models.stability import step_stability
-from validate.stress.case import Chart, Finding, HardCase, Series, at_least, at_most, none_of, told
+from validate.stress.case import CaseFinding, Chart, HardCase, Series, at_least, at_most, none_of, told
 from validate.stress.motion import replayed, rolled
 
 STIFFNESSES = tuple(10.0**power for power in range(9))
@@ -28,7 +28,7 @@ _SPEED, _COLLISIONS, _RESTITUTION = 2.0, 2, 0.1
 _FAR = 1e6
 
 
-def measure() -> Finding:
+def measure() -> CaseFinding:
     base = load_scene("three_cart")
     u = np.zeros((NODES, 2))
     u[:PUSHED, 0] = 8.0
@@ -51,7 +51,7 @@ def measure() -> Finding:
     near = np.geomspace(LIMIT / 10, LIMIT * 10, SWEPT)
     swept = [(k, step_stability(base.with_parameters(k=float(k))).radius) for k in near]
     curve = sorted([*zip(STIFFNESSES, radii, strict=True), *swept])
-    return Finding(
+    return CaseFinding(
         happened=f"The warning comes from k = {LIMIT:.0f} N/m on, before anything runs. At the fixed step the error is {coarse[0]:.1e} m for k = {STIFFNESSES[0]:g} and "
         f"{coarse[-1]:.0e} m for k = {STIFFNESSES[-1]:g}; with {_FINE} steps a radian of the contact it is at most {max(fine):.1e} m.",
         figures=(

@@ -14,7 +14,7 @@ import numpy as np
 from models.catalog import load_scene
 from models.codegen.kernel import Kernel, load_kernel
 from validate.judge.score import score
-from validate.stress.case import Chart, Finding, HardCase, Series, at_most
+from validate.stress.case import CaseFinding, Chart, HardCase, Series, at_most
 from validate.stress.motion import replayed, rolled
 
 PHASES = 100
@@ -39,7 +39,7 @@ def restitutions(kernel: Kernel, hw: float) -> np.ndarray:
     return np.array(found)
 
 
-def measure() -> Finding:
+def measure() -> CaseFinding:
     scene = load_scene("two_body_collision")
     kernel = load_kernel(scene)
     figures = []
@@ -73,7 +73,7 @@ def measure() -> Finding:
         )
     )
     worst = restitutions(kernel, 1.5)
-    return Finding(
+    return CaseFinding(
         happened=f"At h w = 1.5, well inside the stability limit of 2, one collision gives between {worst.min():.2f} and {worst.max():.2f} of the speed back; "
         "the replay gives 1.",
         figures=tuple(figures),

@@ -21,7 +21,7 @@ from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.scene import Parameter, Scene
 from models.stability import step_stability
-from validate.stress.case import Chart, Finding, HardCase, Series, at_most, none_of
+from validate.stress.case import CaseFinding, Chart, HardCase, Series, at_most, none_of
 from validate.stress.motion import replayed, rolled
 
 RATIOS = tuple(10.0**power for power in range(-4, 5))
@@ -130,13 +130,13 @@ def planned() -> _Planned:
     return found
 
 
-def measure() -> Finding:
+def measure() -> CaseFinding:
     seen, plans = simulated(), planned()
     length = next(parameter.value for parameter in load_scene("three_cart").parameters if parameter.name == "d")
     shares = [cost / plans.costs[0] for cost in plans.costs]
     unstable, away = (", ".join(f"{ratio:g}" for ratio in ratios) or "none" for ratios in (plans.unstable, plans.out_of_reach))
     beyond = f"Refused before the run, past the step's stability limit: {unstable}; goal out of reach of the inputs: {away}."
-    return Finding(
+    return CaseFinding(
         happened=f"Contact times are right to {max(seen.times, default=math.nan):.1e}, momentum is kept to {max(seen.momenta, default=math.nan):.1e} of what "
         f"there is. Plans with a middle cart {min(plans.ratios, default=math.nan):g} to {max(plans.ratios, default=math.nan):g} times as heavy cost up to "
         f"{max(shares, default=math.nan):.1f} times as much, and their replays leave them by at most {max(plans.errors, default=math.nan):.1e} m. {beyond}",

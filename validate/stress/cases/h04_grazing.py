@@ -14,7 +14,7 @@ from models.catalog import load_scene
 from models.codegen.kernel import Kernel, load_kernel
 from models.scene import Scene
 from models.scenes.two_discs import BLUR, RADIUS
-from validate.stress.case import Finding, HardCase, at_most, told
+from validate.stress.case import CaseFinding, HardCase, at_most, told
 from validate.stress.motion import replayed, rolled
 
 DEPTH, SPEED, NODES, BEFORE = 1e-9, 1.0, 200, 100
@@ -43,7 +43,7 @@ def gradient_error(kernel: Kernel, start: np.ndarray) -> float:
     return float(np.abs(exact - differences).max() / np.abs(exact).max())
 
 
-def measure() -> Finding:
+def measure() -> CaseFinding:
     scene = load_scene("two_discs")
     kernel, h = load_kernel(scene), scene.task.step
     k = float(kernel.stiffness()[0])
@@ -55,7 +55,7 @@ def measure() -> Finding:
     exact = 4.0 / 3.0 * k * DEPTH * math.sqrt(4.0 * RADIUS * DEPTH) / SPEED
     errors = [gradient_error(kernel, start) for start in (touching, missing)]
     limit = "with rounding of 1e-16 over differences of 2e-10"
-    return Finding(
+    return CaseFinding(
         happened=f"The touch gives {impulses[0]:.1e} N s on the plan's grid, {real[0]:.1e} N s in the replay (exactly {exact:.1e}); the miss gives nothing. "
         f"Gradients agree with differences to {max(errors):.0e} on both sides.",
         figures=(

@@ -18,7 +18,7 @@ import sympy as sp
 from models.catalog import load_scene
 from models.scene import Parameter, Scene
 from validate.judge.replay import ReplayOutcome
-from validate.stress.case import Chart, Finding, HardCase, Series, at_least, at_most, none_of, told
+from validate.stress.case import CaseFinding, Chart, HardCase, Series, at_least, at_most, none_of, told
 from validate.stress.motion import replayed, rolled
 
 STIFFNESS, RATIO, NODES, STEP = 1e7, 0.2, 180, 0.01
@@ -44,7 +44,7 @@ def restitution(z: float) -> float:
     return math.exp(-z / root * (math.pi - math.atan(2.0 * z * root / (1.0 - 2.0 * z**2))))
 
 
-def measure() -> Finding:
+def measure() -> CaseFinding:
     scene = damped(load_scene("bouncing_mass"))
     gravity = next(parameter.value for parameter in scene.parameters if parameter.name == "g")
     height = scene.task.start[0]
@@ -65,7 +65,7 @@ def measure() -> Finding:
     wrong = [] if told_replay.ok else [f"the replay does not end: {told_replay.message}"]
     if small.outcome is not ReplayOutcome.EVENT_BUDGET or str(BUDGET) not in small.message:
         wrong.append(f"a budget of {BUDGET} events is not told: {small.outcome.name.lower()}, {small.message}")
-    return Finding(
+    return CaseFinding(
         happened=f"{len(closed)} bounces; at rest after {rest:.4f} s, {contact:.4f} s of it in contact, where the series of flights says {series:.4f} s. With a budget of "
         f"{BUDGET} events: {small.message}",
         figures=(

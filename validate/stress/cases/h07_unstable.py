@@ -17,7 +17,7 @@ from models.catalog import load_scene
 from models.codegen.kernel import load_steps
 from models.contact_law import ContactLaw
 from models.scenes.cart_pole_walls import GROWTH
-from validate.stress.case import Chart, Finding, HardCase, Series, at_least, at_most, none_of, told
+from validate.stress.case import CaseFinding, Chart, HardCase, Series, at_least, at_most, none_of, told
 from validate.stress.motion import at_nodes, replayed, rolled
 
 SECONDS, NUDGE, ITERATIONS = 5.0, 1e-6, 60
@@ -25,7 +25,7 @@ SECONDS, NUDGE, ITERATIONS = 5.0, 1e-6, 60
 _LINEAR = 1e-2
 
 
-def measure() -> Finding:
+def measure() -> CaseFinding:
     scene = load_scene("cart_pole_walls")
     h = scene.task.step
     steps = round(SECONDS / h)
@@ -33,7 +33,7 @@ def measure() -> Finding:
     still = np.zeros((steps + 1, 4))
     growth = measure_growth(load_steps(upright), still, np.zeros((steps, 1)), ContactLaw.RELU, None)
     if growth is None:
-        return Finding(happened="A step is not finite: nothing can be said of its growth.", figures=(told("growth", math.nan),))
+        return CaseFinding(happened="A step is not finite: nothing can be said of its growth.", figures=(told("growth", math.nan),))
     rate = growth.rate
     nudged = upright.with_task(start=(0.0, NUDGE, 0.0, 0.0))
     one, other = (replayed(item, rolled(item)) for item in (upright, nudged))
@@ -52,7 +52,7 @@ def measure() -> Finding:
         silent.append("the growth is not told")
     if not solution.message:
         silent.append("descent ended without a word")
-    return Finding(
+    return CaseFinding(
         happened=f"An error of the start grows {growth.factor:.1e} times over {SECONDS:g} s by the exact Jacobians of its steps, at {rate:.3f}/s; two replays {NUDGE:g} rad apart part at "
         f"{replay_rate:.3f}/s and are {apart.max():.2g} rad apart in the end. Descent: {solution.outcome.name.lower()}, {solution.message.partition('; ')[0]}.",
         figures=(

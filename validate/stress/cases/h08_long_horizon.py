@@ -16,7 +16,7 @@ from formulations.ipopt import compile_model
 from models.catalog import load_scene
 from models.codegen.kernel import Kernel, load_kernel
 from models.scene import Scene
-from validate.stress.case import Chart, Finding, HardCase, Series, at_most
+from validate.stress.case import CaseFinding, Chart, HardCase, Series, at_most
 
 LENGTHS, MODEL_LENGTHS = (5000, 20000, 80000), (500, 1000, 2000)
 # What the growth of time and memory may be above linear: the sorting of sparse rows.
@@ -69,7 +69,7 @@ def _model(scene: Scene, steps: int) -> Any:
     return compile_model(build_model(scene, Transcription.SOFTPLUS, eps=1e-3, steps=steps))
 
 
-def measure() -> Finding:
+def measure() -> CaseFinding:
     scene = load_scene("three_cart")
     kernel = load_kernel(scene)
     gradients = [measured(lambda n=n: gradient_of(kernel, n), _REPEATS) for n in LENGTHS]
@@ -89,7 +89,7 @@ def measure() -> Finding:
         "model, memory": exponent(MODEL_LENGTHS, [memory for _, memory in models]),
     }
     shortest, longest = gradients[0][0] / LENGTHS[0], gradients[-1][0] / LENGTHS[-1]
-    return Finding(
+    return CaseFinding(
         happened=f"A gradient over {LENGTHS[-1]} steps takes {gradients[-1][0] * 1e3:.0f} ms and {gradients[-1][1]:.0f} MB; a model of {MODEL_LENGTHS[-1]} steps is built and "
         f"translated in {models[-1][0]:.1f} s and {models[-1][1]:.0f} MB. The adjoint over {LENGTHS[1]} steps is that of differences to {wrong:.0e}.",
         figures=(

@@ -9,7 +9,7 @@ from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.scene import Scene
 from models.trajectory import Trajectory
-from validate.stress.case import Finding, HardCase, at_most, none_of, told
+from validate.stress.case import CaseFinding, HardCase, at_most, none_of, told
 
 GOAL = 3.3
 SOFTPLUS_EPS = (1e-2, 1e-3, 1e-5)
@@ -20,7 +20,7 @@ def _run(scene: Scene, method: str, eps: float | None, plan: Trajectory | None, 
         return session.solve(eps=eps, warm_start=plan, time_limit=15.0)
 
 
-def measure() -> Finding:
+def measure() -> CaseFinding:
     scene = load_scene("three_cart").with_task(goal=(None, GOAL, None, None, 0.0, None))
     dead = _run(scene, "relu_gd", None, None, 500)
     plan, relaxed = None, None
@@ -34,7 +34,7 @@ def measure() -> Finding:
     words += [f"no word of {word!r}" for word in ("no contact is made", "no gradient", "softplus") if word not in dead.message]
     missed = alive.residuals.get("terminal_position_error", math.inf)
     before = dead.residuals.get("terminal_position_error", math.nan)
-    return Finding(
+    return CaseFinding(
         happened=f"From the first guess: {dead.outcome.name.lower()}, {dead.message} Through softplus: the middle cart misses by {missed:.3f} m instead of {before:.3f} m.",
         figures=(
             none_of(

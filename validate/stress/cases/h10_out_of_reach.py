@@ -7,14 +7,14 @@ import time
 from formulations.pipelines import load_method
 from formulations.solution import Outcome
 from models.catalog import load_scene
-from validate.stress.case import Finding, HardCase, at_most, none_of
+from validate.stress.case import CaseFinding, HardCase, at_most, none_of
 
 FAR, STEPS, BUDGET = 20.0, 100, 20.0
 # Method -> eps. One of each kind: smooth, exact, by windows.
 METHODS = {"softplus_dc": 1e-3, "relaxed_lcp": 1e-2, "strict_lcp": None, "mpcc": None}
 
 
-def measure() -> Finding:
+def measure() -> CaseFinding:
     scene = load_scene("three_cart").with_task(goal=(FAR, FAR + 1.0, FAR + 2.0, 0.0, 0.0, 0.0), steps=STEPS)
     wrong, endings, slowest = [], [], 0.0
     for name, eps in METHODS.items():
@@ -27,7 +27,7 @@ def measure() -> Finding:
             wrong.append(f"{name} ends as {solution.outcome.name.lower()}: {solution.message}")
         if solution.outcome is Outcome.SOLVED or (solution.outcome is Outcome.INFEASIBLE and solution.trajectory is not None):
             wrong.append(f"{name} hands back a plan")
-    return Finding(
+    return CaseFinding(
         happened=f"{', '.join(endings)}; the slowest took {slowest:.1f} s.",
         figures=(
             none_of("methods that do not say so", wrong, reason="outcome infeasible, no plan"),

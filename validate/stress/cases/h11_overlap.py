@@ -6,14 +6,14 @@ import numpy as np
 
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
-from validate.stress.case import Finding, HardCase, at_least, none_of
+from validate.stress.case import CaseFinding, HardCase, at_least, none_of
 from validate.stress.motion import replayed, rolled
 
 DISTANCES = (0.3, 1e-3, 1e-9, 0.0)
 STEPS = 480
 
 
-def measure() -> Finding:
+def measure() -> CaseFinding:
     scene = load_scene("two_discs")
     kernel = load_kernel(scene)
     h = scene.task.step / 20  # a spring wound up by 0.4 m needs a finer grid than the task's
@@ -33,7 +33,7 @@ def measure() -> Finding:
             continue
         apart[distance] = float(np.linalg.norm(told.q[-1, 2:] - told.q[-1, :2]))
     pushed = min((value for distance, value in apart.items() if distance > 0.0), default=np.nan)
-    return Finding(
+    return CaseFinding(
         happened=f"All finite. Discs that overlap are pushed apart to at least {pushed:.2f} m; coincident centres have no direction between them, "
         f"feel no force along any, and stay ({apart.get(0.0, np.nan):.1g} m).",
         figures=(

@@ -13,7 +13,7 @@ from pyomo.mpec import Complementarity, complements
 
 from formulations.mpec import Stationarity, certify, certify_plan, solve_mpec
 from models.catalog import load_scene
-from validate.stress.case import Finding, HardCase, at_most, none_of, told
+from validate.stress.case import CaseFinding, HardCase, at_most, none_of, told
 from validate.stress.motion import rolled
 
 STEPS = 50
@@ -28,7 +28,7 @@ def corner() -> Any:
     return m
 
 
-def measure() -> Finding:
+def measure() -> CaseFinding:
     touching = (2.0, 2.5, 3.0, 0.0, 0.0, 0.0)
     scene = load_scene("three_cart").with_task(start=touching, goal=touching, steps=STEPS)
     plan = certify_plan(scene, rolled(scene))
@@ -42,7 +42,7 @@ def measure() -> Finding:
     certificate = solved.certificate
     if not solved.solved or certificate is None or certificate.stationarity is not Stationarity.STRONG:
         wrong.append(f"from the origin: {solved.message}")
-    return Finding(
+    return CaseFinding(
         happened=f"Carts at rest: class {plan.stationarity.letter}, {plan.biactive} of {plan.pairs} pairs biactive. The origin: class {origin.stationarity.letter}, "
         f"feasible but with a way down of slope {origin.descent:.1f}; from there the solver goes on to {solved.objective:.3f}.",
         figures=(

@@ -12,7 +12,7 @@ import pyomo.environ as pyo
 from pyomo.mpec import Complementarity, complements
 
 from formulations.mpec import Stationarity, certify, solve_mpec
-from validate.stress.case import Finding, HardCase, at_most, none_of
+from validate.stress.case import CaseFinding, HardCase, at_most, none_of
 
 
 def problem(start: float) -> Any:
@@ -25,7 +25,7 @@ def problem(start: float) -> Any:
     return m
 
 
-def measure() -> Finding:
+def measure() -> CaseFinding:
     solved = solve_mpec(problem(1.0))
     origin = certify(problem(0.0))
     wrong = []
@@ -40,7 +40,7 @@ def measure() -> Finding:
         ):
             wrong.append(f"{where}: {item.sentence}")
     letter = certificate.stationarity.letter if certificate is not None else "-"
-    return Finding(
+    return CaseFinding(
         happened=f"The solver ends as {solved.outcome.name.lower()} at {solved.objective:.1e}, class {letter}"
         f"{'' if certificate is None or certificate.b_stationary is None else ', B-stationary'}; the origin itself: {origin.sentence}.",
         figures=(

@@ -13,7 +13,7 @@ import numpy as np
 from models.catalog import load_scene
 from models.contact_law import ContactLaw, sharpness
 from models.scene import Scene
-from validate.stress.case import Chart, Finding, HardCase, Series, at_least, at_most
+from validate.stress.case import CaseFinding, Chart, HardCase, Series, at_least, at_most
 from validate.stress.motion import replayed, rolled
 
 COEFFICIENTS = (0.05, 0.1, 0.2, 0.4, 0.8)
@@ -34,7 +34,7 @@ def slip_speed(plan) -> float:
     return float(abs(plan.v[-1, 0] - plan.v[-1, 1]))
 
 
-def measure() -> Finding:
+def measure() -> CaseFinding:
     base = load_scene("transport")
     creeps, sticks, replay_slips, slipping = [], [], [], []
     for mu in COEFFICIENTS:
@@ -54,7 +54,7 @@ def measure() -> Finding:
         mu: [slip_speed(pulled(base.with_parameters(mu=mu), mu, SHARE, h, ContactLaw.SOFTPLUS)) for h in STEPS] for mu in (0.05, 0.2, 0.8)
     }
     settled = max(abs(values[-1] / values[-2] - 1.0) for values in by_step.values())
-    return Finding(
+    return CaseFinding(
         happened=f"Regularised friction creeps at {min(creeps):.2e} to {max(creeps):.2e} m/s under half its strength, at every step alike; the exact law and the replay "
         f"stick ({max(sticks):.0e} and {max(replay_slips):.0e} m/s).",
         figures=(

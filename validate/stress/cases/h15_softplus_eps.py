@@ -14,7 +14,7 @@ from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw, contact_force
 from models.errors import TouchstoneError
-from validate.stress.case import Finding, HardCase, at_most, none_of
+from validate.stress.case import CaseFinding, HardCase, at_most, none_of
 
 USABLE = (1e-300, 1e-16, 1e-3, 0.999)
 REFUSED = (1.0, 1.5, 0.0, -1e-3, math.nan, math.inf)
@@ -22,7 +22,7 @@ REFUSED = (1.0, 1.5, 0.0, -1e-3, math.nan, math.inf)
 DEPTHS = np.array([-1e4, -10.0, -1.0, -1e-3, 0.0, 1e-3, 1.0, 10.0, 1e4])
 
 
-def measure() -> Finding:
+def measure() -> CaseFinding:
     scene = load_scene("three_cart")
     kernel = load_kernel(scene)
     # the left contact at each depth: phi = d - (q2 - q1)
@@ -53,7 +53,7 @@ def measure() -> Finding:
                     wrong.append(f"{name} refuses {eps!r} without naming eps: {error}")
             else:
                 wrong.append(f"{name} takes {eps!r}")
-    return Finding(
+    return CaseFinding(
         happened=f"Finite over 20 km of depth for {', '.join(f'{eps:g}' for eps in USABLE)}; {', '.join(repr(eps) for eps in REFUSED)} refused by {len(takers)} takers.",
         figures=(
             none_of("what is not finite, or taken without meaning", wrong, reason="no overflow, and a sentence that names eps"),

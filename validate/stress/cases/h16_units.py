@@ -10,7 +10,7 @@ from formulations.pipelines import load_method
 from formulations.solution import Solution
 from models.catalog import load_scene
 from models.scene import Scene
-from validate.stress.case import Finding, HardCase, at_most, none_of
+from validate.stress.case import CaseFinding, HardCase, at_most, none_of
 from validate.stress.motion import at_nodes, replayed, rolled
 
 LENGTH = 1e3
@@ -30,7 +30,7 @@ def _solved(scene: Scene) -> Solution:
         return session.solve(eps=None, warm_start=None, time_limit=20.0)
 
 
-def measure() -> Finding:
+def measure() -> CaseFinding:
     metres = load_scene("three_cart")
     small = in_millimetres(metres)
     u = np.random.default_rng(16).uniform(-5.0, 5.0, size=(300, 2)) + np.array([2.0, -2.0])
@@ -45,7 +45,7 @@ def measure() -> Finding:
         for name, item in zip(("m", "mm"), solutions, strict=True)
         if item.trajectory is None
     ]
-    return Finding(
+    return CaseFinding(
         happened=f"Cost {costs[0]:.6f} in metres, {costs[1]:.6f} in millimetres; motions differ by {max(step, told):.0e} m.",
         figures=(
             at_most("plan's step: difference after rescaling", step, 1e-11, reason="rounding of 300 steps"),

@@ -12,12 +12,12 @@ from formulations.pipelines import load_method
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.scene.goal import distance, goal_state
-from validate.stress.case import Chart, Finding, HardCase, Series, at_most, none_of
+from validate.stress.case import CaseFinding, Chart, HardCase, Series, at_most, none_of
 
 TOLERANCES = (0.0, 1e-2, 0.1)
 
 
-def measure() -> Finding:
+def measure() -> CaseFinding:
     scene = load_scene("three_cart")
     best = next(answer.value for answer in scene.answers if answer.quantity.startswith("best known cost"))
     kernel, goal = load_kernel(scene), goal_state(scene.task)
@@ -37,7 +37,7 @@ def measure() -> Finding:
         if certificate is None or not certificate.feasible:
             wrong.append(f"{point.tolerance:g}: {'no certificate' if certificate is None else certificate.sentence}")
     rises = [late - early for early, late in pairwise(costs)]
-    return Finding(
+    return CaseFinding(
         happened=f"Cost {costs[0]:.2f} at the goal itself, {costs[-1]:.2f} within {TOLERANCES[-1]:g}.",
         figures=(
             none_of("tolerances without a certified plan", wrong, reason="each can be met"),

@@ -16,7 +16,7 @@ from models.catalog import load_scene
 from models.errors import TouchstoneError
 from models.scene import Scene
 from models.trajectory import Hold, Trajectory, uniform_grid
-from validate.stress.case import Chart, Finding, HardCase, Series, at_least, at_most, none_of
+from validate.stress.case import CaseFinding, Chart, HardCase, Series, at_least, at_most, none_of
 from validate.stress.motion import replayed, rolled
 
 SECONDS, COUNTS, FINE = 0.8, (10, 20, 40, 80), 640
@@ -44,7 +44,7 @@ def order(errors: list[float]) -> float:
     return -float(np.polyfit(np.log(COUNTS), np.log(errors), 1)[0])
 
 
-def measure() -> Finding:
+def measure() -> CaseFinding:
     scene = load_scene("three_cart").with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0))
     # the last step of a linear plan is constant: its effect is one more step of order 1 in an ever shorter step, so of order 2 as well
     truth = end_of(scene, FINE, Hold.LINEAR)
@@ -67,7 +67,7 @@ def measure() -> Finding:
                 wrong.append(f"{name}: {error}")
         else:
             wrong.append(f"{name} takes a warm start on another grid")
-    return Finding(
+    return CaseFinding(
         happened=f"Order {orders[Hold.ZERO_ORDER]:.2f} with held inputs, {orders[Hold.LINEAR]:.2f} with lines; a grid that does not divide ends within {same:.0e} of one that does.",
         figures=(
             at_most("order with held inputs, off 1", abs(orders[Hold.ZERO_ORDER] - 1.0), 0.15, reason="inputs wrong by half a step"),

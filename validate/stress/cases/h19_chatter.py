@@ -11,7 +11,7 @@ import numpy as np
 
 from models.catalog import load_scene
 from validate.judge.score import Verdict, score
-from validate.stress.case import Finding, HardCase, at_least, at_most, none_of, told
+from validate.stress.case import CaseFinding, HardCase, at_least, at_most, none_of, told
 from validate.stress.motion import replayed, rolled
 
 NODES = 300
@@ -19,7 +19,7 @@ NODES = 300
 COARSE = (5, 10, 20)
 
 
-def measure() -> Finding:
+def measure() -> CaseFinding:
     base = load_scene("three_cart")
     # the carts touch all the while; stiff enough that each reversal is a collision
     scene = base.with_parameters(k=3000.0).with_task(start=(2.0, 2.51, 3.02, 0.0, 0.0, 0.0), steps=NODES)
@@ -35,7 +35,7 @@ def measure() -> Finding:
     silent = [] if converges or verdict is Verdict.UNDECIDED else [f"ratio {ratio:.2f} and yet {verdict.value}"]
     resolved = result.ok and error.everyday is not None and error.step is not None
     far = error.everyday.position / max(error.step.position, 1e-12) if resolved and error.everyday and error.step else math.nan
-    return Finding(
+    return CaseFinding(
         happened=f"{len(result.events)} contact events in {NODES} steps; the everyday replay's differences shrink by {ratio:.2f} as its step is halved, and the "
         f"reference knows itself to {estimate:.0e} m.",
         figures=(

@@ -11,7 +11,7 @@ from formulations.pipelines import load_method
 from models.catalog import load_scene
 from models.errors import TouchstoneError
 from models.trajectory import Trajectory
-from validate.stress.case import Finding, HardCase, none_of, told
+from validate.stress.case import CaseFinding, HardCase, none_of, told
 from validate.stress.motion import rolled
 
 METHODS = {"softplus_dc": 1e-3, "relaxed_lcp": 1e-2, "strict_lcp": None, "mpcc": None, "softplus_gd": 1e-3, "relu_gd": None}
@@ -24,7 +24,7 @@ def _spoiled(plan: Trajectory, field: str, value: float) -> Trajectory:
     return replace(plan, **{field: array})
 
 
-def measure() -> Finding:
+def measure() -> CaseFinding:
     scene = load_scene("three_cart").with_task(steps=STEPS)
     good = rolled(scene)
     wrong, refused = [], 0
@@ -57,7 +57,7 @@ def measure() -> Finding:
             for what, word, plan in (("another length", "steps", other_length), ("another scene", "columns", other_scene)):
                 act: Callable[[], object] = lambda plan=plan: session.solve(eps=eps, warm_start=plan, time_limit=5.0)  # noqa: B023, E731 - called at once
                 must_refuse(f"{name}, {what}", word, act)
-    return Finding(
+    return CaseFinding(
         happened=f"{refused} bad warm starts refused, by the plan itself or by {len(METHODS)} methods.",
         figures=(
             none_of("taken, or refused without naming the field", wrong, reason="a sentence each"),

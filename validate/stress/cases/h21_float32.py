@@ -11,14 +11,14 @@ from formulations.shooting.reference import reference_rollout
 from formulations.shooting.rollout import ShootingError, rollout
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
-from validate.stress.case import Finding, HardCase, at_least, at_most, none_of
+from validate.stress.case import CaseFinding, HardCase, at_least, at_most, none_of
 
 STIFFNESS, STEP, STEPS = 1e6, 1e-4, 600
 # The carts stand 1 mm apart and meet within the 60 ms.
 _START = (2.0, 2.501, 3.002, 0.3, 0.0, -0.3)
 
 
-def measure() -> Finding:
+def measure() -> CaseFinding:
     scene = load_scene("three_cart").with_parameters(k=STIFFNESS)
     u = np.tile([2.0, -2.0], (STEPS, 1))
     compiled = load_kernel(scene).rollout(np.array(_START), u, STEP)
@@ -38,7 +38,7 @@ def measure() -> Finding:
     else:
         wrong.append("the compiled rollout takes float32")
     single, double = errors[torch.float32], errors[torch.float64]
-    return Finding(
+    return CaseFinding(
         happened=f"Velocities are {single:.1e} m/s off in float32, {double:.0e} m/s in float64, of 0.3 m/s; the gradient norms are {gradients[torch.float32]:.6g} and "
         f"{gradients[torch.float64]:.6g}. Shooting takes float64 and says so to float32.",
         figures=(
