@@ -1,7 +1,7 @@
 """How a plan is found: methods, the pipelines that chain them, and the Pyomo models they are built from.
 
-    from formulations import build_model, ContactLaw
-    model = build_model("three_cart", ContactLaw.SOFTPLUS, eps=1e-3)     # a plain pyomo ConcreteModel
+    from formulations import build_model, ContactFormulation
+    model = build_model("three_cart", ContactFormulation.SOFTPLUS, eps=1e-3)     # a plain pyomo ConcreteModel
     pyomo.environ.SolverFactory("touchstone_ipopt").solve(model)         # or any other solver; "mpec_ipopt" for complementarity
 
 Pyomo is imported when a model is built, PyTorch when a rollout is asked for as its function: importing this package costs neither.
@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from formulations.transcription.build import build_block, build_model
-    from formulations.transcription.contact import ContactLaw, ModelError, relax, tighten
+    from formulations.transcription.contact import ContactFormulation, ModelError, relax, tighten
     from formulations.transcription.residuals import PlanResiduals
     from formulations.transcription.workbench import load_plan, read_plan
 
 _HOME = {
-    "ContactLaw": "contact",
+    "ContactFormulation": "contact",
     "ModelError": "contact",
     "PlanResiduals": "residuals",
     "build_block": "build",
@@ -30,7 +30,7 @@ _HOME = {
     "tighten": "contact",
 }
 
-__all__ = ["ContactLaw", "ModelError", "PlanResiduals", "build_block", "build_model", "load_plan", "read_plan", "relax", "tighten"]
+__all__ = ["ContactFormulation", "ModelError", "PlanResiduals", "build_block", "build_model", "load_plan", "read_plan", "relax", "tighten"]
 
 
 def __getattr__(name: str) -> Any:

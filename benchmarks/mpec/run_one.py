@@ -70,10 +70,10 @@ def on_three_cart(peer: str, seed: int, result: Path) -> dict[str, Any]:
         with load_method("mpcc").open(load_scene("three_cart")) as session:
             found = session.solve(eps=None, warm_start=plan, time_limit=600.0).trajectory
     else:
-        from formulations import ContactLaw, build_model, load_plan, read_plan
+        from formulations import ContactFormulation, build_model, load_plan, read_plan
         from formulations.mpec import load, solve_mpec
 
-        model = build_model("three_cart", ContactLaw.COMPLEMENTARITY)
+        model = build_model("three_cart", ContactFormulation.COMPLEMENTARITY)
         load_plan(model, plan)
         load(solve_mpec(model))
         found = read_plan(model)

@@ -168,9 +168,9 @@ def _warm(size: Size) -> Any:
 
 
 def _built(scene: Any) -> Any:
-    from formulations import ContactLaw, build_model
+    from formulations import ContactFormulation, build_model
 
-    return build_model(scene, ContactLaw.SOFTPLUS, eps=SOFTPLUS_EPS[0])
+    return build_model(scene, ContactFormulation.SOFTPLUS, eps=SOFTPLUS_EPS[0])
 
 
 def _chain(scene: Any, schedule: tuple[float, ...]) -> Mapping[str, Any]:

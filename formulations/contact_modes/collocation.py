@@ -19,7 +19,7 @@ from formulations.solution import Outcome
 from formulations.transcription.account import SolveBudget
 from formulations.transcription.build import build_model
 from formulations.transcription.collocation import settle_forces, stage_penetration
-from formulations.transcription.contact import ContactLaw, hold_modes, release_modes, tighten
+from formulations.transcription.contact import ContactFormulation, hold_modes, release_modes, tighten
 from formulations.transcription.feasibility import Nearest, nearest
 from formulations.transcription.workbench import Workbench, load_plan, read_values, write_values
 from models.scene import Scene
@@ -100,7 +100,9 @@ class StageProblem:
         """The model with complementarity, built at its first use."""
         if self._exact is None:
             begin = perf_counter()
-            model = build_model(self._scene, ContactLaw.COMPLEMENTARITY, eps=0.0, scheme=self._scheme, integrate_cost=self._integrate_cost)
+            model = build_model(
+                self._scene, ContactFormulation.COMPLEMENTARITY, eps=0.0, scheme=self._scheme, integrate_cost=self._integrate_cost
+            )
             account.build += perf_counter() - begin
             self._exact = Workbench(model)
         return self._exact

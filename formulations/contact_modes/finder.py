@@ -179,7 +179,9 @@ class Finder:
 
     # -- where modes come from --------------------------------------------------------------------------------------------------
 
-    def _guesses(self, account: SolveBudget, modes_of: Trajectory | None, start: Trajectory | None) -> Iterator[tuple[Trajectory | None, int]]:
+    def _guesses(
+        self, account: SolveBudget, modes_of: Trajectory | None, start: Trajectory | None
+    ) -> Iterator[tuple[Trajectory | None, int]]:
         """Plans whose modes are worth a try, with the stride (in steps) of a search around them, 0 for the usual one; None: no more from
         this source, so that what came nearest is worth an approach."""
         if modes_of is not None:

@@ -33,7 +33,7 @@ from formulations.ipopt import IpoptResult
 from formulations.mpec.certificate.plan import PlanJudge
 from formulations.solution import Outcome
 from formulations.transcription.build import build_model
-from formulations.transcription.contact import ContactLaw, hold_modes, tighten
+from formulations.transcription.contact import ContactFormulation, hold_modes, tighten
 from formulations.transcription.residuals import PlanResiduals
 from formulations.transcription.workbench import (
     SolveBudget,
@@ -72,7 +72,7 @@ class SoftplusHomotopy:
         scheme: Scheme = Scheme.SEMI_IMPLICIT_EULER,
         integrate_cost: bool = False,
     ) -> None:
-        model = build_model(scene, ContactLaw.SOFTPLUS, eps=_eps(schedule[0]), scheme=scheme, integrate_cost=integrate_cost)
+        model = build_model(scene, ContactFormulation.SOFTPLUS, eps=_eps(schedule[0]), scheme=scheme, integrate_cost=integrate_cost)
         self._stiffness = _own_stiffness(scene)
         self._stages = tuple(_stages(scene, schedule, bool(self._stiffness))) if scene.nc else ((schedule[0], 1.0),)
         open_goal(model, ball)
@@ -207,7 +207,7 @@ class NonlinearModes:
     def __init__(self, scene: Scene, kernel: Kernel, ball: float, account: SolveBudget, options: Mapping[str, Any]) -> None:
         self._scene, self._kernel = scene, kernel
         # The bound is never used: products are switched off as soon as modes are held.
-        model = build_model(scene, ContactLaw.COMPLEMENTARITY, eps=1.0 if scene.nc else None)
+        model = build_model(scene, ContactFormulation.COMPLEMENTARITY, eps=1.0 if scene.nc else None)
         open_goal(model, ball)
         self._bench, self._residuals = Workbench(model), PlanResiduals(scene)
         self.begin(ball, account, options)

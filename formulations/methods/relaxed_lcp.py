@@ -66,7 +66,7 @@ class RelaxedLCPSession(Session):
 
         self._method, self._scene, self._options = method, scene, options
         self._longest = _LONG if longest is None else longest
-        self._homotopy = homotopy.Homotopy(method, scene, homotopy.ContactLaw.COMPLEMENTARITY, options, opening, self._rules)
+        self._homotopy = homotopy.Homotopy(method, scene, homotopy.ContactFormulation.COMPLEMENTARITY, options, opening, self._rules)
         self._solver = self._homotopy.solver
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:

@@ -41,7 +41,9 @@ class SoftplusDCSession(Session):
 
         self._method, self._scene, self._options = method, scene, options
         self._band = homotopy.band_options()
-        self._homotopy = homotopy.Homotopy(method, scene, homotopy.ContactLaw.SOFTPLUS, options, opening, self._rules, counts_nonzeros=True)
+        self._homotopy = homotopy.Homotopy(
+            method, scene, homotopy.ContactFormulation.SOFTPLUS, options, opening, self._rules, counts_nonzeros=True
+        )
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
         self._method.check_stage(eps, time_limit)

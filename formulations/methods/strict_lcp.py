@@ -77,7 +77,7 @@ class StrictLCPSession(Session):
         from formulations.transcription import solving  # imports Pyomo and Ipopt: 0.9 s that planning a campaign does without
 
         self._method, self._scene, self._options = method, scene, options
-        self._solver = solving.PlanSolver(scene, solving.ContactLaw.COMPLEMENTARITY, options, opening)
+        self._solver = solving.PlanSolver(scene, solving.ContactFormulation.COMPLEMENTARITY, options, opening)
         self._kernel = load_kernel(scene)
         self._modes: FixedModes | None = None
 

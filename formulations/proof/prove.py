@@ -40,7 +40,7 @@ from formulations.grids import input_bounds, plan_of
 from formulations.proof.bounds import PairBounds, pair_bounds
 from formulations.solution import Bound, Outcome
 from formulations.transcription.build import build_model
-from formulations.transcription.contact import ContactLaw, ModelError, SceneExpressions
+from formulations.transcription.contact import ContactFormulation, ModelError, SceneExpressions
 from formulations.transcription.residuals import PlanResiduals
 from models.codegen.kernel import load_kernel
 from models.dynamics import derive
@@ -66,7 +66,7 @@ def build_miqp(scene: Scene, bounds: PairBounds) -> pyo.ConcreteModel:
         raise ModelError(
             f"scene {scene.name}: a penetration has no finite bound, so there is no big-M; bound the inputs or give a ceiling."
         )
-    model: Any = build_model(scene, ContactLaw.COMPLEMENTARITY)
+    model: Any = build_model(scene, ContactFormulation.COMPLEMENTARITY)
     model.objective_cost.deactivate()
     model.variable_cost = pyo.Var(bounds=(None, bounds.ceiling if bounds.ceiling < float("inf") else None))
     model.constraint_cost = pyo.Constraint(expr=model.variable_cost >= model.expression_cost)

@@ -1,7 +1,7 @@
 """Scene -> Pyomo model of a whole plan: variables, one constraint an equation, contact laws, objective. The only Pyomo of the plan is here.
 
-    from formulations import ContactLaw, build_model
-    model = build_model("three_cart", contact=ContactLaw.SOFTPLUS, eps=1e-3)
+    from formulations import ContactFormulation, build_model
+    model = build_model("three_cart", contact=ContactFormulation.SOFTPLUS, eps=1e-3)
 
 `build` says what a model holds, `equations` what it says, `contact` how it is relaxed and tightened, `workbench` how a Trajectory gets in and
 out, `residuals` how far a plan is from its equations.

@@ -1,6 +1,6 @@
 """Scene -> Pyomo model: a plain ConcreteModel, or a Block of the user's own model.
 
-    model = build_model("three_cart", contact=ContactLaw.SOFTPLUS, eps=1e-3)
+    model = build_model("three_cart", contact=ContactFormulation.SOFTPLUS, eps=1e-3)
     model.parameter_scene["k"] = 300.0                               # no rebuilding
     model.own = pyo.Constraint(expr=model.variable_q[250, "q2"] >= 3.2)
 
@@ -41,7 +41,15 @@ from pyomo.mpec import Complementarity
 
 from formulations.transcription import equations
 from formulations.transcription.collocation import add_collocation
-from formulations.transcription.contact import ContactLaw, ModelError, SceneExpressions, add_friction, add_springs, damped_softplus, relax
+from formulations.transcription.contact import (
+    ContactFormulation,
+    ModelError,
+    SceneExpressions,
+    add_friction,
+    add_springs,
+    damped_softplus,
+    relax,
+)
 from models.catalog import load_scene
 from models.contact_law import sharpness
 from models.dynamics import derive
@@ -51,7 +59,7 @@ from models.schemes import Scheme
 
 def build_model(
     scene: Scene | str,
-    contact: ContactLaw = ContactLaw.COMPLEMENTARITY,
+    contact: ContactFormulation = ContactFormulation.COMPLEMENTARITY,
     *,
     eps: float | None = None,
     steps: int | None = None,
@@ -68,8 +76,8 @@ def build_model(
     collocation, weigh the running cost of the stages as its quadrature does instead of summing that of the nodes.
 
     >>> import pyomo.environ as pyo
-    >>> from formulations import ContactLaw, build_model, tighten
-    >>> model = build_model("three_cart", contact=ContactLaw.COMPLEMENTARITY, eps=1e-2, steps=50)
+    >>> from formulations import ContactFormulation, build_model, tighten
+    >>> model = build_model("three_cart", contact=ContactFormulation.COMPLEMENTARITY, eps=1e-2, steps=50)
     >>> model.parameter_scene["k"] = 300.0                                    # stiffer contact, no rebuilding
     >>> model.own = pyo.Constraint(expr=model.variable_q[25, "q2"] <= 3.2)    # a constraint of one's own
     >>> tighten(model, 1e-4)                                                  # the bound moves, the model stays
@@ -86,7 +94,7 @@ def build_model(
 def build_block(
     block: Any,
     scene: Scene | str,
-    contact: ContactLaw = ContactLaw.COMPLEMENTARITY,
+    contact: ContactFormulation = ContactFormulation.COMPLEMENTARITY,
     *,
     eps: float | None = None,
     steps: int | None = None,
@@ -97,23 +105,25 @@ def build_block(
     """Fill a Block of your own model, as `build_model` does, without an objective: `block.expression_cost` is there to be weighed.
 
     >>> import pyomo.environ as pyo
-    >>> from formulations import ContactLaw, build_block
+    >>> from formulations import ContactFormulation, build_block
     >>> model = pyo.ConcreteModel()
     >>> model.soft, model.stiff = pyo.Block(), pyo.Block()
-    >>> build_block(model.soft, "three_cart", ContactLaw.SOFTPLUS, eps=1e-3, steps=20)
-    >>> build_block(model.stiff, "three_cart", ContactLaw.SOFTPLUS, eps=1e-5, steps=20)
+    >>> build_block(model.soft, "three_cart", ContactFormulation.SOFTPLUS, eps=1e-3, steps=20)
+    >>> build_block(model.stiff, "three_cart", ContactFormulation.SOFTPLUS, eps=1e-5, steps=20)
     >>> model.same_force = pyo.Constraint(model.soft.set_steps, rule=lambda m, t: m.soft.variable_u[t, "u1"] == m.stiff.variable_u[t, "u1"])
     >>> model.cost = pyo.Objective(expr=model.soft.expression_cost + model.stiff.expression_cost)
     """
     chosen = load_scene(scene) if isinstance(scene, str) else scene
     if hasattr(block, "set_nodes"):
         raise ModelError(f"{block.name} holds a plan already; build each plan into a Block of its own.")
-    if not isinstance(contact, ContactLaw):
-        raise ModelError(f"contact is {contact!r}, but must be one of {', '.join(str(law) for law in ContactLaw)}.")
+    if not isinstance(contact, ContactFormulation):
+        raise ModelError(f"contact is {contact!r}, but must be one of {', '.join(str(law) for law in ContactFormulation)}.")
     if steps is not None or step is not None:
         task = chosen.task
         chosen = chosen.with_task(steps=task.steps if steps is None else steps, step=task.step if step is None else step)
-    b = sharpness(cast(float, eps), chosen.length) if contact is ContactLaw.SOFTPLUS else None  # checks eps before anything is built
+    b = (
+        sharpness(cast(float, eps), chosen.length) if contact is ContactFormulation.SOFTPLUS else None
+    )  # checks eps before anything is built
     with PauseGC():
         _add_sets(block, chosen)
         _add_parameters(block, chosen)
@@ -125,7 +135,7 @@ def build_block(
             _add_steps(block, chosen, contact, b)
         else:
             add_collocation(block, chosen, contact, b, scheme, integrate_cost=integrate_cost)
-        if contact is ContactLaw.COMPLEMENTARITY and eps is not None and chosen.nl:
+        if contact is ContactFormulation.COMPLEMENTARITY and eps is not None and chosen.nl:
             relax(block, eps)
 
 
@@ -187,7 +197,7 @@ def _add_ends(block: Any, scene: Scene) -> None:
             block.add_component(f"constraint_{end}_{part}", rows)
 
 
-def _add_steps(block: Any, scene: Scene, contact: ContactLaw, b: float | None) -> None:
+def _add_steps(block: Any, scene: Scene, contact: ContactFormulation, b: float | None) -> None:
     law = SceneExpressions(derive(scene))
     nq, h = scene.nq, block.parameter_step
     p = list(block.parameter_scene.values()) if scene.parameters else []
@@ -218,7 +228,7 @@ def _add_steps(block: Any, scene: Scene, contact: ContactLaw, b: float | None) -
 
 
 def _add_contact(
-    block: Any, scene: Scene, contact: ContactLaw, b: float | None, law: SceneExpressions, states: tuple[list, list], p: list[Any]
+    block: Any, scene: Scene, contact: ContactFormulation, b: float | None, law: SceneExpressions, states: tuple[list, list], p: list[Any]
 ) -> list[list[Any]]:
     """The contact forces and their law; states: q, v as rows of variables; returns the variables lam[t][contact]."""
     q, v = states
@@ -227,7 +237,7 @@ def _add_contact(
     lam = _rows(block.variable_lam, scene.task.steps)
     k = law.stiffness(p)
     phi = [law.penetration(q_now, p) for q_now in q[:-1]]
-    if contact is ContactLaw.SOFTPLUS:
+    if contact is ContactFormulation.SOFTPLUS:
         block.parameter_sharpness = pyo.Param(initialize=b, mutable=True)
 
         def softplus(_: Any, t: int, name: str) -> Any:

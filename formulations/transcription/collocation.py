@@ -1,6 +1,6 @@
 """Collocation in a plan's model: the scene's own equations at the stages of each step, one input held over all of them.
 
-    model = build_model("three_cart", contact=ContactLaw.SOFTPLUS, eps=1e-5, steps=100, step=0.05, scheme=Scheme.RADAU_IIA_2)
+    model = build_model("three_cart", contact=ContactFormulation.SOFTPLUS, eps=1e-5, steps=100, step=0.05, scheme=Scheme.RADAU_IIA_2)
 
 Beside the nodes of `build` a block then has, i in 1..s (`set_stages`; of Radau IIA the last stage is the next node and has no variable of its own):
 
@@ -25,7 +25,7 @@ import pyomo.environ as pyo
 from pyomo.mpec import Complementarity
 
 from formulations.transcription import equations
-from formulations.transcription.contact import ContactLaw, ModelError, SceneExpressions, settle_separation
+from formulations.transcription.contact import ContactFormulation, ModelError, SceneExpressions, settle_separation
 from formulations.transcription.method import why_not_collocated
 from models.dynamics import derive
 from models.scene import Scene
@@ -33,7 +33,7 @@ from models.schemes import Scheme, Tableau, tableau
 
 
 def add_collocation(
-    block: Any, scene: Scene, contact: ContactLaw, b: float | None, scheme: Scheme, *, integrate_cost: bool = False
+    block: Any, scene: Scene, contact: ContactFormulation, b: float | None, scheme: Scheme, *, integrate_cost: bool = False
 ) -> None:
     """Stages, dynamics, contact law and cost of a block that has its nodes, inputs and ends. Raises ModelError for a scene that has no collocation."""
     reason = why_not_collocated(scene)
@@ -122,7 +122,7 @@ def _add_motion(block: Any, table: Tableau, law: SceneExpressions, nodes: tuple,
 
 
 def _add_contact(
-    block: Any, scene: Scene, contact: ContactLaw, b: float | None, law: SceneExpressions, states: tuple, p: list[Any]
+    block: Any, scene: Scene, contact: ContactFormulation, b: float | None, law: SceneExpressions, states: tuple, p: list[Any]
 ) -> list[list[list[Any]]]:
     """The contact forces and their law; states: nodes q, stages q; returns the variables lam[t][i][contact]."""
     q, stage_q = states
@@ -139,7 +139,7 @@ def _add_contact(
         block.set_steps, block.set_stages, block.set_contacts, rule=lambda _, t, i, name: phi[t][i - 1][place[name]]
     )
     block.expression_stiffness = pyo.Expression(block.set_contacts, rule=lambda _, name: k[place[name]])
-    if contact is ContactLaw.SOFTPLUS:
+    if contact is ContactFormulation.SOFTPLUS:
         block.parameter_sharpness = pyo.Param(initialize=b, mutable=True)
 
         def softplus(_: Any, t: int, i: int, name: str) -> Any:

@@ -83,7 +83,7 @@ def _function(dynamics: Dynamics, what: str, expressions: list[sp.Expr], *groups
 _TRANSFORMATION = "mpec.simple_nonlinear"
 
 
-class ContactLaw(Enum):
+class ContactFormulation(Enum):
     """SOFTPLUS: smooth force at a distance, eps in (0, 1). COMPLEMENTARITY: lam (lam - k phi) <= eps [N^2], eps = 0 is the true law."""
 
     SOFTPLUS = "softplus"
@@ -101,7 +101,9 @@ def relax(block: Any, eps: float) -> None:
     untransformed model, relax a clone: `relaxed = model.clone(); relax(relaxed, 1e-2)`.
     """
     if not _families(block):
-        raise ModelError(f"{_name(block)} has no complementarity to relax; build it with contact=ContactLaw.COMPLEMENTARITY and eps=None.")
+        raise ModelError(
+            f"{_name(block)} has no complementarity to relax; build it with contact=ContactFormulation.COMPLEMENTARITY and eps=None."
+        )
     if hasattr(block, "mpec_bound"):
         raise ModelError(f"{_name(block)} is relaxed already; move its bound with tighten(model, eps).")
     bound = _checked_bound(block, eps)

@@ -34,7 +34,7 @@ import pyomo.environ as pyo
 from formulations.ipopt import Iteration, compile_model, load, solve
 from formulations.solution import Outcome
 from formulations.transcription.build import build_model
-from formulations.transcription.contact import ContactLaw
+from formulations.transcription.contact import ContactFormulation
 from formulations.transcription.workbench import SolveBudget, Workbench, read_plan, release_goal
 from models.codegen.kernel import load_kernel
 from models.scene import Scene
@@ -86,7 +86,7 @@ class Watch(Patience):
 
 def plan_with_goal_released(scene: Scene, eps: float, account: SolveBudget, options: Mapping[str, Any]) -> Trajectory | None:
     """The plan of the softplus model at eps with the goal as a penalty; None where that is not solved either."""
-    model: Any = build_model(scene, ContactLaw.SOFTPLUS, eps=eps)
+    model: Any = build_model(scene, ContactFormulation.SOFTPLUS, eps=eps)
     nominal = {coordinate.name: coordinate.nominal for coordinate in scene.coordinates}
     missed = sum(((state - goal) / nominal[name]) ** 2 for state, goal, name in release_goal(model))
     model.parameter_weight = pyo.Param(initialize=max(1.0, abs(pyo.value(model.expression_cost))), mutable=True)
@@ -124,7 +124,7 @@ class Nearest:
 
 def nearest(scene: Scene, account: SolveBudget, max_iterations: int, sharpest: float = math.inf) -> Nearest:
     """See the module docstring. sharpest: b [1/m] of the last solve, where contact is not to be sharper than that."""
-    model: Any = build_model(scene, ContactLaw.SOFTPLUS, eps=0.5)
+    model: Any = build_model(scene, ContactFormulation.SOFTPLUS, eps=0.5)
     _aim_at_goal(model, scene)
     problem = compile_model(model)
     is_solved = False

@@ -17,7 +17,7 @@ from formulations.ipopt import IpoptResult
 from formulations.ipopt.linear_solver import band_options
 from formulations.method import Method
 from formulations.solution import Outcome, Solution
-from formulations.transcription.contact import ContactLaw
+from formulations.transcription.contact import ContactFormulation
 from formulations.transcription.method import StageRules, TranscriptionOptions, Work, ended
 from formulations.transcription.solving import PlanSolver, beyond
 from formulations.transcription.workbench import SolveBudget
@@ -26,7 +26,7 @@ from models.errors import TrajectoryError
 from models.scene import Scene
 from models.trajectory import Trajectory
 
-__all__ = ["ContactLaw", "Failure", "Homotopy", "Stage", "band_options"]
+__all__ = ["ContactFormulation", "Failure", "Homotopy", "Stage", "band_options"]
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Homotopy:
         self,
         method: Method,
         scene: Scene,
-        contact: ContactLaw,
+        contact: ContactFormulation,
         options: TranscriptionOptions,
         opening: tuple[float, float],
         rules: Callable[[float], StageRules],

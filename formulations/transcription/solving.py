@@ -1,6 +1,6 @@
 """The model of one scene under one contact law: built once, loaded with a start, solved with patience, its plan read and checked.
 
-    solver = PlanSolver(scene, ContactLaw.SOFTPLUS, options, opening)
+    solver = PlanSolver(scene, ContactFormulation.SOFTPLUS, options, opening)
     account = solver.begin(1e-3, None, time_limit)                     # the model holds the first guess
     result = solver.solve_at(1e-3, None, account, rules, options, from_plan)
     solution = solver.solution(name, account, result, residuals_of, plan_limits=.., promises=..)
@@ -20,7 +20,7 @@ import numpy as np
 from formulations.ipopt import IpoptResult, Start
 from formulations.solution import Outcome, Solution
 from formulations.transcription.build import build_model
-from formulations.transcription.contact import ContactLaw, release_modes, tighten
+from formulations.transcription.contact import ContactFormulation, release_modes, tighten
 from formulations.transcription.feasibility import Nearest, Patience, Watch, nearest, plan_with_goal_released
 from formulations.transcription.method import StageRules, TranscriptionOptions, ended
 from formulations.transcription.modes import FixedModes
@@ -45,7 +45,7 @@ class SolvedModel:
 class PlanSolver:
     """See the module docstring. last: the stage solved last, None where the last stage was not solved; opening: wall and CPU clock when opening began."""
 
-    def __init__(self, scene: Scene, contact: ContactLaw, options: TranscriptionOptions, opening: tuple[float, float]) -> None:
+    def __init__(self, scene: Scene, contact: ContactFormulation, options: TranscriptionOptions, opening: tuple[float, float]) -> None:
         self._scene, self._contact, self._options = scene, contact, options
         self.residuals = PlanResiduals(scene)
         self.last: SolvedModel | None = None

@@ -29,7 +29,7 @@ from formulations.ipopt import IpoptProblem, IpoptResult, Iteration, Start, comp
 from formulations.solution import ModelSize
 from formulations.transcription.account import SolveBudget
 from formulations.transcription.collocation import forces_at_nodes, is_collocated, scheme_of, settle_stages
-from formulations.transcription.contact import ContactLaw, settle_separation
+from formulations.transcription.contact import ContactFormulation, settle_separation
 from models.errors import TrajectoryError
 from models.scene import Scene
 from models.scene.contacts import DampingLaw
@@ -138,12 +138,12 @@ def write_values(variable: Any, values: np.ndarray) -> None:
         data.set_value(value, skip_validation=True)
 
 
-def size_on_paper(scene: Scene, contact: ContactLaw) -> ModelSize:
+def size_on_paper(scene: Scene, contact: ContactFormulation) -> ModelSize:
     """Unknowns and equations of the scene's model by hand; see the module docstring."""
     steps, given = scene.task.steps, sum(value is not None for value in scene.task.goal)
     laws = [scene.contacts[index].damping_law for index in scene.damped]
     pairs = len(laws) + laws.count(DampingLaw.KELVIN_VOIGT)
-    extra = scene.nc + 4 * scene.nf + 2 * pairs if contact is ContactLaw.COMPLEMENTARITY else 0
+    extra = scene.nc + 4 * scene.nf + 2 * pairs if contact is ContactFormulation.COMPLEMENTARITY else 0
     return ModelSize(
         unknowns=2 * scene.nq * (steps + 1) + (scene.nu + scene.nl + extra) * steps,
         equations=2 * scene.nq + given + (2 * scene.nq + scene.nl + extra) * steps,

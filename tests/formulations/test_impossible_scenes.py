@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from formulations import ContactLaw, build_model
+from formulations import ContactFormulation, build_model
 from formulations.pipelines import load_method, method_names
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
@@ -49,7 +49,7 @@ USES = {
     "kernel": load_kernel,
     "FMU": build_fmu,
     "judge": judged,
-    "Pyomo": lambda scene: build_model(scene, ContactLaw.SOFTPLUS, eps=1e-3),
+    "Pyomo": lambda scene: build_model(scene, ContactFormulation.SOFTPLUS, eps=1e-3),
     **{name: planned(name) for name in method_names()},
 }
 

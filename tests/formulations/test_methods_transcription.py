@@ -9,7 +9,7 @@ from formulations.method import OptionError
 from formulations.methods import strict_lcp
 from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
-from formulations.transcription.contact import ContactLaw as TranscribedLaw
+from formulations.transcription.contact import ContactFormulation as TranscribedLaw
 from formulations.transcription.method import Work
 from formulations.transcription.residuals import PlanResiduals
 from formulations.transcription.workbench import size_on_paper

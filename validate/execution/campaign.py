@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from reports.records.record import CampaignRecord, ProvenanceRecord, RunRecord, TimeStepRecord, ViolationPoint
     from validate.execution.worker import Job
 
-__all__ = ["CampaignError", "Narrator", "CampaignResult", "CampaignSettings", "run_campaign", "select", "stored_campaign", "with_stored"]
+__all__ = ["CampaignError", "CampaignResult", "CampaignSettings", "Narrator", "run_campaign", "select", "stored_campaign", "with_stored"]
 
 TITLE = "Plans through contact, replayed and scored"
 # Pause between two looks at what is not a cell's end [s]; a cell that ends is seen at once.

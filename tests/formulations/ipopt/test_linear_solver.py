@@ -9,7 +9,7 @@ import numpy as np
 import pyomo.environ as pyo
 import pytest
 
-from formulations import ContactLaw, build_model
+from formulations import ContactFormulation, build_model
 from formulations.ipopt import compile_model, linear_solver, solve
 from formulations.ipopt.linear_solver import LINEAR_SOLVERS
 from formulations.solution import Outcome
@@ -31,7 +31,7 @@ def no_compiler(monkeypatch):
 
 
 def test_both_come_to_the_same_plan():
-    problem = compile_model(build_model(load_scene("three_cart"), ContactLaw.SOFTPLUS, eps=1e-3))
+    problem = compile_model(build_model(load_scene("three_cart"), ContactFormulation.SOFTPLUS, eps=1e-3))
     ours, theirs = (solve(problem, options={"linear_solver": name}) for name in LINEAR_SOLVERS)
     assert ours.outcome is theirs.outcome is Outcome.SOLVED
     assert (ours.options["linear_solver"], theirs.options["linear_solver"]) == LINEAR_SOLVERS

@@ -9,7 +9,7 @@ import pyomo.environ as pyo
 import pytest
 from pyomo.mpec import Complementarity, complements
 
-from formulations import ContactLaw, build_model
+from formulations import ContactFormulation, build_model
 from formulations.ipopt import compile_model, solve
 from formulations.mpec import STRATEGY_NAMES, MpecSettings, certify, load, solve_mpec
 
@@ -71,7 +71,7 @@ def test_what_is_called_solved_is_certified(strategy):
 
 def test_a_plan_through_contact():
     """Three carts, 40 steps of 0.125 s: complementarity exact, strongly stationary, the model unchanged."""
-    m = build_model("three_cart", ContactLaw.COMPLEMENTARITY, steps=40, step=0.125)
+    m = build_model("three_cart", ContactFormulation.COMPLEMENTARITY, steps=40, step=0.125)
     result = solve_mpec(m)
     assert result.solved, result.message
     assert result.certificate.complementarity <= 1e-12

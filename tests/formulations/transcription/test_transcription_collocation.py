@@ -9,7 +9,7 @@ import numpy as np
 import pyomo.environ as pyo
 import pytest
 
-from formulations import ContactLaw, ModelError, build_model, load_plan, read_plan
+from formulations import ContactFormulation, ModelError, build_model, load_plan, read_plan
 from formulations.ipopt import compile_model, load, solve
 from formulations.pipelines import load_method
 from formulations.solution import Outcome
@@ -56,7 +56,9 @@ def test_the_model_of_an_oscillator_has_its_order(scheme: Scheme) -> None:
 @cache
 def _pushed(steps: int, scheme: Scheme) -> Trajectory:
     """The carts under given inputs, the same in continuous time on every grid (20 constant pieces), through soft contact."""
-    model = build_model(CARTS.with_task(goal=(None,) * 6), ContactLaw.SOFTPLUS, eps=1e-3, steps=steps, step=2.0 / steps, scheme=scheme)
+    model = build_model(
+        CARTS.with_task(goal=(None,) * 6), ContactFormulation.SOFTPLUS, eps=1e-3, steps=steps, step=2.0 / steps, scheme=scheme
+    )
     for t in model.set_steps:
         phase = np.pi * (20 * t // steps) / 10
         model.variable_u[t, "u1"].fix(8.0 * np.sin(phase))
@@ -123,7 +125,7 @@ def test_the_cost_may_be_integrated() -> None:
     """wall_pendulum weighs its states: the sum over the starts of the steps is of order one, the quadrature is not."""
     scene = load_scene("wall_pendulum")
     models = {
-        integrates: build_model(scene, ContactLaw.SOFTPLUS, eps=1e-9, scheme=Scheme.RADAU_IIA_2, integrate_cost=integrates)
+        integrates: build_model(scene, ContactFormulation.SOFTPLUS, eps=1e-9, scheme=Scheme.RADAU_IIA_2, integrate_cost=integrates)
         for integrates in (False, True)
     }
     for model in models.values():
@@ -139,7 +141,7 @@ def test_the_cost_may_be_integrated() -> None:
 
 def test_a_plan_of_another_method_is_a_start_and_one_of_another_grid_is_not() -> None:
     scene = _coarse(50)
-    model = build_model(scene, ContactLaw.SOFTPLUS, eps=1e-5, scheme=Scheme.RADAU_IIA_3)
+    model = build_model(scene, ContactFormulation.SOFTPLUS, eps=1e-5, scheme=Scheme.RADAU_IIA_3)
     run = load_kernel(scene).rollout(np.array(scene.task.start), np.full((50, 2), 1.0), scene.task.step)
     plan = Trajectory(t=np.arange(51) * 0.1, q=run.q, v=run.v, u=np.full((50, 2), 1.0), lam=run.lam)
     load_plan(model, plan)
@@ -156,7 +158,7 @@ def test_a_plan_of_another_method_is_a_start_and_one_of_another_grid_is_not() ->
 @pytest.mark.parametrize(("name", "word"), [("transport", "friction"), ("push_box", "friction"), ("damped_collision", "damped")])
 def test_what_loses_the_order_is_refused_with_a_reason(name: str, word: str) -> None:
     with pytest.raises(ModelError, match=word):
-        build_model(name, ContactLaw.SOFTPLUS, eps=1e-3, scheme=Scheme.RADAU_IIA_2)
+        build_model(name, ContactFormulation.SOFTPLUS, eps=1e-3, scheme=Scheme.RADAU_IIA_2)
     if name != "damped_collision":
         assert word in str(load_method("collocation").accepts(load_scene(name)))
 

@@ -10,7 +10,7 @@ import sympy as sp
 from formulations.pipelines import load_method
 from formulations.solution import Outcome
 from formulations.transcription.build import build_model
-from formulations.transcription.contact import ContactLaw, pairs
+from formulations.transcription.contact import ContactFormulation, pairs
 from formulations.transcription.residuals import PlanResiduals
 from formulations.transcription.workbench import load_plan, size_on_paper
 from models.codegen.kernel import load_kernel
@@ -89,7 +89,7 @@ def test_the_true_rollout_meets_the_complementarity_model(law: DampingLaw):
     touches = load_kernel(scene).penetration(plan.q[:-1])[:, 0] > 0
     assert (touches & (plan.lam[:, 0] == 0)).any()  # released
     assert (touches & (plan.lam[:, 0] > 1)).any()
-    model = build_model(scene, ContactLaw.COMPLEMENTARITY, eps=0.0)
+    model = build_model(scene, ContactFormulation.COMPLEMENTARITY, eps=0.0)
     load_plan(model, plan)
     assert violation(model) < 1e-12
     residuals = PlanResiduals(scene).of(plan)
@@ -108,15 +108,15 @@ def test_the_true_rollout_meets_the_complementarity_model(law: DampingLaw):
 def test_the_smoothed_rollout_meets_the_softplus_model(law: DampingLaw):
     scene = pushed(law)
     plan = rollout(scene, ForceLaw.SOFTPLUS, 1e-6)
-    model = build_model(scene, ContactLaw.SOFTPLUS, eps=1e-6)
+    model = build_model(scene, ContactFormulation.SOFTPLUS, eps=1e-6)
     load_plan(model, plan)
     assert violation(model) < 1e-12
     assert PlanResiduals(scene).of(plan, ForceLaw.SOFTPLUS, 1e-6)["contact_law"] < 1e-12
 
 
 @pytest.mark.parametrize("law", DampingLaw)
-@pytest.mark.parametrize("contact", ContactLaw)
-def test_the_size_on_paper(law: DampingLaw, contact: ContactLaw):
+@pytest.mark.parametrize("contact", ContactFormulation)
+def test_the_size_on_paper(law: DampingLaw, contact: ContactFormulation):
     scene = pushed(law, steps=7)
     model = build_model(scene, contact, eps=1e-2)
     assert size_on_paper(scene, contact).unknowns == len(list(model.component_data_objects(pyo.Var)))

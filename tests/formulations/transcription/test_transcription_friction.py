@@ -5,7 +5,7 @@ import pyomo.environ as pyo
 import pytest
 import sympy as sp
 
-from formulations import ContactLaw, build_model, load_plan, read_plan, relax
+from formulations import ContactFormulation, build_model, load_plan, read_plan, relax
 from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
 from formulations.transcription.contact import sides
@@ -140,8 +140,8 @@ def test_cargo_cannot_be_brought_further_than_friction_allows() -> None:
 
 def test_model_holds_what_friction_needs_and_no_more() -> None:
     scene, steps = conveyor(), STEPS
-    regularised = build_model(scene, ContactLaw.SOFTPLUS, eps=1e-2)
-    exact = build_model(scene, ContactLaw.COMPLEMENTARITY)
+    regularised = build_model(scene, ContactFormulation.SOFTPLUS, eps=1e-2)
+    exact = build_model(scene, ContactFormulation.COMPLEMENTARITY)
     plain = 4 * (steps + 1) + steps  # q, v of two bodies, one input
     assert sum(1 for _ in regularised.component_data_objects(pyo.Var)) == plain + steps
     assert sum(1 for _ in exact.component_data_objects(pyo.Var)) == plain + 3 * steps  # force, slip forward and backward
@@ -160,7 +160,7 @@ def test_plan_goes_in_and_comes_out() -> None:
         u=rng.normal(size=(steps, 2)),
         lam=rng.normal(size=(steps, 2)),
     )
-    model = build_model(scene, ContactLaw.COMPLEMENTARITY, eps=1.0)
+    model = build_model(scene, ContactFormulation.COMPLEMENTARITY, eps=1.0)
     load_plan(model, plan)
     assert all(np.array_equal(getattr(read_plan(model), name), getattr(plan, name)) for name in ("q", "v", "u", "lam"))
     slip = np.array([[model.variable_slip[t, "floor", way].value for way in ("forward", "backward")] for t in range(steps)])

@@ -17,7 +17,7 @@ import pytest
 import sympy as sp
 from pyomo.mpec import Complementarity
 
-from formulations import ContactLaw, ModelError, build_block, build_model, load_plan, read_plan, relax, tighten
+from formulations import ContactFormulation, ModelError, build_block, build_model, load_plan, read_plan, relax, tighten
 from models.catalog import load_scene, scene_names
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw as ForceLaw
@@ -79,10 +79,10 @@ def largest_violation(model: pyo.ConcreteModel) -> float:
 @pytest.mark.parametrize("name", ["three_cart", "bouncing_mass", "two_body_collision", "two_link_arm", "oscillator"])
 def test_rollout_satisfies_the_model(name: str) -> None:
     scene = in_contact(scene_of(name))
-    for law, eps in ((ContactLaw.SOFTPLUS, 1e-3), (ContactLaw.COMPLEMENTARITY, 0.0)):
+    for law, eps in ((ContactFormulation.SOFTPLUS, 1e-3), (ContactFormulation.COMPLEMENTARITY, 0.0)):
         model = build_model(scene, law, eps=eps)
         for label, u in probe_inputs(scene).items():
-            plan = rollout_plan(scene, u, ForceLaw.SOFTPLUS if law is ContactLaw.SOFTPLUS else ForceLaw.RELU, eps or None)
+            plan = rollout_plan(scene, u, ForceLaw.SOFTPLUS if law is ContactFormulation.SOFTPLUS else ForceLaw.RELU, eps or None)
             load_plan(model, plan)
             scale = max(1.0, float(np.abs(plan.lam).max(initial=0.0)), float(np.abs(plan.v).max()))
             assert largest_violation(model) <= ROUNDING * scale**2, (law, label)
@@ -103,7 +103,7 @@ def test_probe_rollouts_see_contact() -> None:
 
 def test_a_wrong_step_is_seen() -> None:
     scene = in_contact(scene_of("three_cart"))
-    model = build_model(scene, ContactLaw.COMPLEMENTARITY, eps=0.0)
+    model = build_model(scene, ContactFormulation.COMPLEMENTARITY, eps=0.0)
     load_plan(model, rollout_plan(scene, np.ones((40, 2)), ForceLaw.RELU, None))
     model.variable_v[20, "q2"].value += 1e-6
     assert largest_violation(model) >= 1e-9
@@ -113,12 +113,12 @@ def test_a_wrong_step_is_seen() -> None:
     ("name", "contact", "variables", "constraints"),
     [
         # by hand, with T steps: q and v at T+1 nodes, u and lam at T; ends 4 nq, steps 2 nq T, contact nc T
-        ("three_cart", ContactLaw.SOFTPLUS, lambda T: 6 * (T + 1) + 4 * T, lambda T: 12 + 6 * T + 2 * T),
+        ("three_cart", ContactFormulation.SOFTPLUS, lambda T: 6 * (T + 1) + 4 * T, lambda T: 12 + 6 * T + 2 * T),
         # Pyomo's relaxation: one separation force a pair, its definition and its product
-        ("three_cart", ContactLaw.COMPLEMENTARITY, lambda T: 6 * (T + 1) + 4 * T + 2 * T, lambda T: 12 + 6 * T + 4 * T),
-        ("two_link_arm", ContactLaw.SOFTPLUS, lambda T: 4 * (T + 1) + 3 * T, lambda T: 8 + 4 * T + T),
-        ("bouncing_mass", ContactLaw.SOFTPLUS, lambda T: 2 * (T + 1) + T, lambda T: 2 + 2 * T + T),
-        ("oscillator", ContactLaw.SOFTPLUS, lambda T: 2 * (T + 1), lambda T: 4 + 2 * T),
+        ("three_cart", ContactFormulation.COMPLEMENTARITY, lambda T: 6 * (T + 1) + 4 * T + 2 * T, lambda T: 12 + 6 * T + 4 * T),
+        ("two_link_arm", ContactFormulation.SOFTPLUS, lambda T: 4 * (T + 1) + 3 * T, lambda T: 8 + 4 * T + T),
+        ("bouncing_mass", ContactFormulation.SOFTPLUS, lambda T: 2 * (T + 1) + T, lambda T: 2 + 2 * T + T),
+        ("oscillator", ContactFormulation.SOFTPLUS, lambda T: 2 * (T + 1), lambda T: 4 + 2 * T),
     ],
 )
 def test_counts_are_those_on_paper(name, contact, variables, constraints) -> None:
@@ -129,21 +129,21 @@ def test_counts_are_those_on_paper(name, contact, variables, constraints) -> Non
 
 
 def test_what_a_scene_does_not_need_is_not_there() -> None:
-    bouncing = build_model(scene_of("bouncing_mass"), ContactLaw.SOFTPLUS, eps=1e-2, steps=2)
-    bare = build_model(scene_of("oscillator"), ContactLaw.COMPLEMENTARITY, eps=1e-2, steps=2)
+    bouncing = build_model(scene_of("bouncing_mass"), ContactFormulation.SOFTPLUS, eps=1e-2, steps=2)
+    bare = build_model(scene_of("oscillator"), ContactFormulation.COMPLEMENTARITY, eps=1e-2, steps=2)
     assert bouncing.component("variable_u") is None
     for absent in ("variable_u", "variable_lam", "parameter_scene", "complementarity_contact", "mpec_bound", "parameter_sharpness"):
         assert bare.component(absent) is None, absent
-    cart = build_model("three_cart", ContactLaw.SOFTPLUS, eps=1e-2, steps=1)
+    cart = build_model("three_cart", ContactFormulation.SOFTPLUS, eps=1e-2, steps=1)
     text = str(cart.constraint_velocity_step[0, "q1"].expr)
     for absent in ("sin", "q2]", "variable_q"):
         assert absent not in text, "no trigonometry, no inertial coupling and no position in a cart's step"
-    arm = build_model(scene_of("two_link_arm"), ContactLaw.SOFTPLUS, eps=1e-2, steps=1)
+    arm = build_model(scene_of("two_link_arm"), ContactFormulation.SOFTPLUS, eps=1e-2, steps=1)
     assert "variable_v[1,q2]" in str(arm.constraint_velocity_step[0, "q1"].expr), "a coupled mass matrix is multiplied, not inverted"
 
 
 def test_parameters_start_and_goal_are_data() -> None:
-    model = build_model("three_cart", ContactLaw.SOFTPLUS, eps=1e-3, steps=3)
+    model = build_model("three_cart", ContactFormulation.SOFTPLUS, eps=1e-3, steps=3)
     step, goal = model.constraint_velocity_step[1, "q1"], model.constraint_goal_position["q2"]
     model.variable_v[1, "q1"].value = 0.7
     before = pyo.value(step.body)
@@ -162,7 +162,7 @@ def test_parameters_start_and_goal_are_data() -> None:
 
 
 def test_tightening_moves_the_bound_in_place() -> None:
-    model = build_model("three_cart", ContactLaw.COMPLEMENTARITY, eps=1e-2, steps=3)
+    model = build_model("three_cart", ContactFormulation.COMPLEMENTARITY, eps=1e-2, steps=3)
     row = model.complementarity_contact[1, "right"].ccon
     assert pyo.value(row.upper) == 1e-2
     tighten(model, 1e-5)
@@ -170,21 +170,21 @@ def test_tightening_moves_the_bound_in_place() -> None:
     assert pyo.value(row.upper) == 1e-5
     tighten(model, 0.0)
     assert pyo.value(row.upper) == 0.0
-    soft = build_model("three_cart", ContactLaw.SOFTPLUS, eps=1e-3, steps=3)
+    soft = build_model("three_cart", ContactFormulation.SOFTPLUS, eps=1e-3, steps=3)
     tighten(soft, 1e-7)
     assert pyo.value(soft.parameter_sharpness) == pytest.approx(7 * np.log(10))
 
 
 def test_the_separation_force_starts_at_its_own_value(caplog: pytest.LogCaptureFixture) -> None:
-    model = build_model("three_cart", ContactLaw.COMPLEMENTARITY, eps=1e-2, steps=3)
+    model = build_model("three_cart", ContactFormulation.COMPLEMENTARITY, eps=1e-2, steps=3)
     assert model.complementarity_contact[0, "left"].v.value == pytest.approx(30 * 0.5)
     pressed = load_scene("three_cart").with_task(start=(2.0, 2.45, 2.9, 0.0, 0.0, 0.0), steps=3)
-    assert build_model(pressed, ContactLaw.COMPLEMENTARITY, eps=1e-2).complementarity_contact[0, "left"].v.value == 0.0
+    assert build_model(pressed, ContactFormulation.COMPLEMENTARITY, eps=1e-2).complementarity_contact[0, "left"].v.value == 0.0
     assert not caplog.records, "a guess outside its bounds is no reason for a warning each step"
 
 
 def test_relaxing_twice_is_refused_and_a_clone_keeps_the_original() -> None:
-    model = build_model("three_cart", ContactLaw.COMPLEMENTARITY, steps=3)
+    model = build_model("three_cart", ContactFormulation.COMPLEMENTARITY, steps=3)
     relaxed = model.clone()
     relax(relaxed, 1e-2)
     assert isinstance(model.complementarity_contact, Complementarity)
@@ -194,43 +194,43 @@ def test_relaxing_twice_is_refused_and_a_clone_keeps_the_original() -> None:
     with pytest.raises(ModelError, match="relax"):
         tighten(model, 1e-3)
     with pytest.raises(ModelError, match="complementarity"):
-        relax(build_model("three_cart", ContactLaw.SOFTPLUS, eps=1e-2, steps=3), 1e-2)
+        relax(build_model("three_cart", ContactFormulation.SOFTPLUS, eps=1e-2, steps=3), 1e-2)
 
 
 @pytest.mark.parametrize("eps", [0.0, 1.0, -1e-3, float("nan"), None, "1e-3", True])
 def test_impossible_sharpness_is_refused(eps) -> None:
     with pytest.raises(RelaxationError, match="0 < eps < 1"):
-        build_model("three_cart", ContactLaw.SOFTPLUS, eps=eps, steps=2)
+        build_model("three_cart", ContactFormulation.SOFTPLUS, eps=eps, steps=2)
 
 
 @pytest.mark.parametrize("eps", [-1e-3, float("nan"), float("inf"), "1e-3", True])
 def test_impossible_bounds_are_refused(eps) -> None:
     with pytest.raises(ModelError, match="at least 0"):
-        build_model("three_cart", ContactLaw.COMPLEMENTARITY, eps=eps, steps=2)
+        build_model("three_cart", ContactFormulation.COMPLEMENTARITY, eps=eps, steps=2)
 
 
 def test_a_function_that_pyomo_does_not_have_is_refused_by_name() -> None:
     scene = load_scene("three_cart")
     rough = replace(scene, forces=(*scene.forces[:2], scene.forces[2] - sp.erf(sp.Symbol("v3", real=True))))
     with pytest.raises(SceneError, match=r"erf\(v3\)"):
-        build_model(rough, ContactLaw.SOFTPLUS, eps=1e-2, steps=2)
-    with pytest.raises(ModelError, match="ContactLaw"):
+        build_model(rough, ContactFormulation.SOFTPLUS, eps=1e-2, steps=2)
+    with pytest.raises(ModelError, match="ContactFormulation"):
         build_model("three_cart", "softplus", eps=1e-2)  # pyright: ignore[reportArgumentType]
 
 
 def test_other_solvers_can_read_the_models(tmp_path: Path) -> None:
     """Pyomo's own writers: NL for the relaxed models, complementarity rows for PATH or Knitro, and a mixed-integer LP file."""
-    for contact in ContactLaw:
+    for contact in ContactFormulation:
         model = build_model("three_cart", contact, eps=1e-2, steps=4)
         model.own = pyo.Constraint(expr=model.variable_q[2, "q2"] <= 3.2)
         model.write(str(tmp_path / "model.nl"), format="nl_v2")
         assert (tmp_path / "model.nl").read_text().startswith("g3")
-    pairs = build_model("three_cart", ContactLaw.COMPLEMENTARITY, steps=4)
+    pairs = build_model("three_cart", ContactFormulation.COMPLEMENTARITY, steps=4)
     pyo.TransformationFactory("mpec.nl").apply_to(pairs)
     pairs.write(str(tmp_path / "pairs.nl"), format="nl_v1")
     complements = re.findall(r"^5 1 \d+$", (tmp_path / "pairs.nl").read_text(), flags=re.MULTILINE)
     assert len(complements) == 8, "one complementarity row for each of 2 contacts at 4 times"
-    binary = build_model("three_cart", ContactLaw.COMPLEMENTARITY, steps=4)
+    binary = build_model("three_cart", ContactFormulation.COMPLEMENTARITY, steps=4)
     pyo.TransformationFactory("mpec.simple_disjunction").apply_to(binary)
     pyo.TransformationFactory("gdp.bigm").apply_to(binary, bigM=1e3)
     binary.write(str(tmp_path / "binary.lp"))
@@ -238,16 +238,16 @@ def test_other_solvers_can_read_the_models(tmp_path: Path) -> None:
 
 
 def test_a_block_holds_one_plan() -> None:
-    model = build_model("three_cart", ContactLaw.SOFTPLUS, eps=1e-3, steps=3)
+    model = build_model("three_cart", ContactFormulation.SOFTPLUS, eps=1e-3, steps=3)
     with pytest.raises(ModelError, match="three_cart holds a plan already"):
-        build_block(model, "three_cart", ContactLaw.SOFTPLUS, eps=1e-3, steps=3)
+        build_block(model, "three_cart", ContactFormulation.SOFTPLUS, eps=1e-3, steps=3)
 
 
 def test_two_blocks_live_in_one_model() -> None:
     model = pyo.ConcreteModel()
     model.first, model.second = pyo.Block(), pyo.Block()
-    build_block(model.first, "three_cart", ContactLaw.COMPLEMENTARITY, eps=1e-2, steps=3)
-    build_block(model.second, "three_cart", ContactLaw.COMPLEMENTARITY, eps=1e-3, steps=3)
+    build_block(model.first, "three_cart", ContactFormulation.COMPLEMENTARITY, eps=1e-2, steps=3)
+    build_block(model.second, "three_cart", ContactFormulation.COMPLEMENTARITY, eps=1e-3, steps=3)
     tighten(model.first, 1e-6)
     bounds = [pyo.value(block.complementarity_contact[0, "left"].ccon.upper) for block in (model.first, model.second)]
     assert bounds == [1e-6, 1e-3]

@@ -8,7 +8,7 @@ import numpy as np
 import pyomo.environ as pyo
 import pytest
 
-from formulations import ContactLaw, build_model, load_plan
+from formulations import ContactFormulation, build_model, load_plan
 from formulations.ipopt import Iteration, compile_model
 from formulations.methods import relaxed_lcp, softplus_dc
 from formulations.pipelines import load_method
@@ -89,7 +89,7 @@ def test_what_misses_its_own_time_step_starts_no_other_stage(monkeypatch):
 def test_the_work_of_a_soft_stage_is_counted_in_nonzeros(monkeypatch):
     """Those of its own model: friction and many contacts make an iteration dearer than its unknowns say."""
     scene = load_scene("three_cart").with_task(steps=200, step=0.025)
-    nonzeros = compile_model(build_model(scene, ContactLaw.SOFTPLUS, eps=1e-5)).nonzeros
+    nonzeros = compile_model(build_model(scene, ContactFormulation.SOFTPLUS, eps=1e-5)).nonzeros
     monkeypatch.setattr(softplus_dc, "_WORK", Work(7.5 * nonzeros, 1))
     with load_method("softplus_dc").open(scene) as session:
         first = session.solve(eps=EPS, warm_start=None, time_limit=60.0)
@@ -163,7 +163,7 @@ def test_one_eps_is_one_law_everywhere(length: float):
     assert found["contact_law"] < 1e-12
     assert found["regularised_friction"] < 1e-12
     assert found["dynamics_defect"] < 1e-12
-    model = build_model(scene, ContactLaw.SOFTPLUS, eps=0.5)
+    model = build_model(scene, ContactFormulation.SOFTPLUS, eps=0.5)
     tighten(model, EPS)
     load_plan(model, plan)
     for family in ("contact_softplus", "friction_regularised", "velocity_step"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from formulations import ContactLaw, PlanResiduals, build_model, load_plan, read_plan
+from formulations import ContactFormulation, PlanResiduals, build_model, load_plan, read_plan
 from formulations.transcription.contact import hold_modes, release_modes
 from formulations.transcription.workbench import load_first_guess
 from models.catalog import load_scene
@@ -71,11 +71,11 @@ def test_residuals_of_a_mass_matrix_that_depends_on_q() -> None:
 
 
 def test_plans_that_do_not_fit_are_refused() -> None:
-    model = build_model(SCENE, ContactLaw.SOFTPLUS, eps=1e-3)
+    model = build_model(SCENE, ContactFormulation.SOFTPLUS, eps=1e-3)
     with pytest.raises(TrajectoryError, match="resample"):
-        load_plan(build_model(SCENE, ContactLaw.SOFTPLUS, eps=1e-3, steps=39), plan_of())
+        load_plan(build_model(SCENE, ContactFormulation.SOFTPLUS, eps=1e-3, steps=39), plan_of())
     with pytest.raises(TrajectoryError, match="resample"):
-        load_plan(build_model(SCENE, ContactLaw.SOFTPLUS, eps=1e-3, step=0.02), plan_of())
+        load_plan(build_model(SCENE, ContactFormulation.SOFTPLUS, eps=1e-3, step=0.02), plan_of())
     plan = plan_of()
     with pytest.raises(TrajectoryError, match="u has 1 columns"):
         load_plan(model, Trajectory(t=plan.t, q=plan.q, v=plan.v, u=plan.u[:, :1], lam=plan.lam))
@@ -84,7 +84,7 @@ def test_plans_that_do_not_fit_are_refused() -> None:
 
 
 def test_the_first_guess_is_that_of_the_paper() -> None:
-    model = build_model(SCENE, ContactLaw.COMPLEMENTARITY, eps=1e-2)
+    model = build_model(SCENE, ContactFormulation.COMPLEMENTARITY, eps=1e-2)
     fresh = read_plan(model)
     load_plan(model, plan_of())
     load_first_guess(model)
@@ -97,7 +97,7 @@ def test_the_first_guess_is_that_of_the_paper() -> None:
 
 
 def test_held_modes_decide_every_pair_and_are_released_again() -> None:
-    model = build_model(SCENE, ContactLaw.COMPLEMENTARITY, eps=1e-2)
+    model = build_model(SCENE, ContactFormulation.COMPLEMENTARITY, eps=1e-2)
     closed = PlanResiduals(SCENE).modes(plan_of())
     assert closed.any()
     assert not closed.all()

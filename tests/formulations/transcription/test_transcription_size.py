@@ -8,14 +8,14 @@ from formulations import build_model
 from formulations.ipopt import compile_model
 from formulations.pipelines import load_method
 from formulations.solution import ModelSize
-from formulations.transcription.contact import ContactLaw
+from formulations.transcription.contact import ContactFormulation
 from formulations.transcription.workbench import size_on_paper
 from models.catalog import load_scene, scene_names
 
 
-@pytest.mark.parametrize("contact", [ContactLaw.SOFTPLUS, ContactLaw.COMPLEMENTARITY])
+@pytest.mark.parametrize("contact", [ContactFormulation.SOFTPLUS, ContactFormulation.COMPLEMENTARITY])
 @pytest.mark.parametrize("name", scene_names())
-def test_no_unknown_and_no_equation_too_many(name: str, contact: ContactLaw):
+def test_no_unknown_and_no_equation_too_many(name: str, contact: ContactFormulation):
     for steps in (1, 6):
         scene = load_scene(name).with_task(steps=steps)
         problem = compile_model(build_model(scene, contact, eps=1e-2))
@@ -25,8 +25,8 @@ def test_no_unknown_and_no_equation_too_many(name: str, contact: ContactLaw):
 def test_counts_by_hand_of_the_papers_scene():
     """6 states at 501 nodes, 2 inputs and 2 forces a step; 12 ends, 6 + 2 equations a step; complementarity: two more of each a step."""
     scene = load_scene("three_cart")
-    assert size_on_paper(scene, ContactLaw.SOFTPLUS) == ModelSize(unknowns=6 * 501 + 4 * 500, equations=12 + 8 * 500)
-    assert size_on_paper(scene, ContactLaw.COMPLEMENTARITY) == ModelSize(unknowns=6 * 501 + 6 * 500, equations=12 + 10 * 500)
+    assert size_on_paper(scene, ContactFormulation.SOFTPLUS) == ModelSize(unknowns=6 * 501 + 4 * 500, equations=12 + 8 * 500)
+    assert size_on_paper(scene, ContactFormulation.COMPLEMENTARITY) == ModelSize(unknowns=6 * 501 + 6 * 500, equations=12 + 10 * 500)
 
 
 # steps, then a node: states; a step: what softplus has, and what complementarity has more (a contact one, a friction four, of each of both);
@@ -51,10 +51,10 @@ def test_counts_by_hand_of_scenes_with_friction_and_fingers(name: str):
     scene = load_scene(name)
     goal = sum(value is not None for value in scene.task.goal)
     laws = soft - scene.nu
-    assert size_on_paper(scene, ContactLaw.SOFTPLUS) == ModelSize(
+    assert size_on_paper(scene, ContactFormulation.SOFTPLUS) == ModelSize(
         unknowns=states * (steps + 1) + soft * steps, equations=states + goal + (states + laws) * steps
     )
-    assert size_on_paper(scene, ContactLaw.COMPLEMENTARITY) == ModelSize(
+    assert size_on_paper(scene, ContactFormulation.COMPLEMENTARITY) == ModelSize(
         unknowns=states * (steps + 1) + (soft + more) * steps, equations=states + goal + (states + laws + more) * steps
     )
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from formulations import ContactLaw as Transcription
+from formulations import ContactFormulation as Transcription
 from formulations import build_model
 from formulations.ipopt import compile_model
 from models.catalog import load_scene

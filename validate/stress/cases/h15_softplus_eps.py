@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from formulations import ContactLaw as Transcription
+from formulations import ContactFormulation as Transcription
 from formulations import build_model
 from formulations.pipelines import load_method
 from models.catalog import load_scene

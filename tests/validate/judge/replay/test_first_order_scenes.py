@@ -16,7 +16,7 @@ import sympy as sp
 from scipy.integrate import solve_ivp
 
 from formulations.transcription.build import build_model
-from formulations.transcription.contact import ContactLaw as ExactLaw
+from formulations.transcription.contact import ContactFormulation as ExactLaw
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel, load_steps
 from models.contact_law import ContactLaw
