@@ -1,6 +1,6 @@
 """The options by which a campaign is chosen and run: those of `all`, of `plan`, which says what `all` would do, and of `run`, where a file chooses.
 
-Each is a parameter named like the field of validate.plan.runs.Settings that it fills.
+Each is a parameter named like the field of validate.plan.runs.CampaignSettings that it fills.
 """
 
 from __future__ import annotations

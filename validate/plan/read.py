@@ -46,7 +46,7 @@ class Campaign:
     pipelines: tuple[Pipeline, ...]
 
     def settings(self) -> dict[str, Any]:
-        """The fields of validate.plan.runs.Settings that the file decides."""
+        """The fields of validate.plan.runs.CampaignSettings that the file decides."""
         return {
             "chosen": self.scenes,
             "pipelines": self.pipelines,
