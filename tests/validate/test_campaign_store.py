@@ -11,7 +11,6 @@ import pytest
 from models.errors import MachineError
 from reports.records.record import LegRecord, RunRecord
 from validate.execution.campaign import Settings, select, with_stored
-from validate.execution.worker import ChildExit
 from validate.plan.runs import reasons
 from validate.store.disk import disk_error, write_durably
 from validate.store.provenance import gather
@@ -19,6 +18,7 @@ from validate.store.results import COLUMNS, results_text
 from validate.store.store import Store, StoreError
 from validate.tasks.leg import place, write_leg
 from validate.tasks.records import run_record, unfinished_stage
+from validate.tasks.run import ChildExit
 from validate.tasks.scene_record import scene_record
 
 

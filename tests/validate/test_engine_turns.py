@@ -20,10 +20,10 @@ from validate.execution import campaign as module
 from validate.execution.campaign import Settings, run_cells, select
 from validate.execution.dask import DaskEngine, Request, local_cluster
 from validate.execution.engine import ExecutionContext, LocalEngine
-from validate.execution.worker import ChildExit
 from validate.plan.runs import PlannedRun
 from validate.store.provenance import gather
 from validate.store.store import Store
+from validate.tasks.run import ChildExit
 
 NEEDS_DASK = pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="distributed is not installed (the extra `dask`)")
 

@@ -14,7 +14,7 @@ from validate.cli.options import FiniteRange
 from validate.cli.table import one_line, use_colour
 
 if TYPE_CHECKING:
-    from validate.fmu_check import CheckReport, CheckRow
+    from validate.fmu_check import CheckReport, FmuCheckRow
 
 _EPILOG = """\b
 Examples:
@@ -89,7 +89,7 @@ def _summary(report: CheckReport) -> str:
     return one_line(f"{report.path}{about}: {counts}{missing}")
 
 
-def _label(row: CheckRow) -> str:
+def _label(row: FmuCheckRow) -> str:
     return f"{row.name} ({row.type})" if row.type else row.name
 
 

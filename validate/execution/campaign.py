@@ -12,12 +12,12 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import closing
+from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from validate.execution.engine import Engine, ExecutionContext, Running, check_engine, new_token, open_engine
+from validate.execution.engine import LOCAL, Engine, ExecutionContext, Running, check_engine, new_token, open_local
 from validate.execution.process import interrupts_wait
 from validate.execution.worker import Job
 from validate.plan.runs import CampaignError, CampaignSettings, PlannedCheck, PlannedRun, select, with_stored
@@ -211,8 +211,16 @@ def _run(
         return must_wait(_path(cell), map(_path, running), store.legs, cell.time_limit)
 
     site = ExecutionContext(store=store, provenance=provenance, lost=lambda cell: by_key[cell.key].lost(provenance), token=new_token())
-    with open_engine(settings.engine, settings.jobs, site, len(entries)) as engine:
+    with _open_engine(settings, site, len(entries)) as engine:
         yield from run_cells([entry.cell for entry in entries], engine, site, waits, again, narrator)
+
+
+def _open_engine(settings: CampaignSettings, context: ExecutionContext, cells: int) -> AbstractContextManager[Engine]:
+    if settings.engine == LOCAL:
+        return open_local(settings.jobs, context, cells)
+    from validate.execution.dask import open_dask  # an extra
+
+    return open_dask(settings.engine.partition(":")[2], settings.jobs, context, cells)
 
 
 def run_cells(

@@ -1,6 +1,6 @@
 """Where the cells of a campaign run: executors of concurrent.futures, whose futures are records. What runs when is the campaign's (validate.execution.campaign).
 
-    with open_engine("local", 2, site, len(cells)) as engine:       # or "dask", "dask:ADDRESS", "dask:FILE.json": validate.execution.dask
+    with open_local(2, context, len(cells)) as engine:       # or validate.execution.dask, open_dask
         future = engine.submit(cell)
         record = engine.result(cell, future)
 
@@ -22,8 +22,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from models.errors import MachineError, TouchstoneError
 from validate.execution.process import interrupts_wait, shared_watchdog
-from validate.execution.worker import ChildExit, Job, Worker, progress_in
+from validate.execution.worker import Job, Worker, progress_in
 from validate.store.disk import PARTIAL
+from validate.tasks.run import ChildExit
 
 if TYPE_CHECKING:
     from reports.records.check_record import ExaminationRecord
@@ -117,25 +118,18 @@ def new_token() -> str:
 
 
 @contextmanager
-def open_engine(name: str, jobs: int | None, site: ExecutionContext, cells: int) -> Iterator[Engine]:
-    """The engine of a name; at the end, what runs is stopped. jobs: cells at a time, None for what the engine chooses; cells: how many there are.
-    Raises MachineError."""
-    if name == LOCAL:
-        from validate.execution.fork_server import fork_server
+def open_local(jobs: int | None, context: ExecutionContext, cells: int) -> Iterator[Engine]:
+    """The engine of this machine; at the end, what runs is stopped. jobs: cells at a time; cells: how many there are. Raises MachineError."""
+    from validate.execution.fork_server import fork_server
 
-        shared_watchdog()  # before there are threads that might each start one
-        with fork_server(cells) as server:
-            engine = LocalEngine(jobs or 1, site, server)
-            try:
-                yield engine
-            finally:
-                with interrupts_wait():
-                    engine.close()
-    else:
-        from validate.execution.dask import open_dask
-
-        with open_dask(name.partition(":")[2], jobs, site, cells) as engine:
+    shared_watchdog()  # before there are threads that might each start one
+    with fork_server(cells) as server:
+        engine = LocalEngine(jobs or 1, context, server)
+        try:
             yield engine
+        finally:
+            with interrupts_wait():
+                engine.close()
 
 
 class LocalEngine:

@@ -16,7 +16,6 @@ import shutil
 import time
 import uuid
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -25,6 +24,7 @@ from validate.execution import reaper
 from validate.execution.process import ChildProcess, Ended, ForkServerError, exit_in_words, shared_watchdog
 from validate.store.disk import disk_error, remove, write_durably
 from validate.store.store import LOG, MACHINE, PROGRESS, RECORD, REQUEST, Store
+from validate.tasks.run import ChildExit
 
 if TYPE_CHECKING:
     from reports.records.check_record import ExaminationRecord
@@ -48,17 +48,6 @@ class Job(Protocol):
     @property
     def time_limit(self) -> float: ...
     def to_json(self) -> dict[str, Any]: ...
-
-
-@dataclass(frozen=True, kw_only=True)
-class ChildExit:
-    """How a child ended that left no record. outcome: `crashed` or `time_limit`; message: one sentence; wall, cpu [s]; log: its end."""
-
-    outcome: str
-    message: str
-    wall: float
-    cpu: float
-    log: str
 
 
 class Worker:

@@ -8,6 +8,6 @@ each with its time and memory: an FMU that hangs or crashes has failed a check, 
 """
 
 from validate.fmu_check.host import CHECK_SECONDS, check_fmu
-from validate.fmu_check.result import CheckReport, CheckRow, Status
+from validate.fmu_check.result import CheckReport, FmuCheckRow, Status
 
-__all__ = ["CHECK_SECONDS", "CheckReport", "CheckRow", "Status", "check_fmu"]
+__all__ = ["CHECK_SECONDS", "CheckReport", "FmuCheckRow", "Status", "check_fmu"]

@@ -24,7 +24,7 @@ from validate.fmi.archive import IntakeError, examine, unpack
 from validate.fmi.instance import Fault, Lacking, Misbehaviour, TerminationRequested
 from validate.fmu_check import communication, derivatives, exchange, files, states, values
 from validate.fmu_check.forked import in_fork
-from validate.fmu_check.result import Check, CheckReport, CheckRow, Scope, Status
+from validate.fmu_check.result import Check, CheckReport, FmuCheckRow, Scope, Status
 from validate.fmu_check.subject import Subject
 from validate.store.disk import temporary_folder
 
@@ -208,7 +208,7 @@ def check_fmu(path: Path, *, names: Sequence[str] | None = None, seconds: float 
             if done.ending is Ending.MACHINE
             else f"{done.sentence.rstrip('.')}; the checks themselves did not come to an end."
         )
-    rows = tuple(CheckRow(**{**row, "status": Status[row["status"]]}) for row in done.value["rows"])
+    rows = tuple(FmuCheckRow(**{**row, "status": Status[row["status"]]}) for row in done.value["rows"])
     return CheckReport(
         path=str(path),
         version=done.value["version"],
@@ -221,7 +221,7 @@ def check_fmu(path: Path, *, names: Sequence[str] | None = None, seconds: float 
 def _unsafe(path: Path) -> CheckReport:
     """Of a file that is not unpacked."""
     finding, first = files.archive(path), files.archive
-    rows = [CheckRow(name=first.name, type="", claim=first.claim, status=finding.status, sentence=finding.sentence, seconds=0.0)]
+    rows = [FmuCheckRow(name=first.name, type="", claim=first.claim, status=finding.status, sentence=finding.sentence, seconds=0.0)]
     reason = "the archive is not unpacked: it is unsafe."
-    rows += [CheckRow(name=name, type="", claim="", status=Status.NOT_OFFERED, sentence=reason, seconds=0.0) for name in NAMES[1:]]
+    rows += [FmuCheckRow(name=name, type="", claim="", status=Status.NOT_OFFERED, sentence=reason, seconds=0.0) for name in NAMES[1:]]
     return CheckReport(path=str(path), version="", types=(), rows=tuple(rows))

@@ -68,7 +68,7 @@ def check(name: str, claim: str, scope: Scope) -> Callable[[Callable[..., Findin
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckRow:
+class FmuCheckRow:
     """A line of the table: check, FMI type ("", "ME" or "CS"), outcome, seconds it took."""
 
     name: str
@@ -86,10 +86,10 @@ class CheckReport:
     path: str
     version: str
     types: tuple[str, ...]
-    rows: tuple[CheckRow, ...]
+    rows: tuple[FmuCheckRow, ...]
     unrunnable: bool = False
 
-    def failures(self) -> tuple[CheckRow, ...]:
+    def failures(self) -> tuple[FmuCheckRow, ...]:
         return tuple(row for row in self.rows if row.status is Status.FAILED)
 
     @property

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from models.scene import Scene
     from reports.records.check_record import ExaminationRecord
     from reports.records.record import ProvenanceRecord, RunRecord
-    from validate.execution.worker import ChildExit
+    from validate.tasks.run import ChildExit
 
 
 NOTHING_STORED = "nothing is stored of it"

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from models.scene import Scene
     from reports.records.check_record import ExaminationRecord
     from reports.records.record import MetricRecord, ProvenanceRecord
-    from validate.execution.worker import ChildExit
+    from validate.tasks.run import ChildExit
     from validate.tasks.variant import Variant
 
 # Of an examination's time limit, what is kept for writing down what was found: a twentieth, but no more than 5 s.

@@ -35,8 +35,7 @@ if TYPE_CHECKING:
     from models.scene import Scene
     from models.trajectory import Trajectory
     from reports.records.record import ProvenanceRecord, RunRecord, StageRecord
-    from validate.execution.worker import ChildExit
-    from validate.tasks.run import RunTask
+    from validate.tasks.run import ChildExit, RunTask
 
 # Of a run's time limit, what is kept for certificates, replaying and scoring: a quarter, but no more than 60 s. The paper's scene needs 2 s;
 # the certificate of two fingers takes 3 CPU s.

@@ -1,4 +1,4 @@
-"""A run of a campaign: a scene by a pipeline, as plain data. What a worker does with it: validate.tasks.path."""
+"""A run of a campaign: a scene by a pipeline, as plain data; and how the child of a task may end. What a worker does with a run: validate.tasks.path."""
 
 from __future__ import annotations
 
@@ -48,3 +48,14 @@ class RunTask:
         variant = Variant.from_json(data["variant"]) if "variant" in data else None
         legs = tuple(PlannedLeg(**leg) for leg in data["legs"])
         return cls(**{**data, "pipeline": pipeline_from_json(data["pipeline"]), "variant": variant, "legs": legs})
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChildExit:
+    """How a child ended that left no record. outcome: `crashed` or `time_limit`; message: one sentence; wall, cpu [s]; log: its end."""
+
+    outcome: str
+    message: str
+    wall: float
+    cpu: float
+    log: str
