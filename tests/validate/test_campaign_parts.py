@@ -15,7 +15,7 @@ from formulations.solution import Attempt, FrontPoint, Outcome, Solution
 from models.catalog import load_scene, scene_names
 from models.codegen.kernel import load_kernel
 from models.trajectory import Trajectory, uniform_grid
-from validate.execution.campaign import Settings, select
+from validate.execution.campaign import CampaignSettings, select
 from validate.plan.runs import PlannedCheck, PlannedRun
 from validate.store.results import FRONT, write_sweeps
 from validate.store.results import STARTS as STARTS_FILE
@@ -57,7 +57,7 @@ def test_options_of_a_part_lie_over_those_of_the_leg() -> None:
 
 
 def test_a_campaign_runs_the_parts_as_cells_of_their_own(tmp_path) -> None:
-    entries, _ = select(Settings(out=tmp_path, scenes=("three_cart",), expression="multistart"))
+    entries, _ = select(CampaignSettings(out=tmp_path, scenes=("three_cart",), expression="multistart"))
     assert len(entries) == 4
     assert len({entry.cell.key for entry in entries}) == 4
     assert entries[1].cell.title == "three_cart x mpcc_multistart (2 of 4)"
@@ -74,27 +74,27 @@ def test_the_table_of_a_rebuilt_report_is_that_of_its_campaign(cli, tmp_path) ->
 
 def test_a_quick_campaign_says_once_what_it_leaves_out_of_every_scene(tmp_path) -> None:
     entries, left_out = select(
-        Settings(out=tmp_path, scenes=("three_cart", "bouncing_mass"), quick=True, expression="strict or free_motion")
+        CampaignSettings(out=tmp_path, scenes=("three_cart", "bouncing_mass"), quick=True, expression="strict or free_motion")
     )
     chosen = [(entry.scene.name, entry.cell.pipeline.name) for entry in entries]
     quick = "softplus_dc+strict"
     assert chosen == [("three_cart", quick), ("bouncing_mass", quick), ("bouncing_mass", "free_motion")]
     assert left_out == tuple(f"every scene x {name}" for name in ("strict", "relaxed+strict", "softplus_gd+strict"))
-    _, of_one = select(Settings(out=tmp_path, scenes=("three_cart",), quick=True, expression="softplus and strict"))
+    _, of_one = select(CampaignSettings(out=tmp_path, scenes=("three_cart",), quick=True, expression="softplus and strict"))
     assert of_one == ("three_cart x softplus_gd+strict",)
 
 
 def test_a_quick_campaign_leaves_out_the_long_scenes_unless_they_are_named(tmp_path) -> None:
-    entries, left_out = select(Settings(out=tmp_path, quick=True))
+    entries, left_out = select(CampaignSettings(out=tmp_path, quick=True))
     scenes = {name: load_scene(name) for name in scene_names()}
     long = {name for name, scene in scenes.items() if not scene.quick}
     assert long
     assert {entry.scene.name for entry in entries if isinstance(entry, PlannedRun)} == set(scenes) - long
     assert {f"{name} x every pipeline" for name in long} <= set(left_out)
     assert not {entry.cell.scene for entry in entries if isinstance(entry, PlannedCheck)} & long
-    named, _ = select(Settings(out=tmp_path, quick=True, scenes=(min(long),)))
+    named, _ = select(CampaignSettings(out=tmp_path, quick=True, scenes=(min(long),)))
     assert {entry.scene.name for entry in named if isinstance(entry, PlannedRun)} == {min(long)}
-    every, _ = select(Settings(out=tmp_path))
+    every, _ = select(CampaignSettings(out=tmp_path))
     assert {entry.scene.name for entry in every if isinstance(entry, PlannedRun)} == set(scenes)
 
 

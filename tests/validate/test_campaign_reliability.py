@@ -15,7 +15,7 @@ from killed_campaigns import HERE, finished, kill_and_resume, processes, start, 
 
 from validate.cli.narrator import PlainNarrator
 from validate.execution import campaign
-from validate.execution.campaign import Settings, run_campaign
+from validate.execution.campaign import CampaignSettings, run_campaign
 
 # Most of them share their beginning; two of them crash, and are run again whenever the campaign is.
 CELLS = "soft or only_good"
@@ -74,14 +74,16 @@ def test_another_order_gives_the_same_numbers(killed, tmp_path, monkeypatch):
     """Whichever cell comes first runs what several begin with."""
     chosen, (whole, _) = campaign.select, killed
 
-    def shuffled(settings: Settings):
+    def shuffled(settings: CampaignSettings):
         entries, left_out = chosen(settings)
         random.Random(3).shuffle(entries)
         return entries, left_out
 
     monkeypatch.setattr(campaign, "select", shuffled)
     monkeypatch.setenv("PYTHONPATH", str(HERE))
-    run_campaign(Settings(out=tmp_path, tools="campaign_fakes:TOOLS", scenes=("three_cart",), expression=CELLS, jobs=2), PlainNarrator())
+    run_campaign(
+        CampaignSettings(out=tmp_path, tools="campaign_fakes:TOOLS", scenes=("three_cart",), expression=CELLS, jobs=2), PlainNarrator()
+    )
     rows, expected = untimed(tmp_path), untimed(whole)
     assert rows != expected
     assert sorted(map(str, rows)) == sorted(map(str, expected))

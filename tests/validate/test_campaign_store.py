@@ -10,7 +10,7 @@ import pytest
 
 from models.errors import MachineError
 from reports.records.record import LegRecord, RunRecord
-from validate.execution.campaign import Settings, select, with_stored
+from validate.execution.campaign import CampaignSettings, select, with_stored
 from validate.plan.runs import reasons
 from validate.store.disk import disk_error, write_durably
 from validate.store.provenance import gather
@@ -25,7 +25,9 @@ from validate.tasks.scene_record import scene_record
 @pytest.fixture(scope="module")
 def entry():
     """The cell three_cart x relu_gd of the real catalogs."""
-    entries, _ = select(Settings(out=None, time_limit=600.0, scenes=("three_cart",), expression="relu_gd and not softplus and not relaxed"))
+    entries, _ = select(
+        CampaignSettings(out=None, time_limit=600.0, scenes=("three_cart",), expression="relu_gd and not softplus and not relaxed")
+    )
     (found,) = entries
     return found
 
@@ -59,10 +61,10 @@ def _stored(store: Store, entry, record: RunRecord, time_limit: float = 600.0) -
 def test_what_is_used_again(tmp_path, entry, outcome, time_limit, used_again):
     store = Store(tmp_path)
     _stored(store, entry, _record(entry, outcome), time_limit)
-    settings = Settings(out=tmp_path, time_limit=600.0)
+    settings = CampaignSettings(out=tmp_path, time_limit=600.0)
     (found,) = with_stored([entry], store, settings)
     assert (found.stored is not None) is used_again
-    (fresh,) = with_stored([entry], store, Settings(out=tmp_path, fresh=True))
+    (fresh,) = with_stored([entry], store, CampaignSettings(out=tmp_path, fresh=True))
     assert fresh.stored is None
 
 
@@ -79,7 +81,7 @@ def test_a_certificate_that_time_took_is_made_when_there_is_more(tmp_path, entry
     kept = entry.lost(gather("test"))(lost, partial)
     assert kept.outcome == "solved"
     _stored(store, entry, kept, time_limit)
-    (found,) = with_stored([entry], store, Settings(out=tmp_path, time_limit=600.0))
+    (found,) = with_stored([entry], store, CampaignSettings(out=tmp_path, time_limit=600.0))
     assert (found.stored is not None) is used_again
 
 
@@ -170,5 +172,5 @@ def test_a_run_whose_files_are_gone_is_run_again(tmp_path, entry, why):
     for name in ("trajectory.nc", "replay.nc"):
         (partial / name).write_bytes(name.encode())
     HARMS[why](store.commit(partial, entry.cell.key))
-    settings = Settings(out=tmp_path, time_limit=600.0)
+    settings = CampaignSettings(out=tmp_path, time_limit=600.0)
     assert reasons(with_stored([entry], store, settings), store) == [why]

@@ -15,7 +15,7 @@ from standing_cluster import come
 
 from reports.records.record import RunRecord
 from validate.cli.narrator import PlainNarrator
-from validate.execution.campaign import Settings, run_campaign
+from validate.execution.campaign import CampaignSettings, run_campaign
 from validate.execution.process import interrupts_wait
 from validate.store.store import Store
 
@@ -169,7 +169,7 @@ def test_what_is_stored_when_ctrl_c_comes_is_told_of(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Store, "commit", interrupted)
     monkeypatch.setenv("PYTHONPATH", str(HERE))
-    settings = Settings(out=tmp_path, tools=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible")
+    settings = CampaignSettings(out=tmp_path, tools=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible")
     with pytest.raises(KeyboardInterrupt):
         run_campaign(settings, heard)
     (record,) = _records(tmp_path).values()
@@ -241,7 +241,7 @@ class _Interrupting(PlainNarrator):
 
 def test_ctrl_c_while_the_tables_are_written_is_heard_when_they_are(tmp_path, monkeypatch, ctrl_c):
     monkeypatch.setenv("PYTHONPATH", str(HERE))
-    settings = Settings(out=tmp_path, tools=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible")
+    settings = CampaignSettings(out=tmp_path, tools=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible")
     with pytest.raises(KeyboardInterrupt):
         run_campaign(settings, _Interrupting(ctrl_c))
     assert sorted(row["pipeline"] for row in untimed(tmp_path)) == ["only_good", "only_infeasible"]

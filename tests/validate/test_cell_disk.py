@@ -17,7 +17,7 @@ import pytest
 from models.codegen.compiler import find_compiler
 from models.errors import MachineError
 from reports.records.record import RunRecord
-from validate.execution.campaign import Settings, select
+from validate.execution.campaign import CampaignSettings, select
 from validate.execution.fork_server import MODULES, ForkServer
 from validate.execution.worker import Worker
 from validate.store.provenance import gather
@@ -39,7 +39,7 @@ def run(tmp_path_factory) -> Callable[..., tuple[RunRecord | MachineError, int]]
     patch.setenv("PYTHONPATH", str(HERE))
     patch.setenv("LD_PRELOAD", str(library))
     patch.setenv("REFUSED", str(told))
-    (entry,), _ = select(Settings(out=folder, scenes=("three_cart",), expression="soft_alone", tools="refused_cells:WRITING"))
+    (entry,), _ = select(CampaignSettings(out=folder, scenes=("three_cart",), expression="soft_alone", tools="refused_cells:WRITING"))
     provenance = gather("test")
     server = ForkServer(modules=(*MODULES, "refused_cells"), cell="refused_cells:main")
     patch.undo()

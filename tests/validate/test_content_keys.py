@@ -13,14 +13,14 @@ import pytest
 
 from formulations.method import Leg, Pipeline
 from formulations.pipelines import load_method, method_names
-from validate.execution.campaign import Settings, select
+from validate.execution.campaign import CampaignSettings, select
 from validate.store import provenance
 from validate.tasks.examination import Examination
 
 
 def key(*legs: Leg, scene: str = "wall_pendulum", name: str = "same", title: str = "one title") -> str:
     entries, _ = select(
-        Settings(out=Path("nowhere"), scenes=(scene,), expression="same", pipelines=(Pipeline(name=name, title=title, legs=legs),))
+        CampaignSettings(out=Path("nowhere"), scenes=(scene,), expression="same", pipelines=(Pipeline(name=name, title=title, legs=legs),))
     )
     (entry,) = entries
     return entry.cell.key

@@ -17,7 +17,7 @@ import pytest
 
 from models.errors import MachineError
 from validate.execution import campaign as module
-from validate.execution.campaign import Settings, run_cells, select
+from validate.execution.campaign import CampaignSettings, run_cells, select
 from validate.execution.dask import DaskEngine, Request, local_cluster
 from validate.execution.engine import ExecutionContext, LocalEngine
 from validate.plan.runs import PlannedRun
@@ -33,7 +33,7 @@ class Campaign:
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.syspath_prepend(str(Path(__file__).parent))
-        settings = Settings(
+        settings = CampaignSettings(
             out=folder, tools="campaign_fakes:TOOLS", scenes=("three_cart",), expression="only_good or only_segfault or only_hang"
         )
         self.entries = [entry for entry in select(settings)[0] if isinstance(entry, PlannedRun)]

@@ -12,7 +12,7 @@ import pytest
 from models.catalog import load_scene
 from models.scene.text import scene_text
 from reports.records.check_record import ExaminationRecord
-from validate.execution.campaign import CampaignError, Settings, select
+from validate.execution.campaign import CampaignError, CampaignSettings, select
 from validate.store.provenance import examination_key
 from validate.tasks.examination import Examination, SceneReference
 from validate.tasks.plugins import DEFAULT
@@ -57,7 +57,7 @@ def test_each_answer_is_the_right_record(asked, says: str, outcome: str, passed:
     assert record.scene == "three_cart"
     assert record.wall_seconds > 0
     if outcome == "answered":
-        assert 0 < record.figures[0].value < Settings(out=Path()).time_limit
+        assert 0 < record.figures[0].value < CampaignSettings(out=Path()).time_limit
 
 
 def test_what_fails_is_told_and_the_rest_is_not_disturbed(asked):
@@ -96,7 +96,7 @@ def test_a_hang_ends_at_the_campaigns_time_limit(cli, tmp_path):
 
 
 def test_selection_by_words_and_scenes_and_quick():
-    settings = Settings(out=Path(), tools="examination_fakes:TOOLS", scenes=("three_cart",), expression="asked")
+    settings = CampaignSettings(out=Path(), tools="examination_fakes:TOOLS", scenes=("three_cart",), expression="asked")
     entries, left_out = select(settings)
     assert [entry.cell.title for entry in entries][:2] == ["question: yes of three_cart", "question: no of three_cart"]
     assert len(entries) == 7, "the one about no scene is not meant where scenes are named"

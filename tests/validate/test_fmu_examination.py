@@ -13,19 +13,19 @@ import pytest
 import models.fmu
 from models.catalog import load_scene, scene_names
 from reports.records.check_record import StoredRecord
-from validate.execution.campaign import Settings, select
+from validate.execution.campaign import CampaignSettings, select
 from validate.tasks.examination import Course
 from validate.tasks.fmu_examination import VERSIONS, examine
 
 
 def test_every_scene_in_every_version_is_examined_and_quick_says_what_it_leaves_out():
-    chosen = Settings(out=Path(), expression="fmu_check")
+    chosen = CampaignSettings(out=Path(), expression="fmu_check")
     entries, _ = select(chosen)
     assert [(entry.cell.scene, entry.cell.arguments["version"]) for entry in entries] == [
         (scene, version) for version in VERSIONS for scene in scene_names()
     ]
     assert len({entry.cell.key for entry in entries}) == len(entries)
-    quick, left_out = select(Settings(out=Path(), expression="fmu_check", quick=True))
+    quick, left_out = select(CampaignSettings(out=Path(), expression="fmu_check", quick=True))
     assert {entry.cell.arguments["version"] for entry in quick} == {"2.0"}
     assert {entry.cell.scene for entry in quick} == {name for name in scene_names() if load_scene(name).quick}
     assert left_out[-1] == f"FMU, FMI 3.0: {len(scene_names())} examinations"
@@ -75,7 +75,7 @@ def test_a_failed_check_of_our_own_is_found_and_named(monkeypatch, tmp_path):
 @pytest.mark.parametrize("version", VERSIONS)
 def test_the_key_is_that_of_the_scene_and_its_sources(version):
     def key(scene: str) -> str:
-        (entry,), _ = select(Settings(out=Path(), scenes=(scene,), expression=f"fmi{version[0]}"))
+        (entry,), _ = select(CampaignSettings(out=Path(), scenes=(scene,), expression=f"fmi{version[0]}"))
         return entry.cell.key
 
     assert key("bouncing_mass") == key("bouncing_mass")

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from validate.cli.narrator import PlainNarrator
-from validate.execution.campaign import Settings, run_campaign
+from validate.execution.campaign import CampaignSettings, run_campaign
 from validate.plan.runs import select, with_stored
 from validate.store.store import Store
 
@@ -44,9 +44,9 @@ def test_a_changed_module_is_noticed_and_the_old_one_found_again(tmp_path: Path,
     scene.parent.mkdir()
     scene.write_text(SCENE)
 
-    def settings(stiffness: float) -> Settings:
+    def settings(stiffness: float) -> CampaignSettings:
         parts.write_text(PARTS.format(stiffness=stiffness))
-        return Settings(out=out, tools="campaign_fakes:TOOLS", scenes=("scenes/own.py",), expression="=only_good")
+        return CampaignSettings(out=out, tools="campaign_fakes:TOOLS", scenes=("scenes/own.py",), expression="=only_good")
 
     (first,) = run_campaign(settings(1.0), PlainNarrator()).records
     assert first.outcome == "solved", first.log_tail

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from validate.cli.narrator import PlainNarrator
-from validate.execution.campaign import Settings, run_campaign, select, with_stored
+from validate.execution.campaign import CampaignSettings, run_campaign, select, with_stored
 from validate.plan.runs import reasons
 from validate.plan.selection import matches
 from validate.store.provenance import command_line
@@ -63,7 +63,7 @@ class _Stopped(PlainNarrator):
 def test_what_is_run_anew_and_interrupted_is_gone_on_with(tmp_path, monkeypatch, capsys):
     """Also where nothing is heard of the interruption: the marks lie in the store."""
     monkeypatch.setenv("PYTHONPATH", str(HERE))
-    settings = Settings(out=tmp_path, tools=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible")
+    settings = CampaignSettings(out=tmp_path, tools=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible")
     whole = run_campaign(settings, PlainNarrator())
     stopped = _Stopped()
     with pytest.raises(KeyboardInterrupt):

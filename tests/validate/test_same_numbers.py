@@ -19,7 +19,7 @@ from models.trajectory_netcdf import read_netcdf
 from reports.records.record import RunRecord
 from validate.cli.narrator import PlainNarrator
 from validate.execution import campaign
-from validate.execution.campaign import Settings, run_campaign
+from validate.execution.campaign import CampaignSettings, run_campaign
 
 # Three chains that begin with the same stages, and one that shares nothing.
 SCENE, CELLS = "wall_pendulum", "softplus_dc or collocation"
@@ -65,13 +65,13 @@ def test_in_another_order(whole, tmp_path, monkeypatch):
     """Whichever cell comes first runs what several begin with."""
     chosen = campaign.select
 
-    def shuffled(settings: Settings):
+    def shuffled(settings: CampaignSettings):
         entries, left_out = chosen(settings)
         random.Random(1).shuffle(entries)
         return entries, left_out
 
     monkeypatch.setattr(campaign, "select", shuffled)
-    run_campaign(Settings(out=tmp_path, scenes=(SCENE,), expression=CELLS, jobs=2), PlainNarrator())
+    run_campaign(CampaignSettings(out=tmp_path, scenes=(SCENE,), expression=CELLS, jobs=2), PlainNarrator())
     _same(tmp_path, whole)
 
 

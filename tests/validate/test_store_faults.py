@@ -18,7 +18,7 @@ import pytest
 from models.errors import MachineError
 from reports.records.record import RunRecord
 from validate.cli.narrator import PlainNarrator
-from validate.execution.campaign import Settings, run_campaign, select
+from validate.execution.campaign import CampaignSettings, run_campaign, select
 from validate.store import disk as disk_module
 from validate.store import store as store_module
 from validate.store.disk import write_durably
@@ -82,7 +82,7 @@ def disk(monkeypatch, tmp_path) -> Disk:
 @pytest.fixture(scope="module")
 def record() -> Callable[[str], RunRecord]:
     """record("the message") is one of three_cart x relu_gd."""
-    (entry,), _ = select(Settings(out=Path(), scenes=("three_cart",), expression="relu_gd and not softplus and not relaxed"))
+    (entry,), _ = select(CampaignSettings(out=Path(), scenes=("three_cart",), expression="relu_gd and not softplus and not relaxed"))
 
     def made(message: str) -> RunRecord:
         from formulations.solution import Outcome
@@ -156,7 +156,7 @@ def test_a_text_is_the_old_one_or_the_new_one_whatever_is_refused(tmp_path, disk
 
 def test_a_campaign_that_is_refused_anything_loses_nothing(cli, tmp_path, disk):
     """Everything is stored; each request of writing the campaign's own files is refused in turn."""
-    settings = Settings(out=tmp_path / "out", **FAKES)
+    settings = CampaignSettings(out=tmp_path / "out", **FAKES)
     words = ("--tools", settings.tools, "--scene", *settings.scenes, "-k", settings.expression)
     assert cli("all", *words, "--out", str(settings.out)).returncode == 0
     results = (settings.out / "results.csv").read_bytes()

@@ -13,7 +13,7 @@ from formulations.contact_modes.linear import linear_scene, why_not_linear
 from formulations.contact_modes.nonlinear import NonlinearModes
 from formulations.contact_modes.quadratic import ModesProblem, WorkingSet
 from formulations.contact_modes.search import closed_of
-from formulations.transcription.workbench import Account
+from formulations.transcription.workbench import SolveBudget
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.scene import Scene
@@ -35,7 +35,7 @@ def random_scene(seed: int, bound: float) -> tuple[Scene, np.ndarray]:
 
 
 def by_ipopt(scene: Scene, closed: np.ndarray, ball: float = 0.0):
-    return NonlinearModes(scene, load_kernel(scene), ball, Account(600.0), {"tol": 1e-10, "max_iter": 3000}).solve(closed)
+    return NonlinearModes(scene, load_kernel(scene), ball, SolveBudget(600.0), {"tol": 1e-10, "max_iter": 3000}).solve(closed)
 
 
 def test_the_known_optimum() -> None:

@@ -13,7 +13,7 @@ from formulations.contact_modes.session import MultiStart
 from formulations.methods.mpcc import MpccOptions
 from formulations.pipelines import load_method
 from formulations.solution import Outcome
-from formulations.transcription.workbench import Account, Workbench
+from formulations.transcription.workbench import SolveBudget, Workbench
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 
@@ -29,7 +29,7 @@ def _rosenbrock() -> pyo.ConcreteModel:
 
 def test_ipopt_stops_at_the_work_that_is_left() -> None:
     """Three nonzeros: the lower triangle of the Hessian."""
-    free, bound = Account(60.0), Account(60.0)
+    free, bound = SolveBudget(60.0), SolveBudget(60.0)
     Workbench(_rosenbrock()).run(free, {"max_iter": 100})
     assert free.iterations > 10
     assert free.work == 3 * free.iterations
@@ -49,7 +49,7 @@ class _Finder:
     def __init__(self, spends: list[float]) -> None:
         self._spends, self.allowed = spends, []
 
-    def find(self, account: Account, _modes_of: Any, _start: Any) -> Search:
+    def find(self, account: SolveBudget, _modes_of: Any, _start: Any) -> Search:
         self.allowed.append(account.most_work - account.work)
         account.work += self._spends[len(self.allowed) - 1]
         answer = SimpleNamespace(cost=10.0 - len(self.allowed), closed=load_kernel(SCENE).penetration(_rest()) > 0.0)
@@ -71,7 +71,7 @@ def _rest():
     ],
 )
 def test_half_of_the_work_that_is_left_for_each_start(spends: list[float], allowed: list[float]) -> None:
-    finder, account = _Finder(spends), Account(60.0)
+    finder, account = _Finder(spends), SolveBudget(60.0)
     account.most_work = 100.0
     starts = MultiStart(SCENE, load_kernel(SCENE), cast(Any, finder), MpccOptions())
     best, attempts = starts.run(account, range(5, 10), None)

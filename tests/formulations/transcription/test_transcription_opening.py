@@ -17,7 +17,7 @@ from formulations.transcription.contact import tighten
 from formulations.transcription.feasibility import Watch, plan_with_goal_released
 from formulations.transcription.method import Work
 from formulations.transcription.residuals import PlanResiduals
-from formulations.transcription.workbench import Account, Workbench
+from formulations.transcription.workbench import SolveBudget, Workbench
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw as ForceLaw
@@ -42,7 +42,7 @@ def test_multipliers_that_run_away_stop_a_cold_start():
 def test_a_goal_that_is_let_go_is_still_drawn_to():
     """Three carts, whose cost says nothing of the goal: the plan keeps its dynamics, and ends near the goal but not on it."""
     scene = load_scene("three_cart")
-    account = Account(60.0)
+    account = SolveBudget(60.0)
     plan = plan_with_goal_released(scene, EPS, account, {"max_iter": 200})
     assert plan is not None
     found = PlanResiduals(scene).of(plan, ForceLaw.SOFTPLUS, EPS)

@@ -11,7 +11,7 @@ from formulations.ipopt import Iteration
 from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
 from formulations.transcription.feasibility import Patience, nearest
-from formulations.transcription.workbench import Account, Workbench
+from formulations.transcription.workbench import SolveBudget, Workbench
 from models.catalog import load_scene
 from models.scene import Scene
 
@@ -65,7 +65,7 @@ def test_a_goal_within_reach_is_reached(case: str, method: str) -> None:
 
 @pytest.mark.parametrize("case", POSSIBLE)
 def test_the_nearest_plan_reaches_what_is_within_reach(case: str) -> None:
-    found = nearest(POSSIBLE[case], Account(300.0), 3000)
+    found = nearest(POSSIBLE[case], SolveBudget(300.0), 3000)
     assert not found.is_out_of_reach
     assert found.miss < 2e-3, "softplus contact, sharp: the worst seen where the solves converge is 6e-4"
 
@@ -75,7 +75,7 @@ def test_the_nearest_plan_says_what_it_misses() -> None:
     no_push = SCENE.with_parameters(c=0.0).with_task(
         steps=100, start=(-50.0, 0.0, 50.0, 0.0, 0.0, 0.0), goal=(-47.0, 0.0, 50.0, 2.0, 0.0, 0.0)
     )
-    found = nearest(with_inputs(no_push, (-2.0, 2.0), (-2.0, 2.0)), Account(300.0), 3000)
+    found = nearest(with_inputs(no_push, (-2.0, 2.0), (-2.0, 2.0)), SolveBudget(300.0), 3000)
     assert found.is_out_of_reach
     assert found.miss == pytest.approx(1.99, abs=1e-4)
     assert found.words == "q1 by 1.99 m"
