@@ -224,10 +224,6 @@ class ModesProblem:
         fixed[0] = self.linear.penetration(self.linear.start[None])[0] > 0.0
         return fixed
 
-    def solve_without_signs(self, closed: np.ndarray) -> Point | None:
-        """The same problem with nothing asked of phi and u: what an iteration over modes starts from."""
-        return self._equality(self._whole(closed), self.empty_set())
-
     def slopes(self, point: Point) -> np.ndarray:
         """(steps, nu) derivative of the Lagrangian with respect to u: 0 where u is free, the multiplier of its bound elsewhere."""
         lin, n = self.linear, self.linear.n

@@ -57,46 +57,52 @@ class Scholtes(Strategy):
         lifted.shadow.mpec_bound.value = eps
 
 
-class Smoothing(Strategy):
-    """v + w = sqrt(v^2 + w^2 + 2 eps) (Fischer-Burmeister, smoothed by Kanzow): v w = eps at every point of the path, and v, w > 0."""
+class PathEquation(Strategy):
+    """v + w = sqrt(radicand): one equation a pair in place of its complementarity, with v w = eps at every point of the path, and v, w > 0."""
+
+    last = 1e-10
+
+    @staticmethod
+    @abstractmethod
+    def radicand(v: Any, w: Any, eps: Any) -> Any:
+        """Of two expressions and the Param that goes to 0."""
+
+    def attach(self, lifted: Lifted) -> None:
+        lifted.products(active=False)
+        shadow = lifted.shadow
+        shadow.smoothing = pyo.Param(mutable=True, initialize=self.first)
+        sides = list(zip(lifted.firsts, lifted.seconds, strict=True))
+
+        def equation(_: Any, k: int) -> Any:
+            v, w = sides[k]
+            return v + w - pyo.sqrt(self.radicand(v, w, shadow.smoothing)) == 0
+
+        shadow.path_equation = pyo.Constraint(range(len(sides)), rule=equation)
+
+    def set(self, lifted: Lifted, eps: float) -> None:
+        lifted.shadow.smoothing.value = eps
+
+
+class Smoothing(PathEquation):
+    """v + w = sqrt(v^2 + w^2 + 2 eps) (Fischer-Burmeister, smoothed by Kanzow)."""
 
     name = "smoothing"
     title = "smoothed Fischer-Burmeister equations"
-    last = 1e-10
 
-    def attach(self, lifted: Lifted) -> None:
-        lifted.products(active=False)
-        shadow = lifted.shadow
-        shadow.smoothing = pyo.Param(mutable=True, initialize=self.first)
-        sides = list(zip(lifted.firsts, lifted.seconds, strict=True))
-        shadow.fischer = pyo.Constraint(
-            range(len(sides)),
-            rule=lambda _, k: sides[k][0] + sides[k][1] - pyo.sqrt(sides[k][0] ** 2 + sides[k][1] ** 2 + 2 * shadow.smoothing) == 0,
-        )
-
-    def set(self, lifted: Lifted, eps: float) -> None:
-        lifted.shadow.smoothing.value = eps
+    @staticmethod
+    def radicand(v: Any, w: Any, eps: Any) -> Any:
+        return v**2 + w**2 + 2 * eps
 
 
-class Chks(Strategy):
-    """v + w = sqrt((v - w)^2 + 4 eps) (Chen, Harker, Kanzow, Smale): the same path v w = eps as Fischer-Burmeister, by another equation."""
+class Chks(PathEquation):
+    """v + w = sqrt((v - w)^2 + 4 eps) (Chen, Harker, Kanzow, Smale): the same path as Fischer-Burmeister, by another equation."""
 
     name = "chks"
     title = "Chen-Harker-Kanzow-Smale equations"
-    last = 1e-10
 
-    def attach(self, lifted: Lifted) -> None:
-        lifted.products(active=False)
-        shadow = lifted.shadow
-        shadow.smoothing = pyo.Param(mutable=True, initialize=self.first)
-        sides = list(zip(lifted.firsts, lifted.seconds, strict=True))
-        shadow.chks = pyo.Constraint(
-            range(len(sides)),
-            rule=lambda _, k: sides[k][0] + sides[k][1] - pyo.sqrt((sides[k][0] - sides[k][1]) ** 2 + 4 * shadow.smoothing) == 0,
-        )
-
-    def set(self, lifted: Lifted, eps: float) -> None:
-        lifted.shadow.smoothing.value = eps
+    @staticmethod
+    def radicand(v: Any, w: Any, eps: Any) -> Any:
+        return (v - w) ** 2 + 4 * eps
 
 
 class Elastic(Strategy):
