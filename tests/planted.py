@@ -31,14 +31,15 @@ ROOT = Path(__file__).resolve().parents[1]
 # Room -> the files in which mistakes are made, and the tests that answer for them.
 ROOMS = {
     "judge": (("validate/judge/**/*.py", "validate/fmi/*.py", "validate/tasks/stage.py", "validate/tasks/paper.py"),
-              ("tests/validate/test_score*.py", "tests/validate/test_replay*.py", "tests/validate/test_tracked*.py", "tests/validate/test_judge.py",
-               "tests/validate/test_exact*.py", "tests/validate/judge/**/*.py", "tests/validate/test_verdict*.py", "tests/validate/test_campaign_violation.py")),
+              ("tests/validate/judge/**/*.py", "tests/validate/fmi/*.py", "tests/validate/tasks/test_stage.py", "tests/validate/tasks/test_campaign_violation.py")),
     "record": (("validate/tasks/*record*.py", "validate/store/results.py", "reports/records/*.py"),
-               ("tests/validate/test_results*.py", "tests/validate/test_campaign*.py", "tests/validate/test_same*.py", "tests/reports/test_re*_[!b]*.py")),
+               ("tests/validate/store/*.py", "tests/validate/tasks/*.py", "tests/validate/plan/test_campaign*.py", "tests/validate/test_campaign_end_to_end.py",
+                "tests/validate/execution/test_same*.py", "tests/reports/test_re*_[!b]*.py")),
     "certificate": (("formulations/mpec/certificate/*.py",), ("tests/formulations/mpec/**/test_*.py", "tests/formulations/test_methods_mpcc.py")),
     "proof": (("formulations/proof/*.py",), ("tests/formulations/proof/*.py", "tests/formulations/test_*global*.py", "tests/formulations/test_*proof*.py")),
     "store": (("validate/store/[!r]*.py", "validate/plan/selection.py"),
-              ("tests/validate/test_c*.py", "tests/validate/test_s[ht]*.py", "tests/validate/test_rerunning.py", "tests/validate/test_local*.py", "tests/validate/test_pro*.py")),
+              ("tests/validate/store/*.py", "tests/validate/plan/*.py", "tests/validate/cli/test_c*.py", "tests/validate/cli/test_show*.py",
+               "tests/validate/execution/test_campaign*.py", "tests/validate/execution/test_cell*.py", "tests/validate/tasks/test_profile.py")),
     "report": (("reports/**/*.py",), ("tests/reports/test_*.py",)),
 }  # fmt: skip
 # Longest that the tests of one defect may take [s]; past it they hang, which is an answer too.

@@ -1,0 +1,283 @@
+"""The command line as a user meets it: help, lists, mistakes, exit codes."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+
+from formulations.pipelines import pipeline_names
+from reports.rule import RESULTS, RULE
+from validate.cli.group import _COMMANDS, run
+from validate.cli.table import short
+
+TOOLS = ("--tools", "campaign_fakes:TOOLS")
+FAKES = (*TOOLS, "--scene", "three_cart")
+GOOD = (*FAKES, "-k", "only_good")
+
+
+@pytest.fixture
+def in_here(tmp_path, monkeypatch, capfd):
+    """in_here("al") -> (exit code, stdout, stderr) of the command in this process; what it does to signals is undone."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+
+    def called(*arguments: str) -> tuple[int, str, str]:
+        capfd.readouterr()
+        return run(arguments), *capfd.readouterr()
+
+    yield called
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def test_help_shows_examples_and_exit_codes(cli):
+    overview = cli("--help")
+    assert overview.returncode == 0
+    for word in ("Examples:", "Exit codes:", "130", "all", "list", "report", "replay", "fmu"):
+        assert word in overview.stdout
+    for name in _COMMANDS:
+        with click.Context(importlib.import_module(f"validate.cli.{name}").command, info_name=name) as context:
+            text = context.get_help()
+        assert "xample" in text, name
+        assert "Exit codes:" in text, name
+    words = " ".join(cli("all", "--help").stdout.split())
+    assert "A campaign fails (exit code 1) if" in words
+    assert all(sentence in words for sentence in (*RULE, *RESULTS))
+
+
+def test_list_names_everything(cli):
+    data = json.loads(cli("list", "--json").stdout)
+    assert "three_cart" in [item["name"] for item in data["scenes"]]
+    assert [item["name"] for item in data["pipelines"]] == list(pipeline_names())
+    plain = cli("list").stdout
+    assert all(name in plain for name in pipeline_names())
+
+
+def test_list_imports_no_solver():
+    code = "import sys; from validate.cli.group import run; run(['list']); print([n for n in ('torch', 'pyomo', 'sympy', 'numpy') if n in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("al",), "did you mean all?"),
+        (("frobnicate",), "there are all, plan, run, list"),
+        (("show", "nothing", "--in", "nowhere/at_all"), "there is no campaign in this folder"),
+        (("run",), "give a campaign file"),
+        (("run", "nowhere.toml"), "it cannot be read (No such file"),
+        (("all", *FAKES, "--lf", "--out", "nowhere/at_all"), "there is no campaign in this folder"),
+        (("all", "--retry", "-1"), "-1 is not in the range"),
+        (("all", "--quik"), "Did you mean '--quick'?"),
+        (("all", "-j", "0"), "0 is not in the range x>=1"),
+        (("all", "-j", "two"), "'two' is not a valid integer"),
+        (("all", "--time-limit", "-1"), "not a positive number of seconds"),
+        (("all", "--time-limit", "nan"), "not a positive number of seconds"),
+        (("all", *FAKES, "-k", "only_goood"), "did you mean only_good?"),
+        (("all", *FAKES, "-k", "good and"), "a name is missing at its end"),
+        (("all", *FAKES, "--quick", "-k", "only_good"), "--quick leaves out all that"),
+        (("all", "--scene", "tree_cart"), "did you mean three_cart?"),
+        (("all", "--scene", "nowhere/at_all.py"), "there is no such file"),
+        (("all", "--tools", "no_such_module:TOOLS"), "cannot be imported"),
+        (("all", "--tools", "campaign_fakes:NOTHING"), "campaign_fakes has no NOTHING"),
+        (("report", "nowhere/at_all"), "there is no campaign in this folder"),
+        (("replay", "plan.csv"), "give either --scene or --fmu"),
+        (("replay", "no_plan.csv", "--scene", "three_cart"), "it cannot be read"),
+        (("fmu", "three_cart"), "missing option '-o'"),
+        (("fmu", "three_kart", "-o", "x.fmu"), "did you mean three_cart?"),
+        (("fmu", "three_cart", "-o", "x.ssp"), "only --coupled writes an .ssp; call it x.fmu"),
+        (("fmu", "three_cart", "--coupled", "-o", "x.fmu"), "--coupled writes an .ssp; call it x.ssp"),
+    ],
+)
+def test_a_mistake_is_one_sentence_and_exit_code_2(in_here, arguments, words):
+    code, stdout, stderr = in_here(*arguments)
+    assert code == 2
+    assert words in stderr
+    assert stderr.startswith("error: ")
+    assert len(stderr.splitlines()) == 1
+    assert stdout == ""
+
+
+def test_a_mistake_ends_the_process_so_too(cli):
+    done = cli("all", *FAKES, "-k", "only_goood")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("error: ")
+    assert "did you mean only_good?" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("SCENE = 3", "must define SCENE"),
+        ("import nothing_of_that_name", "ModuleNotFoundError"),
+        ("def broken(:", "SyntaxError"),
+        (
+            "from models.scene import Parameter\nimport sympy as sp\nParameter(symbol=sp.Symbol('m'), value=1.0, unit='')",
+            "the unit is missing",
+        ),
+    ],
+)
+def test_a_scene_file_with_a_mistake_is_named(in_here, tmp_path, text, words):
+    path = tmp_path / "own_scene.py"
+    path.write_text(text)
+    code, _, stderr = in_here("all", "--scene", str(path))
+    assert code == 2
+    assert words in stderr
+    assert str(path) in stderr
+    assert len(stderr.splitlines()) == 1
+
+
+def test_no_command_shows_help(cli):
+    done = cli()
+    assert done.returncode == 2
+    assert "Usage:" in done.stderr
+
+
+def test_out_that_is_a_file(cli, tmp_path):
+    (tmp_path / "taken").write_text("mine")
+    done = cli("all", *GOOD, "--out", str(tmp_path / "taken"))
+    assert done.returncode == 2
+    assert "there is a file of that name" in done.stderr
+    assert (tmp_path / "taken").read_text() == "mine"
+
+
+@pytest.mark.parametrize("folder", ["/proc/nothing_goes_here", "/dev/null/below"])
+def test_out_that_cannot_be_written(cli, folder):
+    done = cli("all", *GOOD, "--out", folder)
+    assert done.returncode == 3
+    assert "cannot write" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_full_disk_is_one_sentence(cli, cli_environment, tmp_path):
+    """A limit on the size of files stands for the disk's end: the record of a cell does not fit, log and request do."""
+    arguments = [sys.executable, "-m", "validate", "all", *GOOD, "--out", str(tmp_path / "out")]
+    cli("all", *GOOD, "--out", str(tmp_path / "before"))  # so that the scene is compiled already
+    done = subprocess.run(
+        ["sh", "-c", 'ulimit -f 24; exec "$@"', "sh", *arguments], capture_output=True, text=True, env=cli_environment, check=False
+    )
+    assert done.returncode == 3
+    (sentence,) = [line for line in done.stderr.splitlines() if line.startswith("error:")]
+    assert "written" in sentence or "cannot write" in sentence
+    assert os.listdir(tmp_path / "out" / "runs") == []
+
+
+def test_no_compiler(cli, tmp_path):
+    done = cli("all", *GOOD, "--out", str(tmp_path / "out"), CC="no_such_compiler")
+    assert done.returncode == 3
+    assert "no_such_compiler" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_unexpected_error_is_one_sentence_and_its_traceback_is_kept(cli, tmp_path):
+    command = ("all", "--tools", "campaign_fakes:BROKEN", "--scene", "three_cart", "--out", str(tmp_path / "out"), "-k", "only_good")
+    broken = cli(*command, TMPDIR=str(tmp_path))
+    assert broken.returncode == 1
+    (last,) = [line for line in broken.stderr.splitlines() if line.startswith("error:")]
+    assert "RuntimeError: the report room is on fire" in last
+    log = Path(last.split("the traceback is in ")[1].split(". Please")[0])
+    assert "Traceback" in log.read_text()
+    shown = cli(*command, TOUCHSTONE_DEBUG="1")
+    assert "Traceback" in shown.stderr
+
+
+def test_a_scene_of_ones_own_by_path(cli, tmp_path):
+    source = Path(__file__).parents[2] / "scenes" / "oscillator.py"
+    out = tmp_path / "out"
+    done = cli("all", *TOOLS, "-k", "only_good", "--scene", os.path.relpath(source), "--out", str(out))
+    assert done.returncode == 0, done.stderr
+    assert "oscillator" in done.stdout
+    assert (out / "results.csv").read_text().splitlines()[1].startswith("oscillator,only_good,1,good,,solved,")
+
+
+def test_data_on_stdout_progress_on_stderr(cli, tmp_path):
+    done = cli("all", *FAKES, "--quick", "--json", "--out", str(tmp_path))
+    data = json.loads(done.stdout)
+    assert [row["stage"] for row in data["results"]] == [1, 2, 3]
+    assert data["exit_code"] == done.returncode == 0
+    assert "three_cart x only_good" in data["left_out"]
+    assert done.stderr.splitlines()[0] == "0 stored, 1 to run"
+    assert json.loads((tmp_path / "campaign.json").read_text())["left_out"] == data["left_out"]
+
+
+def test_quick_says_what_it_left_out(cli, tmp_path):
+    done = cli("all", *FAKES, "--quick", "--out", str(tmp_path), "-k", "good")
+    assert "three_cart x only_good" in next(line for line in done.stdout.splitlines() if line.startswith("left out by --quick: "))
+    assert "1 to run" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("tools", "words"), [("STRICT", "violates - the fake judge is strict"), ("STUMBLING", "undecided - the judge ended with")]
+)
+def test_a_direct_plan_that_does_not_hold_fails(cli, tmp_path, tools, words):
+    done = cli(
+        "all", "--tools", f"campaign_fakes:{tools}", "--scene", "three_cart", "--out", str(tmp_path), "-k", "only_good or soft_alone"
+    )
+    assert done.returncode == 1
+    failures = [line for line in done.stdout.splitlines() if line.startswith("fails: ")]
+    assert len(failures) == 2, "the indirect cell is expected to violate, but then none of the scene holds"
+    assert f"three_cart x only_good: {words}" in failures[0]
+    assert "three_cart: no run holds (only_good solved" in failures[1]
+
+
+def test_a_limit_on_no_figure_is_said_before_anything_runs(cli, tmp_path: Path):
+    path = tmp_path / "misspelt.py"
+    path.write_text(
+        "from dataclasses import replace\nfrom models.catalog import load_scene\nfrom models.scene import Limit\n"
+        "SCENE = replace(load_scene('three_cart'), name='misspelt', limits=(*load_scene('three_cart').limits, Limit(metric='defct', value=1.0, reason='')))\n",
+        encoding="utf-8",
+    )
+    done = cli("all", *GOOD, "--scene", str(path), "--out", str(tmp_path / "out"))
+    assert done.returncode == 2
+    assert "scene misspelt: there is a limit on 'defct'" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_numbers_too_large_for_decimals_are_short():
+    assert short(490.554, ".2f") == "490.55"
+    assert short(-1e200, ".2f") == "-1e+200"
+
+
+def test_a_campaign_of_refusals_claims_nothing(cli, tmp_path):
+    done = cli("all", "--scene", "bouncing_mass", "-k", "softplus_dc+strict", "--out", str(tmp_path / "refused"))
+    assert done.returncode == 0
+    assert "no method applies to its scene" in done.stdout
+    assert "holds" not in done.stdout
+
+
+@pytest.mark.parametrize("code", [0, 3])
+def test_exit_handlers_run_before_the_process_ends(code: int, cli_environment):
+    """The process ends without taking its modules apart; what a command registered runs, what it wrote arrives, its exit code stays."""
+    script = f"""
+import atexit, sys
+from validate import __main__
+from validate.cli import group
+
+def command(*_):
+    atexit.register(print, "handled", end="")
+    print("written", end=" ")
+    return {code}
+
+group.run = command
+__main__.main()
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=cli_environment, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (code, "written handled", "")
+
+
+def test_an_exception_nobody_caught_ends_as_python_ends(cli_environment):
+    script = "from validate import __main__; from validate.cli import group; group.run = None; __main__.main()"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=cli_environment, check=False)
+    assert done.returncode == 1
+    assert "TypeError" in done.stderr

@@ -1,0 +1,210 @@
+"""Whose turn it is in an engine, and whose fault what ends it: each engine beside workers and a cluster that only answer."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import tempfile
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from models.errors import MachineError
+from validate.execution import campaign as module
+from validate.execution.campaign import CampaignSettings, run_cells, select
+from validate.execution.dask import DaskEngine, Request, local_cluster
+from validate.execution.engine import ExecutionContext, LocalEngine
+from validate.plan.runs import PlannedRun
+from validate.store.provenance import gather
+from validate.store.store import Store
+from validate.tasks.run import ChildExit
+
+NEEDS_DASK = pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="distributed is not installed (the extra `dask`)")
+
+
+class Campaign:
+    """Three cells, of which `crashing` crash, each time they are begun; begun: their keys, in order; silent: how often no answer comes."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "helpers"))
+        settings = CampaignSettings(
+            out=folder, tools="campaign_fakes:TOOLS", scenes=("three_cart",), expression="only_good or only_segfault or only_hang"
+        )
+        self.entries = [entry for entry in select(settings)[0] if isinstance(entry, PlannedRun)]
+        self.cells = [entry.cell for entry in self.entries]
+        self.crashing: set[str] = set()
+        self.begun: list[str] = []
+        self.silent, self.tries, self.crashes = 0, 2, Counter[str]()
+        self.watch: Any = lambda running: None
+        self.dumb, self.told = False, list[str]()
+        self._provenance, store = gather("a test"), Store(folder)
+        store.prepare()
+        self.site = ExecutionContext(
+            store=store, provenance=self._provenance, lost=lambda cell: pytest.fail("no cell is lost here"), token="0" * 16
+        )
+
+    def record(self, key: str):
+        self.begun.append(key)
+        (entry,) = [entry for entry in self.entries if entry.cell.key == key]
+        outcome = "crashed" if key in self.crashing else "time_limit"
+        return entry.lost(self._provenance)(ChildExit(outcome=outcome, message="as told", wall=0.0, cpu=0.0, log=""), self.site.store.runs)
+
+    def again(self, record: Any) -> bool:
+        self.crashes[record.key] += record.outcome == "crashed"
+        return record.outcome == "crashed" and self.crashes[record.key] < self.tries
+
+    def run(self, engine: Any) -> list[str]:
+        """Keys of the records, in order."""
+        narrator: Any = SimpleNamespace(runs=lambda running: self.watch(running), warns=self.told.append)
+        return [record.key for record in run_cells(self.cells, engine, self.site, lambda cell, running: False, self.again, narrator)]
+
+    def local(self) -> LocalEngine:
+        engine = LocalEngine(1, self.site, None)
+        engine._run = lambda cell: self.record(cell.key)
+        return engine
+
+    def dask(self) -> DaskEngine:
+        client = SimpleNamespace(nthreads=lambda: {}, get_executor=lambda pure: self, scheduler=SimpleNamespace(address="here"))
+        return DaskEngine(client, self.site, 1, self.site.store.runs / "mark", len(self.cells))
+
+    def submit(self, _function: Any, request: Request) -> Future[Any]:
+        future: Future[Any] = Future()
+        self.silent -= 1
+        if not self.dumb:
+            future.set_result(None if self.silent >= 0 else self.record(request.cell.key))
+        return future
+
+    def shutdown(self, wait: bool) -> None:
+        assert not wait
+
+
+@pytest.fixture
+def campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Campaign:
+    return Campaign(tmp_path / "out", monkeypatch)
+
+
+@pytest.mark.parametrize("engine", ["local", pytest.param("dask", marks=NEEDS_DASK)])
+def test_who_crashed_is_tried_again_before_all_that_wait(campaign: Campaign, engine: str):
+    """So that -x ends a campaign as soon as the tries are used up, however many cells wait."""
+    one, two, three = (cell.key for cell in campaign.cells)
+    campaign.crashing, campaign.tries = {one}, 3
+    done = campaign.run(getattr(campaign, engine)())
+    assert campaign.begun == [one, one, one, two, three]
+    assert done == [one, two, three]
+
+
+@dataclass(frozen=True)
+class _Named:
+    """A cell that is its name."""
+
+    key: str
+
+
+class _Two:
+    """An engine for two cells at a time, each of which ends at the second look; started: in order; beside: what ran at each look."""
+
+    jobs = 2
+
+    def __init__(self) -> None:
+        self.started: list[str] = []
+        self.beside: list[set[str]] = []
+        self._looks: dict[Future[Any], list[Any]] = {}
+
+    def submit(self, cell: _Named) -> Future[Any]:
+        future: Future[Any] = Future()
+        self.started.append(cell.key)
+        self._looks[future] = [cell, 2]
+        return future
+
+    def result(self, cell: _Named, future: Future[Any]) -> Any:
+        return future.result()
+
+    def look(self, _running: Sequence[Any]) -> None:
+        self.beside.append({cell.key for cell, _ in self._looks.values()})
+        for future, told in tuple(self._looks.items()):
+            told[1] -= 1
+            if not told[1]:
+                del self._looks[future]
+                future.set_result(SimpleNamespace(key=told[0].key))
+
+
+def test_what_must_wait_is_left_for_later(campaign: Campaign):
+    engine: Any = _Two()
+
+    def waits(cell: Any, running: Sequence[Any]) -> bool:
+        return any(cell.key[0] == other.key[0] for other in running)
+
+    cells: list[Any] = [_Named(name) for name in ("a1", "a2", "a3", "b1", "b2")]
+    narrator: Any = SimpleNamespace(runs=engine.look)
+    done = [record.key for record in run_cells(cells, engine, campaign.site, waits, lambda record: False, narrator)]
+    assert engine.started == ["a1", "b1", "a2", "b2", "a3"]
+    assert sorted(done) == sorted(engine.started)
+    assert max(map(len, engine.beside)) == 2
+    assert all(len({name[0] for name in names}) == len(names) for names in engine.beside)
+
+
+@NEEDS_DASK
+def test_what_is_not_the_cluster_s_is_not_said_of_it(campaign: Campaign):
+    """Whoever reads our progress may have had enough of it."""
+
+    def closed(_running: Sequence[Any]) -> None:
+        raise BrokenPipeError
+
+    campaign.watch = closed
+    with pytest.raises(BrokenPipeError):
+        campaign.run(campaign.dask())
+
+
+@NEEDS_DASK
+def test_a_cluster_without_workers_is_waited_for_and_told_of_once(campaign: Campaign, monkeypatch: pytest.MonkeyPatch):
+    looks: list[Any] = []
+
+    def watch(running: Sequence[Any]) -> None:
+        looks.append(running)
+        if len(looks) > 5:
+            raise BrokenPipeError
+
+    campaign.watch, campaign.dumb = watch, True
+    monkeypatch.setattr(module, "_SILENCE", 0.1)
+    with pytest.raises(BrokenPipeError):
+        campaign.run(campaign.dask())
+    assert campaign.told == ["the Dask cluster at here has no workers yet; 1 cells wait for one"]
+
+
+@NEEDS_DASK
+def test_a_cell_that_a_worker_gave_up_is_given_out_anew(campaign: Campaign):
+    campaign.silent = 5
+    assert campaign.run(campaign.dask()) == [cell.key for cell in campaign.cells]
+    campaign.silent = 6
+    with pytest.raises(MachineError, match=f"lost before they begin {campaign.cells[0].title}; their logs say why"):
+        campaign.run(campaign.dask())
+
+
+@NEEDS_DASK
+def test_workers_that_cannot_be_started_here_are_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    import distributed  # pyright: ignore[reportMissingImports]
+
+    def refuses(**_: Any) -> None:
+        raise RuntimeError("Cluster failed to start: no more processes\nand much more")
+
+    monkeypatch.setattr(distributed, "LocalCluster", refuses)
+    for folder, why in (
+        (tmp_path, "Cluster failed to start: no more processes"),
+        (tmp_path / "none", r"\[Errno 2\] No such file or directory: .*"),
+    ):
+        monkeypatch.setattr(tempfile, "tempdir", str(folder))
+        with pytest.raises(MachineError, match=rf"^--engine dask: its workers cannot be started here \({why}\); make room") as caught:
+            _enter(local_cluster(1))
+        assert "\n" not in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def _enter(context: contextlib.AbstractContextManager[Iterator[Any]]) -> None:
+    with context:
+        raise AssertionError("it began")

@@ -1,0 +1,170 @@
+"""Isolated calls: every way to misbehave has its own ending, good calls beside it are unchanged, nothing is left running or on disk."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models.errors import MachineError
+from validate.execution.isolated import FOLDER_PREFIX, Ending, Limits, run_isolated
+from validate.execution.reaper import TOKEN_VARIABLE
+
+HELPERS = Path(__file__).parents[1] / "helpers"
+
+
+@pytest.fixture(autouse=True)
+def own_place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """The functions importable in children, all folders of children in one place, and a mark on every process."""
+    place = tmp_path / "place"
+    place.mkdir()
+    monkeypatch.setenv("PYTHONPATH", str(HELPERS))
+    monkeypatch.setenv("TEST_MARK", str(place))
+    monkeypatch.setattr(tempfile, "tempdir", str(place))
+    return place
+
+
+def processes_of(place: Path) -> list[int]:
+    mark = f"TEST_MARK={place}".encode()
+    found = []
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            environment = (entry / "environ").read_bytes().split(b"\0")
+        except OSError:
+            continue
+        if mark in environment and any(item.startswith(TOKEN_VARIABLE.encode()) for item in environment):
+            found.append(int(entry.name))
+    return found
+
+
+def call(name: str, request=None, **limits):
+    arrays = {"x": np.arange(3.0)} if name in ("double", "sums") else None
+    return run_isolated(f"isolated_functions:{name}", request, arrays, limits=Limits(**{"seconds": 60.0, **limits}), what="model.fmu")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limits there")
+def test_a_narrow_limit_of_files_leaves_no_bytecode_cut_off(own_place: Path, monkeypatch: pytest.MonkeyPatch):
+    """Python writes as much of a module's bytecode as it may, and takes that for the whole in the next process."""
+    package = own_place / "package"
+    package.mkdir()
+    (package / "long_module.py").write_text(f"text = {'x' * 100_000!r}\ndef length(request, arrays):\n    return len(text)\n")
+    monkeypatch.setenv("PYTHONPATH", str(package))
+    monkeypatch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
+    for limit in (8_000, 512 * 1024**2, 8_000):
+        done = run_isolated("long_module:length", None, limits=Limits(seconds=60.0, file=limit), what="it")
+        assert (done.ending, done.sentence, done.value) == (Ending.OK, "", 100_000)
+
+
+def test_values_and_arrays_go_in_and_come_out():
+    done = call("double", {"a": [1, None]})
+    assert (done.ending, done.sentence, done.value) == (Ending.OK, "", {"given": {"a": [1, None]}})
+    assert done.arrays["twice"].tolist() == [0.0, 2.0, 4.0]
+    assert 0 < done.cpu < 60
+    assert done.memory > 1024**2
+
+
+@pytest.mark.parametrize(
+    ("name", "request_", "limits", "ending", "words"),
+    [
+        ("refuses", None, {}, Ending.ERROR, "there is no such thing; choose another."),
+        ("lacks", None, {}, Ending.MACHINE, "there is no compiler."),
+        ("finds_no_room", errno.ENOSPC, {}, Ending.MACHINE, "the disk is full"),
+        ("finds_no_room", errno.ENOENT, {}, Ending.EXCEPTION, "FileNotFoundError"),
+        ("stumbles", None, {}, Ending.EXCEPTION, "KeyError: 'lost'"),
+        ("nan_value", None, {}, Ending.EXCEPTION, "not JSON compliant"),
+        ("hangs", None, {"seconds": 1.0}, Ending.TIME_LIMIT, "time limit of 1 s"),
+        ("burns", None, {"seconds": 1.0}, Ending.TIME_LIMIT, "time limit of 1 s"),
+        ("crashes", None, {}, Ending.SIGNAL, "SIGSEGV"),
+        ("aborts", None, {}, Ending.ABORT, "SIGABRT"),
+        ("leaves", 0, {}, Ending.NO_RESULT, "without a result (exit code 0)"),
+        ("leaves", 7, {}, Ending.NO_RESULT, "exit code 7"),
+        ("fills", None, {"memory": 1024**3}, Ending.MEMORY_LIMIT, "memory limit of 1 GiB"),
+        ("fatal", None, {}, Ending.FATAL, "fmi2DoStep failed with status 4"),
+        ("nan", None, {}, Ending.NOT_A_NUMBER, "x is nan"),
+    ],
+)
+def test_each_misbehaviour_has_its_own_ending(name, request_, limits, ending, words, own_place: Path):
+    done = call(name, request_, **limits)
+    assert (done.ending, done.value, dict(done.arrays)) == (ending, None, {})
+    assert words in done.sentence
+    assert processes_of(own_place) == []
+    assert list(own_place.iterdir()) == []
+    assert call("sums").value == 3.0
+
+
+def test_no_result_on_a_full_disk_is_not_put_down_to_the_model(monkeypatch: pytest.MonkeyPatch, own_place: Path):
+    def refused(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", refused)
+    with pytest.raises(MachineError, match="the disk is full"):
+        call("leaves", 0)
+    assert list(own_place.iterdir()) == []
+
+
+def test_what_it_prints_is_kept_and_not_believed():
+    done = call("says", output=100)
+    assert (done.ending, done.value) == (Ending.OK, "said")
+    assert len(done.output) <= 100
+    assert "not UTF-8" in done.output
+
+
+def test_a_print_that_never_ends_stops_at_the_file_limit():
+    assert call("says", file=4096).value == "said"
+
+
+def test_a_process_it_leaves_behind_is_counted_and_ended(own_place: Path):
+    done = call("forks")
+    assert (done.ending, done.value, done.strays) == (Ending.OK, "forked", 1)
+    assert processes_of(own_place) == []
+
+
+def test_only_the_first_process_answers():
+    done = call("comes_back_twice", 1)
+    assert done.ending is Ending.OK
+    assert done.value > 0
+
+
+def test_a_crash_while_everything_is_unloaded_spoils_nothing():
+    assert call("crashes_after").value == "done"
+
+
+def test_temporary_files_go_with_the_child(own_place: Path):
+    done = call("writes_temporary_files")
+    assert Path(done.value).is_relative_to(own_place)
+    assert list(own_place.iterdir()) == []
+
+
+def test_an_outer_limit_ends_the_inner_run_too(tmp_path: Path, own_place: Path):
+    marker = tmp_path / "marker"
+    done = call("nested", str(marker), seconds=6.0)
+    assert done.ending is Ending.TIME_LIMIT
+    assert marker.read_text() == "inner"
+    assert processes_of(own_place) == []
+    assert list(own_place.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["starts_and_hangs", "nested"])
+def test_nothing_is_left_when_the_parent_is_killed(name: str, tmp_path: Path, own_place: Path):
+    marker = tmp_path / "marker"
+    code = f"from validate.execution.isolated import run_isolated; run_isolated('isolated_functions:{name}', {str(marker)!r})"
+    parent = subprocess.Popen([sys.executable, "-c", code], env={**os.environ, "TMPDIR": str(own_place)}, cwd=HELPERS.parents[2])
+    deadline = time.monotonic() + 120
+    while not (marker.exists() and marker.read_text() == "inner"):
+        assert time.monotonic() < deadline
+        assert parent.poll() is None
+        time.sleep(0.02)
+    parent.send_signal(signal.SIGKILL)
+    parent.wait()
+    while (processes_of(own_place) or list(own_place.glob(f"{FOLDER_PREFIX}*"))) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert processes_of(own_place) == []
+    assert list(own_place.iterdir()) == []

@@ -1,0 +1,105 @@
+"""Real chains of real methods: the same numbers, to the last bit, in another order, resumed after a kill, on Dask, and where nothing is shared.
+
+test_engines.py and test_campaign_reliability.py show the same of cells that only pretend, and of how they end.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import random
+import signal
+from pathlib import Path
+
+import pytest
+from killed_campaigns import finished, unfinished, untimed
+from standing_cluster import come
+
+from models.catalog import load_scene
+from models.trajectory_netcdf import read_netcdf
+from reports.records.record import RunRecord
+from validate.cli.narrator import PlainNarrator
+from validate.execution import campaign
+from validate.execution.campaign import CampaignSettings, run_campaign
+
+# Three chains that begin with the same stages, and one that shares nothing.
+SCENE, CELLS = "wall_pendulum", "softplus_dc or collocation"
+CAMPAIGN = ("--scene", SCENE, "-k", CELLS)
+
+
+@pytest.fixture(scope="module")
+def whole(cli, tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("whole")
+    done = cli("all", *CAMPAIGN, "-j", "1", "--out", str(out))
+    assert done.returncode == 0, done.stderr
+    return out
+
+
+def _plans(out: Path) -> dict[tuple[str, str], bytes]:
+    """The bits of all plans of a campaign, by cell and file."""
+    scene = load_scene(SCENE)
+    found = {}
+    for file in sorted((out / "runs").glob("*/trajectory*.nc")):
+        plan = read_netcdf(file, scene)
+        found[file.parent.name, file.name] = b"".join(array.tobytes() for array in (plan.q, plan.v, plan.u, plan.lam))
+    return found
+
+
+def _same(out: Path, whole: Path) -> None:
+    rows, expected = untimed(out), untimed(whole)
+    assert sorted(map(str, rows)) == sorted(map(str, expected))
+    assert set(finished(out)) == set(finished(whole))
+    assert unfinished(out) == []
+    plans = _plans(whole)
+    assert len(plans) > 10
+    assert _plans(out) == plans
+
+
+def test_something_is_shared(whole):
+    records = [RunRecord.model_validate_json(content) for content in finished(whole).values()]
+    assert (
+        sum(any(stage.shared_from for stage in record.stages) for record in records) == 2
+    )  # of three chains that begin alike, all but the first
+
+
+def test_in_another_order(whole, tmp_path, monkeypatch):
+    """Whichever cell comes first runs what several begin with."""
+    chosen = campaign.select
+
+    def shuffled(settings: CampaignSettings):
+        entries, left_out = chosen(settings)
+        random.Random(1).shuffle(entries)
+        return entries, left_out
+
+    monkeypatch.setattr(campaign, "select", shuffled)
+    run_campaign(CampaignSettings(out=tmp_path, scenes=(SCENE,), expression=CELLS, jobs=2), PlainNarrator())
+    _same(tmp_path, whole)
+
+
+def test_resumed_after_a_kill(whole, cli, start_cli, tmp_path):
+    process = start_cli("all", *CAMPAIGN, "-j", "2", "--out", str(tmp_path))
+    come(lambda: len(finished(tmp_path)) >= 1 or process.poll() is not None)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    kept = finished(tmp_path)
+    assert 1 <= len(kept) < len(finished(whole))
+    done = cli("all", *CAMPAIGN, "-j", "2", "--out", str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    assert kept.items() <= finished(tmp_path).items()
+    _same(tmp_path, whole)
+
+
+def test_where_nothing_is_shared(whole, cli, tmp_path):
+    """A cell in a folder of its own has every stage to itself, whichever of its chains ran them in the other."""
+    for pipeline in ("softplus_dc+strict", "softplus_dc+lbfgs"):
+        out = tmp_path / pipeline
+        done = cli("all", "--scene", SCENE, "-k", f"={pipeline}", "--out", str(out))
+        assert done.returncode == 0, done.stderr
+        assert [row for row in untimed(whole) if row["pipeline"] == pipeline] == untimed(out)
+        assert _plans(out).items() <= _plans(whole).items()
+
+
+@pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="distributed is not installed (the extra `dask`)")
+def test_on_dask(whole, cli, tmp_path):
+    done = cli("all", *CAMPAIGN, "-j", "2", "--engine", "dask", "--out", str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    _same(tmp_path, whole)

@@ -1,0 +1,223 @@
+"""Campaigns whose process is killed, or interrupted, at random moments, and what must be true of their folder at any moment, and in the end."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+
+from validate.execution.reaper import TOKEN_VARIABLE
+
+HELPERS = Path(__file__).parent
+# Cells that end well, badly, slowly, in a crash that is run anew by every resumption, and with processes left over; most of them share stages.
+CELLS = "good or soft_alone or slow or infeasible or raises or litter or chain"
+# What is written over whenever the same cell is run again.
+_RUN_AGAIN = frozenset({"crashed"})
+_PATIENCE, _LOOK = 60.0, 0.01
+# In the environment of a campaign, and of all that it starts.
+_MARK = "KILLED_CAMPAIGN"
+
+
+@dataclass
+class Kills:
+    """What was seen. kills: that hit a campaign at work; moments: of each, how many cells were stored and how many seconds that was ago at least;
+    kept: finished cells that were found again, unchanged, after a kill."""
+
+    kills: int = 0
+    campaigns: int = 0
+    kept: int = 0
+    moments: list[tuple[int, float]] = field(default_factory=list)
+    faults: list[str] = field(default_factory=list)
+
+
+def environment(cache: Path) -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": str(HELPERS), "TOUCHSTONE_CACHE": str(cache), "NO_COLOR": "1"}
+
+
+def family(out: Path) -> list[str]:
+    """Living processes that a campaign of `start` brought about in whatever way, workers of its own cluster too, and its cells' processes."""
+    return _living(f"{_MARK}={out}\0".encode()) + processes(out)
+
+
+def start(out: Path, cache: Path, cells: str, *more: str) -> subprocess.Popen[bytes]:
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in the background of a shell, which what it starts would inherit
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    chosen = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart", "-k", cells)
+    command = [sys.executable, "-m", "validate", "all", *chosen, "--out", str(out), *more]
+    with open(out.with_suffix(".log"), "ab") as log:
+        return subprocess.Popen(
+            command, stdout=log, stderr=log, stdin=subprocess.DEVNULL, env={**environment(cache), _MARK: str(out)}, start_new_session=True
+        )
+
+
+def untimed(out: Path) -> list[dict[str, str]]:
+    """results.csv without its columns of times."""
+    rows = csv.DictReader((out / "results.csv").read_text(encoding="utf-8").splitlines())
+    return [{name: value for name, value in row.items() if not name.endswith("_s")} for row in rows]
+
+
+def finished(out: Path) -> dict[str, bytes]:
+    """The records that stand under their key, by key."""
+    return {path.parent.name: path.read_bytes() for path in (out / "runs").glob("[!.]*/record.json")}
+
+
+def _stored(out: Path) -> int:
+    return len(list((out / "runs").glob("[!.]*/record.json")))
+
+
+def unfinished(out: Path) -> list[str]:
+    """Files and folders that a campaign writes before they have their names."""
+    return [str(path.relative_to(out)) for path in out.rglob(".*")]
+
+
+def processes(out: Path) -> list[str]:
+    """Living processes that belong to cells of this folder, or were started by them."""
+    return _living(TOKEN_VARIABLE.encode(), str(out).encode())  # TMPDIR lies in the folder
+
+
+def _living(*words: bytes) -> list[str]:
+    """Command lines of the living processes whose environment has all these words."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            shown = (entry / "environ").read_bytes()
+            if all(word in shown for word in words):
+                found.append((entry / "cmdline").read_bytes().decode(errors="replace"))
+    return found
+
+
+def kill_and_resume(
+    folder: Path, cache: Path, kills: int, seed: int, *more: str, cells: str = CELLS, number: signal.Signals = signal.SIGKILL
+) -> Kills:
+    """Run campaigns in `folder`, killed with signal 9, until so many were; one that was killed is resumed in the same folder until it comes to its
+    end, and is then compared with one that nobody killed. number: another signal, as a terminal sends it; the campaign must then end in words.
+
+    When a kill comes is drawn as: how many cells are stored first, 0 to all that are missing, then how long after that, up to the longest pause
+    between two of them in the whole campaign - or, before the first, up to when that was stored. So kills fall everywhere on a busy machine too.
+    """
+    draw, seen = random.Random(seed), Kills()
+    first, pause = _paces(folder / "whole", start(folder / "whole", cache, cells, *more))
+    expected, whole = untimed(folder / "whole"), set(finished(folder / "whole"))
+    while seen.kills < kills:
+        seen.campaigns += 1
+        out = folder / f"killed{seen.campaigns}"
+        while True:
+            before = finished(out)
+            wanted = draw.randint(0, len(whole - set(before)))
+            moment = draw.uniform(0.0, pause if wanted else first)
+            told = _log(out)
+            process = start(out, cache, cells, *more)
+            ended = not _reaches(process, out, len(before) + wanted, moment) if seen.kills < kills else process.wait() >= 0
+            if not ended:
+                if number == signal.SIGKILL:
+                    process.kill()
+                else:
+                    os.killpg(process.pid, number)  # all in the foreground hear it
+                code = process.wait()
+                seen.kills += 1
+                seen.moments.append((len(before) + wanted, moment))
+                if number != signal.SIGKILL:
+                    _look_at_words(out, code, _log(out).removeprefix(told), before, seen)
+            elif seen.kills < kills:  # it was faster than the whole one: the machine was busy then
+                first, pause = 0.7 * first, 0.7 * pause
+            _look(out, before, seen)
+            if ended:
+                break
+        if untimed(out) != expected:
+            seen.faults.append(f"campaign {seen.campaigns}: results.csv is not that of a campaign that nobody killed")
+        if left := unfinished(out):
+            seen.faults.append(f"campaign {seen.campaigns}: left behind {left}")
+        if set(finished(out)) != whole:
+            seen.faults.append(f"campaign {seen.campaigns}: other cells are stored")
+    return seen
+
+
+def _paces(out: Path, process: subprocess.Popen[bytes]) -> tuple[float, float]:
+    """Of a campaign that runs to its end: seconds until its first cell is stored, and the longest pause between two, or after the last."""
+    times, stored = [time.monotonic()], 0
+    while process.poll() is None:
+        if (now := _stored(out)) > stored:
+            stored = now
+            times.append(time.monotonic())
+        time.sleep(_LOOK)
+    times.append(time.monotonic())
+    pauses = [later - earlier for earlier, later in pairwise(times)]
+    return pauses[0], max(pauses[1:], default=0.0)
+
+
+def _reaches(process: subprocess.Popen[bytes], out: Path, stored: int, moment: float) -> bool:
+    """Whether a campaign still runs this long [s] after so many of its cells are stored."""
+    while _stored(out) < stored:
+        if process.poll() is not None:
+            return False
+        time.sleep(_LOOK)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(moment)
+    return process.poll() is None
+
+
+def _log(out: Path) -> str:
+    path = out.with_suffix(".log")
+    return path.read_text(encoding="utf-8") if path.exists() else ""
+
+
+_SAID = re.compile(r"^interrupted: (\d+) of \d+ cells are stored in \S+; resume with: python -m validate all ", re.MULTILINE)
+
+
+def _look_at_words(out: Path, code: int, told: str, before: dict[str, bytes], seen: Kills) -> None:
+    """Of a campaign that was interrupted: how it ended, what it said and wrote."""
+    begun, said = " to run\n" in told, _SAID.search(told)
+    # A shell says 130 of a death by the signal too; so ends Python where it came while text was compiled, whatever is done about it.
+    code = 130 if code == -signal.SIGINT else code
+    if code not in (130, *(() if "report:" not in told else (0, 1))) or "Traceback" in told or (begun and code == 130 and said is None):
+        seen.faults.append(f"interrupt {seen.kills}: exit code {code}, {told[-2000:]!r}")
+    if left := unfinished(out):
+        seen.faults.append(f"interrupt {seen.kills}: left behind {left}")
+    if said is not None:
+        again = {key for key, content in before.items() if _outcomes(content) & _RUN_AGAIN}
+        now = finished(out)
+        stored = len([key for key in now if key not in again or now[key] != before[key]])
+        rows = {row["pipeline"] for row in untimed(out)}
+        if not int(said[1]) == stored == len(rows):
+            seen.faults.append(f"interrupt {seen.kills}: {said[0]!r}, but {stored} are stored and {len(rows)} in results.csv")
+
+
+def _outcomes(content: bytes) -> set[str]:
+    from reports.records.check_record import StoredRecord
+
+    return {stage.outcome for stage in getattr(StoredRecord.model_validate_json(content).root, "stages", ())}
+
+
+def _look(out: Path, before: dict[str, bytes], seen: Kills) -> None:
+    from reports.records.check_record import StoredRecord
+
+    until = time.monotonic() + _PATIENCE
+    while (left := family(out)) and time.monotonic() < until:
+        time.sleep(0.05)
+    if left:
+        seen.faults.append(f"after kill {seen.kills}: processes live: {left}")
+    now = finished(out)
+    for key, content in now.items():
+        try:
+            record = StoredRecord.model_validate_json(content).root
+        except ValueError as error:
+            seen.faults.append(f"after kill {seen.kills}: the record of {key} is damaged: {error}")
+            continue
+        if record.key != key:
+            seen.faults.append(f"after kill {seen.kills}: {key} holds the record of another cell")
+    for key, content in before.items():
+        if _outcomes(content) & _RUN_AGAIN:
+            continue
+        if now.get(key) == content:
+            seen.kept += 1
+        else:
+            seen.faults.append(f"after kill {seen.kills}: the finished cell {key} is {'another' if key in now else 'lost'}")

@@ -1,0 +1,125 @@
+"""The replay under inputs that jump at every step, and on grids that divide nothing: it converges as its own order says, or says that it did not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from edited_fmu import edited, without
+
+from models.catalog import load_scene
+from models.fmu import build_fmu
+from models.scene import Scene
+from models.trajectory import Hold, Trajectory
+from validate.judge.replay import Replay, ReplayOutcome
+from validate.judge.replay.run import replay
+
+# Carts 1 and 3 run into the middle one; apart they never meet.
+COLLIDING = (2.0, 2.52, 3.05, 0.5, 0.0, -0.5)
+APART = (2.0, 3.0, 4.0, 0.0, 0.0, 0.0)
+# The Co-Simulation integrates by a method of order four, and finds contacts within its step.
+ORDER = 4
+FORCE = 20.0
+NOISE = 1e-11
+
+
+@pytest.fixture(scope="module")
+def fmu() -> Path:
+    return build_fmu(load_scene("three_cart"))
+
+
+def replayed(fmu: Path, t: np.ndarray, u: np.ndarray, hold: Hold, start: tuple[float, ...], **options) -> Replay:
+    scene = load_scene("three_cart").with_task(steps=len(u), start=start)
+    q, v = np.tile(start[:3], (len(t), 1)), np.tile(start[3:], (len(t), 1))
+    return replay(scene, fmu, Trajectory(t=t, q=q, v=v, u=u, lam=np.zeros((len(u), 2)), hold=hold), **options)
+
+
+def bang_bang(steps: int) -> tuple[np.ndarray, np.ndarray]:
+    """Grid and inputs (steps, 2) that go from one bound to the other at every step."""
+    return 0.01 * np.arange(steps + 1), FORCE * np.where(np.arange(steps) % 2 == 0, 1.0, -1.0)[:, None] * np.array([[1.0, -1.0]])
+
+
+def test_bang_bang_without_contact_is_exact(fmu: Path):
+    """Polynomials of degree two between the jumps: whoever restarts at each jump has nothing left but rounding."""
+    t, u = bang_bang(100)
+    result = replayed(fmu, t, u, Hold.ZERO_ORDER, APART, fineness=(2, 4, 8))
+    error = result.error
+    assert result.outcome is ReplayOutcome.OK
+    assert error.estimate is not None
+    assert error.everyday is not None
+    assert max(error.estimate.position, error.everyday.position) < NOISE
+    assert error.step_ratio is None
+
+
+def test_bang_bang_through_contacts_has_the_richardson_ratio_of_its_order(fmu: Path):
+    t, u = bang_bang(100)
+    result = replayed(fmu, t, u, Hold.ZERO_ORDER, COLLIDING, fineness=(2, 4, 8))
+    assert len(result.events) >= 4
+    assert result.error.step_ratio is not None
+    assert np.log2(result.error.step_ratio) == pytest.approx(ORDER, abs=0.5)
+    assert result.error.everyday is not None
+    assert result.error.step is not None
+    assert result.error.everyday.position < 10 * result.error.step.position
+
+
+def short_contacts(k: float) -> tuple[Scene, Trajectory]:
+    """Carts that stand still in the plan, and collide for shorter than its steps last."""
+    scene = load_scene("three_cart").with_parameters(k=k).with_task(steps=100, start=COLLIDING)
+    t, u = bang_bang(100)
+    q, v = np.tile(COLLIDING[:3], (101, 1)), np.tile(COLLIDING[3:], (101, 1))
+    return scene, Trajectory(t=t, q=q, v=v, u=u, lam=np.zeros((100, 2)))
+
+
+def test_contacts_shorter_than_the_steps_are_looked_at_more_closely(fmu: Path, tmp_path: Path):
+    """Without Model Exchange nothing but the gaps and their rates tells that there was contact between two nodes."""
+    only = edited(fmu, tmp_path / "cs.fmu", without("ModelExchange"))
+    scene, plan = short_contacts(1e6)
+    result, reference = replay(scene, only, plan, fineness=(1, 2, 4)), replay(scene, fmu, plan)
+    assert result.error.estimate is not None
+    assert len(reference.events) > 0
+    assert np.abs(result.q[result.knots] - reference.q[reference.knots]).max() < 3.0 * result.error.estimate.position < 1e-2
+
+
+def smooth(t: np.ndarray) -> np.ndarray:
+    """(n, 2) inputs that no grid holds exactly."""
+    return np.column_stack([3 * np.sin(5 * t), -2 * np.cos(4 * t)])
+
+
+def uneven(steps: int) -> np.ndarray:
+    """A grid of one second whose steps are 1 : sqrt(2) : 0.7 : pi/3 long: none is a multiple of another, nor of a step inside."""
+    lengths = np.resize([1.0, np.sqrt(2.0), 0.7, np.pi / 3], steps)
+    return np.concatenate([[0.0], np.cumsum(lengths) / lengths.sum()])
+
+
+@pytest.fixture(scope="module")
+def exact(fmu: Path) -> np.ndarray:
+    """Where the smooth input leads, to 1e-6: as lines on a grid that is 17 times finer than the finest below."""
+    return _end(fmu, uneven(1600), Hold.LINEAR)
+
+
+@pytest.mark.parametrize(("hold", "order"), [(Hold.ZERO_ORDER, 1), (Hold.LINEAR, 2)])
+@pytest.mark.parametrize("kind", ["reference", "everyday"])
+def test_order_of_the_hold_on_grids_that_divide_nothing(hold: Hold, order: int, kind: str, fmu: Path, exact: np.ndarray, tmp_path: Path):
+    """As the plan's grid is refined, the motion goes to that of the smooth input with the order of the hold: 1 held, 2 as lines."""
+    file = fmu if kind == "reference" else edited(fmu, tmp_path / "cs.fmu", without("ModelExchange"))
+    counts = (24, 48, 96)
+    errors = [np.abs(_end(file, uneven(steps), hold) - exact).max() for steps in counts]
+    slope = -np.polyfit(np.log(counts), np.log(errors), 1)[0]
+    assert slope == pytest.approx(order, abs=0.35)
+
+
+def _end(fmu: Path, t: np.ndarray, hold: Hold) -> np.ndarray:
+    result = replayed(fmu, t, smooth(t[:-1]), hold, COLLIDING, fineness=(2, 4, 8))
+    assert result.outcome is ReplayOutcome.OK
+    return result.end
+
+
+def test_the_two_holds_are_told_apart(fmu: Path):
+    """The same numbers held and as lines are two plans; their difference is far above what either replay may be wrong."""
+    t = uneven(50)
+    held, lines = (replayed(fmu, t, smooth(t[:-1]), hold, COLLIDING) for hold in (Hold.ZERO_ORDER, Hold.LINEAR))
+    apart = np.abs(held.end - lines.end).max()
+    for result in (held, lines):
+        assert result.error.estimate is not None
+        assert apart > 1e4 * result.error.estimate.state

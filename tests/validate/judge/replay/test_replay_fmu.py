@@ -1,0 +1,277 @@
+"""Replay through generated FMUs: closed forms, self-error, order of convergence, hold conventions, failures as outcomes."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import sympy as sp
+
+from models.catalog import load_scene
+from models.codegen.kernel import load_kernel
+from models.fmu import build_fmu
+from models.scene import Contact, Coordinate, Input, Parameter, Scene, Task
+from models.scene.scene import goal_limits
+from models.trajectory import Hold, Trajectory, uniform_grid
+from validate.fmi.description import FmuError
+from validate.judge.replay import Replay, ReplayOutcome
+from validate.judge.replay.run import replay
+
+SCENES = Path(__file__).parents[3] / "scenes"
+# Absolute error of a reference replay [m, m/s]: the looser tolerance is 1e-11 relative a step, over some thousand steps.
+REFERENCE = 1e-9
+
+
+def passive(scene: Scene) -> Trajectory:
+    """A plan without inputs: only its grid and start matter to the replay."""
+    steps, nq = scene.task.steps, scene.nq
+    state = np.tile(np.array(scene.task.start), (steps + 1, 1))
+    grid = uniform_grid(scene.task.step, steps)
+    return Trajectory(t=grid, q=state[:, :nq], v=state[:, nq:], u=np.zeros((steps, scene.nu)), lam=np.zeros((steps, scene.nc)))
+
+
+def driven(scene: Scene, u: np.ndarray, hold: Hold = Hold.ZERO_ORDER) -> Trajectory:
+    """The scene's own time step under inputs u (steps, nu): a plan that is consistent with the true contact law."""
+    rollout = load_kernel(scene).rollout(np.array(scene.task.start), u, scene.task.step)
+    return Trajectory(t=uniform_grid(scene.task.step, len(u)), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, hold=hold)
+
+
+def pushes(steps: int = 500) -> np.ndarray:
+    """(steps, 2) inputs that bring three carts together twice, with a jump at every step."""
+    t = np.arange(steps) * 0.01
+    return np.column_stack([1.5 * np.sin(1.3 * t) + 0.6, -1.2 * np.cos(0.9 * t) * np.exp(-0.1 * t)])
+
+
+def mass_on_a_line(growth: float = 0.0) -> Scene:
+    """One mass, one input, force growth*q: a double integrator, or unstable."""
+    q, v, u, m, g = *sp.symbols("q v u", real=True), sp.Symbol("m", positive=True), sp.Symbol("g", real=True)
+    return Scene(
+        name="mass_on_a_line",
+        title="One driven mass",
+        source="made up for this test",
+        coordinates=(Coordinate(symbol=q, velocity=v, unit="m"),),
+        inputs=(Input(symbol=u, unit="N"),),
+        parameters=(Parameter(symbol=m, value=2.0, unit="kg", lower=1e-6), Parameter(symbol=g, value=growth, unit="N/m")),
+        kinetic_energy=m * v**2 / 2,
+        potential_energy=sp.Integer(0),
+        forces=(u + g * q,),
+        contacts=(),
+        task=Task(start=(0.0, 0.0), goal=(1.0, 0.0), running_cost=u**2, step=0.2, steps=6),
+        limits=goal_limits(position=0.01, velocity=0.01, reason="this test"),
+    )
+
+
+@pytest.fixture(scope="module")
+def carts() -> Scene:
+    return load_scene("three_cart")
+
+
+@pytest.fixture(scope="module")
+def carts_replay(carts: Scene) -> Replay:
+    return replay(carts, build_fmu(carts), driven(carts, pushes()))
+
+
+def test_a_dropped_mass_meets_the_floor_as_the_closed_form_says():
+    scene = load_scene("bouncing_mass")
+    answers = {answer.quantity: answer.value for answer in scene.answers}
+    result = replay(scene, build_fmu(scene), passive(scene))
+    assert result.ok, result.message
+    closing, opening = result.events[:2]
+    assert (closing.contact, closing.closes, opening.closes) == ("floor", True, False)
+    assert closing.time == pytest.approx(answers["time of the first contact [s]"], abs=REFERENCE)
+    assert opening.time - closing.time == pytest.approx(answers["contact time [s]"], abs=REFERENCE)
+    # The deepest point lies between two recorded points; the parabola through the three deepest finds it.
+    i = int(result.gap[:, 0].argmin())
+    parabola = np.polyfit(result.t[i - 1 : i + 2] - result.t[i], -result.gap[i - 1 : i + 2, 0], 2)
+    assert parabola[2] - parabola[1] ** 2 / (4 * parabola[0]) == pytest.approx(answers["largest depth [m]"], rel=1e-6)
+    flight = result.t < closing.time
+    assert result.q[flight, 0] == pytest.approx(scene.task.start[0] - 9.81 * result.t[flight] ** 2 / 2, abs=REFERENCE)
+    assert result.energy == pytest.approx(result.energy[0], rel=1e-9)
+
+
+def test_a_collision_keeps_momentum_and_energy_and_swaps_speeds():
+    scene = load_scene("two_body_collision")
+    answers = {answer.quantity: answer.value for answer in scene.answers}
+    result = replay(scene, build_fmu(scene), passive(scene))
+    assert result.ok, result.message
+    assert [event.closes for event in result.events] == [True, False]
+    assert result.events[1].time - result.events[0].time == pytest.approx(answers["contact time [s]"], abs=REFERENCE)
+    after = [answers[f"velocity of the {which} disc afterwards [m/s]"] for which in ("left", "right")]
+    assert result.v[-1] == pytest.approx(np.array(after), abs=REFERENCE)
+    assert result.v @ np.array([1.0, 3.0]) == pytest.approx(-1.0, abs=REFERENCE)
+    assert result.contact_impulse is not None
+    assert result.contact_impulse[-1, 0] == pytest.approx(scene.task.start[2] - after[0], abs=REFERENCE)
+
+
+def test_three_carts_replay_to_1e_8_by_two_tolerances(carts_replay: Replay):
+    assert carts_replay.ok, carts_replay.message
+    error = carts_replay.error
+    assert error.tolerance is not None
+    assert error.everyday is not None
+    assert error.estimate == error.tolerance
+    assert 0 < error.tolerance.position <= 1e-8
+    assert error.everyday.position <= error.tolerance.position  # an independent integrator agrees with the tighter run
+    assert len(carts_replay.events) >= 3
+
+
+def test_the_estimate_bounds_the_error_of_a_loose_replay(carts: Scene, carts_replay: Replay):
+    loose = replay(carts, build_fmu(carts), driven(carts, pushes()), tolerances=(1e-6, 1e-8))
+    assert loose.error.estimate is not None
+    true = np.abs(loose.q[loose.knots] - carts_replay.q[carts_replay.knots]).max()
+    assert 1e-10 < true <= loose.error.estimate.position
+
+
+def test_grid_holds_every_node_and_points_between(carts: Scene, carts_replay: Replay):
+    assert carts_replay.t[carts_replay.knots].tolist() == uniform_grid(0.01, 500).tolist()
+    assert len(carts_replay.t) == 3 * 500 + 1 + len(carts_replay.events)
+    for event in carts_replay.events:
+        row = carts_replay.t.tolist().index(event.time)
+        contact = [item.name for item in carts.contacts].index(event.contact)
+        assert abs(carts_replay.gap[row, contact]) < 1e-12
+    assert carts_replay.lam == pytest.approx(30.0 * np.maximum(-carts_replay.gap, 0.0), abs=1e-9)
+
+
+def test_energy_balances(carts_replay: Replay):
+    assert carts_replay.input_work is not None
+    assert carts_replay.dissipated_work is not None
+    residual = carts_replay.energy - carts_replay.energy[0] - carts_replay.input_work + carts_replay.dissipated_work
+    assert np.abs(residual).max() < 1e-10
+    assert carts_replay.dissipated_work[-1] > 0.1
+
+
+def test_everyday_error_falls_with_the_fourth_power_of_its_step(carts: Scene, carts_replay: Replay):
+    """Co-Simulation is Runge-Kutta of order 4 with located events; slope of log error over log step."""
+    errors = []
+    for fineness in ((1, 2), (2, 4)):
+        result = replay(carts, build_fmu(carts), driven(carts, pushes()), fineness=fineness, tolerances=(1e-12, 1e-13))
+        assert result.error.everyday is not None
+        errors.append(result.error.everyday.position)
+    assert carts_replay.error.step is not None
+    assert 3.5 < math.log2(errors[0] / errors[1]) < 4.8
+    assert carts_replay.error.step.position < errors[1]
+
+
+def test_ramped_inputs_reach_both_integrators():
+    """u = t: q = t^3/12 with 2 kg until the last step, which is held."""
+    scene = mass_on_a_line()
+    u = uniform_grid(0.2, 5)[:, None]
+    ramped = replay(scene, build_fmu(scene), driven(scene, u, Hold.LINEAR))
+    node = ramped.knots[5]
+    assert ramped.q[node, 0] == pytest.approx(1 / 12, abs=1e-11)
+    assert ramped.v[node, 0] == pytest.approx(1 / 4, abs=1e-11)
+    assert ramped.error.everyday is not None
+    assert ramped.error.everyday.position < 1e-11
+    held = replay(scene, build_fmu(scene), driven(scene, u))
+    assert abs(held.q[node, 0] - ramped.q[node, 0]) > 1e-2
+    assert held.input_work is not None
+    assert held.input_work == pytest.approx(held.kinetic_energy, abs=1e-10)
+
+
+def test_a_grid_of_unequal_steps_is_followed():
+    scene = mass_on_a_line()
+    t = np.array([1.0, 1.3, 1.35, 2.0])
+    u = np.array([[2.0], [-4.0], [1.0]])
+    plan = Trajectory(t=t, q=np.zeros((4, 1)), v=np.zeros((4, 1)), u=u, lam=np.zeros((3, 0)))
+    result = replay(scene, build_fmu(scene), plan)
+    q = v = 0.0
+    for h, force in zip(np.diff(t), u[:, 0], strict=True):
+        q, v = q + h * v + force / 2 * h**2 / 2, v + force / 2 * h
+    assert result.q[-1, 0] == pytest.approx(q, abs=1e-11)
+    assert result.error.everyday is not None
+    assert result.error.everyday.position < 1e-11
+
+
+def test_parameters_are_those_of_the_scene_not_of_the_file(carts: Scene):
+    stiffer = carts.with_parameters(k=60.0)
+    plan = driven(stiffer, pushes())
+    own, foreign = replay(stiffer, build_fmu(stiffer), plan), replay(stiffer, build_fmu(carts), plan)
+    assert foreign.q[-1] == pytest.approx(own.q[-1], abs=1e-9)
+
+
+def test_another_fmu_is_replayed_by_a_map_of_names():
+    scene = mass_on_a_line()
+    x, w, f = sp.symbols("x w f", real=True)
+    old = (*scene.coordinates, *scene.inputs)
+    renamed = Scene(
+        name="foreign",
+        title=scene.title,
+        source=scene.source,
+        coordinates=(Coordinate(symbol=x, velocity=w, unit="m"),),
+        inputs=(Input(symbol=f, unit="N"),),
+        parameters=scene.parameters,
+        kinetic_energy=scene.kinetic_energy.subs(old[0].velocity, w),
+        potential_energy=scene.potential_energy,
+        forces=tuple(force.subs({old[0].symbol: x, old[1].symbol: f}) for force in scene.forces),
+        contacts=(),
+        task=Task(start=(0.0, 0.0), goal=(1.0, 0.0), running_cost=f**2, step=0.2, steps=6),
+        limits=goal_limits(position=0.01, velocity=0.01, reason="this test"),
+    )
+    plan = driven(scene, np.ones((6, 1)))
+    foreign = replay(scene, build_fmu(renamed), plan, {"q": "x", "v": "w", "u": "f"})
+    assert foreign.q[-1, 0] == pytest.approx(1.2**2 / 4, abs=1e-11)
+    with pytest.raises(FmuError, match=r"no variable 'q' of scene mass_on_a_line; give its name"):
+        replay(scene, build_fmu(renamed), plan)
+    with pytest.raises(FmuError, match="the map gives 'y' for 'q'"):
+        replay(scene, build_fmu(renamed), plan, {"q": "y", "v": "w", "u": "f"})
+    with pytest.raises(FmuError, match="the map names 'qq'"):
+        replay(scene, build_fmu(renamed), plan, {"qq": "x"})
+    with pytest.raises(FmuError, match=r"x .* is no input"):
+        replay(scene, build_fmu(renamed), plan, {"q": "x", "v": "w", "u": "x"})
+
+
+def test_what_is_no_fmu_is_refused(tmp_path: Path):
+    scene = mass_on_a_line()
+    with pytest.raises(FmuError, match="no such file"):
+        replay(scene, tmp_path / "absent.fmu", passive(scene))
+    garbled = tmp_path / "garbled.fmu"
+    garbled.write_bytes(b"PK\x03\x04 no zip")
+    with pytest.raises(FmuError, match="not a zip file"):
+        replay(scene, garbled, passive(scene))
+
+
+def test_an_unstable_scene_diverges_as_an_outcome_with_finite_numbers():
+    scene = mass_on_a_line(growth=800.0)
+    plan = Trajectory(t=uniform_grid(0.2, 6), q=np.ones((7, 1)), v=np.ones((7, 1)), u=np.zeros((6, 1)), lam=np.zeros((6, 0)))
+    result = replay(scene, build_fmu(scene), plan)
+    assert result.outcome is ReplayOutcome.DIVERGED
+    assert "left every bound" in result.message
+    assert result.error.estimate is None
+    assert 0 < len(result.t) < 19
+    assert result.t[-1] == pytest.approx(math.log(1e9) / 20, abs=0.2)
+
+
+def test_a_chattering_contact_ends_with_its_event_budget():
+    scene = load_scene("bouncing_mass")
+    result = replay(scene, build_fmu(scene), passive(scene), event_budget=1)
+    assert result.outcome is ReplayOutcome.EVENT_BUDGET
+    assert len(result.events) == 2
+    assert result.event_budget == 1
+    assert result.error.tolerance is None
+
+
+def test_a_start_that_already_touches_is_in_contact_from_the_first_moment():
+    q, v, u, k = *sp.symbols("q v u", real=True), sp.Symbol("k", positive=True)
+    scene = Scene(
+        name="leaning",
+        title="A mass pressed on a spring wall",
+        source="made up for this test",
+        coordinates=(Coordinate(symbol=q, velocity=v, unit="m"),),
+        inputs=(Input(symbol=u, unit="N"),),
+        parameters=(Parameter(symbol=k, value=100.0, unit="N/m", lower=1e-6),),
+        kinetic_energy=v**2 / 2,
+        potential_energy=sp.Integer(0),
+        forces=(u,),
+        contacts=(
+            Contact(name="wall", bodies=("mass", "wall"), depth=1.0, depth_reason="nothing here goes as deep", penetration=q, stiffness=k),
+        ),
+        task=Task(start=(0.02, 0.0), goal=(0.02, 0.0), running_cost=u**2, step=0.1, steps=5),
+        limits=goal_limits(position=0.01, velocity=0.01, reason="this test"),
+    )
+    resting = replay(scene, build_fmu(scene), driven(scene, np.full((5, 1), 2.0)))
+    assert resting.q[:, 0] == pytest.approx(0.02, abs=1e-12)
+    assert resting.events == ()
+    touching = driven(scene.with_task(start=(0.0, 0.0)), np.full((5, 1), 1.0))
+    pushed = replay(scene, build_fmu(scene), touching)
+    assert pushed.q[:, 0] == pytest.approx(0.01 * (1 - np.cos(10 * pushed.t)), abs=1e-10)

@@ -1,0 +1,139 @@
+"""FMUs that offer less than ours: one kind only, no contact outputs, no energies, no interpolation of inputs. Made by editing the XML of ours."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from edited_fmu import edited, renamed, without
+
+from models.catalog import load_scene
+from models.codegen.kernel import load_kernel
+from models.fmu import build_fmu
+from models.scene import Scene
+from models.trajectory import Hold, Trajectory, uniform_grid
+from validate.fmi.description import FmuError
+from validate.judge.replay import Replay, ReplayOutcome
+from validate.judge.replay.run import replay
+from validate.judge.score import score
+
+STEPS = 60
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return load_scene("three_cart").with_task(steps=STEPS, start=(2.0, 2.52, 3.05, 0.5, 0.0, -0.5))
+
+
+@pytest.fixture(scope="module")
+def fmu() -> Path:
+    return build_fmu(load_scene("three_cart"))
+
+
+def make_plan(scene: Scene, hold: Hold = Hold.ZERO_ORDER) -> Trajectory:
+    u = np.column_stack([np.linspace(2, -2, STEPS), np.linspace(-1, 1, STEPS)])
+    rollout = load_kernel(scene).rollout(np.array(scene.task.start), u, 0.01)
+    return Trajectory(t=uniform_grid(0.01, STEPS), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, hold=hold)
+
+
+@pytest.fixture(scope="module")
+def whole(scene: Scene, fmu: Path) -> Replay:
+    return replay(scene, fmu, make_plan(scene))
+
+
+def test_without_model_exchange_the_everyday_replay_is_judged(tmp_path: Path, scene: Scene, fmu: Path, whole: Replay):
+    result = replay(scene, edited(fmu, tmp_path / "cs.fmu", without("ModelExchange")), make_plan(scene))
+    assert (result.outcome, result.method) == (ReplayOutcome.OK, "everyday")
+    assert "no Model Exchange" in result.message
+    step, rollback, estimate = result.error.step, result.error.rollback, result.error.estimate
+    assert step is not None
+    assert rollback is not None
+    assert estimate is not None
+    assert estimate.position == max(step.position, rollback.position), "the larger counts"
+    assert result.error.tolerance is None
+    assert result.q == pytest.approx(whole.q[whole.knots], abs=1e-10)
+    assert (result.input_work, result.contact_impulse) == (None, None)
+    metric = score(scene, make_plan(scene), result).metric("energy_residual")
+    assert metric is not None
+    assert metric.value is None
+    assert "input_power" in metric.reason
+
+
+def test_without_cosimulation_the_reference_stands_alone(tmp_path: Path, scene: Scene, fmu: Path, whole: Replay):
+    result = replay(scene, edited(fmu, tmp_path / "me.fmu", without("CoSimulation")), make_plan(scene))
+    assert (result.outcome, result.method) == (ReplayOutcome.OK, "reference")
+    assert "No everyday replay: the FMU offers no Co-Simulation." in result.message
+    assert result.error.estimate == result.error.tolerance
+    assert result.error.everyday is None
+    assert result.q.tobytes() == whole.q.tobytes()
+
+
+def test_an_fmu_with_neither_is_refused(tmp_path: Path, scene: Scene, fmu: Path):
+    both = edited(fmu, tmp_path / "none.fmu", lambda text: without("CoSimulation")(without("ModelExchange")(text)))
+    with pytest.raises(FmuError, match=r"none\.fmu"):
+        replay(scene, both, make_plan(scene))
+
+
+def test_what_the_fmu_does_not_put_out_comes_from_the_scene(tmp_path: Path, scene: Scene, fmu: Path, whole: Replay):
+    hide = renamed("lam_left", "lam_right", "gap_left", "gap_right", "kinetic_energy", "contact_energy", "input_power", "dissipated_power")
+    result = replay(scene, edited(fmu, tmp_path / "bare.fmu", hide), make_plan(scene))
+    assert result.ok, result.message
+    plan_nodes, whole_nodes = result.knots, whole.knots
+    for field in ("q", "lam", "gap", "kinetic_energy", "contact_energy"):
+        assert getattr(result, field)[plan_nodes] == pytest.approx(getattr(whole, field)[whole_nodes], abs=1e-8)
+    assert result.input_work is None
+    assert result.contact_impulse is None
+    assert score(scene, make_plan(scene), result).value("ghost_impulse") == pytest.approx(
+        score(scene, make_plan(scene), whole).value("ghost_impulse"), abs=1e-9
+    )
+
+
+def test_without_an_internal_step_the_communication_step_is_halved(tmp_path: Path, scene: Scene, fmu: Path):
+    result = replay(scene, edited(fmu, tmp_path / "fixed.fmu", renamed("internal_step")), make_plan(scene))
+    assert result.error.step is not None
+    assert result.error.everyday is not None
+    assert result.error.everyday.position < 1e-9
+
+
+def test_ramps_become_stairs_for_an_fmu_that_holds_its_inputs(tmp_path: Path, scene: Scene, fmu: Path):
+    holding = edited(fmu, tmp_path / "hold.fmu", lambda text: text.replace('canInterpolateInputs="true"', 'canInterpolateInputs="false"'))
+    ramped, exact = replay(scene, holding, make_plan(scene, Hold.LINEAR)), replay(scene, fmu, make_plan(scene, Hold.LINEAR))
+    assert ramped.error.everyday is not None
+    assert exact.error.everyday is not None
+    # Stairs at a hundredth of the step, wrong by their square: far above the integrator's own error, far below what the hold makes.
+    assert 10 * exact.error.everyday.position < ramped.error.everyday.position < 1e-6
+    assert ramped.error.step_ratio == pytest.approx(4.0, rel=0.05)
+    assert ramped.q.tobytes() == exact.q.tobytes()
+
+
+def test_steps_of_different_length_are_not_given_to_an_fmu_that_wants_equal_ones(tmp_path: Path, scene: Scene, fmu: Path):
+    word = 'canHandleVariableCommunicationStepSize="true"'
+    equal = edited(fmu, tmp_path / "equal.fmu", lambda text: text.replace(word, word.replace("true", "false")))
+    plan = make_plan(scene)
+    t = plan.t.copy()
+    t[10] += 0.003
+    uneven = Trajectory(t=t, q=plan.q, v=plan.v, u=plan.u, lam=plan.lam)
+    result = replay(scene, equal, uneven)
+    assert (result.method, result.error.everyday) == ("reference", None)
+    assert "differ in length" in result.message
+    assert replay(scene, fmu, uneven).error.everyday is not None
+    with pytest.raises(FmuError, match="no Model Exchange, and the plan's steps differ in length"):
+        replay(scene, edited(equal, tmp_path / "only.fmu", without("ModelExchange")), uneven)
+
+
+def test_another_version_of_fmi_is_named(tmp_path: Path, scene: Scene, fmu: Path):
+    newer = edited(fmu, tmp_path / "newer.fmu", lambda text: text.replace('fmiVersion="2.0"', 'fmiVersion="2.1"'))
+    with pytest.raises(FmuError, match=r"newer\.fmu"):
+        replay(scene, newer, make_plan(scene))
+
+
+def test_a_binary_that_does_not_load_is_named(tmp_path: Path, scene: Scene, fmu: Path):
+    broken = tmp_path / "broken.fmu"
+    with zipfile.ZipFile(fmu) as old, zipfile.ZipFile(broken, "w") as new:
+        for item in old.infolist():
+            new.writestr(item, b"no library" if item.filename.startswith("binaries/") else old.read(item))
+    before = Path.cwd()
+    with pytest.raises(FmuError, match=r"broken\.fmu: it cannot be loaded on this machine"):
+        replay(scene, broken, make_plan(scene))
+    assert Path.cwd() == before  # FMPy leaves the process in a folder that no longer exists

@@ -1,0 +1,150 @@
+"""Somebody's FMU that misbehaves, replayed in its child: every ending right, good runs beside it unchanged, nothing left."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from foreign_fmu import COSIMULATION, EXCHANGE, FULL_MAP, build_foreign, foreign_plan, write_plan
+
+from models.plan_table import PlanTable
+from validate.execution.isolated import Limits
+from validate.execution.reaper import TOKEN_VARIABLE
+from validate.fmi.archive import IntakeError
+from validate.fmi.description import read_package
+from validate.judge.replay import Replay, ReplayOutcome
+from validate.judge.replay.map_schema import read_map
+from validate.judge.replay.mapping import wire
+from validate.judge.replay.run import replay_foreign
+
+ROOT = Path(__file__).parents[4]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("foreign")
+    write_plan(folder / "plan.csv")
+    (folder / "map.toml").write_text(FULL_MAP, encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    place = tmp_path / "place"
+    place.mkdir()
+    monkeypatch.setenv("TEST_MARK", str(place))
+    monkeypatch.setattr(tempfile, "tempdir", str(place))
+    return place
+
+
+def left(place: Path) -> list[str]:
+    """Processes of children, and files, that are still there."""
+    mark = f"TEST_MARK={place}".encode()
+    found = [str(path) for path in place.iterdir()]
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            environment = (entry / "environ").read_bytes().split(b"\0")
+        except OSError:
+            continue
+        if mark in environment and any(item.startswith(TOKEN_VARIABLE.encode()) for item in environment):
+            found.append(entry.name)
+    return found
+
+
+def run(folder: Path, fmu: Path, limits: Limits | None = None) -> Replay:
+    package = read_package(fmu)
+    foreign, plan = wire(package, PlanTable(folder / "plan.csv"), read_map(folder / "map.toml"), None, "map")
+    return replay_foreign(foreign, package, plan, limits=limits or Limits(seconds=60.0, memory=2 * 1024**3))
+
+
+@pytest.fixture(scope="module")
+def good(folder: Path) -> Replay:
+    return run(folder, build_foreign(folder / "good.fmu"))
+
+
+def test_a_good_one_follows_the_closed_form(good: Replay):
+    assert good.ok, good.message
+    plan = foreign_plan()
+    assert good.q[good.knots, 0] == pytest.approx(plan[:, 1], abs=1e-8)
+    assert good.v[good.knots, 0] == pytest.approx(plan[:, 2], abs=1e-7)
+    assert good.lam[good.knots, 0] == pytest.approx(plan[:, 4], abs=1e-4)
+    assert good.error.everyday is not None
+    assert good.error.everyday.position < 1e-5
+    assert [event.closes for event in good.events] == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("mode", "kinds", "outcome", "words"),
+    [
+        ("hang", EXCHANGE, ReplayOutcome.TIME_LIMIT, "time limit of 5 s"),
+        ("segfault", COSIMULATION, ReplayOutcome.CRASHED, "SIGSEGV"),
+        ("exit", EXCHANGE, ReplayOutcome.NO_RESULT, "exit code 0"),
+        ("abort", EXCHANGE, ReplayOutcome.ABORTED, "SIGABRT"),
+        ("nan", COSIMULATION, ReplayOutcome.NOT_A_NUMBER, "not a finite number"),
+        ("memory", EXCHANGE, ReplayOutcome.MEMORY_LIMIT, "memory limit of 2 GiB"),
+        ("fatal", COSIMULATION, ReplayOutcome.FATAL, "status 4 (fatal)"),
+    ],
+)
+def test_each_misbehaviour_has_its_own_outcome(
+    folder: Path, place: Path, good: Replay, mode: str, kinds: tuple[str, ...], outcome: ReplayOutcome, words: str
+):
+    limits = Limits(seconds=5.0 if mode == "hang" else 60.0, memory=2 * 1024**3)
+    result = run(folder, build_foreign(folder / f"{mode}.fmu", mode, kinds), limits)
+    assert (result.outcome, result.ok) == (outcome, False)
+    assert words in result.message
+    assert left(place) == []
+
+
+def test_garbage_on_its_output_and_a_forked_child_spoil_nothing(folder: Path, place: Path, good: Replay):
+    garbage = run(folder, build_foreign(folder / "garbage.fmu", "garbage"))
+    assert garbage.q.tobytes() == good.q.tobytes()
+    forking = run(folder, build_foreign(folder / "fork.fmu", "fork"))
+    assert forking.q.tobytes() == good.q.tobytes()
+    assert "behind, which we ended" in forking.message
+    again = run(folder, folder / "good.fmu")
+    assert (again.q.tobytes(), again.error) == (good.q.tobytes(), good.error)
+    assert left(place) == []
+
+
+def test_a_zip_bomb_is_not_let_in(folder: Path, place: Path):
+    bomb = build_foreign(folder / "bomb.fmu")
+    with zipfile.ZipFile(bomb, "a", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("resources/zeros", np.zeros(16 * 1024**2).tobytes())
+    with pytest.raises(IntakeError, match="zip bomb"):
+        run(folder, bomb)
+    assert left(place) == []
+
+
+def test_nothing_is_left_when_the_command_is_killed(folder: Path, place: Path):
+    """kill -9 of `python -m validate replay` while the FMU hangs, with a process of its own left behind."""
+    hanging = build_foreign(folder / "hang.fmu", "hang")
+    command = [
+        sys.executable,
+        "-m",
+        "validate",
+        "replay",
+        str(folder / "plan.csv"),
+        "--fmu",
+        str(hanging),
+        "--map",
+        str(folder / "map.toml"),
+    ]
+    process = subprocess.Popen(command, cwd=ROOT, env={**os.environ, "TMPDIR": str(place)}, stdout=subprocess.DEVNULL)
+    deadline = time.monotonic() + 120
+    while not any(name.isdigit() for name in left(place)):
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    while left(place) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert left(place) == []

@@ -1,0 +1,154 @@
+"""Scenes, plans and solutions as the report reads them."""
+
+import ast
+import math
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import sympy as sp
+
+from models.catalog import load_scene
+from models.netcdf import read_columns
+from models.scene.text import scene_text
+from models.trajectory import Trajectory, uniform_grid
+from models.trajectory_netcdf import write_netcdf
+from reports.mathml import safe_mathml
+from reports.records.record import thin
+from validate.execution.process import ROOT
+from validate.store import provenance
+from validate.store.provenance import content_key, source_digests
+from validate.tasks.records import _history, _plain, finite
+from validate.tasks.scene_record import presentation, scene_record
+
+SCENE = load_scene("three_cart")
+OSCILLATOR = Path(__file__).parents[2] / "scenes" / "oscillator.py"
+
+
+def _plan(steps: int = 500) -> Trajectory:
+    q = np.tile([2.0, 2.6, 3.0], (steps + 1, 1))  # gaps 0.1 and -0.1
+    q[:, 0] += np.linspace(0.0, 0.05, steps + 1)
+    return Trajectory(t=uniform_grid(0.01, steps), q=q, v=np.zeros_like(q), u=np.ones((steps, 2)), lam=np.full((steps, 2), 2.0))
+
+
+def test_equations_are_mathml_the_report_accepts():
+    record = scene_record(SCENE)
+    captions = [equation.caption for equation in record.equations]
+    assert captions[:3] == ["motion of q1", "motion of q2", "motion of q3"]
+    assert captions[-1].startswith("cost")
+    assert len(captions) == 3 + 2 * 2 + 2 * 3 + 1
+    for equation in record.equations:
+        assert safe_mathml(equation.mathml) is not None
+        assert ElementTree.fromstring(equation.mathml).tag.endswith("math")
+
+
+def test_less_than_stays_escaped():
+    x = sp.Symbol("x")
+    assert "&lt;" in presentation(x < 1)
+    assert safe_mathml(presentation(x < 1)) is not None
+
+
+def test_scene_record_says_what_is_absent_and_drawn():
+    record = scene_record(SCENE)
+    assert "friction" in record.absent
+    assert [(shape.name, shape.size) for shape in record.shapes] == [(name, (0.5, 0.5)) for name in ("left", "middle", "right")]
+    assert [contact.value for contact in record.contacts] == [30.0, 30.0]
+    assert [contact.bodies for contact in record.contacts] == [("left", "middle"), ("middle", "right")]
+
+
+def test_files_of_plans_have_gaps_and_poses(tmp_path):
+    write_netcdf(tmp_path / "trajectory.nc", _plan(), SCENE)
+    columns, _ = read_columns(tmp_path / "trajectory.nc")
+    assert columns["gap_left"].values[0] == pytest.approx(0.1)
+    assert columns["gap_left"].values[-1] == pytest.approx(0.05)
+    assert columns["gap_right"].values[0] == pytest.approx(-0.1)
+    assert [columns[f"pose_{part}_1"].values[-1] for part in ("x", "y", "angle")] == pytest.approx([2.05, 0.25, 0.0])
+    assert (columns["pose_x_2"].description, columns["pose_angle_2"].unit) == ("x of middle", "rad")
+
+
+def test_thinned_points_keep_their_ends():
+    assert thin(3).tolist() == [0, 1, 2]
+    assert thin(20_001)[[0, -1]].tolist() == [0, 20_000]
+    assert len(thin(20_001)) == 1500
+
+
+def test_numbers_that_are_none_never_reach_a_record():
+    assert finite(math.nan) is None
+    assert finite(math.inf) is None
+    assert _history({"loss": (1.0, math.nan, 3.0), "norm": (1.0, 2.0, 3.0)}) == {"loss": (1.0, 3.0), "norm": (1.0, 3.0)}
+    assert _plain((1, 2.5)) == [1.0, 2.5]
+    assert _plain(math.inf) == "inf"
+
+
+def test_a_key_is_content():
+    stages = [("strict_lcp", None, {"a": "1"})]
+    key = content_key(SCENE, stages, ["strict_lcp"])
+    assert key == content_key(load_scene("three_cart"), [list(stages[0])], ["strict_lcp"])
+    others = [
+        content_key(SCENE.with_parameters(k=31.0), stages, ["strict_lcp"]),
+        content_key(SCENE.with_task(steps=499), stages, ["strict_lcp"]),
+        content_key(SCENE, [("strict_lcp", None, {"a": "2"})], ["strict_lcp"]),
+        content_key(SCENE, stages, ["strict_lcp"], "another judge"),
+    ]
+    assert len({key, *others}) == 5
+
+
+def test_a_scene_text_sees_assumptions_and_every_field():
+    contact = SCENE.contacts[0]
+    weaker = replace(contact, penetration=sp.Symbol("d") - sp.Symbol("q2"))
+    stronger = replace(contact, penetration=sp.Symbol("d", positive=True) - sp.Symbol("q2"))
+    assert scene_text(weaker) != scene_text(stronger)
+    assert "replay_terminal_velocity_error" in scene_text(SCENE)
+
+
+def test_sources_of_other_methods_and_scenes_do_not_count():
+    digests = source_digests(["softplus_gd"])
+    assert "models/dynamics.py" in digests
+    assert "validate/tasks/run.py" in digests
+    assert [name for name in digests if name.startswith(("models/scenes/", "validate/cli/"))] == []
+    assert [name for name in digests if name.startswith("formulations/methods/")] == ["formulations/methods/softplus_gd.py"]
+
+
+def _imported_reports(name: str) -> set[str]:
+    """Modules of the room of reports that a file of ours imports when it runs."""
+    tree = ast.parse((ROOT / name).read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            node.body = [ast.Pass()]
+    found = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module}
+    return {f"{module.replace('.', '/')}.py" for module in found if module.startswith("reports.")}
+
+
+def test_whatever_writes_records_is_part_of_their_keys():
+    """Of the files that count, each imports of the room of reports only what counts too, or what tells of records that are written already."""
+    counted = provenance._source_digests()
+    telling = {"reports/records/load.py", "reports/render.py"}
+    imported = {name: _imported_reports(name) for name in counted if name.endswith(".py")}
+    assert "reports/records/record.py" in imported["validate/tasks/records.py"]
+    assert {name: missing for name, modules in imported.items() if (missing := modules - set(counted) - telling)} == {}
+    # a cell's record holds columns of numbers and the paper's figures
+    assert {"reports/records/record.py", "reports/paper.py"} <= set(source_digests(["strict_lcp"]))
+    assert "reports/records/check_record.py" not in source_digests(["strict_lcp"])
+
+
+def test_an_equation_of_motion_has_its_accelerations_on_the_left():
+    for equation in scene_record(SCENE).equations[:3]:
+        left, _, right = equation.mathml.partition("<mo>=</mo>")
+        assert ("mfrac" in left, "mfrac" in right) == (True, False)
+        assert ("&#955;" in left, "&#955;" in right) == (False, True)
+
+
+def test_the_file_of_a_scene_without_contacts_or_inputs_has_its_motion_alone(tmp_path):
+    scene = load_scene(str(OSCILLATOR))
+    assert (scene.nc, scene.nu) == (0, 0)
+    nodes = 4
+    q = np.linspace(0.0, 0.3, nodes)[:, None]
+    write_netcdf(
+        tmp_path / "trajectory.nc", Trajectory(t=uniform_grid(0.1, 3), q=q, v=0 * q, u=np.zeros((3, 0)), lam=np.zeros((3, 0))), scene
+    )
+    columns, _ = read_columns(tmp_path / "trajectory.nc")
+    moving = {name for name in columns if not name.startswith("pose_")}
+    assert moving == {"t", scene.coordinates[0].name, scene.coordinates[0].velocity_name}
+    assert columns[scene.coordinates[0].name].values == pytest.approx(q[:, 0])

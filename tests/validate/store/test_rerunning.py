@@ -1,0 +1,157 @@
+"""What is run again: --lf, -x, --retry, and the command that `show` prints."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from validate.cli.narrator import PlainNarrator
+from validate.execution.campaign import CampaignSettings, run_campaign, select, with_stored
+from validate.plan.runs import reasons
+from validate.plan.selection import matches
+from validate.store.provenance import command_line
+from validate.store.store import Store
+
+HELPERS = Path(__file__).parents[1] / "helpers"
+FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")
+CHOICE = "only_good or only_raises or only_exit_seven"
+
+
+@pytest.fixture(scope="module")
+def ran(cli, tmp_path_factory):
+    """One cell that holds and two that fail."""
+    out = tmp_path_factory.mktemp("ran")
+    done = cli("all", *FAKES, "--out", str(out), "-k", CHOICE)
+    assert done.returncode == 1
+    return out
+
+
+def names(out: Path) -> list[str]:
+    return sorted(json.loads(path.read_text())["pipeline"] for path in out.glob("runs/*/record.json"))
+
+
+def test_last_failed_runs_those_and_keeps_the_rest(cli, ran):
+    done = cli("plan", *FAKES, "--out", str(ran), "--lf", "--json")
+    plan = json.loads(done.stdout)
+    why = {cell["cell"].split(" x ")[1]: cell["why"] for cell in plan["cells"]}
+    assert why == {"only_good": "", "only_raises": "it failed the last time", "only_exit_seven": "it failed the last time"}
+    again = cli("all", *FAKES, "--out", str(ran), "--lf", "--json")
+    assert again.stderr.splitlines()[0] == "1 used again, 2 to run, 2 of them anew"
+    assert {row["pipeline"] for row in json.loads(again.stdout)["results"]} == set(why)
+
+
+def test_last_failed_of_what_did_not_fail(cli, ran):
+    done = cli("all", *FAKES, "--out", str(ran), "--lf", "-k", "only_good")
+    assert done.returncode == 2
+    assert "nothing that is selected failed" in done.stderr
+    assert "what did is not selected (three_cart x " in done.stderr
+    assert "select it as it was, by -k, --scene, --tools or the file of `run`" in done.stderr
+
+
+class _Stopped(PlainNarrator):
+    """Ctrl-C comes when the first cell has finished."""
+
+    def finished(self, record) -> None:
+        super().finished(record)
+        raise KeyboardInterrupt
+
+
+def test_what_is_run_anew_and_interrupted_is_gone_on_with(tmp_path, monkeypatch, capsys):
+    """Also where nothing is heard of the interruption: the marks lie in the store."""
+    monkeypatch.setenv("PYTHONPATH", str(HELPERS))
+    settings = CampaignSettings(out=tmp_path, tools=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible")
+    whole = run_campaign(settings, PlainNarrator())
+    stopped = _Stopped()
+    with pytest.raises(KeyboardInterrupt):
+        run_campaign(replace(settings, fresh=True), stopped)
+    assert (stopped.stored, stopped.done, stopped.anew, stopped.total) == (0, 1, 2, 2)
+    assert stopped.so_far(tmp_path) == f"1 of 2 cells are done, what {tmp_path} holds of the others is kept"
+    assert "0 used again, 2 to run, 2 of them anew" in capsys.readouterr().err
+    kept = {path.parent.name: path.read_bytes() for path in tmp_path.glob("runs/*/record.json")}
+    assert len(kept) == 2
+    store, (chosen, _) = Store(tmp_path), select(settings)
+    assert sorted(reasons(with_stored(chosen, store, settings), store)) == ["", "stored, but to be run anew, which was interrupted"]
+    resumed = PlainNarrator()
+    again = run_campaign(settings, resumed)
+    assert (resumed.stored, resumed.done, resumed.anew) == (1, 1, 1)
+    assert [record.key for record in again.records] == [record.key for record in whole.records]
+    done = [path.parent.name for path in tmp_path.glob("runs/*/record.json") if path.read_bytes() != kept[path.parent.name]]
+    assert len(done) == 1, "each cell was run anew once"
+    assert all(entry.stored for entry in with_stored(chosen, store, settings))
+
+
+def test_what_a_stop_at_the_first_failure_leaves_stays_as_it_is(cli, ran):
+    done = cli("all", *FAKES, "--out", str(ran), "--lf", "-x")
+    assert done.stderr.splitlines()[0] == "1 used again, 2 to run, 2 of them anew"
+    assert f"stopped at the first failure (-x): 2 of 3 cells are done, what {ran} holds of the others is kept" in done.stderr
+    plan = json.loads(cli("plan", *FAKES, "--out", str(ran), "-k", CHOICE, "--json").stdout)
+    assert {cell["why"] for cell in plan["cells"]} == {"", "stored, but it crashed"}
+
+
+def test_stop_at_the_first_failure(cli, tmp_path):
+    done = cli("all", *FAKES, "--out", str(tmp_path), "-k", "only_exit_seven or only_slow or only_raises", "-x")
+    assert done.returncode == 1
+    assert f"stopped at the first failure (-x): 1 of 3 cells are stored in {tmp_path}" in done.stderr
+    assert names(tmp_path) == ["only_exit_seven"]
+    assert "-x" not in done.stdout.splitlines()[-1]
+
+
+def test_a_crash_is_tried_again(cli, tmp_path):
+    done = cli("all", *FAKES, "--out", str(tmp_path), "-k", "only_exit_seven or only_good", "--retry", "2")
+    assert done.returncode == 1
+    assert done.stderr.count("three_cart x only_exit_seven crashed and will be tried again") == 2
+    assert names(tmp_path) == ["only_exit_seven", "only_good"]
+
+
+def test_show_tells_all_of_a_run_and_how_to_run_it_again(cli, ran, tmp_path):
+    done = cli("show", "three_cart x only_good", "--in", str(ran))
+    assert done.returncode == 0, done.stderr
+    for word in ("three_cart x only_good: solved, holds", "terminal_error", "options of stage 1 (good): iterations = 7", "log", str(ran)):
+        assert word in done.stdout
+    again = shlex.split(done.stdout.splitlines()[-1].removeprefix("again: "))
+    assert again[again.index("-k") + 1] == '="three_cart x only_good"'
+    repeated = cli(*again[3:-1], str(tmp_path))
+    assert repeated.returncode == 0, repeated.stderr
+    assert names(tmp_path) == ["only_good"]
+    record = json.loads(cli("show", str(next(tmp_path.glob("runs/*"))), "--json").stdout)
+    assert record["pipeline"] == "only_good"
+
+
+def test_show_of_a_failure_ends_with_1_and_its_log(cli, ran):
+    done = cli("show", "only_raises", "--in", str(ran))
+    assert done.returncode == 1
+    assert done.stdout.split("\nlog, ")[0].count("the method's own mistake") == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("three_cart", "means 3 runs"), ("only_gud", "did you mean 'three_cart x only_good'?"), ("\x1b[31m", "there is no run")],
+)
+def test_show_of_no_run_or_several(cli, ran, name, words):
+    done = cli("show", name, "--in", str(ran))
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_whole_name():
+    names = ("three_cart", "relaxed+strict", "strict_lcp", "in one leap")
+    assert matches("strict", names)
+    assert not matches("=strict", names)
+    assert matches('=three_cart and ="in one leap"', names)
+    assert not matches('="one leap"', names)
+    assert matches('="so-called ""leap""" or =none', ['so-called "leap"'])
+    assert matches('="three_cart x relaxed+strict"', names, "three_cart x relaxed+strict")
+    assert not matches('="three_cart x strict"', names, "three_cart x relaxed+strict")
+    assert not matches("x", ("strict",), "two x strict")  # a title is no name of which a part would do
+
+
+def test_the_command_can_be_typed_again_in_any_shell():
+    """zsh takes =strict for the path of a program called strict."""
+    told = command_line(["all", "-k", "=strict", "--out", "my runs", "--scene", "it's.py", "-k", ""])
+    assert shlex.split(told) == ["python", "-m", "validate", "all", "-k", "=strict", "--out", "my runs", "--scene", "it's.py", "-k", ""]
+    assert "-k '=strict' --out 'my runs'" in told

@@ -1,0 +1,111 @@
+"""A cell that ends during a certificate keeps what it had: plans, replays, scores, and the certificates that were finished."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from reports.records.record import RunRecord
+from validate.execution import worker as module
+from validate.execution.dask import _lost
+from validate.execution.fork_server import ForkServer
+from validate.execution.worker import Worker
+from validate.store.provenance import gather
+from validate.store.results import rows
+from validate.store.store import Store
+from validate.tasks.leg import planned_legs, planned_stages
+from validate.tasks.path import run_cell
+from validate.tasks.run import RunTask
+
+HELPERS = Path(__file__).parents[1] / "helpers"
+
+
+@pytest.fixture
+def in_reach(monkeypatch):
+    """The fakes can be imported, here and by a cell."""
+    monkeypatch.syspath_prepend(str(HELPERS))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, [str(HELPERS), os.environ.get("PYTHONPATH", "")])))
+
+
+def _cell(last: str) -> RunTask:
+    from certificate_fakes import TOOLS, pipeline
+
+    chosen = pipeline(last)
+    plan = planned_stages(chosen, {leg.method: TOOLS.load_method(leg.method) for leg in chosen.legs})
+    return RunTask(
+        key=f"key_of_{last}",
+        scene="three_cart",
+        scene_name="three_cart",
+        pipeline=chosen,
+        tools="certificate_fakes:TOOLS",
+        time_limit=1e5,
+        legs=planned_legs(plan, lambda stages: "-".join(planned.name for planned in stages)),
+    )
+
+
+def _run(last: str, folder: Path, server: ForkServer | None, monkeypatch: pytest.MonkeyPatch) -> tuple[RunRecord, Path]:
+    """The record of a cell whose time is up once its last certificate has begun, and its folder in the store."""
+    cell, store, provenance = _cell(last), Store(folder), gather("a test")
+    store.prepare()
+    watched = Worker(cell, _lost(cell, provenance), provenance, store, server)
+    record, late = None, time.monotonic() + 2 * cell.time_limit
+    try:
+        while (record := watched.poll()) is None:
+            time.sleep(0.05)
+            if watched.progress() == "the certificate of stage 3 (endless)":
+                monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: late))
+    finally:
+        if record is None:
+            watched.stop()
+    assert isinstance(record, RunRecord)
+    assert RunRecord.model_validate_json((store.runs / cell.key / "record.json").read_bytes()) == record
+    return record, store.runs / cell.key
+
+
+@pytest.mark.parametrize(
+    ("last", "outcome", "why"),
+    [
+        (
+            "endless",
+            "solved",
+            "The certificate is missing because time ran out: the cell ended at its time limit of 100000 s, during the certificate of stage 3 (endless).",
+        ),
+        (
+            "crashing",
+            "crashed",
+            "The certificate is missing: the process ended with signal 11 (SIGSEGV) during the certificate of stage 3 (crashing).",
+        ),
+    ],
+)
+def test_nothing_but_the_certificate_is_lost(last, outcome, why, in_reach, tmp_path, monkeypatch):
+    with contextlib.closing(ForkServer()) if last == "endless" else contextlib.nullcontext() as server:
+        record, folder = _run(last, tmp_path, server, monkeypatch)
+    assert (record.outcome, record.message, record.verdict) == (outcome, why, "holds")
+    soft, quick, late = record.stages
+    assert [stage.outcome for stage in record.stages] == ["solved"] * 3
+    assert [stage.certificate is not None for stage in record.stages] == [False, True, False]
+    assert [stage.message for stage in (soft, quick, late)] == ["", "", why]
+    for stage in record.stages:
+        assert stage.has_plan
+        assert stage.replay is not None
+        assert [figure.name for figure in stage.metrics] == ["terminal_error", "physics", "replay_error"]
+    names = {path.name for path in folder.iterdir()}
+    assert names == {"record.json", "cell.json", "log.txt", "files.json", "trajectory.nc", "trajectory_1.nc", "trajectory_2.nc"}
+    assert sum(record.profile.values()) == pytest.approx(record.wall_seconds)
+    assert record.profile["certificate"] > 0.0
+    told = rows([record])
+    assert [row["verdict"] for row in told] == ["holds"] * 3
+    assert told[-1]["cost"] == record.stages[-1].cost is not None
+
+
+def test_a_front_is_certified_though_nothing_was_found_within_its_smallest_tolerance(in_reach, tmp_path):
+    record = run_cell(_cell("front"), gather("a test"), tmp_path, time.monotonic())
+    stage = record.stages[-1]
+    assert not stage.has_plan
+    assert [point.outcome for point in stage.front] == ["infeasible", "solved"]
+    assert stage.front[-1].certificate is not None
