@@ -2,7 +2,17 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import settings
 
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
 settings.load_profile("repeatable")
+
+# What a test asks for says what it is: a command line is processes, Chromium is a browser. The others are marked where they stand.
+_MARKS = {"cli": "process", "start_cli": "process", "chromium": "browser"}
+
+
+def pytest_collection_modifyitems(items: list[pytest.Function]):
+    for item in items:
+        for fixture in _MARKS.keys() & set(item.fixturenames):
+            item.add_marker(_MARKS[fixture])

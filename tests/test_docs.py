@@ -37,6 +37,7 @@ def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         signal.signal(number, handler)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TEXTS)
 def test_every_snippet_runs(name: str, elsewhere: Path, capfd: pytest.CaptureFixture[str]):
     space: dict = {}

@@ -40,6 +40,7 @@ def test_importing_a_room_is_cheap(module: str, heavy: set[str]):
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.slow
 def test_what_is_shipped_reads_nothing_that_is_not():
     """No path of a shipped room is made of a folder that a checkout alone has; sentences may name one."""
     made = []
@@ -68,6 +69,7 @@ def test_no_file_is_a_drawer():
     assert not long, long
 
 
+@pytest.mark.slow
 def test_a_test_that_hangs_is_stopped_and_named(tmp_path: Path):
     (tmp_path / "test_one.py").write_text("import time\n\ndef test_sleeps():\n    time.sleep(3600.0)\n", encoding="utf-8")
     words = ["pytest", "-c", ROOT / "pyproject.toml", "--rootdir", tmp_path, "-p", "no:cacheprovider", tmp_path]

@@ -46,6 +46,7 @@ def test_mistakes_of_every_kind_are_written_where_they_belong():
     assert any(kind == "extreme" and "min(" in line for kind, line in last)
 
 
+@pytest.mark.slow
 def test_a_mistake_is_on_one_line_and_can_be_read():
     for defect in islice(drawn(list(ROOMS), seed=5), 60):
         sound = (ROOT / defect.path).read_text(encoding="utf-8")
@@ -55,6 +56,7 @@ def test_a_mistake_is_on_one_line_and_can_be_read():
         assert len(changed) <= 40, "an expression may be of several lines, and is written on one"
 
 
+@pytest.mark.slow
 def test_a_seed_draws_the_same_and_another_one_others():
     first, again, other = ([str(defect) for defect in islice(drawn(["judge", "store"], seed), 30)] for seed in (1, 1, 2))
     assert first == again
@@ -68,6 +70,7 @@ def test_every_room_has_files_and_tests():
             assert any(True for pattern in patterns for _ in ROOT.glob(pattern)), room
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("source", "says"),
     [
@@ -95,6 +98,7 @@ def test_what_fails_is_named_what_does_not_import_is_drawn_again_and_the_file_is
     assert (tmp_path / "own.py").read_text(encoding="utf-8") == "X = 1\n"
 
 
+@pytest.mark.slow
 def test_a_test_that_fails_anyway_ends_the_draw(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     (tmp_path / "tests").mkdir()
     (tmp_path / "own.py").write_text("X = 1\n", encoding="utf-8")

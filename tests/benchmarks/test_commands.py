@@ -33,6 +33,7 @@ def test_commands_in_docs_and_readme_exist():
         assert name in _COMMANDS, name
 
 
+@pytest.mark.slow
 def test_what_is_measured_is_listed_and_told_with_its_origin(cli, tmp_path):
     done = cli("run", "shooting", "--out", str(tmp_path))
     assert done.returncode == 0, done.stderr
@@ -45,6 +46,7 @@ def test_what_is_measured_is_listed_and_told_with_its_origin(cli, tmp_path):
     assert line.split()[1] == "measured"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
@@ -75,6 +77,7 @@ def test_a_mistake_is_one_sentence(words: tuple[str, ...], sentence: str, cli, t
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_a_run_with_its_children_in_one_word(tmp_path):
     """The second benchmark is not begun, and a child that is interrupted with us tells nothing of its own."""
     command = [sys.executable, "-m", "benchmarks", "run", "mpec-growth", "shooting", "--out", str(tmp_path / "out")]
@@ -93,6 +96,7 @@ def test_ctrl_c_ends_a_run_with_its_children_in_one_word(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_child_that_takes_too_long_is_ended_by_its_limit():
     assert run_child("benchmarks.mpec.growth", "55", cpu_limit=1).returncode == -signal.SIGXCPU
 

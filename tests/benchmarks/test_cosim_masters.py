@@ -45,6 +45,7 @@ def energy_error(run):
     return lambda name, h: float(total(run(name, h)[-1:])[0]) / 2.0 - 1.0
 
 
+@pytest.mark.slow
 def test_the_reference_is_the_closed_form():
     after = exact_motion(HEAD_ON.scene, START, (), np.array([0.01, HORIZON]))[-1]
     touch = (START[1] - 0.2) / 2.0
@@ -55,6 +56,7 @@ def test_the_reference_is_the_closed_form():
     np.testing.assert_allclose(after, [left, right, 0.0, 2.0], rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "late"), [("jacobi", 1.5), ("contact_first", 0.5)])
 def test_a_late_force_adds_energy_as_predicted(energy_error, name, late):
     """tau late for half a period: the relative motion, which has half of the energy, is multiplied by exp(pi omega tau)."""
@@ -71,6 +73,7 @@ def test_errors_are_those_measured_elsewhere(energy_error, name, h, known, share
     assert energy_error(name, h) == pytest.approx(known, rel=share)
 
 
+@pytest.mark.slow
 def test_orders_of_convergence(energy_error):
     """Slopes over a decade: 1 with forces held, 2 with forces that are lines - and nothing to converge inside one FMU."""
     for name, order in (("jacobi", 1.0), ("contact_first", 1.0)):
@@ -124,6 +127,7 @@ def test_frequencies():
     assert found["three_cart_stiff"] == pytest.approx(math.sqrt(3 * 1e4))
 
 
+@pytest.mark.peer
 def test_libcosim_steps_as_our_jacobi(run):
     if (refusal := libcosim_refusal()) is not None:
         pytest.skip(refusal)
@@ -145,6 +149,7 @@ print("RESULT", json.dumps([list(observer.last_real_values(body, [1, 2])) for bo
 """
 
 
+@pytest.mark.peer
 def test_libcosim_runs_our_ssp(tmp_path):
     """What a user does with the file: unpack it, open PartsOnly.ssd, step."""
     if (refusal := libcosim_refusal()) is not None:
@@ -163,6 +168,7 @@ def test_libcosim_runs_our_ssp(tmp_path):
     np.testing.assert_allclose(np.array(json.loads(line[6:])).T.ravel(), last, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_a_study_without_libcosim_says_so(monkeypatch):
     """One macro step of the paper's carts: all masters of ours, the whole scene best, the missing one with a reason."""
     monkeypatch.setattr(studies, "libcosim_refusal", lambda: "libcosimpy is not installed")

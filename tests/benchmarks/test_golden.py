@@ -60,6 +60,7 @@ def test_a_better_verdict_is_none_the_worse_for_its_cost():
     )
 
 
+@pytest.mark.slow
 def test_seconds_and_places_change_no_bits(tmp_path: Path, cli, monkeypatch: pytest.MonkeyPatch):
     """Two campaigns of one cell: other times, folders and commands, the same rows; what is frozen is read as what it was."""
     for name in ("one", "two"):

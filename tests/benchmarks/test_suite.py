@@ -26,6 +26,7 @@ def value_of(case: Case, folder: Path, size: Size = SIZE) -> float:
     return told["value"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", ["softplus_chain", "cold_step", "gd_iteration", "cs_replay"])
 def test_all_ways_through_a_stage_end_at_the_same_answer(stage: str, tmp_path: Path):
     """A faster way to another answer is no faster way: cost of the plan, norm of the gradient, position at the end."""
@@ -101,6 +102,7 @@ def work(name: str, stage: str = "", **more) -> Case:
     return Case(stage=stage or name, title=name, function=f"{HERE}:{name}", **more)
 
 
+@pytest.mark.slow
 def test_rounds_take_turns_and_a_failure_costs_only_its_row(monkeypatch, tmp_path: Path):
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
     monkeypatch.setenv("BENCH_LOG", str(tmp_path / "log"))

@@ -97,6 +97,7 @@ def test_the_spread_is_that_of_the_middle_half():
     assert spread((1.0, 2.0)) is None
 
 
+@pytest.mark.slow
 def test_the_command_measures_compares_and_fails_on_a_regression(cli, tmp_path):
     """`list` alone, then against a file in which it was many times as fast."""
     chosen = ("-k", "list", "--size", "3x5", "--repeats", "5", "--out", str(tmp_path))
@@ -113,6 +114,7 @@ def test_the_command_measures_compares_and_fails_on_a_regression(cli, tmp_path):
     assert "1 row is in both: 1 regression" in done.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [

@@ -66,16 +66,19 @@ def said(tmp_path: Path) -> Callable[[Case], str]:
     return say
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", range(sum(map(len, EXACT.values()))), ids=[f"{s}-{n}" for s, names in EXACT.items() for n in names])
 def test_an_exact_plan_holds_however_it_is_written(place: int, said):
     assert said(_exact_cases()[place]) == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", range(sum(map(len, WRONG.values()))), ids=[f"{s}-{n}" for s, names in WRONG.items() for n in names])
 def test_a_wrong_plan_does_not_hold_and_is_told_why(place: int, said, tmp_path: Path):
     assert said(_wrong_cases(tmp_path)[place]) == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["three_cart", "wall_pendulum"])
 def test_a_search_finds_no_way_round(name: str, tmp_path: Path):
     result = search.run([name], 6, 4, tmp_path)
@@ -83,6 +86,7 @@ def test_a_search_finds_no_way_round(name: str, tmp_path: Path):
     assert result["finds"] == []
 
 
+@pytest.mark.slow
 def test_the_oracle_says_nothing_against_exact_plans():
     oracle = search.Oracle("three_cart")
     for case in _exact_cases():

@@ -90,6 +90,7 @@ def test_it_checks_eps(name: str) -> None:
         session.solve(eps=wrong, warm_start=None, time_limit=1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ALL)
 def test_its_answer_is_whole(name: str) -> None:
     scene = scene_for(name)
@@ -120,6 +121,7 @@ def test_its_answer_is_whole(name: str) -> None:
     assert seconds.build + seconds.translate + seconds.solve <= seconds.wall * 1.001 + 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ALL)
 def test_it_repeats_itself_bit_for_bit(name: str) -> None:
     first, second = solved(load_method(name)), solved(load_method(name))
@@ -133,6 +135,7 @@ def test_it_repeats_itself_bit_for_bit(name: str) -> None:
         assert np.array_equal(getattr(first.trajectory, field), getattr(second.trajectory, field)), field
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ALL)
 def test_it_starts_from_the_plan_of_any_other(name: str) -> None:
     for other in ALL:

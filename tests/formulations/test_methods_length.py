@@ -147,6 +147,7 @@ def test_inputs_are_steered_the_same_way():
     assert np.abs(sharper - large).max() > 0.1 * size
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("steps", "step"), [(50, 0.1), (80, 0.06), (150, 0.05)])
 def test_exact_plans_cost_the_same(steps: int, step: float):
     """On grids whose homotopy needs some tens of iterations a stage: where it needs hundreds, the last digit decides which optimum it ends in."""

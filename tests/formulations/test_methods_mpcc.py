@@ -50,6 +50,7 @@ def best() -> Solution:
     return solved()
 
 
+@pytest.mark.slow
 def test_without_search_the_figure_holds() -> None:
     solution = solved(search=False)
     check(solution, SCENE)
@@ -58,6 +59,7 @@ def test_without_search_the_figure_holds() -> None:
     assert solution.residuals["windows_tried"] == 0
 
 
+@pytest.mark.slow
 def test_with_search_it_reaches_the_best_known_plan(best: Solution) -> None:
     check(best, SCENE)
     assert best.cost is not None
@@ -87,6 +89,7 @@ def random_start(seed: int) -> Trajectory:
     return Trajectory(t=uniform_grid(task.step, task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
 
 
+@pytest.mark.slow
 def test_two_pushes_become_one() -> None:
     """The modes of these random inputs lead to two pushes on the left (495.554), from which no single move helps."""
     solution = solved(warm_start=random_start(0))
@@ -96,6 +99,7 @@ def test_two_pushes_become_one() -> None:
     assert solution.cost <= 490.5496
 
 
+@pytest.mark.slow
 def test_without_search_touching_pairs_are_switched_all_the_same() -> None:
     """The modes of the coarser grid touch at three steps, with multipliers of -5.9 at least."""
     scene = SCENE.with_task(steps=620, step=5.0 / 620)
@@ -106,6 +110,7 @@ def test_without_search_touching_pairs_are_switched_all_the_same() -> None:
     assert certify_plan(scene, solution.trajectory).b_stationary
 
 
+@pytest.mark.slow
 def test_a_plan_that_can_be_left_downhill_is_not_solved() -> None:
     """With no windows to try, the plan comes with the name of its class, and not as solved."""
     scene = SCENE.with_task(steps=620, step=5.0 / 620)
@@ -127,6 +132,7 @@ def test_a_search_without_time_still_switches_the_pairs_that_pull() -> None:
     assert "others may be cheaper" in solution.message
 
 
+@pytest.mark.slow
 def test_a_search_ends_after_the_windows_it_may_try() -> None:
     solution = solved(search_windows=20)
     check(solution, SCENE)
@@ -140,6 +146,7 @@ def test_other_stiffnesses(k: float) -> None:
     check(solved(scene), scene)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [150, 1000])
 def test_other_grids_cost_the_same_per_unit_of_time(steps: int) -> None:
     """T = 1000 goes by way of a coarser grid."""
@@ -150,6 +157,7 @@ def test_other_grids_cost_the_same_per_unit_of_time(steps: int) -> None:
     assert solution.cost * scene.task.step == pytest.approx(4.9055, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_a_nonlinear_scene_goes_by_ipopt() -> None:
     solution = solved(ARM)
     check(solution, ARM)
@@ -160,6 +168,7 @@ def test_a_nonlinear_scene_goes_by_ipopt() -> None:
     assert "Ipopt" in solution.message
 
 
+@pytest.mark.slow
 def test_an_unreachable_goal_has_no_plan() -> None:
     for scene in (SMALL.with_task(goal=(2.1, 2.7, 9.3, 0.0, 0.0, 0.0)), SMALL.with_task(steps=10)):
         solution = solved(scene)
@@ -176,6 +185,7 @@ def test_no_time_ends_in_a_time_limit() -> None:
             session.solve(eps=None, warm_start=None, time_limit=0.0)
 
 
+@pytest.mark.slow
 def test_a_ball_around_the_goal_makes_it_cheaper(best: Solution) -> None:
     solution = solved(goal_tolerance=0.05, search=False)
     check(solution, SCENE, ball=0.05)
@@ -195,6 +205,7 @@ def test_several_starts_keep_the_cheapest_and_tell_the_spread() -> None:
     assert "4 of 4 starts were solved" in several.message
 
 
+@pytest.mark.slow
 def test_a_stiff_contact_is_pushed_twice() -> None:
     """k = 300: one push on each side costs 4.98 J s, two on the left 4.53; no shift of a window leads from one to the other."""
     scene = SCENE.with_parameters(k=300.0).with_task(steps=250, step=0.02)

@@ -26,6 +26,7 @@ def swing() -> sp.Expr:
     return s / (w * sp.sin(a)) * sp.exp(-sp.cos(a) * w * t) * sp.sin(w * sp.sin(a) * t)
 
 
+@pytest.mark.slow
 def test_the_restitutions_of_kelvin_voigt_are_derived():
     phi = swing()
     assert sp.simplify(phi.diff(t, 2) + 2 * sp.cos(a) * w * phi.diff(t) + w**2 * phi) == 0

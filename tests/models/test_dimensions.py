@@ -180,6 +180,7 @@ def test_the_bank_fits_and_is_read_at_once(name: str):
     assert perf_counter() - began < 0.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", sorted((Path(__file__).parents[1] / "scenes").glob("*.py")), ids=lambda path: path.stem)
 def test_the_scenes_of_the_tests_fit(path: Path):
     assert dimension_problem(load_scene(str(path))) is None
@@ -196,6 +197,7 @@ def test_any_parameter_of_another_unit_is_noticed(name: str):
             assert dimension_problem(replace(known, parameters=(*known.parameters[:index], odd, *known.parameters[index + 1 :]))), parameter
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("odd", [False, True])
 @pytest.mark.parametrize("combined", [sp.Add, sp.Mul])
 def test_a_huge_expression_is_read_at_once(combined: type, odd: bool):

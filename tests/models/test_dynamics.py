@@ -41,6 +41,7 @@ def test_three_cart_as_the_paper_prints_it():
     assert "inputs" not in d.absent
 
 
+@pytest.mark.slow
 def test_mass_matrix_is_symmetric_positive_definite(scene: Scene):
     d = derive(scene)
     for seed in range(20):
@@ -49,6 +50,7 @@ def test_mass_matrix_is_symmetric_positive_definite(scene: Scene):
         assert np.linalg.eigvalsh(M).min() > 0
 
 
+@pytest.mark.slow
 def test_gap_jacobian_is_the_derivative_of_the_gap(scene: Scene):
     d = derive(scene)
     if not scene.nc:
@@ -60,6 +62,7 @@ def test_gap_jacobian_is_the_derivative_of_the_gap(scene: Scene):
     assert np.allclose(J(q), numeric, rtol=0, atol=1e-8)  # central differences of step 1e-6: about 1e-10 of rounding, 1e-12 of truncation
 
 
+@pytest.mark.slow
 def test_power_balance(scene: Scene):
     """d/dt (T + V) = power of the inputs - dissipated power + power of contact and friction forces, at random states."""
     d = derive(scene)
@@ -80,6 +83,7 @@ def test_power_balance(scene: Scene):
         assert rate == pytest.approx(power_in(q, v, u).item() - power_out(q, v).item() + contact, abs=1e-9, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_contact_forces_push_apart(scene: Scene):
     """A contact force accelerates its gap open: J M^-1 J' has a positive diagonal."""
     if not scene.nc:

@@ -48,6 +48,7 @@ def write(folder: Path, hard: float = 2.0, package: str = "") -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("package", ["", "parts_"])
 def test_a_module_beside_the_file_is_found_wherever_one_is_and_forgotten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str):
     monkeypatch.chdir("/")
@@ -60,6 +61,7 @@ def test_a_module_beside_the_file_is_found_wherever_one_is_and_forgotten(tmp_pat
     assert not list(tmp_path.rglob("*.pyc"))
 
 
+@pytest.mark.slow
 @given(st.lists(st.sampled_from([1.0, 2.0, 3.0]), min_size=2, max_size=4))
 @settings(max_examples=5, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 def test_equal_sources_equal_text_others_another(tmp_path: Path, numbers: list[float]):

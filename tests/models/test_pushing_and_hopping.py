@@ -154,6 +154,7 @@ def test_one_face_alone_has_to_turn_the_box() -> None:
     assert answer.value == pytest.approx(math.radians(13.2405), abs=1e-5)
 
 
+@pytest.mark.slow
 def test_each_has_only_what_it_needs() -> None:
     assert set(derive(scene_of("push_box")).absent) == {"a mass matrix that depends on q", "inertial coupling", "a potential"}
     assert set(derive(scene_of("hopper_planar")).absent) == {"a mass matrix that depends on q", "inertial coupling"}

@@ -64,6 +64,7 @@ def points(scene: Scene) -> tuple[np.ndarray, ...]:
     return tuple(np.split(rows, sizes, axis=1)[:4])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BANK)
 def test_c_sympy_and_pyomo_agree_at_probe_points(name: str):
     """SymPy by numpy is the reference; the C kernel and the functions that write the Pyomo model, given numbers, give the same."""
@@ -155,6 +156,7 @@ def test_a_pair_of_bodies_pushes_itself_nowhere(name: str):
         assert np.abs(row.reshape(-1, axes).sum(axis=0)).max() < 1e-14
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BANK)
 def test_a_model_holds_what_the_scene_needs_and_nothing_else(name: str):
     """Counted on paper, T steps: states 2 nq (T+1), inputs nu T, forces nl T; rows: start, what is given of the goal, 2 nq T steps, nl T laws of contact and friction."""
@@ -258,6 +260,7 @@ def test_every_limit_of_the_bank_has_a_reason_and_the_plan_the_tighter_one(name:
             assert (plan.value or 0.0) <= (replayed.value or 0.0)
 
 
+@pytest.mark.slow
 def test_doing_nothing_in_the_wall_pendulum_costs_more_than_its_limit():
     """And the proved optimum less."""
     scene = load_scene("wall_pendulum")
@@ -289,6 +292,7 @@ def test_growth_rates_are_those_of_the_derived_equations(name: str):
     assert rates == pytest.approx([answer.value for answer in answers], abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["acrobot_limits", "cart_pole_walls", "hopper", "bouncing_mass", "two_body_collision"])
 def test_the_fine_integrator_keeps_the_energy_of_the_unforced_motion(name: str):
     scene = scene_of(name)

@@ -38,6 +38,7 @@ def test_the_papers_limit_is_13200():
     assert not step_stability(scene.with_parameters(k=13201.0)).is_stable
 
 
+@pytest.mark.slow
 def test_a_free_pair_and_a_long_chain():
     pair = load_scene("two_body_collision")
     w = math.sqrt(2000.0 / 0.75)

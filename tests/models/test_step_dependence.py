@@ -61,6 +61,7 @@ def test_what_is_not_is_left_alone(kind: str):
     assert step_problem(ACCEPTED[kind]) is None
 
 
+@pytest.mark.slow
 def test_the_line_and_the_scene_are_named(tmp_path: Path):
     text = (SCENES / "two_link_arm.py").read_text().replace('"two_link_arm"', '"own"')
     path = tmp_path / "own.py"

@@ -48,6 +48,7 @@ def desk(chromium, page_file):
     return chromium.open(page_file)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("width", "dark"), [(1400, False), (1400, True), (390, False)], ids=["light", "dark", "telephone"])
 def test_no_complaint_no_request_no_sideways_scrolling(chromium, page_file, width, dark):
     page = chromium.open(page_file, width=width, dark=dark)
@@ -62,6 +63,7 @@ def test_no_complaint_no_request_no_sideways_scrolling(chromium, page_file, widt
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == ("rgb(20, 23, 27)" if dark else "rgb(255, 255, 255)")
 
 
+@pytest.mark.slow
 def test_a_long_row_of_figures_wraps_on_a_telephone(chromium, page_file):
     """The efforts of a scene with four inputs are wider than the screen."""
     page = chromium.open(page_file, width=390)
@@ -71,6 +73,7 @@ def test_a_long_row_of_figures_wraps_on_a_telephone(chromium, page_file):
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 def test_all_text_has_contrast(chromium, page_file, dark):
     page = chromium.open(page_file, dark=dark)
@@ -126,6 +129,7 @@ def test_points_of_the_front_tell_their_row_on_focus(desk):
     assert desk.evaluate("document.querySelector('#front .fig output').textContent").startswith("Row 1, strict_lcp: cost 496.63")
 
 
+@pytest.mark.slow
 def test_the_filter_follows_the_address(chromium, page_file):
     page = chromium.open(page_file, fragment="#runs?crashed")
     assert page.evaluate(
@@ -137,6 +141,7 @@ def test_the_filter_follows_the_address(chromium, page_file):
     assert page.messages == []
 
 
+@pytest.mark.slow
 def test_the_player_moves(chromium, run_file):
     desk = chromium.open(run_file)
     inside = "document.querySelector('[data-player]')"
@@ -146,6 +151,7 @@ def test_the_player_moves(chromium, run_file):
     assert desk.evaluate(f"{inside}.querySelector('canvas').toDataURL()") != before
 
 
+@pytest.mark.slow
 def test_hostile_strings_do_nothing(chromium, hostile_folder, factory):
     page = chromium.open(write_single(hostile_folder))
     assert page.messages == []
@@ -155,6 +161,7 @@ def test_hostile_strings_do_nothing(chromium, hostile_folder, factory):
     assert page.evaluate("document.querySelectorAll('script:not([type])').length") == 1
 
 
+@pytest.mark.slow
 def test_all_is_readable_without_script_and_on_paper(chromium, page_file):
     page = chromium.open(page_file, script=False)
     assert page.messages == []
@@ -165,6 +172,7 @@ def test_all_is_readable_without_script_and_on_paper(chromium, page_file):
 _ROWS = "[...document.querySelectorAll('#matrix-table tbody tr')].filter((row) => !row.hidden).map((row) => row.dataset.name)"
 
 
+@pytest.mark.slow
 def test_names_of_small_bodies_do_not_overlap(chromium, factory, tmp_path):
     """What the picture writes on a body or beside it, at any time: nothing on something else, and nothing left out."""
     run = factory.run("strict", None, "strict_lcp")
@@ -194,6 +202,7 @@ def test_names_of_small_bodies_do_not_overlap(chromium, factory, tmp_path):
     assert pairs == [[3] * 11, []]
 
 
+@pytest.mark.slow
 def test_the_matrix_is_filtered_and_sorted_and_the_address_says_how(chromium, page_file):
     page = chromium.open(page_file)
     before = page.evaluate(_ROWS)
@@ -217,6 +226,7 @@ def test_the_matrix_is_filtered_and_sorted_and_the_address_says_how(chromium, pa
     assert chromium.open(page_file, fragment="#matrix?verdict=<b>&sort=%22]&scene=nowhere").messages == []
 
 
+@pytest.mark.slow
 def test_every_table_is_saved_as_csv(chromium, page_file):
     """The file's text as the button makes it, numbers as a program reads them."""
     page = chromium.open(page_file)
@@ -253,6 +263,7 @@ def test_what_a_link_leads_to_is_opened_with_all_around_it(desk):
     assert opened == [False, True]
 
 
+@pytest.mark.slow
 def test_a_player_in_a_closed_run_is_there_when_it_is_opened(chromium, page_file):
     page = chromium.open(page_file)
     drawn = "document.querySelector('#run-2 [data-player] output').textContent"

@@ -44,6 +44,7 @@ def many_file(many):
     return write_report(many)
 
 
+@pytest.mark.slow
 def test_paper_has_the_verdicts_of_all_scenes(chromium, many_file):
     page = chromium.open(many_file, width=_PAPER)
     page.call("Emulation.setEmulatedMedia", media="print")
@@ -55,6 +56,7 @@ def test_paper_has_the_verdicts_of_all_scenes(chromium, many_file):
     assert past == [2 * 18, 0]
 
 
+@pytest.mark.slow
 def test_one_word_opens_for_paper_what_is_closed_but_the_runs(chromium, many):
     """Motion, stages and log of hundreds of runs would be a thousand pages; a run that is open is printed whole."""
     page = chromium.open(write_single(many))

@@ -22,6 +22,7 @@ def _settled(page, expression: str):
     return page.evaluate(f"new Promise((done) => setTimeout(done, 100)).then(() => ({expression}))")
 
 
+@pytest.mark.slow
 def test_without_script_nothing_is_offered_that_does_nothing(chromium, pages, run_file, page_file):
     for path in (run_file, pages[0], page_file):
         page = chromium.open(path, script=False)
@@ -55,6 +56,7 @@ def test_the_player_is_stepped_on_its_button_and_told_once(chromium, run_file):
     assert page.evaluate("document.querySelector('[data-player] output').ariaLive") == "off"
 
 
+@pytest.mark.slow
 def test_the_address_and_what_is_shown_agree_on_the_way_back(chromium, page_file):
     page = chromium.open(page_file, fragment="#matrix?verdict=holds")
     page.evaluate("document.querySelector('nav a[href=\"#matrix\"]').click()")
@@ -77,6 +79,7 @@ def test_what_holds_most_comes_first_and_is_said_to_descend(chromium, page_file)
     assert page.evaluate("document.querySelector('#matrix-table th[data-sort=holds]').ariaSort") == "descending"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "fragment",
     [
@@ -119,6 +122,7 @@ def test_a_closed_stage_is_opened_by_the_contents_of_its_page(chromium, pages):
     assert _settled(page, f"{first}.open") is True
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("width", "dark"), [(1400, False), (1400, True), (375, False), (375, True)])
 def test_axe_finds_no_violation(chromium, page_file, pages, width, dark):
     """WCAG 2.0, 2.1 and 2.2, A and AA, by axe-core: a page of each kind, and all in one file, with everything open."""

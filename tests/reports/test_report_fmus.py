@@ -6,6 +6,8 @@ import html
 import re
 from pathlib import Path
 
+import pytest
+
 from reports.records.check_record import CheckRow, ExaminationRecord, FmuRecord, StoredRecord
 from reports.records.load import load
 from reports.render import write_report
@@ -43,6 +45,7 @@ def _campaign(factory, folder: Path, examinations: list[ExaminationRecord]) -> P
     return factory.store(folder, [*factory.runs(), *examinations])
 
 
+@pytest.mark.slow
 def test_each_fmu_has_a_row_and_all_of_its_checks(factory, tmp_path):
     sound = _fmu(factory, "three_cart", "2.0", ("passed", "passed", "not offered"))
     other = _fmu(factory, "three_cart", "3.0", ("passed", "passed", "passed"))
@@ -54,6 +57,7 @@ def test_each_fmu_has_a_row_and_all_of_its_checks(factory, tmp_path):
     assert "All required checks passed" in words
 
 
+@pytest.mark.slow
 def test_a_failed_check_fails_the_campaign_and_is_named(factory, tmp_path):
     bad = _fmu(factory, "three_cart", "2.0", ("passed", "failed", "failed"), found="check 1 (ME): found 1; check 2 (ME): found 2.")
     words = _words(_campaign(factory, tmp_path, [bad]))
@@ -64,6 +68,7 @@ def test_a_failed_check_fails_the_campaign_and_is_named(factory, tmp_path):
     assert "1 FMU of 1 scene in FMI 2.0: 1 of them does not pass." in words
 
 
+@pytest.mark.slow
 def test_an_end_without_an_answer_fails_too(factory, tmp_path):
     lost = _fmu(
         factory,
@@ -92,6 +97,7 @@ def test_a_folder_with_nothing_but_examinations(factory, tmp_path):
     assert (stored.runs, stored.examinations, stored.unreadable) == ((), (sound,), ())
 
 
+@pytest.mark.slow
 def test_no_page_without_examinations(factory, tmp_path):
     assert 'id="fmus"' not in write_report(factory.store(tmp_path, factory.runs())).read_text(encoding="utf-8")
 

@@ -81,6 +81,7 @@ def test_records_of_an_earlier_schema_are_refused_in_one_sentence(factory, tmp_p
     assert stored.foreign == 1
 
 
+@pytest.mark.slow
 def test_many_files_that_could_not_be_read_for_one_reason_are_told_once(factory, tmp_path):
     runs = [factory.run("strict", None, "strict_lcp", key=f"strict-{number}") for number in range(15)]
     folder = factory.store(tmp_path / "all", runs)

@@ -36,6 +36,7 @@ def test_rows_follow_the_papers_order_and_share_stages(factory, tmp_path):
     assert warm.paper_total == pytest.approx(11.64 + 9.78 + 12.40 + 100.07)
 
 
+@pytest.mark.slow
 def test_the_same_methods_with_other_options_are_other_rows_and_another_sweep(factory, tmp_path, converged):
     report = report_of(factory, tmp_path / "all", [*factory.runs(), converged])
     assert len(report.rows) == len(TABLE_1) + 4
@@ -58,6 +59,7 @@ def test_the_front_is_unbeaten(factory, tmp_path):
     assert len(best) < len(points)
 
 
+@pytest.mark.slow
 def test_the_command_runs_this_cell_again_and_no_other(factory, tmp_path, converged):
     report = report_of(factory, tmp_path / "all", [*factory.runs(), converged])
     for run in report.stored.runs:

@@ -24,6 +24,7 @@ from reports.wording import cost, error, number, percent, product, seconds, smal
 _HEIGHTS = st.lists(st.floats(-300, 300), min_size=2, max_size=200)
 
 
+@pytest.mark.slow
 @given(_HEIGHTS)
 def test_no_dropped_point_is_farther_than_the_tolerance(heights):
     xs, ys = 0.7 * np.arange(len(heights)), np.array(heights)

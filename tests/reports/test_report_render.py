@@ -61,6 +61,7 @@ def full(full_folder) -> tuple[str, Parsed]:
     return render(full_folder)
 
 
+@pytest.mark.slow
 def test_every_section_is_there_and_the_contents_lead_to_it(full):
     _, page = full
     ids = [attributes["id"] for _, attributes in page.elements if attributes.get("id")]
@@ -88,6 +89,7 @@ def test_the_page_asks_for_nothing_and_allows_only_its_own_style_and_script(full
         assert f"{kind}-src 'sha256-{digest}'" in policy
 
 
+@pytest.mark.slow
 def test_the_page_is_a_pure_function_of_the_records(full, full_folder):
     assert render(full_folder)[0] == full[0]
 
@@ -110,6 +112,7 @@ def test_table_1_shows_ours_beside_the_paper(full):
         assert number in re.sub(" +", " ", warm), number
 
 
+@pytest.mark.slow
 def test_rows_that_one_side_lacks_are_shown_as_such(factory, tmp_path):
     only = factory.run("softplus_dc+strict", "softplus_dc", "strict_lcp")
     ours = factory.stage(0, "strict_lcp", None, None, 0.0, paper={}).model_copy(update={"method": "mpcc"})
@@ -119,6 +122,7 @@ def test_rows_that_one_side_lacks_are_shown_as_such(factory, tmp_path):
     assert page.text.count("not in the paper") == 1
 
 
+@pytest.mark.slow
 def test_conclusions_are_computed(factory, tmp_path):
     good = factory.run("softplus_dc+strict", "softplus_dc", "strict_lcp")
     _, page = render(factory.store(tmp_path / "good", [good]))
@@ -135,6 +139,7 @@ def test_conclusions_are_computed(factory, tmp_path):
     assert "0 of 1 runs that end with exact contact hold" in page.text
 
 
+@pytest.mark.slow
 def test_physics_of_relu_rows_is_judged_by_the_records(factory, tmp_path):
     run = factory.run("relu_gd", None, "relu_gd")
     _, page = render(factory.store(tmp_path / "zero", [run]))
@@ -207,6 +212,7 @@ def test_missing_and_odd_data_are_a_dash_and_never_an_exception(factory, tmp_pat
     assert "strict_lcp" in page.text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["trajectory", "replay"])
 @pytest.mark.parametrize(
     ("columns", "said"),
@@ -260,6 +266,7 @@ def test_pages_of_long_motions_stay_small(factory, tmp_path):
     assert max(sizes.values()) < 300_000
 
 
+@pytest.mark.slow
 def test_the_report_needs_no_solver(full_folder):
     program = (
         "import sys; from pathlib import Path; from reports.render import write_report; write_report(Path(sys.argv[1])); "
@@ -269,6 +276,7 @@ def test_the_report_needs_no_solver(full_folder):
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.slow
 def test_the_command_rebuilds_the_page_or_says_why_not(full_folder, tmp_path):
     (full_folder / "report.html").unlink(missing_ok=True)
     done = subprocess.run([sys.executable, "-m", "reports", str(full_folder)], capture_output=True, text=True, check=False)

@@ -131,6 +131,7 @@ def test_the_summary_names_what_was_found(factory, tmp_path):
     assert "Found by the replay: bank x strict: a limit." in words
 
 
+@pytest.mark.slow
 def test_the_summary_says_the_rule_and_its_verdict_in_these_words(factory, tmp_path):
     good = words_of(factory.store(tmp_path / "good", [factory.run("strict", None, "strict_lcp")]))
     assert "All required checks passed." in good

@@ -151,6 +151,7 @@ def test_words_of_a_record_are_escaped(factory, tmp_path):
     assert "<b>bold</b>" not in text
 
 
+@pytest.mark.slow
 def test_what_was_known_of_the_time_step_stands_with_the_scene_and_a_warning_in_the_summary(page):
     known = {
         "scene": "three_cart",

@@ -113,6 +113,7 @@ def test_the_least_known_cost_lies_between_neighbours(factory) -> None:
     assert tolerance.least_within(points[1:], 1e-6) == (390.4, None)
 
 
+@pytest.mark.slow
 def test_rows_stand_beside_the_front(factory, tmp_path) -> None:
     report = Report(load(factory.store(tmp_path / "all", [*factory.runs(), front_run(factory)])))
     section = tolerance.build(report)

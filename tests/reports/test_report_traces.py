@@ -24,6 +24,7 @@ def _record(factory, history: object) -> dict:
     return record
 
 
+@pytest.mark.slow
 @given(numbers=st.lists(_FINITE))
 def test_columns_come_back_to_the_bit(factory, numbers):
     listed = StoredRecord.model_validate(_record(factory, {"q": numbers})).root

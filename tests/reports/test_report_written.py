@@ -42,6 +42,7 @@ def test_every_link_leads_to_an_anchor_of_a_page(full_folder):
     assert len(texts) == 1 + 1 + 11
 
 
+@pytest.mark.slow
 def test_pages_together_show_every_figure_of_the_single_file(full_folder):
     single = write_single(full_folder).read_text(encoding="utf-8")
     write_report(full_folder)
@@ -51,6 +52,7 @@ def test_pages_together_show_every_figure_of_the_single_file(full_folder):
     assert all(figure in pages for figure in figures)
 
 
+@pytest.mark.slow
 def test_a_page_that_stands_is_left_and_any_other_is_written(folder: Path):
     write_report(folder)
     before = _written(folder)
@@ -66,6 +68,7 @@ def test_a_page_that_stands_is_left_and_any_other_is_written(folder: Path):
     assert {name for name in again if again[name] != last[name]} == {"scene-three_cart.html", *again} - {"scene-other.html"}
 
 
+@pytest.mark.slow
 def test_another_program_writes_all_pages(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     write_report(folder)
     before = _written(folder)
@@ -85,6 +88,7 @@ def _with_room(due, report, room: Path):
         module._HERE = here
 
 
+@pytest.mark.slow
 def test_pages_are_the_same_by_one_process_and_by_several(factory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     one, several = (factory.store(tmp_path / name / "all", factory.runs()) for name in ("one", "several"))
     write_report(one, 1)
@@ -99,6 +103,7 @@ def test_pages_are_the_same_by_one_process_and_by_several(factory, tmp_path: Pat
     }
 
 
+@pytest.mark.slow
 def test_what_a_process_leaves_undone_is_done_here(factory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     folder = factory.store(tmp_path / "all", factory.runs())
     monkeypatch.setattr(module, "_WORTH", 1)
@@ -122,6 +127,7 @@ def test_a_folder_in_the_place_of_a_page_is_one_sentence(folder: Path):
     assert [path.name for path in folder.rglob(".partial*")] == []
 
 
+@pytest.mark.slow
 def test_a_folder_that_is_renamed_has_the_same_pages(folder: Path, tmp_path: Path):
     write_report(folder)
     before = {path.name: path.read_bytes() for path in (folder / PAGES).iterdir()} | {"report": (folder / "report.html").read_bytes()}

@@ -24,6 +24,7 @@ def named(name: str) -> tuple[Trial, ...]:
     return tuple(trial for trial in TRIALS if trial.name == name)
 
 
+@pytest.mark.slow
 def test_this_machine_runs_the_main_job(tmp_path):
     done = doctor("--out", str(tmp_path / "not" / "yet" / "there"), "--json")
     found = {finding["name"]: finding for finding in json.loads(done.stdout)["findings"]}
@@ -41,6 +42,7 @@ def test_without_a_compiler_the_remedy_is_named(tmp_path, monkeypatch):
     assert "touchstone-contact[compiler]" in finding.remedy
 
 
+@pytest.mark.slow
 def test_what_rests_on_something_broken_is_not_to_be_installed_again(tmp_path, monkeypatch):
     monkeypatch.setenv("TOUCHSTONE_CACHE", str(Path(__file__) / "below_a_file"))
     cache, fmu = list(examine_machine(tmp_path, (*named("cache"), *named("FMU"))))[-2:]
@@ -60,6 +62,7 @@ def test_a_compiler_that_computes_something_else_is_found(tmp_path, monkeypatch)
     assert "is 2.4142" in finding.sentence
 
 
+@pytest.mark.slow
 def test_an_unknown_linear_solver_is_a_finding(tmp_path, monkeypatch):
     monkeypatch.setenv("TOUCHSTONE_LINEAR_SOLVER", "nosuch")
     finding = list(examine_machine(tmp_path, named("Ipopt")))[-1]
@@ -88,6 +91,7 @@ def test_a_store_without_permission_is_said(tmp_path):
     assert store.state is State.BROKEN
 
 
+@pytest.mark.slow
 def test_something_broken_is_exit_code_three(tmp_path):
     (tmp_path / "taken").write_text("x")
     done = doctor("--out", str(tmp_path / "taken"), TOUCHSTONE_LINEAR_SOLVER="nosuch", CC="/nonexistent/cc")

@@ -29,6 +29,7 @@ def judged(solution: Solution) -> Score:
     return judge("two_finger_lift", solution).score
 
 
+@pytest.mark.slow
 def test_both_plans_lift_the_cup_on_paper(plans):
     scene = load_scene("two_finger_lift")
     height = [coordinate.name for coordinate in scene.coordinates].index("y")
@@ -39,6 +40,7 @@ def test_both_plans_lift_the_cup_on_paper(plans):
         assert y[-1] - y[0] > 0.02
 
 
+@pytest.mark.slow
 def test_the_relaxed_plan_violates_and_says_where_its_forces_come_from(plans):
     found = judged(plans[0])
     assert found.verdict is Verdict.VIOLATES
@@ -48,6 +50,7 @@ def test_the_relaxed_plan_violates_and_says_where_its_forces_come_from(plans):
     assert dict(found.questions)[Question.GOAL] == "yes", "on paper"
 
 
+@pytest.mark.slow
 def test_the_exact_plan_from_the_same_start_holds(plans):
     """With feedback: what squeezes the cup drives an error of its height on, whatever the plan."""
     found = judged(plans[1])

@@ -33,6 +33,7 @@ def test_inputs_far_from_the_goal_are_steered_to_it(force: float) -> None:
     assert np.abs(u).max() <= 10.0
 
 
+@pytest.mark.slow
 def test_without_contact_only_softplus_finds_the_way() -> None:
     """Nothing touches: the true law says nothing about the middle cart."""
     nothing = np.zeros((100, 2))
@@ -44,6 +45,7 @@ def test_without_contact_only_softplus_finds_the_way() -> None:
     assert approach(ModesProblem(linear_scene(SCENE)), rollout.lam > 0, 1, lambda: False) is not None
 
 
+@pytest.mark.slow
 def test_modes_that_miss_the_goal_lead_to_modes_that_meet_it() -> None:
     problem = ModesProblem(linear_scene(SCENE))
     u = pushed(1.5)

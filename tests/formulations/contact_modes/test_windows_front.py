@@ -37,6 +37,7 @@ def within(ball: float, plan: Trajectory | None = None, search: bool = True) -> 
         return session.solve(eps=None, warm_start=plan, time_limit=600.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("ball", "most"), [(1e-3, 391.0), (1e-2, 325.0)])
 def test_figures_of_the_front(ball: float, most: float) -> None:
     solution = within(ball)
@@ -45,6 +46,7 @@ def test_figures_of_the_front(ball: float, most: float) -> None:
     assert miss(solution, SCENE) == pytest.approx(ball, rel=1e-6), "the end lies on the sphere"
 
 
+@pytest.mark.slow
 def test_the_figure_at_five_centimetres_needs_the_windows_of_ten() -> None:
     solution = within(0.05, within(0.1, search=False).trajectory)
     assert solution.cost is not None
@@ -52,6 +54,7 @@ def test_the_figure_at_five_centimetres_needs_the_windows_of_ten() -> None:
     assert miss(solution, SCENE) <= 0.05 + 1e-10
 
 
+@pytest.mark.slow
 def test_a_front_falls() -> None:
     points = front(SMALL, (0.05, 0.0, 0.01))
     assert [point.tolerance for point in points] == [0.0, 0.01, 0.05]
@@ -86,6 +89,7 @@ def test_tolerances_that_are_none_are_refused(wrong) -> None:
         load_method("mpcc_front").open(SMALL, {"tolerances": wrong})
 
 
+@pytest.mark.slow
 def test_the_method_hands_on_the_tightest_plan_and_the_whole_front() -> None:
     with load_method("mpcc_front").open(SMALL, {"tolerances": (0.05, 0.0)}) as session:
         solution = certify_solution(SMALL, session.solve(eps=None, warm_start=None, time_limit=600.0))
@@ -115,6 +119,7 @@ def test_a_free_end_has_no_front() -> None:
     assert "free" in str(load_method("mpcc_front").accepts(nowhere))
 
 
+@pytest.mark.slow
 def test_a_cold_start_may_do_more_until_it_has_a_plan(monkeypatch: pytest.MonkeyPatch) -> None:
     """What leads to the first plan is as long as for mpcc, whatever the steps from plan to plan may do: five carts had none."""
     allowed: list[tuple[bool, float]] = []

@@ -31,12 +31,14 @@ STEPS = 40
 modes = st.lists(st.tuples(st.booleans(), st.booleans()), min_size=STEPS, max_size=STEPS).map(lambda rows: np.array(rows))
 
 
+@pytest.mark.slow
 @given(closed=modes)
 @settings(deadline=None, max_examples=50)
 def test_windows_and_modes_are_two_words_for_one_thing(closed: np.ndarray) -> None:
     assert np.array_equal(closed_of(windows_of(closed), STEPS), closed)
 
 
+@pytest.mark.slow
 @given(closed=modes, stride=st.integers(1, 5), seed=st.integers(0, 99))
 @settings(deadline=None, max_examples=50)
 def test_every_move_can_be_undone(closed: np.ndarray, stride: int, seed: int) -> None:

@@ -69,6 +69,7 @@ def test_some_of_these_problems_have_active_bounds_and_signs() -> None:
     assert touching > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ball", [1e-3, 5e-2])
 def test_a_ball_around_the_goal_agrees_with_ipopt(ball: float) -> None:
     problem = ModesProblem(linear_scene(SCENE), ball)

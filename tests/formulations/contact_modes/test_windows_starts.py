@@ -72,6 +72,7 @@ def several(**options) -> Solution:
         return session.solve(eps=None, warm_start=None, time_limit=600.0)
 
 
+@pytest.mark.slow
 def test_starts_run_apart_are_those_run_together() -> None:
     together, apart = several(starts=6), [several(starts=3, first_start=first) for first in (0, 3)]
     assert [start.number for start in together.starts] == list(range(6))
@@ -85,6 +86,7 @@ def test_starts_run_apart_are_those_run_together() -> None:
     assert several().starts == ()
 
 
+@pytest.mark.slow
 def test_another_seed_is_another_random_start() -> None:
     drawn = [random_plan(SMALL, load_kernel(SMALL), seed) for seed in ((0, 3), (0, 3), (1, 3), (0, 4))]
     inputs = [plan.u for plan in drawn if plan is not None]
@@ -116,6 +118,7 @@ def test_impossible_numbers_are_refused() -> None:
             load_method("mpcc").open(SMALL, wrong)
 
 
+@pytest.mark.slow
 def test_random_inputs_that_led_nowhere_are_not_steered_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """They are the same whatever a start is: the second start without a plan has only its own to steer."""
     drawn: list[tuple[int, ...]] = []

@@ -28,6 +28,7 @@ def compiled(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     return models
 
 
+@pytest.mark.slow
 def test_the_fifth_start_is_the_start_alone(compiled: list[object]) -> None:
     several = opened(starts=5).solve(eps=None, warm_start=None, time_limit=600.0)
     built = len(compiled)
@@ -40,6 +41,7 @@ def test_the_fifth_start_is_the_start_alone(compiled: list[object]) -> None:
     assert several.cost <= fifth.cost
 
 
+@pytest.mark.slow
 def test_another_radius_uses_the_same_models(compiled: list[object]) -> None:
     wide = opened(goal_tolerance=0.05)
     first = wide.solve(eps=None, warm_start=None, time_limit=600.0)

@@ -43,6 +43,7 @@ def test_without_throws_nothing_is_done() -> None:
     assert not solution.trajectory.lam.any()
 
 
+@pytest.mark.slow
 def test_a_plan_that_touches_nothing_is_begun_again_from_throws() -> None:
     solution = solved(WALL)
     assert solution.outcome is Outcome.SOLVED, solution.message
@@ -59,6 +60,7 @@ def test_a_plan_that_touches_nothing_is_begun_again_from_throws() -> None:
     assert "from throws" in solution.message
 
 
+@pytest.mark.slow
 def test_throws_are_the_same_from_run_to_run() -> None:
     with load_method("mpcc").open(WALL, {"search": False}) as session:
         again = session.solve(eps=None, warm_start=None, time_limit=120.0)
@@ -68,6 +70,7 @@ def test_throws_are_the_same_from_run_to_run() -> None:
     np.testing.assert_array_equal(again.trajectory.u, first.u)
 
 
+@pytest.mark.slow
 def test_of_several_starts_the_cheapest_is_replaced() -> None:
     solution = solved(WALL, starts=2, first_start=5, work=2.0)
     thrown = [attempt for attempt in solution.starts if attempt.start.endswith(", then throws")]
@@ -76,6 +79,7 @@ def test_of_several_starts_the_cheapest_is_replaced() -> None:
     assert thrown[0].cost == pytest.approx(solution.cost, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", ["goal", "no final cost"])
 def test_where_no_throw_is_tried(change: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """With a goal, here where disc 2 is already, or with an end that costs nothing, a plan that touches nothing is left as it is."""
@@ -91,6 +95,7 @@ def test_where_no_throw_is_tried(change: str, monkeypatch: pytest.MonkeyPatch) -
     assert plan is None or not plan.lam.any()
 
 
+@pytest.mark.slow
 def test_throws_press_what_was_not_pressed_and_end_nearer() -> None:
     kernel, idle = load_kernel(WALL), np.zeros(3, dtype=bool)
     plans = thrown_plans(WALL, kernel, (0, 0), idle, IDLE)

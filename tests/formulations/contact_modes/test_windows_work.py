@@ -81,6 +81,7 @@ def test_half_of_the_work_that_is_left_for_each_start(spends: list[float], allow
     assert best.answer.cost == 10.0 - len(allowed)
 
 
+@pytest.mark.slow
 def test_the_clock_decides_nothing() -> None:
     """A search cut by its work finds the same in any time; with more work it looks further."""
     found = []
@@ -95,6 +96,7 @@ def test_the_clock_decides_nothing() -> None:
     assert "by the work it may do" in found[2].message
 
 
+@pytest.mark.slow
 def test_a_first_plan_has_less_work_than_the_search_around_it() -> None:
     """What is given up says why; what has a plan by then is searched with all of the work."""
     found = []

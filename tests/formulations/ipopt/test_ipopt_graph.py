@@ -40,6 +40,7 @@ def evaluate(graph, node):
     return out[0, 0]
 
 
+@pytest.mark.slow
 @settings(max_examples=400, deadline=None, derandomize=True)
 @given(st.lists(leaves, min_size=2, max_size=5), steps)
 def test_simplification_changes_no_value(start, program):

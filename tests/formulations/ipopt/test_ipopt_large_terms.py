@@ -38,6 +38,7 @@ def test_a_product_of_two_hundred_variables_has_the_exact_dense_hessian():
     np.testing.assert_allclose(hessian_of(problem, x), expected, rtol=1e-11)
 
 
+@pytest.mark.slow
 def test_a_chain_of_five_thousand_operations_needs_no_recursion():
     m = model_with(2, 0.3)
     chain = m.x[0]
@@ -114,6 +115,7 @@ def test_data_in_front_of_a_wide_sum_keeps_the_terms_apart():
     assert problem.objective(x) == pytest.approx(pyo.value(m.cost), rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", [True, False])
 def test_a_sparse_hessian_of_a_large_term_is_found_sparse(first):
     m = model_with(300, 0.4)

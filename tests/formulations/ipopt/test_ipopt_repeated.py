@@ -45,6 +45,7 @@ def least(m: pyo.ConcreteModel) -> float:
     return float(np.linalg.norm(np.linalg.pinv(rows) @ (right - rows @ wanted)) ** 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("linear_solver", ["ldlt", "mumps"])
 def test_the_optimum_is_found_whatever_rounding_does(linear_solver):
     for seed in range(SEEDS):
@@ -55,6 +56,7 @@ def test_the_optimum_is_found_whatever_rounding_does(linear_solver):
         assert pyo.value(m.cost) == pytest.approx(expected, rel=1e-6, abs=1e-8), seed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("linear_solver", ["ldlt", "mumps"])
 def test_what_the_message_says_helps(linear_solver):
     for seed in range(SEEDS):

@@ -125,6 +125,7 @@ def test_runs_in_threads_disturb_none(linear_solver: str):
     assert points == points[:1] * 8
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_a_run_wherever_it_strikes():
     program = """
 import os, signal, threading, time, pyomo.environ as pyo

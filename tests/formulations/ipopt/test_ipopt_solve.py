@@ -40,6 +40,7 @@ def test_the_same_start_gives_the_same_bits(three_carts):
     assert [i.objective for i in first.history] == [i.objective for i in second.history]
 
 
+@pytest.mark.slow
 def test_a_primal_dual_start_at_the_solution_ends_at_once(three_carts):
     problem = compile_model(three_carts(100))
     cold = solve(problem)

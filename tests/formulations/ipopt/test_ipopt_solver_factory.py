@@ -282,6 +282,7 @@ def test_a_feasibility_problem(solver):
     assert math.hypot(m.x[1].value, m.x[2].value) == pytest.approx(2.0)
 
 
+@pytest.mark.slow
 def test_importing_the_bridge_is_what_registers_it():
     program = "import pyomo.environ as pyo, formulations.ipopt; assert pyo.SolverFactory('touchstone_ipopt').available()"
     subprocess.run([sys.executable, "-c", program], check=True, timeout=120)

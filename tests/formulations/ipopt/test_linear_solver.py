@@ -83,6 +83,7 @@ except MachineError as error:
 """
 
 
+@pytest.mark.slow
 def test_a_library_that_cannot_be_loaded_leaves_mumps(monkeypatch, tmp_path):
     monkeypatch.delenv("TOUCHSTONE_LINEAR_SOLVER", raising=False)
     monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path))
@@ -93,6 +94,7 @@ def test_a_library_that_cannot_be_loaded_leaves_mumps(monkeypatch, tmp_path):
     assert "cannot be loaded" in told
 
 
+@pytest.mark.slow
 def test_a_library_that_has_gone_is_made_again(monkeypatch, tmp_path):
     monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path))
     first = linear_solver.ldlt_library()
@@ -101,6 +103,7 @@ def test_a_library_that_has_gone_is_made_again(monkeypatch, tmp_path):
     assert first.exists()
 
 
+@pytest.mark.slow
 def test_a_cache_named_from_here_is_built_in(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("TOUCHSTONE_CACHE", "beside")

@@ -43,6 +43,7 @@ def best() -> Solution:
     return solved("mpcc")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["mpcc", "strict_lcp"])
 def test_exact_plans_are_certified(method: str) -> None:
     solution = solved(method)
@@ -55,6 +56,7 @@ def test_exact_plans_are_certified(method: str) -> None:
     assert certificate.pairs == SCENE.nc * SCENE.task.steps
 
 
+@pytest.mark.slow
 def test_multipliers_agree_with_those_of_the_solver() -> None:
     """Found by two codes that share nothing: banded KKT here, sparse least squares on the Pyomo model there."""
     scene = load_scene("three_cart")
@@ -67,6 +69,7 @@ def test_multipliers_agree_with_those_of_the_solver() -> None:
     assert certificate.least == pytest.approx(solution.residuals["least_biactive_multiplier"], rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", [1e-6, -1e-6])
 def test_a_force_that_is_off_is_found(best: Solution, error: float) -> None:
     plan = plan_of(best)
@@ -104,12 +107,14 @@ def test_a_dearer_plan_of_the_same_task_is_not_stationary(best: Solution) -> Non
     assert certificate.dual > 1e-5
 
 
+@pytest.mark.slow
 def test_a_relaxed_plan_is_not_complementary() -> None:
     certificate = certify_plan(SCENE, plan_of(solved("relaxed_lcp")))
     assert not certificate.feasible
     assert certificate.complementarity == pytest.approx(math.sqrt(1e-2), rel=0.5)
 
 
+@pytest.mark.slow
 def test_a_ball_around_the_goal_is_part_of_the_problem() -> None:
     solution = solved("mpcc", goal_tolerance=0.01)
     certified = certify_solution(SCENE, solution)
@@ -118,6 +123,7 @@ def test_a_ball_around_the_goal_is_part_of_the_problem() -> None:
     assert not certify_plan(SCENE, plan_of(solution)).feasible
 
 
+@pytest.mark.slow
 def test_a_judge_that_judged_others_before_says_the_same(best: Solution) -> None:
     """The strict model is kept: neither a plan nor a ball that it held before may shine through."""
     plan, judge = plan_of(best), PlanJudge(SCENE)

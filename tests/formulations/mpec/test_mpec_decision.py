@@ -63,6 +63,7 @@ def test_gradients_that_nearly_depend_on_each_other_do_not_keep_it_going(monkeyp
     assert len(calls) <= 25
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(seed=_SEEDS, inside=st.booleans())
 def test_it_decides_as_a_linear_program_does(seed, inside):
@@ -134,6 +135,7 @@ def random_point(random: np.random.Generator, count: int, n: int) -> tuple[Activ
 _ORDER = list(Stationarity)
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(seed=_SEEDS, count=st.integers(0, 3), n=st.integers(2, 9))
 def test_classes_are_those_of_linear_programs_and_no_weaker_than_known(seed, count, n):
@@ -149,6 +151,7 @@ def test_classes_are_those_of_linear_programs_and_no_weaker_than_known(seed, cou
     assert found.kind is projected.kind is by_programs.kind
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(seed=_SEEDS, count=st.integers(0, 4), n=st.integers(2, 9))
 def test_the_tree_of_pieces_knows_what_all_pieces_tell(seed, count, n):

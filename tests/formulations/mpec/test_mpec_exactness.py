@@ -32,6 +32,7 @@ def impossible(name: str, bounded: bool, expression: bool) -> pyo.ConcreteModel:
     return m
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("bounded", "expression"), [(False, False), (True, True)])
 @pytest.mark.parametrize("name", IMPOSSIBLE)
 def test_nothing_is_optimal_where_nothing_is_feasible(name, bounded, expression):
@@ -89,6 +90,7 @@ def test_a_descent_into_an_unbounded_branch_is_unbounded():
     assert solve_mpec(m).outcome is Outcome.DIVERGED
 
 
+@pytest.mark.slow
 def test_variables_that_grow_without_end_are_not_an_unbounded_objective():
     """Iterates that leave for infinity while the objective rises prove nothing."""
     result = solve_mpec(impossible("quadratic", bounded=True, expression=True))

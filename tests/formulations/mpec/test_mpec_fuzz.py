@@ -35,6 +35,7 @@ KINDS = ENUMERATION.generator.KINDS
 FAULTS = (*ENUMERATION.WRONG, "refused")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(26, 26 + len(KINDS)), ids=lambda seed: f"{KINDS[seed % len(KINDS)]}-{seed}")
 def test_nothing_wrong_is_claimed_of_a_problem_of_each_kind(seed):
     """Beside those of hypothesis, which prefers plain numbers: of defects planted in the solver, each of the two tests found some that the other missed."""
@@ -42,6 +43,7 @@ def test_nothing_wrong_is_claimed_of_a_problem_of_each_kind(seed):
     assert verdict.agreement not in FAULTS, verdict
 
 
+@pytest.mark.slow
 def test_nothing_wrong_is_claimed_and_little_left_open():
     """Where it fails, it takes up to five minutes to find a smaller problem that fails."""
     answers: Counter[str] = Counter()
@@ -75,6 +77,7 @@ def _claiming(change: Any, monkeypatch: pytest.MonkeyPatch) -> str:
     return ENUMERATION.judge(ENUMERATION.generator.random_mpec(_CONVEX)).agreement
 
 
+@pytest.mark.slow
 def test_the_judge_sees_a_point_off_its_rows(monkeypatch):
     assert ENUMERATION.judge(ENUMERATION.generator.random_mpec(_CONVEX)).agreement == "same"
     assert _claiming(lambda result: replace(result, x=result.x + 1e-3), monkeypatch) == "wrong optimal"

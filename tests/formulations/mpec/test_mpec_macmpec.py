@@ -52,6 +52,7 @@ def test_there_are_at_least_forty():
     assert len(names) >= 40 + len(MISPRINTS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "builder", "optimum"), PROBLEMS, ids=[name for name, _, _ in PROBLEMS])
 def test_published_optimum(name, builder, optimum):
     model = builder()

@@ -52,6 +52,7 @@ def rolled(scene: Scene, u: np.ndarray) -> Trajectory:
     return Trajectory(t=uniform_grid(scene.task.step, scene.task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", [LITTLE, SHORT], ids=["three_cart", "wall_pendulum"])
 def test_the_proved_optimum_is_the_best_of_all_modes(scene: Scene):
     proof = prove(scene, time_limit=300.0)
@@ -64,6 +65,7 @@ def test_the_proved_optimum_is_the_best_of_all_modes(scene: Scene):
     assert proof.pairs == (scene.task.steps - 1) * scene.nc
 
 
+@pytest.mark.slow
 def test_seconds_are_those_of_opening_and_of_the_proof():
     with load_method("global").open(SHORT) as session:
         first, second = (session.solve(eps=None, warm_start=None, time_limit=60.0).seconds for _ in range(2))
@@ -104,6 +106,7 @@ _u, _theta, _omega = (
 AWAY = PENDULUM.with_task(running_cost=(_theta - 1) ** 2 + (_omega + 2) ** 2 + (_u - 3) ** 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", [PENDULUM, AWAY], ids=["as it is", "with a linear cost"])
 def test_no_exact_plan_leaves_the_bounds(scene: Scene):
     """Random inputs: whatever costs no more than the ceiling keeps every bound, else the big-M would cut it off."""
@@ -122,6 +125,7 @@ def test_no_exact_plan_leaves_the_bounds(scene: Scene):
     assert ((dearer > bounds.upper) | (dearer < bounds.lower)).any(), "the ceiling was meant to cut something off"
 
 
+@pytest.mark.slow
 def test_cheap_plans_have_little_energy():
     random = np.random.default_rng(1)
     for _ in range(40):
@@ -144,6 +148,7 @@ def test_the_relaxation_bounds_the_known_optimum():
     assert 100.0 < bound < known
 
 
+@pytest.mark.slow
 def test_a_plan_that_cheats_does_not_count():
     honest = rolled(SHORT, np.zeros((9, 1)))
     assert is_exact(SHORT, honest)
@@ -160,6 +165,7 @@ def test_a_plan_that_cheats_does_not_count():
 LONG = CARTS.with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.3, 2.9, 3.5, 0.0, 0.0, 0.0), steps=20, step=0.1)
 
 
+@pytest.mark.slow
 def test_a_proof_that_is_cut_off_by_time_is_none():
     """Although the plan that it knows is, as far as anybody knows, the best."""
     with load_method("mpcc").open(LONG) as session:
@@ -206,6 +212,7 @@ def test_the_model_is_plain_pyomo():
         build_miqp(SHORT, endless)
 
 
+@pytest.mark.slow
 def test_refusals(monkeypatch):
     method = load_method("global")
     assert "998 contact decisions" in str(method.accepts(CARTS))
@@ -222,6 +229,7 @@ def test_refusals(monkeypatch):
         prove(PENDULUM)
 
 
+@pytest.mark.slow
 def test_less_than_a_second_is_time_too(monkeypatch: pytest.MonkeyPatch):
     """With a clock that stands still what is left is what was given: SCIP is asked, and gives a bound of its own."""
     monkeypatch.setattr(sys.modules[prove.__module__], "perf_counter", lambda: 0.0)

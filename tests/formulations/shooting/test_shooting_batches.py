@@ -48,6 +48,7 @@ def _weighed(plan: RolloutTensors) -> torch.Tensor:
     return sum(((part * torch.cos(torch.arange(part.shape[-1]))).sum(-1) for part in (*parts, plan.end)), 0.3 * plan.cost)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize(("law", "eps"), LAWS)
 def test_each_row_is_that_of_a_plan_alone(name: str, law: ContactLaw, eps: float | None):
@@ -78,6 +79,7 @@ def test_leading_dimensions_are_broadcast():
     assert rollout(scene, u[0, :0]).q.shape == (0, STEPS + 1, 3)
 
 
+@pytest.mark.slow
 def test_a_row_that_diverges_leaves_the_others_alone():
     scene = scene_of("two_link_arm")
     u, start = _plans(scene, 3)
@@ -137,6 +139,7 @@ def test_the_same_loop_runs_on_a_device(dtype: torch.dtype):
         assert torch.allclose(one, other, rtol=1e-10 if dtype == torch.float64 else 1e-3, atol=1e-10 if dtype == torch.float64 else 1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PLAIN)
 @pytest.mark.parametrize(("law", "eps"), LAWS)
 def test_the_rollout_of_other_devices_is_the_compiled_one(name: str, law: ContactLaw, eps: float | None):
@@ -154,6 +157,7 @@ def test_the_rollout_of_other_devices_is_the_compiled_one(name: str, law: Contac
         assert (found - expected).abs().max() <= ROUNDING * expected.abs().max().clamp(min=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "dtype"), [*((name, torch.float64) for name in PLAIN), ("three_cart", torch.float32)])
 def test_tensors_of_another_device_stay_there(name: str, dtype: torch.dtype):
     """PyTorch's device without memory: an operation that leaves it, or mixes devices, raises."""

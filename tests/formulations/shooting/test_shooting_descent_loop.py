@@ -44,6 +44,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_it_is_the_descent_written_out_in_numpy(case: str):
     name, law, eps, settings, size, expected, digits = CASES[case]
@@ -118,6 +119,7 @@ def test_a_loss_that_does_not_depend_on_the_inputs_is_refused():
         descend(objective, np.zeros((500, 2)), DescentOptions(learning_rate=1.0, iterations=1), 60.0)
 
 
+@pytest.mark.slow
 def test_pytorch_is_imported_where_something_is_descended_and_not_before():
     """It takes seconds to import: the catalog of methods does without."""
     import subprocess

@@ -116,6 +116,7 @@ def test_a_learning_rate_that_is_too_large_is_named_and_a_good_one_is_given(name
     assert again.history["loss"][-1] == min(again.history["loss"]) < 0.2 * again.history["loss"][0]
 
 
+@pytest.mark.slow
 def test_divergence_of_an_unstable_scene_is_an_outcome_and_no_warning():
     """The arm's gradients grow over the horizon, and far too large a step makes the rollout itself overflow."""
     solution = _solve(load_scene(str(SCENES / "two_link_arm.py")), learning_rate=500.0, iterations=200)
@@ -124,6 +125,7 @@ def test_divergence_of_an_unstable_scene_is_an_outcome_and_no_warning():
     assert all(np.isfinite(column).all() for column in solution.history.values())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reference", ["three_cart", str(SCENES / "two_link_arm.py")])
 def test_sensitivity_rows_are_finite_differences(reference: str):
     scene = load_scene(reference).with_task(steps=40)

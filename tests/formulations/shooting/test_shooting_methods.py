@@ -135,6 +135,7 @@ def test_warm_start_on_another_grid_is_refused():
         _solve(SCENE, plan=finer)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "eps"), METHODS)
 @pytest.mark.parametrize(
     ("changes", "rate"),
@@ -162,6 +163,7 @@ def test_jumping_across_a_kink_is_not_called_solved():
     assert min(smaller.history["loss"]) < 0.999 * min(solution.history["loss"])
 
 
+@pytest.mark.slow
 def test_bounds_of_the_inputs_are_kept_where_the_descent_would_leave_them():
     """In one second the carts cannot get there within the bounds: the descent wants to push harder than it may."""
     inputs = SCENE.inputs
@@ -181,6 +183,7 @@ def test_a_start_that_cannot_be_simulated_is_an_evaluation_error():
     assert "no longer finite beyond step 0" in solution.message
 
 
+@pytest.mark.slow
 def test_who_converges_away_from_the_goal_has_not_solved_the_task():
     solved = _solve(SCENE)
     assert solved.outcome is Outcome.SOLVED

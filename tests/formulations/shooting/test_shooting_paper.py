@@ -87,6 +87,7 @@ def test_the_bounds_of_the_inputs_do_not_touch_the_papers_rows(chain: list[Solut
     assert all("held at their bound" not in solution.message for solution in chain)
 
 
+@pytest.mark.slow
 def test_our_own_rule_reaches_the_bottom_that_a_long_descent_shows():
     """200 000 plain iterations by an independent numpy loop end at these losses; the rule may leave 0.1 % of the loss."""
     for method, eps, loss in (("softplus_gd", 1e-3, 9.039952e-4), ("relu_gd", None, 1.838244e-3)):

@@ -77,6 +77,7 @@ def test_noise_comes_in_pairs_of_the_size_asked_for():
     assert len(np.unique(w[0, :, 0])) == 5
 
 
+@pytest.mark.slow
 def test_another_seed_is_other_noise_and_another_plan():
     drawn = [noise(CARTS, deviation=0.1, unbounded=1.0, samples=4, pieces=5, seed=seed) for seed in (0, 0, 1, 2)]
     assert np.array_equal(drawn[0], drawn[1])

@@ -51,6 +51,7 @@ def _gradients(function, scene: Scene, start: torch.Tensor, u: torch.Tensor, law
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pattern", ["zeros", "ones", "0101", "0123", "random"])
 @pytest.mark.parametrize("name", STARTS)
 @pytest.mark.parametrize(("law", "eps"), LAWS)

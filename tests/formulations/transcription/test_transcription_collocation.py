@@ -77,6 +77,7 @@ def test_smooth_contact_keeps_the_order(scheme: Scheme) -> None:
     assert np.log2(errors[0] / errors[1]) == pytest.approx(tableau(scheme).order, abs=0.35)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", COLLOCATIONS)
 def test_the_method_keeps_the_true_law_at_every_stage(scheme: Scheme) -> None:
     """Checked by a step written apart from the model: the plan's inputs run through it give the plan."""
@@ -96,6 +97,7 @@ def test_the_method_keeps_the_true_law_at_every_stage(scheme: Scheme) -> None:
     assert solution.residuals["terminal_error"] < 1e-8
 
 
+@pytest.mark.slow
 def test_fifty_steps_of_radau_are_nearer_to_the_replay_than_five_hundred_of_euler() -> None:
     """The inputs are replayed as the stages had them: held over each step."""
     scene = _coarse(50)
@@ -108,6 +110,7 @@ def test_fifty_steps_of_radau_are_nearer_to_the_replay_than_five_hundred_of_eule
     assert found.value("physics") == 0.0
 
 
+@pytest.mark.slow
 def test_its_replay_error_is_that_of_the_scheme_where_nothing_switches() -> None:
     """No contact is made on the way: of order 5 nothing is left but the replay's own error, however coarse the grid."""
     far = CARTS.with_task(steps=20, step=0.05, start=(2.0, 3.0, 4.0, 0.0, 0.0, 0.0), goal=(2.2, 3.0, 3.8, None, None, None))
@@ -163,6 +166,7 @@ def test_what_loses_the_order_is_refused_with_a_reason(name: str, word: str) -> 
         assert word in str(load_method("collocation").accepts(load_scene(name)))
 
 
+@pytest.mark.slow
 def test_where_no_stage_has_modes_with_a_plan_the_relaxed_problem_is_asked_too():
     """A grid too coarse for a chain of carts: fixed modes switch the products off, and the relaxed problem has them again as rows."""
     scene = load_scene("cart_chain")

@@ -76,6 +76,7 @@ def largest_violation(model: pyo.ConcreteModel) -> float:
     return worst
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["three_cart", "bouncing_mass", "two_body_collision", "two_link_arm", "oscillator"])
 def test_rollout_satisfies_the_model(name: str) -> None:
     scene = in_contact(scene_of(name))
@@ -92,6 +93,7 @@ def test_rollout_satisfies_the_model(name: str) -> None:
                 assert np.array_equal(getattr(back, field), getattr(plan, field)), field
 
 
+@pytest.mark.slow
 def test_probe_rollouts_see_contact() -> None:
     """Else the test above would hold for a model without any contact law."""
     for name in ("three_cart", "bouncing_mass", "two_body_collision", "two_link_arm"):
@@ -109,6 +111,7 @@ def test_a_wrong_step_is_seen() -> None:
     assert largest_violation(model) >= 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "contact", "variables", "constraints"),
     [
@@ -128,6 +131,7 @@ def test_counts_are_those_on_paper(name, contact, variables, constraints) -> Non
         assert sum(1 for _ in model.component_data_objects(pyo.Constraint, active=True, descend_into=True)) == constraints(steps)
 
 
+@pytest.mark.slow
 def test_what_a_scene_does_not_need_is_not_there() -> None:
     bouncing = build_model(scene_of("bouncing_mass"), ContactFormulation.SOFTPLUS, eps=1e-2, steps=2)
     bare = build_model(scene_of("oscillator"), ContactFormulation.COMPLEMENTARITY, eps=1e-2, steps=2)

@@ -39,6 +39,7 @@ def test_multipliers_that_run_away_stop_a_cold_start():
     assert watch.has_lost_goal
 
 
+@pytest.mark.slow
 def test_a_goal_that_is_let_go_is_still_drawn_to():
     """Three carts, whose cost says nothing of the goal: the plan keeps its dynamics, and ends near the goal but not on it."""
     scene = load_scene("three_cart")
@@ -98,6 +99,7 @@ def test_the_work_of_a_soft_stage_is_counted_in_nonzeros(monkeypatch):
     assert (cut.outcome, cut.iterations) == (Outcome.ITERATION_LIMIT, 7 + 7), "directly, and half way"
 
 
+@pytest.mark.slow
 def test_a_stage_that_leads_from_a_plan_to_none_goes_half_way_first(monkeypatch):
     """Three carts from 1e-2 to 1e-7: about 200 iterations directly, 10 and 9 by the geometric mean of the two."""
     scene = load_scene("three_cart")
@@ -151,6 +153,7 @@ def test_out_of_reach_is_said_once():
     assert second.iterations == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length", [1.0, 0.1])
 def test_one_eps_is_one_law_everywhere(length: float):
     """Softplus contact and regularised friction of two fingers: the compiled motion meets the equations of numpy and of Pyomo."""

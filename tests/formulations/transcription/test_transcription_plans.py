@@ -57,6 +57,7 @@ def test_each_residual_sees_its_own_fault(field, where, by, figure, least) -> No
     assert functions.of(changed(plan_of(), field, where, by))[figure] > least
 
 
+@pytest.mark.slow
 def test_residuals_of_a_mass_matrix_that_depends_on_q() -> None:
     arm = load_scene(str(__file__).rsplit("/formulations/", 1)[0] + "/scenes/two_link_arm.py").with_task(
         steps=30, start=(0.9, -0.1, -1.5, 0.2)

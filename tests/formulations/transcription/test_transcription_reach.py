@@ -45,6 +45,7 @@ def solved(method: str, scene: Scene) -> Solution:
         return session.solve(eps=None if method == "strict_lcp" else 1e-3, warm_start=None, time_limit=300.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("case", IMPOSSIBLE)
 def test_a_goal_out_of_reach_is_infeasible(case: str, method: str) -> None:
@@ -55,6 +56,7 @@ def test_a_goal_out_of_reach_is_infeasible(case: str, method: str) -> None:
     assert "misses" in solution.message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("case", POSSIBLE)
 def test_a_goal_within_reach_is_reached(case: str, method: str) -> None:
@@ -82,6 +84,7 @@ def test_the_nearest_plan_says_what_it_misses() -> None:
     np.testing.assert_allclose(found.plan.u[:, 0], 2.0, atol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_a_false_infeasible_is_not_believed(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ipopt's `infeasible` is local: where the goal can be reached, the search goes on from a plan that does."""
@@ -97,6 +100,7 @@ def test_a_false_infeasible_is_not_believed(method: str, monkeypatch: pytest.Mon
     assert len(runs) > 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_a_stubborn_infeasible_of_a_goal_within_reach_is_a_stall(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
     run = Workbench.run

@@ -13,6 +13,7 @@ from formulations.transcription.workbench import size_on_paper
 from models.catalog import load_scene, scene_names
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("contact", [ContactFormulation.SOFTPLUS, ContactFormulation.COMPLEMENTARITY])
 @pytest.mark.parametrize("name", scene_names())
 def test_no_unknown_and_no_equation_too_many(name: str, contact: ContactFormulation):

@@ -19,6 +19,7 @@ def hopper() -> Solution:
     return cold("hopper", 1e-2)
 
 
+@pytest.mark.slow
 def test_the_plan_is_one_at_the_eps_asked_for(hopper: Solution):
     assert hopper.outcome is Outcome.SOLVED
     assert "It began softer, at eps = 0.1" in hopper.message
@@ -35,6 +36,7 @@ def test_all_iterations_are_told(hopper: Solution):
     assert hopper.seconds.wall >= hopper.seconds.linear_algebra > 0.0
 
 
+@pytest.mark.slow
 def test_the_multipliers_of_the_plan_are_there_for_the_next_stage(hopper: Solution):
     with load_method("relaxed_lcp").open(load_scene("hopper")) as session:
         first = session.solve(eps=1e-2, warm_start=None, time_limit=300.0)
@@ -43,12 +45,14 @@ def test_the_multipliers_of_the_plan_are_there_for_the_next_stage(hopper: Soluti
     assert second.iterations < 100
 
 
+@pytest.mark.slow
 def test_what_is_quick_begins_where_it_was_asked_to():
     found = cold("acrobot_limits", 1e-2)
     assert found.outcome is Outcome.SOLVED
     assert "softer" not in found.message
 
 
+@pytest.mark.slow
 def test_no_more_iterations_than_allowed():
     for most in (40, 170, 200):
         found = cold("hopper", 1e-2, max_iterations=most)
@@ -57,6 +61,7 @@ def test_no_more_iterations_than_allowed():
         assert ("softer" in found.message) == (most > 150), "with nothing left there is no other start, and what was found is kept"
 
 
+@pytest.mark.slow
 def test_from_a_small_eps_it_comes_back_through_all_between():
     found = cold("push_box", 1e-3)
     assert found.outcome is Outcome.SOLVED
@@ -64,6 +69,7 @@ def test_from_a_small_eps_it_comes_back_through_all_between():
     assert found.residuals["complementarity"] <= 1e-3 * (1.0 + 1e-6)
 
 
+@pytest.mark.slow
 def test_what_is_out_of_reach_stays_out_of_reach():
     scene = load_scene("hopper")
     far = scene.with_task(goal=tuple(None if value is None else 1e3 for value in scene.task.goal))

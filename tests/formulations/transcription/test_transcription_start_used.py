@@ -61,6 +61,7 @@ def test_a_plan_of_another_grid_is_refused_before_it_is_looked_at(cold):
         session.solve(eps=None, warm_start=replace(line(1.0), t=uniform_grid(2 * STEP, STEPS)), time_limit=60.0)
 
 
+@pytest.mark.slow
 def test_a_plan_that_leads_nowhere_with_ipopts_own_barrier_is_tried_once_more_from_inside_its_bounds(monkeypatch):
     """A nonlinear scene's attack goes by way of looser bounds, the first of them from the plan: cut off here after so many iterations that it cannot be done."""
     scene = load_scene("acrobot_limits").with_task(steps=100, step=0.01)

@@ -55,6 +55,7 @@ def test_both_products_are_those_of_the_jacobian():
     assert pulled[1] == pytest.approx(jacobian[1].T @ weights, rel=1e-13)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", scene_names())
 def test_products_of_the_equations_of_motion_are_each_others_transposes(name: str):
     """w . (df/dx dx) = (df/dx' w) . dx for the residual f - M a of every scene, along everything it depends on."""

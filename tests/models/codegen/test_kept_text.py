@@ -22,6 +22,7 @@ def own_cache(tmp_path, monkeypatch):
     monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["three_cart", "transport", "cart_pole_walls", "damped_collision", "bouncing_mass"])
 def test_what_is_kept_is_what_would_be_written(name: str):
     scene = load_scene(name)

@@ -28,6 +28,7 @@ def _python(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=full, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reference", REFERENCES)
 def test_every_scene_compiles_without_a_warning(reference: str, tmp_path: Path):
     """Without inputs, without contacts, without parameters, with a mass matrix that must be factorised."""
@@ -37,6 +38,7 @@ def test_every_scene_compiles_without_a_warning(reference: str, tmp_path: Path):
     assert (tmp_path / "kernel.so").stat().st_size > 0
 
 
+@pytest.mark.slow
 def test_equal_scenes_give_equal_bytes_in_any_process():
     """Another process has other hashes, and sets in another order."""
     here = "".join(emit_model(load_scene(reference)) for reference in REFERENCES)
@@ -80,6 +82,7 @@ print(kernel.stiffness()[0])
 """
 
 
+@pytest.mark.slow
 def test_no_compiler_is_said_with_the_way_to_get_one():
     done = _python(_LOAD.format(hide=True), PATH="", CC="")
     assert done.returncode == 3, done.stderr
@@ -87,12 +90,14 @@ def test_no_compiler_is_said_with_the_way_to_get_one():
     assert "pip install" in done.stdout
 
 
+@pytest.mark.slow
 def test_wrong_cc_is_named():
     done = _python(_LOAD.format(hide=True), CC="no-such-compiler -O9")
     assert done.returncode == 3, done.stderr
     assert "CC is 'no-such-compiler -O9', which does not run" in done.stdout
 
 
+@pytest.mark.slow
 def test_a_command_that_is_no_compiler_is_named(tmp_path: Path):
     """It answers to --version and does nothing else."""
     fake = tmp_path / "fake"
@@ -129,6 +134,7 @@ def test_a_failed_build_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytes
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_two_processes_may_build_at_once(tmp_path: Path):
     environment = {**os.environ, "TOUCHSTONE_CACHE": str(tmp_path)}
     command = [sys.executable, "-c", _LOAD.format(hide=False)]

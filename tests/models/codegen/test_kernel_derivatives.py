@@ -36,6 +36,7 @@ def _loss(kernel: Kernel, start: np.ndarray, u: np.ndarray, h: float, law: Conta
     return float((q_bar * plan.q).sum() + (v_bar * plan.v).sum() + (lam_bar * plan.lam).sum() + cost_bar * cost)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize(("law", "eps"), LAWS)
 def test_adjoint_is_the_finite_difference_of_a_loss_of_everything(name: str, law: ContactLaw, eps: float | None):

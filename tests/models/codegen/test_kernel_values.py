@@ -41,6 +41,7 @@ def points(scene: Scene) -> tuple[np.ndarray, ...]:
     return q, v, u, lam
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_penetration_and_stiffness_are_those_of_the_scene(name: str):
     d, kernel = derive(scene_of(name)), kernel_of(name)

@@ -69,6 +69,7 @@ def test_contact_changes_in_event_mode_only(scene_of, drive):
     assert other.fmu.doStep(reached, 0.1) == (True, False, True, reached)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["early return", "event mode", "event mode without early return"])
 def test_motion_is_the_same_however_events_are_handled(any_scene, drive, mode):
     end = min(any_scene.task.horizon, 1.5)
@@ -115,6 +116,7 @@ def sine_driven(scene, drive, steps):
     return cs
 
 
+@pytest.mark.slow
 def test_inputs_that_vary_keep_the_order(scene_of, drive):
     """A free cart without damping: v = 3/7 (1 - cos 7t), q = 2 + 3/7 (t - sin(7 t)/7)."""
     scene = scene_of("three_cart").with_parameters(c=0.0)
@@ -210,6 +212,7 @@ print(*(value.hex() for value in (fmu.getFloat64 if three else fmu.getReal)(name
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 def test_serialised_state_goes_on_in_another_process_bit_by_bit(any_scene, drive, unpacked, version):
     cs = drive(any_scene, "cs", version).initialise(u=np.linspace(8.0, -5.0, any_scene.nu))

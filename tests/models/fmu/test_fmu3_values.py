@@ -76,6 +76,7 @@ def points(scene):
     return [start + 0.01, *([np.array(closed[scene.name])] if scene.nc else [])]
 
 
+@pytest.mark.slow
 def test_adjoint_is_the_transpose_of_the_directional_derivative(any_scene, drive):
     """w . (J d) = (J' w) . d for states, inputs and parameters, in either contact mode, while running."""
     rng = np.random.default_rng(5)

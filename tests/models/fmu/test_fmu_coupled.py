@@ -85,6 +85,7 @@ def test_what_cannot_be_split_is_said():
         split(replace(scene, contacts=(renamed, scene.contacts[1])))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["three_cart", "two_discs"])
 def test_the_system_structure_is_valid_and_complete(name, tmp_path):
     """Against the schema of SSP 1.0; every input is connected once, every connection joins an output to an input of the same unit."""
@@ -125,6 +126,7 @@ def test_the_system_structure_is_valid_and_complete(name, tmp_path):
     assert {key for key, (kind, _) in units.items() if kind == "input"} <= set(driven)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["three_cart", "two_discs"])
 def test_a_contact_is_a_sound_fmu(name):
     """FMPy's and our own check; the values of every part are those of the scene."""
@@ -137,6 +139,7 @@ def test_a_contact_is_a_sound_fmu(name):
     assert report.ok, [row for row in report.rows if row.status.value == "failed"]
 
 
+@pytest.mark.slow
 def test_equal_scenes_give_equal_bytes(tmp_path, monkeypatch):
     scene = load_scene("two_body_collision")
     first = build_ssp(scene).read_bytes()
@@ -144,6 +147,7 @@ def test_equal_scenes_give_equal_bytes(tmp_path, monkeypatch):
     assert build_ssp(scene).read_bytes() == first
 
 
+@pytest.mark.slow
 def test_a_contact_gives_what_the_equations_say(unpacked_part):
     """Force, gap, energy, power and the force on each coordinate of two discs in the plane, in contact and apart."""
     scene = load_scene("two_discs")
@@ -199,6 +203,7 @@ def test_the_command_writes_an_ssp_and_refuses_what_it_would_ignore(tmp_path, ca
     assert "--coupled writes FMI 2.0 for this machine; leave out --fmi and --platform" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_contact_is_clean_under_sanitizers(tmp_path):
     """No leak, no access out of bounds, no undefined behaviour, whatever is called; some compilers have the second sanitizer only."""
     compiler = shutil.which("gcc") or shutil.which("clang")

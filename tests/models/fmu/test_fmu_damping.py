@@ -26,6 +26,7 @@ POINTS = [
 U = np.array([7.0, -2.0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 @pytest.mark.parametrize("scene", [ARM, COLLISION], ids=lambda scene: scene.name)
 def test_package_is_valid_and_has_an_indicator_for_each_release(scene: Scene, version: str) -> None:
@@ -75,6 +76,7 @@ def test_directional_and_adjoint_derivatives_are_exact(drive: Callable) -> None:
         model.set_all(names.u, U)
 
 
+@pytest.mark.slow
 def test_derivatives_by_parameters_are_exact(drive: Callable) -> None:
     names = drive(ARM, "me", "3.0").names
     unknowns = (*names.der_v, *names.lam, "pressing_foot", "pressing_hand", "contact_energy", "dissipated_power")
@@ -91,6 +93,7 @@ def test_derivatives_by_parameters_are_exact(drive: Callable) -> None:
             assert exact[:, column] == pytest.approx((values[0] - values[1]) / (2 * h), rel=5e-6, abs=2e-5), (q, v, parameter.name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", [ARM, COLLISION], ids=lambda scene: scene.name)
 def test_order_four_through_touch_and_release(scene: Scene) -> None:
     end = scene.task.horizon

@@ -111,6 +111,7 @@ def test_a_stiff_motion_is_integrated_by_an_implicit_method(scene_of, monkeypatc
     assert np.isfinite(table(texts[f"{FOLDER}/validation_results.csv"].encode())["q1"]).all()
 
 
+@pytest.mark.slow
 def test_a_motion_beyond_the_budget_leaves_an_fmu_without_results_that_says_so(scene_of, monkeypatch):
     monkeypatch.setattr(reference, "BUDGET", 20)
     scene = scene_of("three_cart").with_task(steps=9)
@@ -126,6 +127,7 @@ def test_a_motion_beyond_the_budget_leaves_an_fmu_without_results_that_says_so(s
     assert fmpy.validation.validate_fmu(str(path)) == []
 
 
+@pytest.mark.slow
 @both
 def test_equal_bytes_anywhere_and_all_deflated(scene_of, tmp_path, monkeypatch, version):
     known = build_fmu(scene_of("three_cart"), version).read_bytes()

@@ -113,6 +113,7 @@ def states(scene: Scene) -> list[str]:
     return [item.name for item in scene.coordinates] + [item.velocity_name for item in scene.coordinates]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 @pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.name)
 def test_package_is_valid_and_repeats_what_it_promises(scene: Scene, version: str) -> None:
@@ -131,6 +132,7 @@ def test_order_four_through_stick_and_slip(scene: Scene) -> None:
     assert errors[0] < 1e-11 or math.log2(errors[0] / errors[1]) > 3.5
 
 
+@pytest.mark.slow
 def test_block_comes_to_rest_where_the_closed_form_says_and_stays() -> None:
     scene = block(
         inputs=(), forces=(sp.Integer(0),), task=Task(start=(0.0, 0.9), goal=(0.0, 0.0), running_cost=sp.S.Zero, step=0.1, steps=1000)
@@ -142,6 +144,7 @@ def test_block_comes_to_rest_where_the_closed_form_says_and_stays() -> None:
     assert np.abs(found["friction_table"][4:]).max() < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("force", "slips"), [(5.999, False), (6.001, True), (-5.999, False), (-6.001, True)])
 def test_block_at_rest_sticks_up_to_mu_m_g(force: float, slips: bool) -> None:
     scene = block(task=Task(start=(0.0, 0.0), goal=(0.0, 0.0), running_cost=push**2, step=0.01, steps=100))
@@ -181,6 +184,7 @@ def test_energy_balance_closes_through_stick_and_slip() -> None:
     assert found["dissipated_power"].min() >= 0.0
 
 
+@pytest.mark.slow
 def test_sources_hold_friction_only_where_the_scene_has_it(tmp_path: Path) -> None:
     import zipfile
 
@@ -210,6 +214,7 @@ def flying_block(speed: float) -> Scene:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
 def test_a_slip_that_passes_zero_in_flight_is_no_sticking(kind: str) -> None:
     """Pulled back by 2 m/s^2 it turns around after 0.25 s, with nothing that presses it."""
@@ -222,6 +227,7 @@ def test_a_slip_that_passes_zero_in_flight_is_no_sticking(kind: str) -> None:
     assert truth[0, :1] == pytest.approx([0.5 * 0.3 - 0.3**2], abs=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
 def test_a_block_dropped_straight_down_stays_on_its_line(kind: str) -> None:
     """Neither in flight nor when it lands is there any slip, so friction has nothing to push against."""

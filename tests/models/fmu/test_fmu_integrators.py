@@ -17,6 +17,7 @@ def chosen(driver, name, **values):
     return driver.initialise(**values)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ORDERS)
 @pytest.mark.parametrize(("scene", "q", "u", "end"), [("oscillator", None, [], 2.0), ("three_cart", None, [8.0, -5.0], 1.5)])
 def test_order(scene_of, drive, name, scene, q, u, end):

@@ -19,6 +19,7 @@ def test_fmpy_finds_no_problem(any_scene):
     assert validate_fmu(str(build_fmu(any_scene))) == []
 
 
+@pytest.mark.slow
 def test_built_once_and_equal_bytes_anywhere(scene_of, tmp_path, monkeypatch):
     scene = scene_of("three_cart")
     known = build_fmu(scene).read_bytes()
@@ -31,6 +32,7 @@ def test_built_once_and_equal_bytes_anywhere(scene_of, tmp_path, monkeypatch):
     assert path.read_bytes() == known
 
 
+@pytest.mark.slow
 def test_another_scene_or_date_is_another_fmu(scene_of, monkeypatch, tmp_path):
     scene = scene_of("bouncing_mass")
     guid = fmpy.read_model_description(str(build_fmu(scene))).guid
@@ -104,6 +106,7 @@ def test_templates_are_strict():
         render("licenses.txt.j2")
 
 
+@pytest.mark.slow
 def test_texts_are_escaped(scene_of, tmp_path, monkeypatch):
     monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path))
     scene = dataclasses.replace(scene_of("oscillator"), title='a < b & "c"')

@@ -37,6 +37,7 @@ def test_without_the_cross_compiler_a_sentence_says_what_to_install(scene_of, mo
         build_fmu(scene_of("oscillator"), platforms=[other])
 
 
+@pytest.mark.peer
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 def test_one_fmu_for_all_platforms(scene_of, tmp_path, monkeypatch, version):
     if importlib.util.find_spec("ziglang") is None:

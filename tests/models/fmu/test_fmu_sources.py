@@ -27,6 +27,7 @@ def run(command, **options):
     return done.stdout
 
 
+@pytest.mark.slow
 @both
 def test_sources_compile_on_their_own_without_a_warning(any_scene, unpacked, tmp_path, version):
     """As the build description says it, from the unpacked FMU alone. The standard's own headers may warn."""
@@ -121,6 +122,7 @@ def native_compiler():
     return compiler
 
 
+@pytest.mark.slow
 @both
 def test_models_in_one_program_under_sanitizers(scene_of, unpacked, tmp_path, version):
     """No clash, no leak, no access out of bounds, no undefined behaviour. Some compilers have the second sanitizer only."""
@@ -135,6 +137,7 @@ def test_models_in_one_program_under_sanitizers(scene_of, unpacked, tmp_path, ve
     pytest.skip("this compiler has no sanitizers")
 
 
+@pytest.mark.slow
 @both
 def test_models_in_one_program_under_valgrind(scene_of, unpacked, tmp_path, version):
     """No leak and no use of a value that was never set."""

@@ -20,6 +20,8 @@ from models.catalog import load_scene, scene_names
 from models.fmu import build_fmu
 from models.fmu.reference import Equations, Piece, _leaving, true_motion
 
+pytestmark = pytest.mark.peer
+
 _BESIDE = sorted((Path(__file__).parents[2] / "scenes").glob("*.py"))
 SCENES = [*scene_names(), *map(str, _BESIDE)]
 VERSIONS = ("2.0", "3.0")
@@ -168,6 +170,7 @@ def fmutool():
     process.communicate()
 
 
+@pytest.mark.slow
 def test_checkers_find_no_problem(scene, fmutool):
     """FMPy's validation and fmutool's, FMI 2.0 and 3.0."""
     for version in VERSIONS:

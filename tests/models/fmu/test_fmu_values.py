@@ -14,6 +14,7 @@ def calculated(names):
     return (*names.der_q, *names.der_v, *names.lam, *names.gap, *(name for name in energies if name))
 
 
+@pytest.mark.slow
 def test_derivatives_outputs_and_indicators_equal_numpy(any_scene, drive, reference, probe_points):
     truth = reference(any_scene)
     for q, v, u in probe_points(any_scene):

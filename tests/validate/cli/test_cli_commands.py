@@ -108,6 +108,7 @@ def test_a_mistake_is_one_sentence_and_exit_code_2(in_here, arguments, words):
     assert stdout == ""
 
 
+@pytest.mark.slow
 def test_a_mistake_ends_the_process_so_too(cli):
     done = cli("all", *FAKES, "-k", "only_goood")
     assert (done.returncode, done.stdout) == (2, "")
@@ -144,6 +145,7 @@ def test_no_command_shows_help(cli):
     assert "Usage:" in done.stderr
 
 
+@pytest.mark.slow
 def test_out_that_is_a_file(cli, tmp_path):
     (tmp_path / "taken").write_text("mine")
     done = cli("all", *GOOD, "--out", str(tmp_path / "taken"))
@@ -152,6 +154,7 @@ def test_out_that_is_a_file(cli, tmp_path):
     assert (tmp_path / "taken").read_text() == "mine"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("folder", ["/proc/nothing_goes_here", "/dev/null/below"])
 def test_out_that_cannot_be_written(cli, folder):
     done = cli("all", *GOOD, "--out", folder)
@@ -160,6 +163,7 @@ def test_out_that_cannot_be_written(cli, folder):
     assert len(done.stderr.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_one_sentence(cli, cli_environment, tmp_path):
     """A limit on the size of files stands for the disk's end: the record of a cell does not fit, log and request do."""
     arguments = [sys.executable, "-m", "validate", "all", *GOOD, "--out", str(tmp_path / "out")]
@@ -173,6 +177,7 @@ def test_a_full_disk_is_one_sentence(cli, cli_environment, tmp_path):
     assert os.listdir(tmp_path / "out" / "runs") == []
 
 
+@pytest.mark.slow
 def test_no_compiler(cli, tmp_path):
     done = cli("all", *GOOD, "--out", str(tmp_path / "out"), CC="no_such_compiler")
     assert done.returncode == 3
@@ -180,6 +185,7 @@ def test_no_compiler(cli, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_an_unexpected_error_is_one_sentence_and_its_traceback_is_kept(cli, tmp_path):
     command = ("all", "--tools", "campaign_fakes:BROKEN", "--scene", "three_cart", "--out", str(tmp_path / "out"), "-k", "only_good")
     broken = cli(*command, TMPDIR=str(tmp_path))
@@ -192,6 +198,7 @@ def test_an_unexpected_error_is_one_sentence_and_its_traceback_is_kept(cli, tmp_
     assert "Traceback" in shown.stderr
 
 
+@pytest.mark.slow
 def test_a_scene_of_ones_own_by_path(cli, tmp_path):
     source = Path(__file__).parents[2] / "scenes" / "oscillator.py"
     out = tmp_path / "out"
@@ -201,6 +208,7 @@ def test_a_scene_of_ones_own_by_path(cli, tmp_path):
     assert (out / "results.csv").read_text().splitlines()[1].startswith("oscillator,only_good,1,good,,solved,")
 
 
+@pytest.mark.slow
 def test_data_on_stdout_progress_on_stderr(cli, tmp_path):
     done = cli("all", *FAKES, "--quick", "--json", "--out", str(tmp_path))
     data = json.loads(done.stdout)
@@ -211,12 +219,14 @@ def test_data_on_stdout_progress_on_stderr(cli, tmp_path):
     assert json.loads((tmp_path / "campaign.json").read_text())["left_out"] == data["left_out"]
 
 
+@pytest.mark.slow
 def test_quick_says_what_it_left_out(cli, tmp_path):
     done = cli("all", *FAKES, "--quick", "--out", str(tmp_path), "-k", "good")
     assert "three_cart x only_good" in next(line for line in done.stdout.splitlines() if line.startswith("left out by --quick: "))
     assert "1 to run" in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("tools", "words"), [("STRICT", "violates - the fake judge is strict"), ("STUMBLING", "undecided - the judge ended with")]
 )
@@ -231,6 +241,7 @@ def test_a_direct_plan_that_does_not_hold_fails(cli, tmp_path, tools, words):
     assert "three_cart: no run holds (only_good solved" in failures[1]
 
 
+@pytest.mark.slow
 def test_a_limit_on_no_figure_is_said_before_anything_runs(cli, tmp_path: Path):
     path = tmp_path / "misspelt.py"
     path.write_text(
@@ -249,6 +260,7 @@ def test_numbers_too_large_for_decimals_are_short():
     assert short(-1e200, ".2f") == "-1e+200"
 
 
+@pytest.mark.slow
 def test_a_campaign_of_refusals_claims_nothing(cli, tmp_path):
     done = cli("all", "--scene", "bouncing_mass", "-k", "softplus_dc+strict", "--out", str(tmp_path / "refused"))
     assert done.returncode == 0

@@ -18,7 +18,7 @@ from killed_campaigns import HELPERS, finished, unfinished
 from models.catalog import load_scene
 from models.codegen.compiler import find_compiler
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="LD_PRELOAD is for Linux")
+pytestmark = [pytest.mark.process, pytest.mark.skipif(sys.platform != "linux", reason="LD_PRELOAD is for Linux")]
 _FOR_EVER = 2**62
 _FAKES = ("--tools", "refused_commands:TOOLS", "--scene", "three_cart", "-k", "only_good or only_infeasible")
 _ERRORS = (errno.ENOSPC, errno.EROFS, errno.EIO)
@@ -97,6 +97,7 @@ def stored(ask: Ask, whole: Path) -> Path:
     return whole
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", _COMMANDS)
 def test_each_request_of_a_command_is_refused_in_turn(ask: Ask, stored: Path, tmp_path: Path, name: str):
     old, out = tmp_path / "old", tmp_path / "out"
@@ -159,6 +160,7 @@ def made(tmp_path_factory, cli, cli_environment) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", _ELSEWHERE)
 def test_each_request_elsewhere_is_refused_in_turn(ask: Ask, stored: Path, made: Path, tmp_path: Path, name: str):
     words, environment, each = _ELSEWHERE[name]

@@ -11,6 +11,8 @@ import pytest
 
 from validate.cli.group import run
 
+pytestmark = pytest.mark.process
+
 SHELLS = ("bash", "zsh", "fish")
 
 

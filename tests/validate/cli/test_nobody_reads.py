@@ -11,6 +11,8 @@ import pytest
 
 from validate.cli.group import READER_GONE
 
+pytestmark = pytest.mark.process
+
 FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")
 # One line each on stdout; on stderr (with stdout, as `2>&1 | head` has it) the second too.
 COMMANDS = {
@@ -26,6 +28,7 @@ COMMANDS = {
 CASES = [(command, together) for command in COMMANDS for together in (False, True) if together or command != "a typo"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("command", "together"), CASES)
 def test_a_reader_that_is_gone_is_told_as_that(command: str, together: bool, cli_environment, tmp_path):
     reads, writes = os.pipe()
@@ -49,6 +52,7 @@ def test_a_reader_that_is_gone_is_told_as_that(command: str, together: bool, cli
     assert "error:" not in said
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has a device that is always full")
 @pytest.mark.parametrize("command", ["list", "help", "a campaign"])
 def test_an_output_that_cannot_be_written_is_one_sentence(command: str, cli_environment, tmp_path):
@@ -67,6 +71,7 @@ def test_streams_that_are_closed_are_none_to_write_to(closed: str, cli_environme
     assert subprocess.run(["sh", "-c", shell], env=cli_environment, check=False).returncode == 0
 
 
+@pytest.mark.slow
 def test_what_finished_is_stored_and_used_again(cli, cli_environment, tmp_path):
     command = ("all", *FAKES, "-k", "only_good", "--out", str(tmp_path / "out"))
     reads, writes = os.pipe()

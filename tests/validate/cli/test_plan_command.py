@@ -24,6 +24,7 @@ def ran(cli, tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 def test_nothing_is_written(cli, tmp_path):
     out = tmp_path / "never"
     plan = told(cli, out, "-k", "only_good")
@@ -33,6 +34,7 @@ def test_nothing_is_written(cli, tmp_path):
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_what_is_stored_is_told_and_why_the_rest_is_run(cli, ran):
     plan = told(cli, ran, "-k", "only_good or only_segfault")
     why = {cell["cell"]: cell["why"] for cell in plan["cells"]}
@@ -44,6 +46,7 @@ def test_what_is_stored_is_told_and_why_the_rest_is_run(cli, ran):
     assert told(cli, ran, "-k", "only_good or only_segfault", "--fresh")["stored"] == 0
 
 
+@pytest.mark.slow
 def test_another_version_is_recognised(cli, ran):
     """The same cells under another content, as after a change of the sources."""
     for request in ran.glob("runs/*/cell.json"):
@@ -61,6 +64,7 @@ def test_another_version_is_recognised(cli, ran):
         moved.rename(request.parent)
 
 
+@pytest.mark.slow
 def test_damaged_requests_are_passed_over(cli, ran):
     bad = ran / "runs" / ("0" * 64)
     bad.mkdir()
@@ -70,6 +74,7 @@ def test_damaged_requests_are_passed_over(cli, ran):
     assert told(cli, ran, "-k", "only_good")["stored"] >= 1
 
 
+@pytest.mark.slow
 def test_bad_words_are_one_sentence(cli, tmp_path):
     for words in (("--time-limit", "nan"), ("-k", "nosuchpipeline"), ("--scene", "nosuchscene")):
         done = cli("plan", "--out", str(tmp_path), *words)
@@ -77,11 +82,13 @@ def test_bad_words_are_one_sentence(cli, tmp_path):
         assert len(done.stderr.strip().splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_the_table_ends_with_the_counts(cli, tmp_path):
     done = cli("plan", *FAKES, "--out", str(tmp_path), "-k", "only_good or only_segfault")
     assert done.stdout.splitlines()[-2:] == ["2 to run: nothing is stored of it", "0 stored, 2 to run"]
 
 
+@pytest.mark.slow
 def test_what_a_scene_waives_and_that_it_is_unstable_is_told(cli, tmp_path):
     path = tmp_path / "waiving.py"
     path.write_text(
@@ -100,6 +107,7 @@ def test_what_a_scene_waives_and_that_it_is_unstable_is_told(cli, tmp_path):
     assert "waiving is unstable in the open loop, so that feedback is enough there: It falls over." in lines
 
 
+@pytest.mark.slow
 def test_a_folder_of_an_earlier_schema_is_said_to_be_run_again(cli, tmp_path):
     out = tmp_path / "old"
     out.mkdir()

@@ -234,6 +234,7 @@ def test_a_scene_plan_with_another_unit_is_refused(command: Command, folder: Pat
     assert (code, "did you mean 'u3'" in err) == (2, True)
 
 
+@pytest.mark.slow
 def test_a_plan_of_another_duration_does_not_hold(command: Command, folder: Path):
     """Until now a warning on stderr beside `holds`; the grid of a plan that declares no scheme is nobody's business."""
     text = "t,q1,q2,q3,u1,u3\n0,2,3,4,0,0\n0.5,2,3,4,0,0\n1,2,3,4,0,0\n"

@@ -39,6 +39,7 @@ def _texts(folder: Path) -> dict[str, bytes]:
     return {name: (folder / name).read_bytes() for name in NAMES}
 
 
+@pytest.mark.slow
 def test_the_same_files_whatever_happened_to_them(folder: Path):
     tables = {name: text for name, text in _texts(folder).items() if name != "report.html"}  # the fakes' own report is none
     _report(folder)
@@ -65,6 +66,7 @@ def test_pages_or_one_file(folder: Path):
     assert not (folder / "pages").exists()
 
 
+@pytest.mark.slow
 def test_a_record_that_is_gone_is_told(folder: Path):
     _report(folder)
     shutil.rmtree(next(folder.glob("runs/*")))
@@ -74,6 +76,7 @@ def test_a_record_that_is_gone_is_told(folder: Path):
     assert "1 of 2 cells have no readable record" in _report(folder).stderr
 
 
+@pytest.mark.slow
 def test_a_campaign_that_ran_nothing_leaves_the_folder_as_it_was(ran: Path, cli):
     before = {path: path.read_bytes() for path in ran.rglob("*") if path.is_file() and path.suffix not in {".csv"}}
     done = cli("all", *FAKES, "--out", str(ran), "-k", "soft_alone or only_good", "-j", "1")

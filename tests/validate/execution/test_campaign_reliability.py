@@ -17,6 +17,8 @@ from validate.cli.narrator import PlainNarrator
 from validate.execution import campaign
 from validate.execution.campaign import CampaignSettings, run_campaign
 
+pytestmark = pytest.mark.process
+
 # Most of them share their beginning; two of them crash, and are run again whenever the campaign is.
 CELLS = "soft or only_good"
 
@@ -42,6 +44,7 @@ def killed(cache, temporary, tmp_path_factory):
     return folder / "whole", kill_and_resume(folder, cache, 1, 1, "-j", "2", cells=CELLS)
 
 
+@pytest.mark.slow
 def test_a_killed_campaign_loses_nothing_and_leaves_nothing(killed, temporary):
     _, seen = killed
     assert seen.faults == []
@@ -49,6 +52,7 @@ def test_a_killed_campaign_loses_nothing_and_leaves_nothing(killed, temporary):
     assert list(temporary.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_two_campaigns_in_the_folder_of_a_killed_one_do_not_disturb_each_other(cache, killed, temporary, tmp_path):
     """They start while what the killed one was running has perhaps not ended yet."""
     out, (whole, _) = tmp_path / "out", killed
@@ -70,6 +74,7 @@ def test_two_campaigns_in_the_folder_of_a_killed_one_do_not_disturb_each_other(c
     assert list(temporary.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_another_order_gives_the_same_numbers(killed, tmp_path, monkeypatch):
     """Whichever cell comes first runs what several begin with."""
     chosen, (whole, _) = campaign.select, killed

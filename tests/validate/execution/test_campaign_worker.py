@@ -19,6 +19,8 @@ from validate.execution.campaign import CampaignSettings, run_campaign
 from validate.execution.process import interrupts_wait
 from validate.store.store import Store
 
+pytestmark = pytest.mark.process
+
 FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")
 KEPT = {"cell.json", "log.txt", "record.json", "files.json"}
 
@@ -36,6 +38,7 @@ def misbehaved(cli, tmp_path_factory):
     return out, done
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("pipeline", "outcome", "words"),
     [
@@ -75,6 +78,7 @@ def test_the_traceback_is_in_the_log_and_not_on_the_screen(misbehaved):
     assert "Traceback" not in done.stdout + done.stderr
 
 
+@pytest.mark.slow
 def test_stages_after_a_failed_one_are_rows_too(cli, tmp_path):
     cli("all", *FAKES, "--out", str(tmp_path), "-k", "broken_chain")
     record = _records(tmp_path)["broken_chain"]
@@ -132,6 +136,7 @@ def test_a_chain_starts_each_stage_from_the_plan_before(misbehaved):
     assert not _records(misbehaved[0])["soft_alone"].must_hold
 
 
+@pytest.mark.slow
 def test_a_hanging_cell_ends_at_its_time_limit_with_its_family(cli, tmp_path):
     done = cli("all", *FAKES, "--out", str(tmp_path), "-j", "2", "-k", "only_hang or only_family", "--time-limit", "4")
     records = _records(tmp_path)
@@ -142,6 +147,7 @@ def test_a_hanging_cell_ends_at_its_time_limit_with_its_family(cli, tmp_path):
     assert sorted(path.name for path in (tmp_path / "runs").iterdir()) == sorted(record.key for record in records.values())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("ending", "jobs"), [(signal.SIGINT, ("-j", "1")), (signal.SIGTERM, ())])
 def test_an_interrupted_campaign_keeps_what_finished_and_resumes(cli, start_cli, tmp_path, ending, jobs):
     arguments = ("all", *FAKES, "--out", str(tmp_path), *jobs, "-k", "only_good or only_family")
@@ -159,6 +165,7 @@ def test_an_interrupted_campaign_keeps_what_finished_and_resumes(cli, start_cli,
     assert "1 stored, 0 to run" in again.stderr
 
 
+@pytest.mark.slow
 def test_what_is_stored_when_ctrl_c_comes_is_told_of(tmp_path, monkeypatch):
     """Nobody has heard of the cell by then."""
     commit, heard = Store.commit, PlainNarrator()
@@ -178,6 +185,7 @@ def test_what_is_stored_when_ctrl_c_comes_is_told_of(tmp_path, monkeypatch):
     assert unfinished(tmp_path) == []
 
 
+@pytest.mark.slow
 def test_what_nohup_ignores_stays_ignored(cli_environment, tmp_path):
     command = [sys.executable, "-m", "validate", "all", *FAKES, "--out", str(tmp_path), "-k", "only_good"]
     with subprocess.Popen(
@@ -194,6 +202,7 @@ def test_what_nohup_ignores_stays_ignored(cli_environment, tmp_path):
     assert process.returncode == 0
 
 
+@pytest.mark.slow
 def test_a_killed_campaign_leaves_nothing_and_loses_nothing(cli, start_cli, tmp_path):
     process = start_cli("all", *FAKES, "--out", str(tmp_path), "-k", "only_good or only_family")
     come(lambda: len(processes(tmp_path)) >= 3)
@@ -239,6 +248,7 @@ class _Interrupting(PlainNarrator):
         self._ctrl_c()
 
 
+@pytest.mark.slow
 def test_ctrl_c_while_the_tables_are_written_is_heard_when_they_are(tmp_path, monkeypatch, ctrl_c):
     monkeypatch.setenv("PYTHONPATH", str(HELPERS))
     settings = CampaignSettings(out=tmp_path, tools=FAKES[1], scenes=FAKES[3:], expression="only_good or only_infeasible")

@@ -23,7 +23,7 @@ from validate.execution.worker import Worker
 from validate.store.provenance import gather
 from validate.store.store import Store
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="LD_PRELOAD and fork servers are for Linux")
+pytestmark = [pytest.mark.process, pytest.mark.skipif(sys.platform != "linux", reason="LD_PRELOAD and fork servers are for Linux")]
 HELPERS = Path(__file__).parents[1] / "helpers"
 _FOR_EVER = 2**62
 
@@ -87,6 +87,7 @@ def _check(store: Store, came: RunRecord | MachineError, whole: tuple, error: in
     return True
 
 
+@pytest.mark.slow
 def test_each_request_of_a_cell_is_refused_in_turn(run, store):
     undisturbed, requests = run(store, _FOR_EVER, _FOR_EVER, errno.ENOSPC)
     whole = _told(undisturbed)
@@ -103,6 +104,7 @@ def test_each_request_of_a_cell_is_refused_in_turn(run, store):
     assert finished < requests / 2
 
 
+@pytest.mark.slow
 def test_a_disk_that_is_full_from_some_request_on_is_no_answer(run, store):
     """Nobody can say it then but the parent, whose disk is not full here: the cell has crashed, and is run again by the next campaign."""
     undisturbed, requests = run(store, _FOR_EVER, _FOR_EVER, errno.ENOSPC)

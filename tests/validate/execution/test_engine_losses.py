@@ -18,7 +18,10 @@ from standing_cluster import come, standing_cluster
 
 from reports.records.record import RunRecord
 
-pytestmark = pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="distributed is not installed (the extra `dask`)")
+pytestmark = [
+    pytest.mark.process,
+    pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="distributed is not installed (the extra `dask`)"),
+]
 FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")
 # One ends at once and one never does, with children that left its group.
 HALF = (*FAKES, "-k", "only_good or only_family")
@@ -29,6 +32,7 @@ def _outcomes(out: Path) -> dict[str, tuple[str, str]]:
     return {record.pipeline: (record.outcome, record.message) for record in records}
 
 
+@pytest.mark.slow
 def test_a_lost_worker_is_replaced_as_often_as_dask_allows(cli, tmp_path):
     """After the first loss the cell runs again; two are one more than is allowed here, and it has crashed. The other one waited on the worker both
     times, and is none the worse."""
@@ -46,6 +50,7 @@ def test_a_lost_worker_is_replaced_as_often_as_dask_allows(cli, tmp_path):
     assert processes(out) == []
 
 
+@pytest.mark.slow
 def test_a_killed_campaign_takes_its_dask_workers_with_it_and_is_resumed_by_another_engine(
     cli, start_cli, tmp_path, monkeypatch, cli_environment
 ):
@@ -70,6 +75,7 @@ def test_a_killed_campaign_takes_its_dask_workers_with_it_and_is_resumed_by_anot
     assert set(finished(out)) == set(finished(whole))
 
 
+@pytest.mark.slow
 def test_a_lost_scheduler_is_one_sentence_and_what_finished_is_stored(start_cli, cli_environment, tmp_path):
     out, logs = tmp_path / "out", tmp_path / "logs"
     logs.mkdir()
@@ -122,6 +128,7 @@ for where in sys.argv[1:]:
 """
 
 
+@pytest.mark.slow
 def test_an_address_where_no_scheduler_answers_is_one_sentence(cli_environment):
     wrong = ["nonsense://x", "127.0.0.1:notaport", "tcp://", "tls://127.0.0.1:9", "tcp://no.such.host.invalid:8786"]
     with _silent() as silent:

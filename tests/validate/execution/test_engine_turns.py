@@ -25,6 +25,8 @@ from validate.store.provenance import gather
 from validate.store.store import Store
 from validate.tasks.run import ChildExit
 
+pytestmark = pytest.mark.process
+
 NEEDS_DASK = pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="distributed is not installed (the extra `dask`)")
 
 
@@ -89,6 +91,7 @@ def campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Campaign:
     return Campaign(tmp_path / "out", monkeypatch)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["local", pytest.param("dask", marks=NEEDS_DASK)])
 def test_who_crashed_is_tried_again_before_all_that_wait(campaign: Campaign, engine: str):
     """So that -x ends a campaign as soon as the tries are used up, however many cells wait."""
@@ -161,6 +164,7 @@ def test_what_is_not_the_cluster_s_is_not_said_of_it(campaign: Campaign):
         campaign.run(campaign.dask())
 
 
+@pytest.mark.slow
 @NEEDS_DASK
 def test_a_cluster_without_workers_is_waited_for_and_told_of_once(campaign: Campaign, monkeypatch: pytest.MonkeyPatch):
     looks: list[Any] = []

@@ -17,6 +17,8 @@ from models.errors import MachineError
 from reports.records.record import RunRecord
 from validate.execution.engine import EngineError, check_engine
 
+pytestmark = pytest.mark.process
+
 FAKES = ("--tools", "campaign_fakes:TOOLS", "--scene", "three_cart")
 # Chains that share their beginning, cells that end well, give up, raise and die.
 CELLS = (*FAKES, "-k", "soft or only_good or only_segfault or only_infeasible", "-j", "2")
@@ -51,6 +53,7 @@ def _records(out: Path) -> dict[str, RunRecord]:
     return {record.pipeline: record for record in records}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", [pytest.param("standing", marks=NEEDS_DASK)], indirect=True)
 def test_the_rows_are_those_of_the_local_engine(cli, engine, expected, tmp_path):
     done = cli("all", *CELLS, "--out", str(tmp_path / "out"), "--engine", engine)
@@ -65,6 +68,7 @@ def test_the_rows_are_those_of_the_local_engine(cli, engine, expected, tmp_path)
     assert len(shared) == len([stage for record in theirs.values() for stage in record.stages if stage.shared_from]) > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", [DASK], indirect=True)
 def test_the_numbers_of_a_real_cell_are_those_of_the_local_engine(cli, engine, tmp_path):
     cell = ("--scene", "bouncing_mass", "-k", "free_motion")
@@ -76,6 +80,7 @@ def test_the_numbers_of_a_real_cell_are_those_of_the_local_engine(cli, engine, t
     assert rows[0]["verdict"] == "consistent"  # with its closed forms: there is nothing to plan
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", [*ENGINES, pytest.param("standing", marks=NEEDS_DASK)], indirect=True)
 def test_ctrl_c_stops_what_runs_and_says_how_to_go_on(cli, start_cli, engine, tmp_path):
     arguments = ("all", *FAKES, "-k", "only_good or only_family", "--engine", engine, "--out", str(tmp_path))
@@ -101,6 +106,7 @@ def test_ctrl_c_stops_what_runs_and_says_how_to_go_on(cli, start_cli, engine, tm
         assert kept.items() < finished(tmp_path).items()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["local", pytest.param("standing", marks=NEEDS_DASK)], indirect=True)
 def test_a_crash_is_tried_again_and_ends_the_campaign_at_once_where_wanted(cli, engine, tmp_path):
     done = cli(
@@ -129,6 +135,7 @@ def test_a_worker_that_sees_another_folder_or_has_other_sources_says_so(tmp_path
         dask_cell.run_on_worker(dask_cell.Request(**asked, fingerprint="another"))
 
 
+@pytest.mark.slow
 @NEEDS_DASK
 def test_a_cluster_that_is_not_there_is_one_sentence(cli, tmp_path):
     done = cli(
@@ -168,6 +175,7 @@ def test_a_wrong_engine_is_said_before_anything_runs(tmp_path, monkeypatch, name
         check_engine(name)
 
 
+@pytest.mark.slow
 def test_without_dask_it_is_said_how_to_get_it(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(MachineError, match=re.escape("pip install 'touchstone-contact[dask]'")):

@@ -20,7 +20,7 @@ from validate.execution import reaper
 from validate.execution.fork_server import ForkServer, fork_server
 from validate.execution.process import ROOT, ForkServerError
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="fork servers are for Linux")
+pytestmark = [pytest.mark.process, pytest.mark.skipif(sys.platform != "linux", reason="fork servers are for Linux")]
 
 # A cell without a request: it tells what it is in its log, and does what the folder says.
 _CELL = """
@@ -89,6 +89,7 @@ def _told(folder: Path) -> dict:
     return json.loads((folder / "log.txt").read_text().splitlines()[0])
 
 
+@pytest.mark.slow
 def test_a_child_is_a_process_of_its_own(server, tmp_path):
     child, folder, token = _start(server, tmp_path, "seven")
     _wait(child)
@@ -120,6 +121,7 @@ def test_children_share_nothing_but_what_was_imported(server, tmp_path):
     assert told[0]["token"] != told[1]["token"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("act", "code"), [("crash", -signal.SIGSEGV), ("busy", 0), ("busy crash", -signal.SIGSEGV)])
 def test_how_it_ended_and_what_it_cost_are_told(server, tmp_path, act, code):
     """The cost as of the last look, which a worker takes 20 times a second."""
@@ -155,6 +157,7 @@ def test_what_it_forks_without_starting_a_program_is_found_and_ended_though_it_h
     assert reaper.processes_with(token) == []
 
 
+@pytest.mark.slow
 def test_a_child_ends_at_once_however_early_it_is_ended(server, tmp_path):
     """Before it has a session, or shows its token."""
     for number in range(5):
@@ -210,6 +213,7 @@ def test_what_starts_a_thread_makes_no_server(tmp_path, monkeypatch):
         ForkServer(modules=("threaded",))
 
 
+@pytest.mark.slow
 def test_ctrl_c_while_a_server_imports_is_heard_at_once(tmp_path, monkeypatch):
     (tmp_path / "slow.py").write_text("import time\ntime.sleep(1000)\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))

@@ -18,6 +18,8 @@ from models.errors import MachineError
 from validate.execution.isolated import FOLDER_PREFIX, Ending, Limits, run_isolated
 from validate.execution.reaper import TOKEN_VARIABLE
 
+pytestmark = pytest.mark.process
+
 HELPERS = Path(__file__).parents[1] / "helpers"
 
 
@@ -71,6 +73,7 @@ def test_values_and_arrays_go_in_and_come_out():
     assert done.memory > 1024**2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "request_", "limits", "ending", "words"),
     [
@@ -143,6 +146,7 @@ def test_temporary_files_go_with_the_child(own_place: Path):
     assert list(own_place.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_an_outer_limit_ends_the_inner_run_too(tmp_path: Path, own_place: Path):
     marker = tmp_path / "marker"
     done = call("nested", str(marker), seconds=6.0)

@@ -12,6 +12,8 @@ import pytest
 from models.codegen.compiler import find_compiler
 from validate.execution.isolated import Ending, Limits, run_isolated
 
+pytestmark = pytest.mark.process
+
 HELPERS = Path(__file__).parents[1] / "helpers"
 _SLEEP = 600 + os.getpid()  # seconds of a daemon: by these it is known as ours, not that of a test in another process
 THROWS = """
@@ -85,6 +87,7 @@ def sleepers() -> set[str]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "ending", "words"), _CALLS)
 def test_it_ends_as_it_should_and_leaves_nothing(name: str, ending: Ending, words: str, library: Path, place: Path):
     before = sleepers()

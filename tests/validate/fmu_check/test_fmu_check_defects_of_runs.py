@@ -182,6 +182,7 @@ _DEFECTS = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("defect", _DEFECTS, ids=lambda defect: defect[0])
 def test_defect_is_found(defect: tuple, must_find):
     must_find(*defect)

@@ -149,6 +149,7 @@ _DEFECTS = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("defect", _DEFECTS, ids=lambda defect: defect[0])
 def test_defect_of_a_step_is_found(defect: tuple, must_find):
     must_find(*defect)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
 from validate.fmu_check import Status, check_fmu
 
 _FILE = "sources/fmi2_co_simulation.c"
@@ -25,6 +27,7 @@ def ending_at(time: float) -> tuple[tuple[str, str, str], ...]:
     )
 
 
+@pytest.mark.slow
 def test_an_end_in_the_middle_is_no_failure(defective: Callable[..., Path]):
     report = check_fmu(defective(ending_at(0.35)), names=_NAMES)
     rows = {row.name: row for row in report.rows if row.type == "CS"}
@@ -33,6 +36,7 @@ def test_an_end_in_the_middle_is_no_failure(defective: Callable[..., Path]):
     assert "over 35 steps" in rows["values stay finite"].sentence
 
 
+@pytest.mark.slow
 def test_an_end_before_the_first_step_is_one(defective: Callable[..., Path]):
     report = check_fmu(defective(ending_at(0.0)), names=["starts and ends"])
     assert [(row.name, row.type) for row in report.failures()] == [("starts and ends", "CS")]

@@ -58,6 +58,7 @@ def test_link(tmp_path: Path, sound_content):
     assert "symbolic link" in _sentence(path)
 
 
+@pytest.mark.slow
 def test_compression_method(tmp_path: Path, sound_content):
     assert "other than deflate" in _sentence(_pack(tmp_path / "bad.fmu", sound_content("2.0"), method=zipfile.ZIP_LZMA))
 
@@ -75,6 +76,7 @@ def test_binary_that_is_none(tmp_path: Path, sound_content):
     assert "does not begin like an ELF file" in _sentence(_pack(tmp_path / "bad.fmu", content), "exported functions")
 
 
+@pytest.mark.slow
 def test_other_platform_only(tmp_path: Path, sound_content, cli):
     content = sound_content("2.0")
     binary = next(name for name in content if name.startswith("binaries/"))
@@ -115,6 +117,7 @@ def test_unknown_check(tmp_path: Path):
         check_fmu(tmp_path / "any.fmu", names=["speed"])
 
 
+@pytest.mark.slow
 def test_command_in_json_and_plain(tmp_path: Path, sound_content, cli):
     path = _pack(tmp_path / "sound.fmu", sound_content("2.0"))
     done = cli("check", str(path), "--only", "start values are the XML's", "--json")

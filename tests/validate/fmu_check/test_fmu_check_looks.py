@@ -47,6 +47,7 @@ def thrown(steps_to_wall: float) -> Scene:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [3.0, 3.0 + 1 / 3, 3.17])
 def test_a_touch_at_a_look_is_no_alarm(steps: float):
     report = check_fmu(build_fmu(thrown(steps)), names=("event indicators announce events",))

@@ -210,6 +210,7 @@ def _alarms(report) -> list[str]:
     return [f"{row.name} ({row.type}): {row.sentence}" for row in report.rows if row.status is Status.FAILED]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", _OWN, ids=lambda scene: Path(scene).stem)
 def test_no_alarm_on_our_own(scene: str):
     """Scenes take turns between the versions; three_cart, which most tests use, is checked in both."""
@@ -220,6 +221,7 @@ def test_no_alarm_on_our_own(scene: str):
         assert not _alarms(report)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", _FOREIGN, ids=lambda model: model.name)
 def test_no_alarm_on_other_models(model: Foreign, foreign_fmu):
     report = check_fmu(foreign_fmu(model))

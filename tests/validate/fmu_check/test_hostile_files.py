@@ -19,6 +19,7 @@ EACH = 40
 MENDED = {"FMU": (16, 35, 42, 56, 915), "record JSON": (1305,)}
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("name", READERS)
 def test_a_hostile_file_is_read_or_refused(name: str, tmp_path: Path):

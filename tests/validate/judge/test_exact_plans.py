@@ -108,6 +108,7 @@ PLANS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PLANS)
 def test_an_exact_plan_holds(name: str):
     plan = {
@@ -136,6 +137,7 @@ def test_an_exact_plan_holds(name: str):
     assert found.verdict.value == "holds", str(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("forces", ["start", "end", "mean"])
 def test_friction_whose_load_changes_on_the_way_is_that_of_any_part_of_a_step(forces: str):
     """A slide under a load of 5 + 3 q: mu N v' = -mu (5 + 3 q) is an oscillation until it stops, and then it sticks."""

@@ -73,6 +73,7 @@ def solution(plan: Trajectory | None) -> Solution:
     return Solution(method="mine", outcome=Outcome.SOLVED, trajectory=plan, cost=None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["csv", "csv as text", "netcdf", "trajectory", "solution", "mapping", "dataframe"])
 def test_every_form_of_a_plan_gives_the_same_verdict(held, tmp_path: Path, form: str):
     scene, plan = held
@@ -102,6 +103,7 @@ def test_every_form_of_a_plan_gives_the_same_verdict(held, tmp_path: Path, form:
     assert told.replay.tracked is None, "feedback is not tried where the inputs alone do"
 
 
+@pytest.mark.slow
 def test_the_judge_integrates_no_reference_results(held, monkeypatch):
     """They take seconds, of a stiff scene minutes, outside of every limit; a replay has no use for them."""
     from models.fmu import description as experiment
@@ -116,6 +118,7 @@ def test_a_solution_without_a_plan_is_a_verdict():
     assert (told.verdict, told.plan, told.replay, told.holds) == (Verdict.NO_PLAN, None, None, False)
 
 
+@pytest.mark.slow
 def test_a_scene_is_given_by_name_too():
     """At rest, with no input: consistent in itself, but it says itself that it does not arrive, and no time step is blamed."""
     scene = load_scene("three_cart")
@@ -130,6 +133,7 @@ def test_a_scene_is_given_by_name_too():
         assert told.score.metric("replay_error").ok is True
 
 
+@pytest.mark.slow
 def test_lines_are_judged_as_lines_and_steps_as_steps(held, lines):
     for scene, plan in (held, lines):
         assert judge(scene, plan).verdict is Verdict.HOLDS
@@ -161,6 +165,7 @@ def test_a_motion_that_neither_hold_gives_is_not_said_to_be_held_otherwise(held)
     assert "held the other way" not in told.score.why
 
 
+@pytest.mark.slow
 def test_printed_with_four_decimals_it_holds(held, lines):
     for scene, plan in (held, lines):
         printed = {name: np.array([float(f"{value:.4f}") for value in values]) for name, values in columns(scene, plan).items()}
@@ -187,6 +192,7 @@ def test_an_exact_plan_that_claims_another_programs_step_is_refused_its_claim(he
     )
 
 
+@pytest.mark.slow
 def test_grids_may_be_finer_and_coarser_than_the_tasks(held):
     scene, plan = held
     for step, steps in ((H / 4, 4 * STEPS), (5 * H, STEPS // 5)):
@@ -297,6 +303,7 @@ def test_a_dataframe_says_no_more_and_no_less_than_its_numbers(held):
         assert words in str(caught.value)
 
 
+@pytest.mark.slow
 def test_our_methods_declare_their_scheme():
     from formulations.pipelines import load_method
 

@@ -220,6 +220,7 @@ def test_scene_files_are_looked_up_from_the_campaign_file(tmp_path, monkeypatch)
     assert reference.where == str(tmp_path / "oscillator.py")
 
 
+@pytest.mark.slow
 def test_what_is_stored_is_used_again_and_what_is_changed_is_not(cli, tmp_path):
     """In the children too: the record is of the changed scene."""
     fakes = ("--tools", "campaign_fakes:TOOLS", "--out", str(tmp_path / "out"))
@@ -240,6 +241,7 @@ def test_what_is_stored_is_used_again_and_what_is_changed_is_not(cli, tmp_path):
     assert cli("run", str(path), *fakes, "--plan").stdout.splitlines()[-1] == "1 stored, 1 to run"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "words"),
     [("stiffness", "=three_cart_k_120_steps_250"), ("schedules", '="in one leap"'), ("seeds", "0p1 and seed and 2")],

@@ -27,6 +27,7 @@ def test_no_scene_of_the_bank_gives_cause():
     assert not list(doubts(map(load_scene, scene_names())))
 
 
+@pytest.mark.slow
 def test_what_changes_nothing_is_named():
     bank = load_scene("wall_pendulum")
     idle = Parameter(symbol=sp.Symbol("spare"), value=1.0, unit="m")
@@ -67,6 +68,7 @@ PLAN = ("plan", "--scene", "{scene}", "-k", "=strict", "--out", "{folder}/out")
 REPLAY = ("replay", "{folder}/plan.csv", "--scene", "{scene}")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arguments", [PLAN, (*PLAN, "--json"), ("fmu", "{scene}", "-o", "{folder}/made.fmu"), REPLAY])
 def test_a_start_deep_in_contact_is_asked_about(tmp_path, capsys, wrong_sign, arguments):
     scene = load_scene(str(wrong_sign))

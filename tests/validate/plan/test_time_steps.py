@@ -27,6 +27,7 @@ def test_a_stable_step_is_stored_without_a_warning(tmp_path):
     assert found.largest_step > 0.01
 
 
+@pytest.mark.slow
 def test_a_step_past_the_limit_is_told_before_the_cells_stored_and_shown(cli, tmp_path):
     path = tmp_path / "stiff_pair.py"
     path.write_text(UNSTABLE)
@@ -42,6 +43,7 @@ def test_a_step_past_the_limit_is_told_before_the_cells_stored_and_shown(cli, tm
     assert "past the stability limit" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_what_an_earlier_campaign_said_is_used_again(cli, tmp_path, monkeypatch):
     path = tmp_path / "stiff_pair.py"
     path.write_text(UNSTABLE)
@@ -51,6 +53,7 @@ def test_what_an_earlier_campaign_said_is_used_again(cli, tmp_path, monkeypatch)
     assert found.warning
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "command", [("plan", "-k", "free_motion and stiff", "--scene"), ("plan", "--json", "-k", "free_motion and stiff", "--scene")]
 )
@@ -63,6 +66,7 @@ def test_a_plan_of_a_campaign_tells_it_too(cli, tmp_path, command):
     assert "take a step below 0.000866 s" in done.stderr
 
 
+@pytest.mark.slow
 def test_a_plan_on_a_step_too_long_is_told_before_its_score(cli, tmp_path):
     """The same scene and plan on its own step and on one of 0.2 s."""
     scene, said = load_scene("three_cart"), {}

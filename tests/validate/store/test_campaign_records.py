@@ -121,6 +121,7 @@ def _imported_reports(name: str) -> set[str]:
     return {f"{module.replace('.', '/')}.py" for module in found if module.startswith("reports.")}
 
 
+@pytest.mark.slow
 def test_whatever_writes_records_is_part_of_their_keys():
     """Of the files that count, each imports of the room of reports only what counts too, or what tells of records that are written already."""
     counted = provenance._source_digests()

@@ -42,6 +42,7 @@ def direct(runs: list[RunRecord]) -> RunRecord:
     return next(run for run in runs if run.stages[-1].kind == "direct" and run.verdict == "holds" and run.stages[-1].outcome == "solved")
 
 
+@pytest.mark.slow
 def test_a_campaign_does_not_differ_from_itself(tmp_path, runs):
     found = compared(tmp_path, runs, runs)
     assert found.changes == ()
@@ -121,6 +122,7 @@ def command(*words: object) -> subprocess.CompletedProcess:
     )
 
 
+@pytest.mark.slow
 def test_the_command_says_it_and_exits_with_one(tmp_path, runs):
     run = direct(runs)
     before, after = factory.store(tmp_path / "before", [run]), factory.store(tmp_path / "after", [changed_last(run, verdict="violates")])
@@ -135,6 +137,7 @@ def test_the_command_says_it_and_exits_with_one(tmp_path, runs):
     assert told["changes"][0]["kind"] == "worse"
 
 
+@pytest.mark.slow
 def test_what_is_no_campaign_is_one_sentence(tmp_path):
     (tmp_path / "empty").mkdir()
     for folder in (tmp_path / "empty", tmp_path / "nowhere"):
@@ -144,6 +147,7 @@ def test_what_is_no_campaign_is_one_sentence(tmp_path):
         assert str(folder) in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", ['{"x"', "{}", None])
 def test_without_its_list_of_cells_nobody_knows_what_a_campaign_is(tmp_path, runs, text):
     """All records of the folder would be taken for it, those of campaigns before too, and what got worse be missed."""

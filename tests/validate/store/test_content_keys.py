@@ -41,6 +41,7 @@ def others(item: Field[Any]) -> list[object]:
     return [value for value in near if bounds[0] <= value <= bounds[1]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", method_names())
 def test_every_option_of_every_method_has_a_key_of_its_own(name: str):
     method = load_method(name)
@@ -59,6 +60,7 @@ SOFT = Leg(method="softplus_dc", schedule=(1e-3, 1e-5))
 STRICT = Leg(method="strict_lcp")
 
 
+@pytest.mark.slow
 def test_whatever_is_asked_otherwise_has_another_key():
     variants = {
         "as it is": key(SOFT, STRICT),
@@ -76,6 +78,7 @@ def test_whatever_is_asked_otherwise_has_another_key():
     assert key(SOFT, STRICT) == variants["as it is"]
 
 
+@pytest.mark.slow
 def test_another_linear_solver_or_library_has_another_key(monkeypatch: pytest.MonkeyPatch):
     ours = key(STRICT)
     monkeypatch.setenv("TOUCHSTONE_LINEAR_SOLVER", "mumps")
@@ -108,6 +111,7 @@ DECIDES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changed", DECIDES)
 def test_a_key_is_of_the_sources_that_decide_and_of_no_others(changed: str, monkeypatch: pytest.MonkeyPatch):
     assert changed in SOURCES, "or nothing would be changed"

@@ -37,6 +37,7 @@ class Soft(sp.Function):
 """
 
 
+@pytest.mark.slow
 def test_a_changed_module_is_noticed_and_the_old_one_found_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("PYTHONPATH", str(HELPERS))
     monkeypatch.chdir(tmp_path)

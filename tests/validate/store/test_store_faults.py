@@ -154,6 +154,7 @@ def test_a_text_is_the_old_one_or_the_new_one_whatever_is_refused(tmp_path, disk
         assert [item.name for item in tmp_path.iterdir()] == ["results.csv"]
 
 
+@pytest.mark.slow
 def test_a_campaign_that_is_refused_anything_loses_nothing(cli, tmp_path, disk):
     """Everything is stored; each request of writing the campaign's own files is refused in turn."""
     settings = CampaignSettings(out=tmp_path / "out", **FAKES)

@@ -72,6 +72,7 @@ def record_of(name: str, finding: CaseFinding) -> ExaminationRecord:
     return ExaminationRecord.model_validate_json(record.model_dump_json())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_the_case_passes_and_its_record_is_whole(name: str, monkeypatch):
     module = importlib.import_module(f"validate.stress.cases.{name}")

@@ -15,6 +15,7 @@ def campaign(cli, tmp_path_factory):
     return out, cli("all", "-k", "h13 or h12", "--out", str(out))
 
 
+@pytest.mark.slow
 def test_the_cases_are_run_and_pass(campaign):
     out, done = campaign
     assert done.returncode == 0, done.stderr
@@ -31,6 +32,7 @@ def test_the_report_has_their_rows(campaign):
     assert "2 of 2 hard cases pass" in text
 
 
+@pytest.mark.slow
 def test_they_are_used_again(campaign, cli):
     out, _ = campaign
     again = cli("all", "-k", "h13 or h12", "--out", str(out))
@@ -38,6 +40,7 @@ def test_they_are_used_again(campaign, cli):
     assert "2 stored, 0 to run" in again.stderr
 
 
+@pytest.mark.slow
 def test_a_quick_campaign_says_that_it_leaves_cases_out(cli, tmp_path):
     done = cli("all", "--quick", "-k", "h13 or h03", "--out", str(tmp_path))
     assert "left out by --quick: hard case: 03 Mass ratio 1e-4 .. 1e4" in done.stdout

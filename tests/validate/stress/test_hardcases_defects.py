@@ -46,6 +46,7 @@ def test_a_step_that_loses_speed_in_contact(monkeypatch):
     assert "restitution" in broken(h02_restitution.measure())
 
 
+@pytest.mark.slow
 def test_a_limit_that_is_twice_too_far(monkeypatch):
     said = h01_stiffness.step_stability
     monkeypatch.setattr(h01_stiffness, "STIFFNESSES", (1e2, 2e4))
@@ -72,6 +73,7 @@ def test_contacts_whose_order_matters(monkeypatch):
     assert "listed the other way round" in broken(h05_simultaneous.measure())
 
 
+@pytest.mark.slow
 def test_a_goal_out_of_reach_that_is_called_solved(monkeypatch):
     load = h10_out_of_reach.load_method
 
@@ -92,6 +94,7 @@ def test_a_goal_out_of_reach_that_is_called_solved(monkeypatch):
     assert "hands back a plan" in finding.figures[0].meaning
 
 
+@pytest.mark.slow
 def test_coincident_centres_without_a_direction(monkeypatch):
     """The scene with the plain distance, whose gradient is 0/0 there."""
     load = h11_overlap.load_scene
@@ -108,6 +111,7 @@ def test_coincident_centres_without_a_direction(monkeypatch):
     assert "not finite" in broken(h11_overlap.measure())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", [h12_biactive, h13_b_stationary])
 def test_a_certificate_that_finds_all_points_strongly_stationary(monkeypatch, case):
     certify = case.certify

@@ -81,6 +81,7 @@ def test_a_plan_that_loses_momentum_in_contact(monkeypatch):
     assert "momentum of the plan's time step" in broken(h03_mass_ratio.measure())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("defect", ["warning", "replay", "goal"])
 def test_plans_of_unequal_masses_that_are_warned_of_wrongly_or_do_not_hold(monkeypatch, defect: str):
     """A limit four times too near; a replay of carts a tenth heavier; a method that gives up where there is a plan."""
@@ -119,6 +120,7 @@ def test_growth_of_other_equations_and_descent_that_keeps_silent(monkeypatch):
     assert "what descent kept silent about" in failed
 
 
+@pytest.mark.slow
 def test_an_adjoint_that_is_a_hundred_thousandth_off(monkeypatch):
     adjoint = Kernel.adjoint
     monkeypatch.setattr(h08_long_horizon, "LENGTHS", (500, 1000))
@@ -134,6 +136,7 @@ def test_an_adjoint_that_is_a_hundred_thousandth_off(monkeypatch):
     assert "adjoint against differences" in broken(h08_long_horizon.measure())
 
 
+@pytest.mark.slow
 def test_a_dead_descent_without_a_diagnosis(monkeypatch):
     changed(monkeypatch, h09_dead_relu, lambda solution: replace(solution, message="stopped."))
     assert "what the diagnosis lacks" in broken(h09_dead_relu.measure())
@@ -148,6 +151,7 @@ def test_smoothing_that_is_lost_on_the_way(monkeypatch):
     assert "terminal position error after smoothing" in broken(h09_dead_relu.measure())
 
 
+@pytest.mark.slow
 def test_a_length_that_is_hidden_in_the_law_and_an_optimum_that_depends_on_it(monkeypatch):
     """A micrometre, or a thousandth of one where lengths are millimetres; a cost that is a hundred-thousandth dearer there."""
     rolled = h16_units.rolled
@@ -166,6 +170,7 @@ def test_a_length_that_is_hidden_in_the_law_and_an_optimum_that_depends_on_it(mo
     assert "relative difference of the costs" in failed
 
 
+@pytest.mark.slow
 def test_a_front_whose_plans_end_elsewhere(monkeypatch):
     """Inputs a thousandth stronger than those that were certified."""
 
@@ -182,6 +187,7 @@ def test_a_front_whose_plans_end_elsewhere(monkeypatch):
     assert "end beyond its tolerance, true contact law" in broken(h17_front.measure())
 
 
+@pytest.mark.slow
 def test_a_replay_that_holds_what_a_plan_joins(monkeypatch):
     replayed = h18_hold.replayed
     monkeypatch.setattr(h18_hold, "COUNTS", (10, 40))

@@ -63,6 +63,7 @@ def test_a_campaign_runs_the_parts_as_cells_of_their_own(tmp_path) -> None:
     assert entries[1].cell.title == "three_cart x mpcc_multistart (2 of 4)"
 
 
+@pytest.mark.slow
 def test_the_table_of_a_rebuilt_report_is_that_of_its_campaign(cli, tmp_path) -> None:
     done = cli("all", "--scene", "bouncing_mass", "-k", "mpcc_multistart", "--out", str(tmp_path))
     assert "[4/4]" in done.stdout + done.stderr, done

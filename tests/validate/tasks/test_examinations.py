@@ -39,6 +39,7 @@ def asked(cli, tmp_path_factory):
     return out, notes, cli("all", *FAKES, "--out", str(out), "-j", "2", "-k", chosen, NOTED=str(notes))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("says", "outcome", "passed", "words"),
     [
@@ -73,6 +74,7 @@ def test_what_fails_is_told_and_the_rest_is_not_disturbed(asked):
     assert not list(out.glob("runs/.partial-*"))
 
 
+@pytest.mark.slow
 def test_what_answered_is_stored_and_what_crashed_is_asked_again(asked, cli):
     out, notes, _ = asked
     before = _noted(notes)
@@ -83,6 +85,7 @@ def test_what_answered_is_stored_and_what_crashed_is_asked_again(asked, cli):
     assert sorted(_noted(notes)) == sorted([*before, "raise", "segfault"])
 
 
+@pytest.mark.slow
 def test_a_hang_ends_at_the_campaigns_time_limit(cli, tmp_path):
     notes = tmp_path / "noted.txt"
     done = cli("all", *FAKES, "--out", str(tmp_path), "-k", "hang and asked", "--time-limit", "12", NOTED=str(notes))

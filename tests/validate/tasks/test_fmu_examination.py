@@ -31,6 +31,7 @@ def test_every_scene_in_every_version_is_examined_and_quick_says_what_it_leaves_
     assert left_out[-1] == f"FMU, FMI 3.0: {len(scene_names())} examinations"
 
 
+@pytest.mark.slow
 def test_a_campaign_checks_an_fmu_stores_it_and_tells_of_it(cli, tmp_path):
     command = ("all", "--scene", "bouncing_mass", "-k", "fmi2", "--out", str(tmp_path))
     done = cli(*command)
@@ -49,6 +50,7 @@ def test_a_campaign_checks_an_fmu_stores_it_and_tells_of_it(cli, tmp_path):
     assert [item["passed"] for item in json.loads(again.stdout)["examinations"]] == [True]
 
 
+@pytest.mark.slow
 def test_a_failed_check_of_our_own_is_found_and_named(monkeypatch, tmp_path):
     sound = models.fmu.build_fmu(load_scene("bouncing_mass"), "2.0")
 

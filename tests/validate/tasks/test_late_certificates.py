@@ -22,6 +22,8 @@ from validate.tasks.leg import planned_legs, planned_stages
 from validate.tasks.path import run_cell
 from validate.tasks.run import RunTask
 
+pytestmark = pytest.mark.process
+
 HELPERS = Path(__file__).parents[1] / "helpers"
 
 
@@ -67,6 +69,7 @@ def _run(last: str, folder: Path, server: ForkServer | None, monkeypatch: pytest
     return record, store.runs / cell.key
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("last", "outcome", "why"),
     [

@@ -46,6 +46,7 @@ def test_the_start_of_the_process_counts():
     assert profile.seconds[START] == pytest.approx(time.time() - psutil.Process().create_time(), abs=0.5)
 
 
+@pytest.mark.slow
 def test_a_cells_profile_is_its_wall_time(cli, tmp_path):
     done = cli("all", "--tools", "campaign_fakes:TOOLS", "--scene", "three_cart", "--out", str(tmp_path), "-k", "only_good or only_slow")
     assert done.returncode in (0, 1), done.stderr

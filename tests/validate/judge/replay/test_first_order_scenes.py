@@ -147,6 +147,7 @@ def test_the_pyomo_model_is_that_of_a_mass_made_of_the_time_step() -> None:
     assert values[0] == pytest.approx(values[1], rel=1e-12, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_the_judged_motion_is_that_of_the_first_order_model_within_the_claimed_error() -> None:
     expected, seen = by_hand()
     assert seen == {"apart", "slips", "sticks"}
@@ -163,6 +164,7 @@ def test_the_judged_motion_is_that_of_the_first_order_model_within_the_claimed_e
     assert errors[1] / errors[0] == pytest.approx(10.0, rel=0.1)  # of first order in the lag, and of nothing else
 
 
+@pytest.mark.slow
 def test_everyday_and_reference_agree_far_below_the_error_of_the_lag() -> None:
     error = replayed(100).error
     assert error.everyday is not None
@@ -172,6 +174,7 @@ def test_everyday_and_reference_agree_far_below_the_error_of_the_lag() -> None:
     assert error.tolerance.position < 1e-4 * error.lag.position
 
 
+@pytest.mark.slow
 def test_the_grid_of_a_plan_and_the_step_of_the_task_change_nothing_that_is_judged() -> None:
     plain = replayed(100)
     for other in (replayed(400), replayed(100, task_step=0.005)):

@@ -61,6 +61,7 @@ def through(scene: Scene, **declared: object) -> Trajectory:
     return Trajectory(t=t, **arrays, **declared)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("missing", [frozenset(), frozenset({"q", "v", "lam"})])
 def test_a_pane_thinner_than_a_step_sends_the_ball_back(missing: frozenset[str]):
     scene = scene_with()
@@ -72,6 +73,7 @@ def test_a_pane_thinner_than_a_step_sends_the_ball_back(missing: frozenset[str])
     assert found.replay.error.estimate.state < 1e-4
 
 
+@pytest.mark.slow
 def test_a_pane_that_breaks_lets_it_through():
     """k/2 (w/4)^2 = 50 J is what the ball has: 40 J let it pass, and slow it down inside alone."""
     scene = scene_with(k=0.8e10)
@@ -81,6 +83,7 @@ def test_a_pane_that_breaks_lets_it_through():
     assert found.score.value("max_penetration") == pytest.approx(1e-4, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_a_pane_that_no_step_can_see_leaves_the_plan_undecided():
     scene = scene_with(w=1e-6, k=1e14)
     found = replay(scene, build_fmu(scene), through(scene))

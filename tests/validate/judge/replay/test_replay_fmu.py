@@ -153,6 +153,7 @@ def test_everyday_error_falls_with_the_fourth_power_of_its_step(carts: Scene, ca
     assert carts_replay.error.step.position < errors[1]
 
 
+@pytest.mark.slow
 def test_ramped_inputs_reach_both_integrators():
     """u = t: q = t^3/12 with 2 kg until the last step, which is held."""
     scene = mass_on_a_line()
@@ -183,6 +184,7 @@ def test_a_grid_of_unequal_steps_is_followed():
     assert result.error.everyday.position < 1e-11
 
 
+@pytest.mark.slow
 def test_parameters_are_those_of_the_scene_not_of_the_file(carts: Scene):
     stiffer = carts.with_parameters(k=60.0)
     plan = driven(stiffer, pushes())
@@ -190,6 +192,7 @@ def test_parameters_are_those_of_the_scene_not_of_the_file(carts: Scene):
     assert foreign.q[-1] == pytest.approx(own.q[-1], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_another_fmu_is_replayed_by_a_map_of_names():
     scene = mass_on_a_line()
     x, w, f = sp.symbols("x w f", real=True)
@@ -231,6 +234,7 @@ def test_what_is_no_fmu_is_refused(tmp_path: Path):
         replay(scene, garbled, passive(scene))
 
 
+@pytest.mark.slow
 def test_an_unstable_scene_diverges_as_an_outcome_with_finite_numbers():
     scene = mass_on_a_line(growth=800.0)
     plan = Trajectory(t=uniform_grid(0.2, 6), q=np.ones((7, 1)), v=np.ones((7, 1)), u=np.zeros((6, 1)), lam=np.zeros((6, 0)))
@@ -251,6 +255,7 @@ def test_a_chattering_contact_ends_with_its_event_budget():
     assert result.error.tolerance is None
 
 
+@pytest.mark.slow
 def test_a_start_that_already_touches_is_in_contact_from_the_first_moment():
     q, v, u, k = *sp.symbols("q v u", real=True), sp.Symbol("k", positive=True)
     scene = Scene(

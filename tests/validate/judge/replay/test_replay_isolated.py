@@ -25,6 +25,8 @@ from validate.judge.replay.map_schema import read_map
 from validate.judge.replay.mapping import wire
 from validate.judge.replay.run import replay_foreign
 
+pytestmark = pytest.mark.process
+
 ROOT = Path(__file__).parents[4]
 
 
@@ -70,6 +72,7 @@ def good(folder: Path) -> Replay:
     return run(folder, build_foreign(folder / "good.fmu"))
 
 
+@pytest.mark.slow
 def test_a_good_one_follows_the_closed_form(good: Replay):
     assert good.ok, good.message
     plan = foreign_plan()
@@ -81,6 +84,7 @@ def test_a_good_one_follows_the_closed_form(good: Replay):
     assert [event.closes for event in good.events] == [True, False]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mode", "kinds", "outcome", "words"),
     [
@@ -103,6 +107,7 @@ def test_each_misbehaviour_has_its_own_outcome(
     assert left(place) == []
 
 
+@pytest.mark.slow
 def test_garbage_on_its_output_and_a_forked_child_spoil_nothing(folder: Path, place: Path, good: Replay):
     garbage = run(folder, build_foreign(folder / "garbage.fmu", "garbage"))
     assert garbage.q.tobytes() == good.q.tobytes()
@@ -114,6 +119,7 @@ def test_garbage_on_its_output_and_a_forked_child_spoil_nothing(folder: Path, pl
     assert left(place) == []
 
 
+@pytest.mark.slow
 def test_a_zip_bomb_is_not_let_in(folder: Path, place: Path):
     bomb = build_foreign(folder / "bomb.fmu")
     with zipfile.ZipFile(bomb, "a", zipfile.ZIP_DEFLATED) as archive:
@@ -123,6 +129,7 @@ def test_a_zip_bomb_is_not_let_in(folder: Path, place: Path):
     assert left(place) == []
 
 
+@pytest.mark.slow
 def test_nothing_is_left_when_the_command_is_killed(folder: Path, place: Path):
     """kill -9 of `python -m validate replay` while the FMU hangs, with a process of its own left behind."""
     hanging = build_foreign(folder / "hang.fmu", "hang")

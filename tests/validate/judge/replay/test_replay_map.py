@@ -243,6 +243,7 @@ def test_group_of_columns_that_is_there_in_part_is_refused(wired: Wire):
 # Without Model Exchange
 
 
+@pytest.mark.slow
 def test_stated_accuracy_is_the_error_where_no_run_tells_one(folder: Path, wired: Wire):
     blind = replayed(folder, wired(FULL_MAP, fmu="only_cs.fmu"), "only_cs.fmu")
     assert (blind.error.estimate, blind.error.stated) == (None, None)
@@ -260,6 +261,7 @@ def test_stated_accuracy_is_the_error_where_no_run_tells_one(folder: Path, wired
     assert json.loads(told)["estimate"]["gap"] is None
 
 
+@pytest.mark.slow
 def test_larger_of_stated_and_measured_error_counts(folder: Path, wired: Wire):
     fmu = "whole_steps.fmu"
     measured = replayed(folder, wired(FULL_MAP, fmu=fmu), fmu).error
@@ -299,6 +301,7 @@ def renamed(path: Path, names: dict[str, str], more: str = "", units: str = "<Mo
 STRANGE = ["kraft_längs", "θ1", "a b  c", 'it\'s "so"', "körper.x[1].ẋ", "🚗", "a/b", "-1", "x,y;z", "<&>", "t", "gap_x"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STRANGE)
 def test_any_name_of_variables_columns_and_contacts_works(folder: Path, wired: Wire, name: str):
     renamed(folder / "named.fmu", {"body.pos": name, "drive.force": f"{name} in", "stop.gap": f"{name} gap"})
@@ -389,6 +392,7 @@ def test_velocities_of_equal_names_belong_to_the_positions_they_are_derivatives_
     assert [item.velocity_name for item in foreign.model.coordinates] == ["of_a", "of_b"]
 
 
+@pytest.mark.slow
 def test_hint_among_very_many_names_is_quick_and_right():
     """difflib alone takes 40 us a name of this length, 18 s of all. The bound is about five times what it takes."""
     known = [f"model.part[{index}].länge_{index % 7}" for index in range(400_000)] + ["body.pos", "body.vel"]

@@ -48,6 +48,7 @@ def ramp(end: bool = True) -> Trajectory:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limits", [None, Limits(seconds=100.0)], ids=["here", "child"])
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 def test_ramp_is_integrated_to_its_end(scene: Scene, limits: Limits | None, version: str):

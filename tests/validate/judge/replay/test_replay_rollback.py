@@ -121,6 +121,7 @@ def test_a_foreign_fmu_that_ignores_its_step_has_no_estimate(tmp_path: Path, fin
     assert (error.estimate, error.rollback, error.step_source) == (None, None, "none")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("saves", "words"), [("SAVES=0", "fmi2GetFMUstate failed"), ("SAVES=2", "not the one it saved"), ("SAVES=3", "SIGSEGV")]
 )
@@ -133,6 +134,7 @@ def test_a_state_that_cannot_be_saved_costs_the_rollback_alone(tmp_path: Path, s
     assert result.error.estimate is not None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kinds", [ONCE, ONCE_EXCHANGE, ONCE_EXCHANGE + ONCE])
 def test_one_instance_a_process_is_enough(tmp_path: Path, kinds: str):
     """Every run gets a process of its own; without that claim the second instance is refused."""

@@ -38,6 +38,7 @@ def fmu(request: pytest.FixtureRequest) -> Path:
     return build_fmu(load_scene("wall_pendulum"), version=request.param)
 
 
+@pytest.mark.slow
 def test_a_stranger_is_caught_in_its_own_units(fmu: Path, tmp_path: Path):
     """The plan says: upright from the second node on; it starts 0.1 rad away."""
     degrees = 57.29577951308232

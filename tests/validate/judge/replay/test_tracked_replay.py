@@ -62,6 +62,7 @@ def caught(scene: Scene, still: Trajectory) -> Replay:
     return replay(scene, build_fmu(scene), still, track=True)
 
 
+@pytest.mark.slow
 def test_the_closed_loop_is_the_product_of_its_matrices(scene: Scene, still: Trajectory, caught: Replay, exact):
     """x_1 = A x_0, then x_{t+1} = sat(A - B K_t) x_t: the gains of the file, the exact step, nothing else in between."""
     A, B = exact
@@ -153,6 +154,7 @@ def test_twice_is_the_same(scene: Scene, still: Trajectory, caught: Replay):
     assert caught.tracked.effort == again.tracked.effort
 
 
+@pytest.mark.slow
 def test_a_child_process_replays_the_same(scene: Scene, still: Trajectory, caught: Replay):
     from validate.execution.isolated import Limits
 
@@ -162,6 +164,7 @@ def test_a_child_process_replays_the_same(scene: Scene, still: Trajectory, caugh
     assert other.tracked.q.tobytes() == caught.tracked.q.tobytes()
 
 
+@pytest.mark.slow
 def test_files_give_back_the_law_and_what_it_did(tmp_path, scene: Scene, still: Trajectory, caught: Replay):
     tracked = caught.tracked
     assert tracked is not None
@@ -260,6 +263,7 @@ SCENE = base.with_parameters(w=1e4).with_task(step=0.05, steps=50, start=(0.1, 0
 """
 
 
+@pytest.mark.slow
 def test_the_command_is_content_with_feedback_unless_it_must_not_be(tmp_path: Path, reaching, capsys: pytest.CaptureFixture[str]):
     """Exit code 0 for `holds with feedback`, 1 with --require holds; the words and both ends are the same either way."""
     scene, plan, _ = reaching

@@ -23,6 +23,7 @@ def judged(scene: Scene):
     return score(scene, plan, replay(scene, build_fmu(scene), plan))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["bouncing_mass", "two_body_collision"])
 def test_the_replay_meets_every_closed_form(name: str):
     scene = load_scene(name)
@@ -45,6 +46,7 @@ def test_the_replay_meets_every_closed_form(name: str):
         assert "tolerances off a closed form" in result.why
 
 
+@pytest.mark.slow
 def test_a_contact_that_never_closes_is_not_measured():
     scene = load_scene("bouncing_mass").with_task(steps=100)
     result = judged(scene)
@@ -52,6 +54,7 @@ def test_a_contact_that_never_closes_is_not_measured():
     assert "no contact closes" in result.why
 
 
+@pytest.mark.slow
 def test_an_unknown_measure_is_named():
     scene = load_scene("bouncing_mass")
     unknown = replace(scene, answers=(replace(scene.answers[0], measure="colour"),))

@@ -53,6 +53,7 @@ def value(result: Score, name: str) -> float:
     return found.value
 
 
+@pytest.mark.slow
 def test_the_plan_of_the_true_time_step_has_no_violation(scene: Scene, plan: Trajectory, replayed: Replay) -> None:
     result = score(scene, plan, replayed)
     assert value(result, "friction_violation") == 0.0

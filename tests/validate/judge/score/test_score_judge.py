@@ -314,6 +314,7 @@ def test_a_goal_whose_limits_are_waived_asks_for_nothing(scene: Scene, plan: Tra
         assert score(asked, plan, replayed).verdict is (Verdict.HOLDS if counts else Verdict.CONSISTENT), limit.metric
 
 
+@pytest.mark.slow
 def test_carts_that_pass_through_each_other_do_not_hold():
     """Pushed so that they end on the other side: exact contact all along, but the model of a contact ends at the length of a cart."""
     scene = load_scene("three_cart")
@@ -344,6 +345,7 @@ def test_three_of_many_steps_are_another_task(scene: Scene, plan: Trajectory):
     assert score(scene, coarse, None).metric("duration_error").limit == pytest.approx(0.005)
 
 
+@pytest.mark.slow
 def test_a_disc_that_leaps_over_another_between_two_nodes_does_not_hold():
     """Six steps a second, none of which sees the other disc: exact on its own grid, and metres away from physics."""
     steps, step = 6, 1.0 / 6.0

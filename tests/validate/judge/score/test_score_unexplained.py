@@ -138,6 +138,7 @@ def states(columns: dict[str, np.ndarray]) -> np.ndarray:
     return np.column_stack([columns[f"q{i}"] for i in (1, 2, 3)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["start", "end", "mean", None])
 @pytest.mark.parametrize("decimals", [None, 4])
 def test_an_exact_motion_holds_however_its_forces_and_digits_are_told(exact, which: str | None, decimals: int | None):
@@ -170,6 +171,7 @@ def test_mirrored_and_invented_forces_do_not_hold_beside_an_exact_motion(exact):
     assert told.score.why.startswith("its contact forces are not those of its own motion")
 
 
+@pytest.mark.slow
 def test_a_hidden_hand_is_named_even_where_the_plan_says_nothing_of_forces():
     t, q, v, u = motion(100, lambda time: np.array([0.0, 1.5, 0.0]) if 0.3 <= time < 0.35 else np.zeros(3))
     scene = scene_of(100, q, v)
@@ -180,6 +182,7 @@ def test_a_hidden_hand_is_named_even_where_the_plan_says_nothing_of_forces():
     assert told.replay.tracked is None, "no feedback mends a motion that is none"
 
 
+@pytest.mark.slow
 def test_the_share_is_one_of_the_replays_peak_force(exact):
     """With a replay its forces count, without one the law's at the plan's nodes; both are the same motion here."""
     scene, columns = exact
