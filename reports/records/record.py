@@ -164,8 +164,8 @@ class SceneRecord(_Model):
 class MetricRecord(_Model):
     """One metric of the score, or one figure of an examination. `value` is None where it was not asked or not measured (`reason` says why).
 
-    question: 1 to 6, None for what is of the judge or only shown; error: how wrong the value may be by the replay's own error; ok: None where there is
-    no limit, or the error leaves it open; default: whether the limit is the metric's own, not the scene's; at_least: the limit is one from below.
+    question: 1 to 6, None for what is of the judge or only shown; error: how wrong the value may be by the replay's own error, None: not known;
+    ok: None where there is no limit, or the error leaves it open; default: whether the limit is the metric's own, not the scene's; at_least: the limit is one from below.
     """
 
     name: str
@@ -173,7 +173,7 @@ class MetricRecord(_Model):
     unit: str
     meaning: str
     question: int | None = None
-    error: Finite = 0.0
+    error: Finite | None = 0.0
     limit: Finite | None = None
     reason: str = ""
     ok: bool | None = None

@@ -65,6 +65,31 @@ def test_a_path_reads_back_as_the_values_drawn():
         assert height == pytest.approx(plot.py(math.sin(t)), abs=0.25)
 
 
+def test_every_marker_stands_around_its_point():
+    """The point (1, 2) of axes 0..2, 0..4 is at (240, 114) of 440 by 240 pixels, by hand: each shape's corners are as far to both sides."""
+    corners = {}
+    for marker in ("circle", "square", "diamond", "triangle"):
+        plot = Plot("one", Axis("x", "m", 0.0, 2.0), Axis("y", "m", 0.0, 4.0))
+        plot.point(1.0, 2.0, "s", marker, "tip")
+        (shape,) = re.findall(r"</title><(.+?)/></g>", plot.markup())
+        says = {name: float(value) for name, value in re.findall(r'\b(x|y|width|height|cx|cy|r)="([-\d.]+)"', shape)}
+        if marker == "circle":
+            corners[marker] = (says["cx"] - says["r"], says["cx"] + says["r"], says["cy"] - says["r"], says["cy"] + says["r"])
+        elif marker == "square":
+            corners[marker] = (says["x"], says["x"] + says["width"], says["y"], says["y"] + says["height"])
+        else:
+            place = [np.array(list(map(float, pair.split(",")))) for pair in re.findall(r"[-\d.]+,[-\d.]+", shape)]
+            ends = np.cumsum(place, axis=0)
+            back = float(match[1]) if (match := re.search(r"h(-[\d.]+)z", shape)) else 0.0
+            across = [*ends[:, 0], ends[-1, 0] + back]
+            corners[marker] = (min(across), max(across), min(ends[:, 1]), max(ends[:, 1]))
+    for marker, (left, right, top, bottom) in corners.items():
+        assert (left + right) / 2 == pytest.approx(240.0, abs=0.1), marker
+        assert (top + bottom) / 2 == pytest.approx(114.0, abs=1.0), marker  # a triangle's middle is lower than its corners'
+        assert 9.0 <= right - left <= 12.0, marker
+        assert 9.0 <= bottom - top <= 12.0, marker
+
+
 def test_on_logarithmic_axes_a_line_goes_through_its_points_and_decades_are_equally_far():
     """440 by 240 pixels: x from 54 to 426 over six decades, y from 202 up to 26 over eight, by hand."""
     plot = Plot("slope", Axis("step", "s", 1e-3, 1e3, log=True), Axis("error", "m", 1e-6, 1e2, log=True))

@@ -168,7 +168,7 @@ def _metrics(stage: StageRecord) -> str:
             : len(values)
         ]
         limit = "waived" if view.waived else short(judged.limit, ".3g")
-        own = short(judged.error, ".1e") if judged.error else ""
+        own = "unknown" if judged.error is None else short(judged.error, ".1e") if judged.error else ""
         cells = [*(short(value, ".4e") for value in found), own, judged.unit, limit, _against(judged)]
         return ["" if number is None else str(number), view.name, *cells, judged.reason]
 

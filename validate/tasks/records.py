@@ -305,7 +305,7 @@ def _metric(metric: Any) -> MetricRecord:
         unit=metric.unit,
         meaning=metric.meaning,
         question=metric.question.number,
-        error=finite(metric.error) or 0.0,
+        error=finite(metric.error),
         limit=finite(metric.limit),
         reason=metric.reason,
         ok=metric.ok,

@@ -141,11 +141,32 @@ def test_cheap_plans_have_little_energy():
     assert energy_bound(CARTS.with_task(step=0.25), 1.0) is None, "so long a step makes energy of its own"
 
 
+def test_an_input_that_costs_nothing_bounds_no_energy():
+    free, cost = CARTS.inputs[1].symbol, CARTS.task.running_cost
+    for weight in (0, -1):
+        changed = replace(CARTS, task=replace(CARTS.task, running_cost=cost.subs(free, 0) + weight * free**2))
+        assert energy_bound(changed, 100.0) is None
+
+
 def test_the_relaxation_bounds_the_known_optimum():
     linear, known = linear_scene(CARTS), CARTS.answers[0].value
     bounds = physical_bounds(CARTS, linear, known)
     bound = relaxed_bound(linear, bounds.lower, bounds.upper, known)
     assert 100.0 < bound < known
+
+
+def test_the_bound_of_a_mode_sequence_is_its_optimum():
+    """Where the bounds leave one mode sequence, nothing is relaxed: with a cost that has slopes, and products of states and inputs."""
+    theta, omega, u = PENDULUM.coordinates[0].symbol, PENDULUM.coordinates[0].velocity, PENDULUM.inputs[0].symbol
+    cost = theta**2 + omega**2 + u**2 + theta * u - omega * u / 2 + u / 3 - theta / 5 + 7
+    scene = PENDULUM.with_task(start=(-0.05, 0.4), steps=6)
+    scene = replace(scene, task=replace(scene.task, running_cost=cost))
+    linear = linear_scene(scene)
+    known = ModesProblem(linear).solve(np.zeros((6, 1), dtype=bool), below=np.inf)
+    assert known is not None
+    bound = relaxed_bound(linear, np.full((6, 1), -1.0), np.zeros((6, 1)))
+    assert bound == pytest.approx(known.cost, rel=3e-6)  # it is lowered by a millionth before it is believed
+    assert bound <= known.cost
 
 
 @pytest.mark.slow

@@ -58,6 +58,25 @@ def test_scene_record_says_what_is_absent_and_drawn():
     assert [contact.bodies for contact in record.contacts] == [("left", "middle"), ("middle", "right")]
 
 
+@pytest.mark.parametrize("name", ["three_cart", "two_finger"])
+def test_a_scene_record_says_each_quantity_with_its_own_words(name: str):
+    scene = load_scene(name)
+    record = scene_record(scene)
+
+    def said(items):
+        return [(item.name, item.unit, item.description, item.value) for item in items]
+
+    assert said(record.coordinates) == [(item.name, item.unit, item.description, None) for item in scene.coordinates]
+    assert [(item.name, item.unit) for item in record.velocities] == [
+        (item.velocity_name, item.velocity_unit) for item in scene.coordinates
+    ]
+    assert said(record.inputs) == [(item.name, item.unit, item.description, None) for item in scene.inputs]
+    assert said(record.parameters) == [(item.name, item.unit, item.description, item.value) for item in scene.parameters]
+    assert said(record.answers) == [(item.quantity, "", item.source, item.value) for item in scene.answers]
+    assert [(item.name, item.unit) for item in record.frictions] == [(item.force_name, "1") for item in scene.frictions]
+    assert (record.start, record.goal, record.step, record.steps) == (scene.task.start, scene.task.goal, scene.task.step, scene.task.steps)
+
+
 def test_files_of_plans_have_gaps_and_poses(tmp_path):
     write_netcdf(tmp_path / "trajectory.nc", _plan(), SCENE)
     columns, _ = read_columns(tmp_path / "trajectory.nc")

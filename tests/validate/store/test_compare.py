@@ -100,6 +100,44 @@ def test_rows_that_are_gone_and_new_ones(tmp_path, runs):
     assert compared(tmp_path / "new", [kept], [lost, kept]).regressions == ()
 
 
+def test_the_worst_change_stands_first(tmp_path, runs):
+    """Of a change of each kind, whatever the names of their runs."""
+    run = direct(runs)
+    cost, cpu = run.stages[-1].cost or 1.0, run.stages[-1].seconds
+
+    def scened(run: RunRecord, name: str, **changes) -> RunRecord:
+        return changed_last(
+            run.model_copy(update={"scene": run.scene.model_copy(update={"name": name}), "key": f"{name}-{run.key}"}), **changes
+        )
+
+    def taking(seconds: float) -> dict:
+        return {"seconds": cpu.model_copy(update={"stage_cpu": seconds})}
+
+    before = [
+        scened(run, "u"),
+        scened(run, "z"),
+        scened(run, "y", **taking(10.0)),
+        scened(run, "x", **taking(20.0)),
+        scened(run, "w", cost=cost),
+    ]
+    after = [
+        scened(run, "t"),
+        scened(run, "z", verdict="violates"),
+        scened(run, "y", **taking(20.0)),
+        scened(run, "x", **taking(10.0)),
+        scened(run, "w", cost=cost / 2),
+    ]
+    kinds = [change.kind for change in compared(tmp_path, before, after).changes]
+    assert list(dict.fromkeys(kinds)) == [
+        ChangeKind.REGRESSION,
+        ChangeKind.GONE,
+        ChangeKind.SLOWER,
+        ChangeKind.NEW,
+        ChangeKind.FASTER,
+        ChangeKind.IMPROVEMENT,
+    ]
+
+
 def test_time_is_told_but_is_no_regression(tmp_path, runs):
     run = direct(runs)
 
