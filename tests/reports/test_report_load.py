@@ -81,6 +81,17 @@ def test_records_of_an_earlier_schema_are_refused_in_one_sentence(factory, tmp_p
     assert stored.foreign == 1
 
 
+def test_a_campaign_of_an_earlier_schema_is_named_and_its_runs_are_read(factory, tmp_path):
+    folder = factory.store(tmp_path / "all", factory.runs()[:2])
+    path = folder / "campaign.json"
+    path.write_text(path.read_text().replace('"schema_version":4', '"schema_version":3'))
+    stored = load(folder)
+    assert (stored.campaign, len(stored.runs)) == (None, 2)
+    (item,) = stored.unreadable
+    assert item.path == "campaign.json"
+    assert item.sentence == ("it is of another version's record schema (this one reads 4), which holds other things; run it again.")
+
+
 @pytest.mark.slow
 def test_many_files_that_could_not_be_read_for_one_reason_are_told_once(factory, tmp_path):
     runs = [factory.run("strict", None, "strict_lcp", key=f"strict-{number}") for number in range(15)]
