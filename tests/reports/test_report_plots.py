@@ -90,6 +90,16 @@ def test_every_marker_stands_around_its_point():
         assert 9.0 <= bottom - top <= 12.0, marker
 
 
+@pytest.mark.parametrize(("anchor", "before"), [("start", 0.0), ("middle", 13.2), ("end", 26.4)])
+def test_words_stand_where_they_are_anchored(anchor: str, before: float):
+    """Four characters of 6.6 pixels at x = 240: they begin that much before it."""
+    plot = Plot("one", Axis("x", "m", 0.0, 2.0), Axis("y", "m", 0.0, 4.0))
+    assert plot.label(240.0, 100.0, "abcd", "s", anchor=anchor, pixels=True)
+    found = re.search(r'<text[^>]*\bx="([\d.]+)"[^>]*>abcd<', plot.markup())
+    assert found is not None
+    assert float(found[1]) == pytest.approx(240.0 - before, abs=0.1)
+
+
 def test_on_logarithmic_axes_a_line_goes_through_its_points_and_decades_are_equally_far():
     """440 by 240 pixels: x from 54 to 426 over six decades, y from 202 up to 26 over eight, by hand."""
     plot = Plot("slope", Axis("step", "s", 1e-3, 1e3, log=True), Axis("error", "m", 1e-6, 1e2, log=True))
