@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from formulations.contact_modes import finder
-from formulations.contact_modes.finder import descended_plan, mirrored, random_plan
 from formulations.contact_modes.quadratic import ModesProblem
+from formulations.contact_modes.starts import descended_plan, mirrored, random_plan
 from formulations.method import OptionError
 from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
@@ -100,7 +100,7 @@ def test_another_seed_is_another_random_start() -> None:
     assert len({ways[0], *ways[4:]}) > 1, "and so does the number of the start"
 
 
-def test_windows_of_a_start_are_named_by_contact() -> None:
+def test_contacts_of_a_start_are_named_by_contact() -> None:
     solution = several(starts=2)
     plan = solution.trajectory
     assert plan is not None
@@ -119,8 +119,8 @@ def test_impossible_numbers_are_refused() -> None:
 
 
 @pytest.mark.slow
-def test_random_inputs_that_led_nowhere_are_not_steered_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They are the same whatever a start is: the second start without a plan has only its own to steer."""
+def test_random_inputs_that_led_nowhere_are_not_corrected_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are the same whatever a start is: the second start without a plan has only its own to correct."""
     drawn: list[tuple[int, ...]] = []
 
     def noted(scene, kernel, seed):
