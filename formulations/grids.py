@@ -34,8 +34,10 @@ def on_grid(plan: Trajectory, scene: Scene) -> Trajectory:
     return Trajectory(t=t, q=states[0], v=states[1], u=plan.u[step], lam=plan.lam[step])
 
 
-def check_warm_start(scene: Scene, plan: Trajectory) -> None:
+def check_warm_start(scene: Scene, plan: Trajectory | None) -> None:
     """Raise TrajectoryError for a plan of another scene, or on another grid than the scene's task."""
+    if plan is None:
+        return
     plan.check_fits(scene)
     task = scene.task
     if plan.steps != task.steps or not np.allclose(

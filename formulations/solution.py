@@ -92,15 +92,10 @@ class Solution:
 def as_asked(scene: Scene, solution: Solution) -> Solution:
     """Turn SOLVED into STALLED, and say so, where the cost is above what the scene asks for: a local optimum."""
     limit = scene.limit("cost")
-    if (
-        solution.outcome is not Outcome.SOLVED
-        or solution.cost is None
-        or limit is None
-        or limit.value is None
-        or solution.cost <= limit.value
-    ):
+    most = None if limit is None else limit.value
+    if solution.outcome is not Outcome.SOLVED or solution.cost is None or most is None or solution.cost <= most:
         return solution
-    local = f"It is a local optimum: its cost is {solution.cost:.3g}, the scene asks for at most {limit.value:.3g}; start elsewhere."
+    local = f"It is a local optimum: its cost is {solution.cost:.3g}, the scene asks for at most {most:.3g}; start elsewhere."
     return replace(solution, outcome=Outcome.STALLED, message=f"{solution.message} {local}".strip())
 
 

@@ -31,9 +31,24 @@ _DEPENDENT = 1e-11  # part of a condition's own curvature below which it depends
 _MOST = 80  # conditions imposed or dropped; a problem with more active bounds is one for the interior point
 
 
-def interior_point_active_set(
-    linear: LinearScene, closed: np.ndarray, ball: float, softness: float = 0.0
-) -> tuple[np.ndarray, np.ndarray] | None:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WorkingSet:
+    """The active conditions: side (steps, nu), -1 on the lower bound, 1 on the upper, 0 free; touching (steps, nc), phi = 0 is imposed."""
+
+    side: np.ndarray
+    touching: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """How many conditions are active."""
+        return int(np.count_nonzero(self.side) + np.count_nonzero(self.touching))
+
+    def same_as(self, other: WorkingSet) -> bool:
+        """Whether the other set has the same conditions."""
+        return np.array_equal(self.side, other.side) and np.array_equal(self.touching, other.touching)
+
+
+def interior_point_active_set(linear: LinearScene, closed: np.ndarray, ball: float, softness: float = 0.0) -> WorkingSet | None:
     """Name the active conditions by Clarabel.
 
     The unknowns are z[0..T], u, and by how much z[T] leaves the goal: what a softness lets it, then what the ball does.
@@ -46,7 +61,7 @@ def interior_point_active_set(
 
     Returns
     -------
-    side (steps, nu) [-], -1 on the lower bound, 1 on the upper, and touching (steps, nc) [-], phi = 0 is imposed; None where no optimum was found
+    The active conditions, or None where no optimum was found.
     """
     T, n, nu, nc = linear.steps, linear.n, linear.nu, linear.nc
     aimed = np.flatnonzero(linear.aimed)
@@ -99,17 +114,16 @@ def interior_point_active_set(
     side = np.zeros(T * nu, dtype=int)
     side[low] -= on_lower
     side[up] += on_upper
-    return side.reshape(T, nu), np.vstack([np.zeros((1, nc), dtype=bool), touching.reshape(T - 1, nc)])
+    return WorkingSet(side=side.reshape(T, nu), touching=np.vstack([np.zeros((1, nc), dtype=bool), touching.reshape(T - 1, nc)]))
 
 
 @dataclass(frozen=True, eq=False)
 class DualAnswer:
-    """Cost of the optimum, or a lower bound of it where `is_cut`; side (steps, nu) and touching (steps, nc): the active conditions."""
+    """Cost of the optimum, or a lower bound of it where `is_cut`, and the active conditions."""
 
     cost: float
     is_cut: bool
-    side: np.ndarray
-    touching: np.ndarray
+    active: WorkingSet
 
 
 class DualActiveSet:
@@ -152,7 +166,7 @@ class DualActiveSet:
                 side, touching = np.zeros((lin.steps, lin.nu), dtype=int), none_c.copy()
                 for kind, t, column in imposed:
                     (touching if kind == 0 else side)[t, column] = kind or 1
-                return DualAnswer(cost, condition is not None, side, touching)
+                return DualAnswer(cost, condition is not None, WorkingSet(side=side, touching=touching))
             column = kkt.solve(self._right(condition, sign))
             own, own_force = self._value(column, condition, sign), 0.0
             cross = np.array([self._value(column, other, sign) for other in imposed])

@@ -31,6 +31,7 @@ from pathlib import Path
 import numpy as np
 import sympy as sp
 
+from formulations.grids import input_bounds
 from models.codegen.cache import cached
 from models.codegen.compiler import FLAGS, compile_shared, find_compiler
 from models.dynamics import Dynamics, derive
@@ -193,7 +194,7 @@ def linear_scene(scene: Scene) -> LinearScene:
     position = np.hstack([eye, np.zeros((nq, nq))]) + h * velocity
     x = [*d.q, *d.v, *d.u]
     cost = sp.Matrix([d.running_cost])
-    P, p = _velocity_bounds(scene)
+    (lower, upper), (P, p) = input_bounds(scene), _velocity_bounds(scene)
     return LinearScene(
         A=np.vstack([position, velocity]),
         B=np.vstack([h * h * slope["u"], h * slope["u"]]),
@@ -205,8 +206,8 @@ def linear_scene(scene: Scene) -> LinearScene:
         H=np.array(_cost_hessian(d), dtype=float),
         g=_numbers(d, cost.jacobian(x).subs(dict.fromkeys(x, 0))).ravel(),
         constant=float(_at_zero(d, cost)[0]),
-        lower=np.array([item.lower for item in scene.inputs], dtype=float),
-        upper=np.array([item.upper for item in scene.inputs], dtype=float),
+        lower=lower,
+        upper=upper,
         start=np.array(task.start),
         goal=goal_state(task),
         step=h,
@@ -255,6 +256,12 @@ class Point:
     w: np.ndarray
 
 
+def _block(rows: np.ndarray, columns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows (times, m) and columns (times, m) of the m entries of a block (a, b) that are not zero, and these entries (m,)."""
+    i, j = values.nonzero()
+    return rows[:, i], columns[:, j], values[i, j]
+
+
 class BandedKKT:
     """The optimality conditions of a linear scene as a banded matrix, `size` rows and columns."""
 
@@ -279,9 +286,8 @@ class BandedKKT:
 
         def add(rows: np.ndarray, columns: np.ndarray, values: np.ndarray) -> None:
             """Add the same dense block at each time: rows (times, a), columns (times, b) [-], values (a, b) [-]."""
-            i, j = np.nonzero(values)
-            at = np.broadcast_to(values[i, j], (len(rows), len(i)))
-            entries.append((rows[:, i].ravel(), columns[:, j].ravel(), at.ravel()))
+            at_rows, at_columns, numbers = _block(rows, columns, values)
+            entries.append((at_rows.ravel(), at_columns.ravel(), np.broadcast_to(numbers, at_rows.shape).ravel()))
 
         add(self._y, self.rows_z, -ones)
         add(self.rows_z, self._y, -ones)
@@ -300,12 +306,9 @@ class BandedKKT:
         i, j = self._step
         forward = self._y[1:, i], self.rows_z[:-1, j]
         held = [(self.rows_u, self.rows_u, r), (self.rows_u, self._y, lin.B.T), (self.rows_u[1:], self.rows_z[:-1], s.T)]
-        moving = [forward, *((a[:, v.nonzero()[0]], b[:, v.nonzero()[1]]) for a, b, v in held)]
-        moving += [
-            (self.rows_u, self.rows_u),
-            (self.rows_mu[:-1, lin.P.nonzero()[0]], self.rows_z[:-1, lin.P.nonzero()[1]]),
-            (self.rows_mu, self.rows_mu),
-        ]
+        blocks = [(_block(*block), block[2].nonzero()[0]) for block in held]
+        touch = _block(self.rows_mu[:-1], self.rows_z[:-1], lin.P)
+        moving = [forward, *((a, b) for (a, b, _), _ in blocks), (self.rows_u, self.rows_u), touch[:2], (self.rows_mu, self.rows_mu)]
         distances = [rows - columns, *((a - b).ravel() for a, b in moving)]
         width = max(int(np.abs(part).max(initial=0)) for part in distances)
         self._width, self._height = width, 2 * width + 1  # as many diagonals below as above
@@ -314,9 +317,9 @@ class BandedKKT:
         flat = self._constant.reshape(-1, order="F")
         np.add.at(flat, self._place(rows, columns), values)
         self._at_forward, self._at_backward = self._place(*forward), self._place(forward[1], forward[0])
-        self._at_held = [(self._place(a[:, v.nonzero()[0]], b[:, v.nonzero()[1]]), v.nonzero()[0], v[v.nonzero()]) for a, b, v in held]
+        self._at_held = [(self._place(a, b), row, numbers) for (a, b, numbers), row in blocks]
         self._at_u = self._place(self.rows_u, self.rows_u)
-        self._at_touch = self._place(self.rows_mu[:-1, lin.P.nonzero()[0]], self.rows_z[:-1, lin.P.nonzero()[1]])
+        self._at_touch = self._place(*touch[:2])
         self._at_mu = self._place(self.rows_mu, self.rows_mu)
         self._at_w = self._place(self.rows_w, self.rows_w)
 

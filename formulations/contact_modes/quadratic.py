@@ -31,7 +31,7 @@ from hashlib import blake2b
 
 import numpy as np
 
-from formulations.contact_modes.dual_active_set import DualActiveSet, DualAnswer, interior_point_active_set
+from formulations.contact_modes.dual_active_set import DualActiveSet, DualAnswer, WorkingSet, interior_point_active_set
 from formulations.contact_modes.linear import BandedKKT, LinearScene, Point
 from models.scene.goal import miss
 
@@ -140,23 +140,6 @@ _SOLVED = 1e-8  # largest residual of the linear system that still counts as a s
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class WorkingSet:
-    """The active conditions: side (steps, nu), -1 on the lower bound, 1 on the upper, 0 free; touching (steps, nc), phi = 0 is imposed."""
-
-    side: np.ndarray
-    touching: np.ndarray
-
-    @property
-    def count(self) -> int:
-        """How many conditions are active."""
-        return int(np.count_nonzero(self.side) + np.count_nonzero(self.touching))
-
-    def same_as(self, other: WorkingSet) -> bool:
-        """Whether the other set has the same conditions."""
-        return np.array_equal(self.side, other.side) and np.array_equal(self.touching, other.touching)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class ModesAnswer:
     """An optimum for fixed modes: closed (steps, nc), u (steps, nu) [N, N m], its cost and phi (steps, nc) [m].
 
@@ -245,11 +228,11 @@ class ModesProblem:
             if dual == "infeasible" or (isinstance(dual, DualAnswer) and dual.is_cut):
                 return None
             if isinstance(dual, DualAnswer):
-                guess = WorkingSet(side=dual.side, touching=dual.touching)
+                guess = dual.active
         found = self._rounds(closed, guess)
         if found is None:
-            named = interior_point_active_set(self.linear, closed, self.ball, self.softness)
-            found = None if named is None else self._rounds(closed, WorkingSet(side=named[0], touching=named[1]))
+            active = interior_point_active_set(self.linear, closed, self.ball, self.softness)
+            found = None if active is None else self._rounds(closed, active)
         return found if found is not None and found.cost < below else None
 
     def _softness(self, near: QuadraticAnswer) -> float:

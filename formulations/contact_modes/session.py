@@ -181,14 +181,13 @@ class MultiStart:
         return stages[-1] if stages else None
 
     def _attempt(self, number: int, start: _Start, found: FinderResult, seconds: float) -> Attempt:
-        if found.answer is None:
-            return Attempt(number=number, start=start.words, outcome=found.outcome, seconds=seconds)
+        answer = found.answer
         return Attempt(
             number=number,
             start=start.words,
             outcome=found.outcome,
-            cost=float(found.answer.cost),
-            windows=named_intervals(self._scene, found.answer.closed),
+            cost=None if answer is None else float(answer.cost),
+            windows=() if answer is None else named_intervals(self._scene, answer.closed),
             seconds=seconds,
         )
 
@@ -229,8 +228,7 @@ class MpccSession(Session):
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
         """Find a plan from the starts asked for. Raises TrajectoryError for a plan of another scene or grid."""
         self._method.check_stage(eps, time_limit)
-        if warm_start is not None:
-            check_warm_start(self._scene, warm_start)
+        check_warm_start(self._scene, warm_start)
         budget = SolveBudget(time_limit, self._clock.pay())
         budget.most_work = 1e6 * self._options.work
         first = self._options.first_start

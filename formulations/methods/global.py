@@ -41,8 +41,7 @@ class GlobalSession(Session):
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
         """Prove a bound; warm_start: the incumbent. Raises TrajectoryError for a plan of another scene or grid."""
         self._method.check_stage(eps, time_limit)
-        if warm_start is not None:
-            check_warm_start(self._scene, warm_start)
+        check_warm_start(self._scene, warm_start)
         build, build_cpu = self._clock.pay()
         proof = self._prove(self._scene, incumbent=warm_start, time_limit=min(time_limit, self._options.seconds))
         return Solution(

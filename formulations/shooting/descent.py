@@ -69,16 +69,6 @@ class Losses:
         return Progress.SETTLED if self.decrease() <= tolerance else Progress.DESCENDING
 
     @property
-    def first(self) -> float:
-        """The loss at the first guess."""
-        return self.values[0]
-
-    @property
-    def last(self) -> float:
-        """The loss of the last iterate."""
-        return self.values[-1]
-
-    @property
     def span(self) -> int:
         """Over how many iterations the decrease is judged."""
         return max(_SHORTEST_SPAN, len(self.values) // _SPAN_SHARE)
@@ -91,7 +81,7 @@ class Losses:
     @property
     def exhausted(self) -> bool:
         """Whether the best loss is down to rounding."""
-        return self.best <= _NOTHING_LEFT * self.first
+        return self.best <= _NOTHING_LEFT * self.values[0]
 
     def decrease(self) -> float:
         """Give the relative decrease of the best loss over the span."""
@@ -216,7 +206,7 @@ def _norm(array: np.ndarray) -> float:
 
 def _limit_message(options: DescentOptions, losses: Losses) -> str:
     if options.iterations is not None:
-        rose = "; the loss is higher than at the start" if losses.last > losses.first else ""
+        rose = "; the loss is higher than at the start" if losses.values[-1] > losses.values[0] else ""
         return f"stopped after the {options.iterations} iterations asked for{rose}"
     return (
         f"stopped at max_iterations = {options.max_iterations}; over the last quarter of them the loss still fell by "
@@ -231,7 +221,7 @@ def _settled(losses: Losses, tolerance: float, promise: float) -> tuple[Outcome,
     promises more than the tolerance, the steps are too long for its curvature or its kinks, and it is no minimum.
     """
     if losses.exhausted:
-        return Outcome.SOLVED, f"the loss is down to {losses.best:.2g}, from {losses.first:.2g}"
+        return Outcome.SOLVED, f"the loss is down to {losses.best:.2g}, from {losses.values[0]:.2g}"
     facts = f"the loss fell by {100.0 * losses.decrease():.2g} % over the last {losses.span} iterations"
     share = promise / losses.best
     if share <= tolerance:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from example_scenes import example_scene
 
 from formulations.contact_modes.search import mode_sequence
 from formulations.method import OptionError
@@ -18,7 +17,7 @@ from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
 
 SCENE = load_scene("three_cart")
-ARM = load_scene(str(Path(__file__).parents[1] / "scenes" / "two_link_arm.py"))
+ARM = example_scene("two_link_arm")
 TIME_LIMIT = 600.0  # wall seconds; never reached, only so that a broken solver ends
 SMALL = SCENE.with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100)
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from example_scenes import example_scene
 
 from formulations.contact_modes.dual_active_set import interior_point_active_set
 from formulations.contact_modes.linear import linear_scene, why_not_linear
 from formulations.contact_modes.nonlinear import NonlinearModes
-from formulations.contact_modes.quadratic import ModesProblem, WorkingSet
+from formulations.contact_modes.quadratic import ModesProblem
 from formulations.contact_modes.search import closed_steps
 from formulations.transcription.workbench import SolveBudget
 from models.catalog import load_scene
@@ -19,7 +19,7 @@ from models.codegen.kernel import load_kernel
 from models.scene import Scene
 
 SCENE = load_scene("three_cart")
-ARM = load_scene(str(Path(__file__).parents[2] / "scenes" / "two_link_arm.py"))
+ARM = example_scene("two_link_arm")
 BEST = closed_steps((((131, 179),), ((276, 307),)), 500)
 
 
@@ -109,7 +109,7 @@ def test_the_interior_point_names_the_conditions_that_are_active(seed: int, ball
     assert answer is not None
     named = interior_point_active_set(linear, closed, ball, softness)
     assert named is not None
-    held = problem._rounds(closed, WorkingSet(side=named[0], touching=named[1]), most=2)
+    held = problem._rounds(closed, named, most=2)
     assert held is not None, "two rounds, so that a condition whose multiplier is zero may be named or not"
     assert held.cost == pytest.approx(answer.cost, rel=1e-11)
 

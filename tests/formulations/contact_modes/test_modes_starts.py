@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from example_scenes import example_scene
 
 from formulations.contact_modes import finder
 from formulations.contact_modes.quadratic import ModesProblem
@@ -20,7 +19,7 @@ from models.trajectory import Trajectory, uniform_grid
 
 SCENE = load_scene("three_cart")
 SMALL = SCENE.with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100)
-ARM = load_scene(str(Path(__file__).parents[2] / "scenes" / "two_link_arm.py"))
+ARM = example_scene("two_link_arm")
 
 
 def rolled(scene, u: np.ndarray) -> Trajectory:

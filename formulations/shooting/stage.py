@@ -1,4 +1,4 @@
-"""What every shooting method does with its plan at the end, and with a warm start at the beginning."""
+"""What every shooting method does with a warm start when a stage begins, and with its plan when it ends."""
 
 from __future__ import annotations
 
@@ -26,10 +26,8 @@ def first_inputs(scene: Scene, warm_start: Trajectory | None) -> np.ndarray:
 def given_inputs(scene: Scene, warm_start: Trajectory | None) -> np.ndarray:
     """Give them as they are: (steps, nu) [N, N m]. Raises TrajectoryError for a plan of another scene or grid."""
     task = scene.task
-    if warm_start is None:
-        return np.zeros((task.steps, scene.nu))
     check_warm_start(scene, warm_start)
-    return np.array(warm_start.u)
+    return np.zeros((task.steps, scene.nu)) if warm_start is None else np.array(warm_start.u)
 
 
 def plan_residuals(scene: Scene, plan: Trajectory) -> dict[str, float]:
