@@ -143,7 +143,7 @@ class Finder:
                 yield plan_of(scene, rollout, u)
 
     def _is_out_of_reach(self, budget: SolveBudget) -> bool:
-        """Whether the inputs come near the goal at all, where not even softplus contact had a plan."""
+        """Whether no plan reaches the goal within the input bounds; asked where not even softplus contact had a plan."""
         if not self._scene.task.has_goal or self._options.goal_tolerance > 0.0:
             return False
         found = nearest(self._scene, budget, budget.iterations + self._options.max_iterations)
