@@ -29,7 +29,7 @@ CATALOGS = frozenset(
 # Where one run begins: what is reachable from here a reader may come to.
 RUN = "validate.tasks.path"
 _QUIET = frozenset({tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER})
-_SHAPE, _UNIT, _ERRORS = re.compile(r"\([\w*+ -]+(, ?[\w*+ -]+)*,?\)"), re.compile(r"\[[\w^/ .-]+\]"), re.compile(r"[Rr]aises")
+_SHAPE, _UNIT, _ERRORS = re.compile(r"\([\w*+ -]+(, ?[\w*+ -]+)*,?\)"), re.compile(r"\[[\w^/ .,-]+\]"), re.compile(r"[Rr]aises")
 
 
 def _tracked() -> list[str]:

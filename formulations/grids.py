@@ -6,15 +6,16 @@ import math
 
 import numpy as np
 
-from models.codegen.kernel import Rollout
+from models.codegen.kernel import Kernel, Rollout
 from models.errors import TrajectoryError
 from models.scene import Scene
+from models.scene.goal import distance, goal_state
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid
 
 
 def coarse_scene(scene: Scene, most: int) -> Scene | None:
-    """The scene's task over the same horizon in at most `most` steps, or None where it has no more than that."""
+    """Give the scene's task over the same horizon in at most `most` steps, or None where it has no more than that."""
     task = scene.task
     if task.steps <= most:
         return None
@@ -23,7 +24,7 @@ def coarse_scene(scene: Scene, most: int) -> Scene | None:
 
 
 def on_grid(plan: Trajectory, scene: Scene) -> Trajectory:
-    """A plan of the same horizon on the grid of a scene: states interpolated, inputs and forces held."""
+    """Bring a plan of the same horizon to the grid of a scene: states interpolated, inputs and forces held."""
     task = scene.task
     t = uniform_grid(task.step, task.steps)
     stretch = (plan.t[-1] - plan.t[0]) / task.horizon  # 1 up to rounding
@@ -33,8 +34,10 @@ def on_grid(plan: Trajectory, scene: Scene) -> Trajectory:
     return Trajectory(t=t, q=states[0], v=states[1], u=plan.u[step], lam=plan.lam[step])
 
 
-def check_warm_start(scene: Scene, plan: Trajectory) -> None:
-    """Raises TrajectoryError for a plan of another scene, or on another grid than the scene's task."""
+def check_warm_start(scene: Scene, plan: Trajectory | None) -> None:
+    """Raise TrajectoryError for a plan of another scene, or on another grid than the scene's task."""
+    if plan is None:
+        return
     plan.check_fits(scene)
     task = scene.task
     if plan.steps != task.steps or not np.allclose(
@@ -47,11 +50,17 @@ def check_warm_start(scene: Scene, plan: Trajectory) -> None:
 
 
 def plan_of(scene: Scene, rollout: Rollout, u: np.ndarray) -> Trajectory:
-    """The motion that the scene's own time step made of inputs u (steps, nu), as a plan."""
+    """Give the motion that the scene's own time step made of inputs u (steps, nu) [N, N m], as a plan."""
     t = uniform_grid(scene.task.step, scene.task.steps)
     return Trajectory(t=t, q=rollout.q, v=rollout.v, u=u, lam=rollout.lam, scheme=Scheme.SEMI_IMPLICIT_EULER)
 
 
 def input_bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper bounds (nu,) of the inputs, infinite where there is none."""
+    """Give the lower and upper bounds (nu,) [N, N m] of the inputs, infinite where there is none."""
     return np.array([item.lower for item in scene.inputs]), np.array([item.upper for item in scene.inputs])
+
+
+def replayed_goal_error(scene: Scene, kernel: Kernel, plan: Trajectory) -> float:
+    """Roll the plan's inputs out through the same time step with the true contact law; how far from the goal that ends, in the norm of (q, v)."""
+    replay = kernel.rollout(np.array(scene.task.start), plan.u, scene.task.step)
+    return distance(np.concatenate([replay.q[-1], replay.v[-1]]), goal_state(scene.task))

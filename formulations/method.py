@@ -50,7 +50,7 @@ class OptionError(TouchstoneError):
 def option(
     default: Any, description: str, *, lower: float = -math.inf, upper: float = math.inf, unit: str = "1", choices: tuple[object, ...] = ()
 ) -> Any:
-    """A field of `Options`. lower, upper: bounds of a number, inclusive."""
+    """Declare a field of `Options`. lower, upper: bounds of a number, inclusive."""
     choices = choices or ((True, False) if isinstance(default, bool) else ())
     return field(default=default, metadata={"description": description, "lower": lower, "upper": upper, "unit": unit, "choices": choices})
 
@@ -68,7 +68,7 @@ AnyOptions = TypeVar("AnyOptions", bound=Options)
 
 
 def read_options(kind: type[AnyOptions], given: AnyOptions | Mapping[str, object], method: str) -> AnyOptions:
-    """The options of a method, defaults filled in. given: such options, or values by name. Raises OptionError."""
+    """Fill in the defaults of a method's options. given: such options, or values by name. Raises OptionError."""
     if isinstance(given, Options):
         if type(given) is not kind:
             raise OptionError(f"method {method}: its options are {kind.__name__}, but {type(given).__name__} were given.")
@@ -89,18 +89,18 @@ def _check(item: Field[Any], value: object) -> None:
     if not item.metadata or (value is None and item.default is None):
         return
     lower, upper, unit, choices = (item.metadata[key] for key in ("lower", "upper", "unit", "choices"))
-    said = f"option {item.name} is {value!r}, but must be"
+    wrong = f"option {item.name} is {value!r}, but must be"
     if choices and value not in choices:
-        raise OptionError(f"{said} one of {', '.join(map(repr, choices))}.")
+        raise OptionError(f"{wrong} one of {', '.join(map(repr, choices))}.")
     if lower > -math.inf or upper < math.inf:
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not lower <= value <= upper:
-            raise OptionError(f"{said} a number in [{lower:g}, {upper:g}]{'' if unit == '1' else f' {unit}'}.")
+            raise OptionError(f"{wrong} a number in [{lower:g}, {upper:g}]{'' if unit == '1' else f' {unit}'}.")
         if isinstance(item.default, int) and not isinstance(value, int):
-            raise OptionError(f"{said} a whole number.")
+            raise OptionError(f"{wrong} a whole number.")
 
 
 def without_inputs(scene: Scene, wanted: str) -> str | None:
-    """The reason why a method that chooses inputs does not apply to a scene that has none, or None; wanted: what it would do."""
+    """Give the reason why a method that chooses inputs does not apply to a scene that has none, or None; wanted: what it would do."""
     return None if scene.inputs else f"scene {scene.name} has no inputs, so there is nothing to {wanted}."
 
 
@@ -111,17 +111,39 @@ class Kind(Enum):
     DIRECT = "direct"
 
 
+class Clock:
+    """Wall and CPU seconds that opening a session takes. Its first stage pays for them; the stages after it find it open."""
+
+    def __init__(self) -> None:
+        self._wall, self._cpu = perf_counter(), process_time()
+        self._spent = (0.0, 0.0)
+
+    def stop(self) -> None:
+        """The session is open."""
+        self._spent = (perf_counter() - self._wall, process_time() - self._cpu)
+
+    def pay(self) -> tuple[float, float]:
+        """Give the wall and CPU seconds of opening the first time it is asked, and zero ever after."""
+        spent, self._spent = self._spent, (0.0, 0.0)
+        return spent
+
+
 class Session(ABC):
     """A method opened on a scene."""
 
     @abstractmethod
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
-        """One stage. eps: the relaxation (None for methods without one); warm_start: a plan on the same grid, or None for the
-        paper's first guess (initial state held, u = lam = 0); time_limit: wall seconds."""
+        """Run one stage.
+
+        eps: the relaxation (None for methods without one); warm_start: a plan on the same grid, or None for the paper's first guess (initial state held,
+        u = lam = 0); time_limit: wall seconds. Raises OptionError for an eps or a time limit that is none.
+        """
 
     def start_used(self, warm_start: Trajectory | None) -> Trajectory | None:
-        """What the first stage of this session would really start from: None where it would leave the plan for the first guess. The stage
-        is then the same whatever plan it was given, and a campaign runs it once."""
+        """Give what the first stage of this session would really start from: None where it would leave the plan for the first guess.
+
+        The stage is then the same whatever plan it was given, and a campaign runs it once.
+        """
         return warm_start
 
     def close(self) -> None:  # noqa: B027 - most sessions hold nothing that needs freeing
@@ -135,7 +157,7 @@ class Session(ABC):
 
 
 class Method(ABC, Generic[AnyOptions]):
-    """See the module docstring."""
+    """One way to find a plan; see the module docstring."""
 
     name: str
     title: str
@@ -146,21 +168,23 @@ class Method(ABC, Generic[AnyOptions]):
 
     @abstractmethod
     def accepts(self, scene: Scene) -> str | None:
-        """None, or the reason why this method does not apply to the scene."""
+        """Give None, or the reason why this method does not apply to the scene."""
 
     @abstractmethod
-    def session(self, scene: Scene, options: AnyOptions, opening: tuple[float, float]) -> Session:
-        """A session on a scene that the method accepts; opening: wall and CPU clock when opening began, before anything was imported for it."""
+    def session(self, scene: Scene, options: AnyOptions, clock: Clock) -> Session:
+        """Open a session on a scene that the method accepts; clock: runs since opening began, before anything was imported for it."""
 
     def open(self, scene: Scene, options: AnyOptions | Mapping[str, object] = MappingProxyType({})) -> Session:
-        """Open on a scene. options: such an object, or values by name. Raises OptionError for unknown or impossible options, and for a scene
-        that the method does not accept."""
-        opening = (perf_counter(), process_time())
+        """Open on a scene. options: such an object, or values by name.
+
+        Raises OptionError for unknown or impossible options, and for a scene that the method does not accept.
+        """
+        clock = Clock()
         read = self.read_options(options)
         reason = self.accepts(scene)
         if reason is not None:
             raise OptionError(f"method {self.name}: {reason}")
-        return self.session(scene, read, opening)
+        return self.session(scene, read, clock)
 
     def check_eps(self, eps: float | None) -> None:
         """Raise OptionError if eps is missing, superfluous or out of range (0 < eps < 1 unless the method says otherwise)."""
@@ -178,7 +202,7 @@ class Method(ABC, Generic[AnyOptions]):
             raise OptionError(f"method {self.name}: the time limit is {time_limit!r}, but must be a positive number of seconds.")
 
     def read_options(self, options: AnyOptions | Mapping[str, object]) -> AnyOptions:
-        """All options with defaults filled in. Raises OptionError for unknown names and values out of range."""
+        """Fill in the defaults of the options. Raises OptionError for unknown names and values out of range."""
         return read_options(self.options, options, self.name)
 
 
@@ -199,8 +223,8 @@ class Leg:
 class Pipeline:
     """A chain of legs; each stage starts from the plan of the stage before it.
 
-    parts: a pipeline of many independent solves may be run as several cells, each with its own options laid over those of every leg; what
-    they find is told as one run. part: (number from 1, of how many) of such a cell, None for the whole.
+    parts: a pipeline of many independent solves may be run as several cells, each with its own options laid over those of every leg; their
+    results make one run. part: (number from 1, of how many) of such a cell, None for the whole.
     """
 
     name: str

@@ -1,11 +1,10 @@
-"""The pipelines: chains of methods with their eps schedules, as data. Nothing heavy is imported.
+"""The pipelines: chains of methods with their eps schedules, as data; and the methods, found by their files' names.
 
     find_pipeline("softplus_dc+strict").legs
     # (Leg(method="softplus_dc", schedule=(1e-3, 1e-5, 1e-7)), Leg(method="strict_lcp"))
 
-A name is `warm starter + finisher`; the first eight are the rows of the paper's Table I. The others are ours.
-
-Finds methods by file name, and knows the pipelines. Nothing heavy is imported until a method is loaded.
+A name is `warm starter + finisher`; the first eight are the rows of the paper's Table I. The others are ours. Nothing heavy is imported until a method
+is loaded, and Pyomo and PyTorch not before one is opened.
 """
 
 from __future__ import annotations
@@ -27,12 +26,12 @@ _FOLDER = Path(__file__).parent / "methods"
 
 
 def method_names() -> tuple[str, ...]:
-    """Names of all methods, sorted; reads file names only."""
+    """Give the names of all methods, sorted; reads file names only."""
     return tuple(sorted(path.stem for path in _FOLDER.glob("*.py") if not path.stem.startswith("_")))
 
 
 def load_method(name: str) -> Method:
-    """The method of that name. Raises UnknownNameError."""
+    """Load the method of that name. Raises UnknownNameError where there is none."""
     if name not in method_names():
         close = difflib.get_close_matches(name, method_names(), n=1)
         hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(method_names())}."
@@ -125,7 +124,7 @@ PIPELINES: tuple[Pipeline, ...] = (
     ),
     Pipeline(
         name="gd_converged",
-        title="Softplus gradient descent, then ReLU, each until our own stopping rule says stop",
+        title="Softplus gradient descent, then ReLU, each to convergence",
         legs=(Leg(method="softplus_gd", schedule=SOFTPLUS_EPS), Leg(method="relu_gd")),
         source="ours: what the paper's gradient descent reaches when it is not cut off",
     ),
@@ -158,9 +157,9 @@ PIPELINES: tuple[Pipeline, ...] = (
     ),
     Pipeline(
         name="mpcc",
-        title="Exact contact from a cold start, by its windows",
+        title="Exact contact from a cold start, by its modes",
         legs=(Leg(method="mpcc"),),
-        source="ours: softplus homotopy, contact modes read off, what is left solved exactly, windows searched",
+        source="ours: softplus homotopy, contact modes read off, what is left solved exactly, mode sequences searched",
     ),
     Pipeline(
         name="collocation",
@@ -189,7 +188,7 @@ PIPELINES: tuple[Pipeline, ...] = (
     ),
     Pipeline(
         name="global",
-        title="Exact contact by its windows, then a proof of how much cheaper a plan could be",
+        title="Exact contact by its modes, then a proof of how much cheaper a plan could be",
         legs=(Leg(method="mpcc"), Leg(method="global")),
         source="ours: one binary variable a contact and step, bounds from convex relaxations, SCIP; where a proof is possible",
     ),
@@ -201,6 +200,7 @@ QUICK: tuple[str, ...] = ("softplus_dc+strict", "softplus_gd+relu_gd", FREE_MOTI
 
 
 def pipeline_names() -> tuple[str, ...]:
+    """Give the names of all pipelines, in the order of the table."""
     return tuple(pipeline.name for pipeline in PIPELINES)
 
 
@@ -213,7 +213,7 @@ def pipelines_for(scene: Scene) -> tuple[Pipeline, ...]:
 
 
 def find_pipeline(name: str) -> Pipeline:
-    """The pipeline of that name. Raises UnknownNameError."""
+    """Find the pipeline of that name. Raises UnknownNameError where there is none."""
     for pipeline in PIPELINES:
         if pipeline.name == name:
             return pipeline

@@ -53,6 +53,7 @@ class Seconds:
 
     @property
     def solve(self) -> float:
+        """Seconds in the solver: functions, derivatives and linear algebra."""
         return self.evaluate + self.linear_algebra
 
 
@@ -63,9 +64,10 @@ class Solution:
     outcome: how it ended; message: one sentence more, in words of this run ("" if none); trajectory: the plan, or None;
     cost: sum of the running cost over the steps; iterations; residuals: unscaled, by name, recomputed from the scene;
     bound: a cost below which no plan exists, if the method proves one;
-    certificate: the plan judged in the scene's strict model (`formulations.mpec.certify_solution`), None before that; starts: if there were several,
-    every one of them; front: if the least cost within several tolerances was asked, each of them; options: every option used; solver: the name and version of what ran underneath; history: per iteration,
-    columns of equal length by name; size: of the model the solver was given, and paper_size the same counted by hand, where there is a model.
+    certificate: the plan judged in the scene's strict model (`formulations.mpec.certify_solution`), None before that;
+    starts: if there were several, every one of them; front: if the least cost within several tolerances was asked, each of them;
+    options: every option used; solver: the name and version of what ran underneath; history: per iteration, columns of equal length by name;
+    size: of the model the solver was given, and paper_size the same counted by hand, where there is a model.
     """
 
     method: str
@@ -88,18 +90,22 @@ class Solution:
 
 
 def as_asked(scene: Scene, solution: Solution) -> Solution:
-    """The solution; one that solved its problem at a cost above what the scene asks for is a local optimum, and says so: STALLED."""
+    """Turn SOLVED into STALLED, and say so, where the cost is above what the scene asks for: a local optimum."""
     limit = scene.limit("cost")
-    if (
-        solution.outcome is not Outcome.SOLVED
-        or solution.cost is None
-        or limit is None
-        or limit.value is None
-        or solution.cost <= limit.value
-    ):
+    most = None if limit is None else limit.value
+    if solution.outcome is not Outcome.SOLVED or solution.cost is None or most is None or solution.cost <= most:
         return solution
-    told = f"It is a local optimum: its cost is {solution.cost:.3g}, the scene asks for at most {limit.value:.3g}; start elsewhere."
-    return replace(solution, outcome=Outcome.STALLED, message=f"{solution.message} {told}".strip())
+    local = f"It is a local optimum: its cost is {solution.cost:.3g}, the scene asks for at most {most:.3g}; start elsewhere."
+    return replace(solution, outcome=Outcome.STALLED, message=f"{solution.message} {local}".strip())
+
+
+def checked(outcome: Outcome, message: str, residuals: Mapping[str, float], limits: Mapping[str, float]) -> tuple[Outcome, str]:
+    """Turn SOLVED into STALLED where a residual of the plan itself exceeds its limit, and say which; one that is no number exceeds it."""
+    missed = {name: limit for name, limit in limits.items() if not residuals.get(name, 0.0) <= limit}
+    if outcome is not Outcome.SOLVED or not missed:
+        return outcome, message
+    worst = ", ".join(f"{name} is {residuals[name]:.3g} (limit {limit:g})" for name, limit in missed.items())
+    return Outcome.STALLED, f"{message} Checked on the plan itself, {worst}."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,8 +118,11 @@ class ModelSize:
 
 @dataclass(frozen=True, kw_only=True)
 class Bound:
-    """No plan of the exact contact problem costs less than `value`. gap: (cost - value)/cost, None without a plan; proved: the plan is optimal;
-    decisions: contacts times steps to decide, of which open_decisions were left to the search; nodes: of its tree."""
+    """No plan of the exact contact problem costs less than `value`.
+
+    gap: (cost - value)/cost, None without a plan; proved: the plan is optimal; decisions: contacts times steps to decide, of which open_decisions were
+    left to the search; nodes: of its tree.
+    """
 
     value: float
     gap: float | None
@@ -125,8 +134,11 @@ class Bound:
 
 @dataclass(frozen=True, kw_only=True)
 class Attempt:
-    """One of several starts. number: from 0; start: what it began from, in words; windows: (contact, first step, last step) of each time a
-    contact is closed; cost: None where no plan was found; seconds: CPU seconds."""
+    """One of several starts.
+
+    number: from 0; start: what it began from, in words; cost: None where no plan was found; windows (named like the column of the records): (contact,
+    first step, last step) of each time a contact is closed; seconds: CPU seconds.
+    """
 
     number: int
     start: str
@@ -138,7 +150,7 @@ class Attempt:
 
 @dataclass(frozen=True, kw_only=True)
 class FrontPoint:
-    """tolerance: largest norm of (q, v)[T] - goal; solution: the cheapest plan found within it (no trajectory: none was found)."""
+    """The cheapest plan found (no trajectory: none was found) whose norm of (q, v)[T] - goal is at most the tolerance."""
 
     tolerance: float
     solution: Solution

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from formulations.contact_modes.nonlinear import PATIENCE, SoftplusHomotopy, schedule
+from formulations.contact_modes.nonlinear import STAGE_ITERATIONS, SoftplusHomotopy, schedule
 from formulations.ipopt import IpoptResult
 from formulations.ipopt.linear_solver import band_options
 from formulations.solution import Outcome
@@ -37,20 +37,23 @@ _VARIABLES = ("q", "v", "u", "stage_q", "stage_v")
 
 @dataclass(frozen=True)
 class StageModes:
-    """Values of a plan's variables, stages included, and its modes (steps, s * nc)."""
+    """Values of a plan's variables, stages included, and its modes closed (steps, s * nc)."""
 
     values: dict[str, np.ndarray]
     closed: np.ndarray
 
     @classmethod
     def of(cls, model: Any) -> StageModes:
+        """Read them off a solved model."""
         found = {name: variable for name in _VARIABLES if (variable := model.component(f"variable_{name}")) is not None}
         return cls({name: read_values(variable) for name, variable in found.items()}, stage_penetration(model) > 0.0)
 
 
 class StageProblem:
-    """The models of one scene under one scheme: softplus contact, and complementarity. sharpnesses: of the homotopy, |ln eps|; tolerance: Ipopt's tol;
-    homotopy_tolerance: the same in the homotopy; most_iterations: of a solve."""
+    """The models of one scene under one scheme: softplus contact, and complementarity.
+
+    sharpnesses: of the homotopy, |ln eps|; tolerance: Ipopt's tol; homotopy_tolerance: the same in the homotopy; most_iterations: of a solve.
+    """
 
     def __init__(
         self,
@@ -82,49 +85,49 @@ class StageProblem:
         if start is not None:
             load_plan(bench.model, start)
 
-    def soften(self, account: SolveBudget, start: Trajectory | None, keep: Callable[[StageModes], None]) -> tuple[Outcome, str]:
-        """The homotopy from this start; how it ended. keep: called with the modes of every stage that was solved, where there are contacts."""
+    def soften(self, budget: SolveBudget, start: Trajectory | None, keep: Callable[[StageModes], None]) -> tuple[Outcome, str]:
+        """Run the homotopy from this start; how it ended. keep: called with the modes of every stage that was solved, where there are contacts."""
 
         def solved(_: Trajectory) -> None:
             if self._scene.nc:
                 keep(StageModes.of(self.homotopy.bench.model))
 
         options = {"tol": self._homotopy_tolerance, "max_iter": self._most_iterations, **band_options()}
-        return self.homotopy.run(account, options, start, solved, PATIENCE)
+        return self.homotopy.run(budget, options, start, solved, STAGE_ITERATIONS)
 
-    def nearest(self, account: SolveBudget, sharpest: float) -> Nearest:
-        """The plan that comes nearest to the goal, with contact no sharper than this."""
-        return nearest(self._scene, account, self._most_iterations, sharpest)
+    def nearest(self, budget: SolveBudget, sharpest: float) -> Nearest:
+        """Find the plan that comes nearest to the goal, with contact no sharper than this."""
+        return nearest(self._scene, budget, self._most_iterations, sharpest)
 
-    def exact(self, account: SolveBudget) -> Workbench:
-        """The model with complementarity, built at its first use."""
+    def exact(self, budget: SolveBudget) -> Workbench:
+        """Give the model with complementarity, built at its first use."""
         if self._exact is None:
             begin = perf_counter()
             model = build_model(
                 self._scene, ContactFormulation.COMPLEMENTARITY, eps=0.0, scheme=self._scheme, integrate_cost=self._integrate_cost
             )
-            account.build += perf_counter() - begin
+            budget.build += perf_counter() - begin
             self._exact = Workbench(model)
         return self._exact
 
-    def with_modes(self, account: SolveBudget, guess: StageModes) -> IpoptResult:
-        """What is left once the stages of a guess are open or closed as it says."""
-        bench = self.exact(account)
+    def with_modes(self, budget: SolveBudget, guess: StageModes) -> IpoptResult:
+        """Solve what is left once the stages of a guess are open or closed as it says."""
+        bench = self.exact(budget)
         _load(bench, guess)
         hold_modes(bench.model, guess.closed)
         options = {"tol": self._tolerance, **band_options(), **_NEAR}
-        return bench.run(account, {**options, "max_iter": account.iterations + _MODE_ITERATIONS})
+        return bench.run(budget, {**options, "max_iter": budget.iterations + _MODE_ITERATIONS})
 
-    def from_relaxed(self, account: SolveBudget, guess: StageModes) -> IpoptResult:
-        """The same with the modes of a relaxed complementarity that starts at the guess."""
-        bench = self.exact(account)
+    def from_relaxed(self, budget: SolveBudget, guess: StageModes) -> IpoptResult:
+        """Do the same with the modes of a relaxed complementarity that starts at the guess."""
+        bench = self.exact(budget)
         _load(bench, guess)
         release_modes(bench.model)
         tighten(bench.model, _RELAXED)
         options = {"tol": self._homotopy_tolerance, **band_options(), **_NEAR, "mu_init": 1e-2}
         relaxed = Workbench(bench.model)  # translated anew: the products are rows again
-        result = relaxed.run(account, {**options, "max_iter": account.iterations + self._most_iterations})
-        return self.with_modes(account, StageModes.of(bench.model)) if result.solved else result
+        result = relaxed.run(budget, {**options, "max_iter": budget.iterations + self._most_iterations})
+        return self.with_modes(budget, StageModes.of(bench.model)) if result.solved else result
 
 
 def _load(bench: Workbench, guess: StageModes) -> None:

@@ -1,16 +1,16 @@
-"""The same quadratic program by a dual active-set method (Goldfarb and Idnani): one factorisation, then one back substitution a condition.
+"""Which conditions are active in the quadratic program of fixed modes (`quadratic`): by a dual active-set method, and by an interior-point method.
 
-It starts from the plan that ignores all bounds, and imposes what is violated most, one condition at a time. The cost rises on the way and
-never exceeds the optimum: a search over modes stops it as soon as it passes the best cost known.
+The dual active-set method (Goldfarb and Idnani 1983) needs one factorisation, then one back substitution a condition. It starts from the plan that ignores
+all bounds, and imposes what is violated most, one condition at a time. The cost rises on the way and never exceeds the optimum: a search over modes stops
+it as soon as it passes the best cost known.
 
 No library does this as fast: over 229 questions of `mpcc` on four scenes PIQP (its multistage KKT) takes 0.9 to 3.2 times the CPU, Clarabel 1.7 to
 5.4, DAQP on the inputs alone 0.9 to 4.1, with the same answers. Two thirds of the questions are cut by the best cost known after a few conditions, which
 no library takes from us. On a few of them HiGHS took 59 times as long, OSQP reached 1e-6 in none in 4000 iterations, and ProxQP called all infeasible.
 
-The same quadratic program by Clarabel: an interior-point method does not mind how many conditions are active.
-
-Its answer is only used to name the active conditions, those whose multiplier exceeds their slack; the equality problem then solves exactly.
-On the questions that came here it took 0.1 to 0.7 of the CPU of an interior-point method of our own on the banded matrix, and found all that it found.
+An interior-point method (Clarabel) does not mind how many conditions are active. Its answer is only used to name the active conditions, those whose
+multiplier exceeds their slack; the equality problem then solves exactly. On the questions that came here it took 0.1 to 0.7 of the CPU of an
+interior-point method of our own on the banded matrix, and found all that it found.
 """
 
 from __future__ import annotations
@@ -26,12 +26,42 @@ from models.scene.goal import miss
 
 # Of the gap and of the conditions: Clarabel's own 1e-8 takes as long, and tells slack from multiplier less clearly.
 _TOLERANCE = 1e-10
+_VIOLATED = 1e-11  # [m], [N]
+_DEPENDENT = 1e-11  # part of a condition's own curvature below which it depends on those imposed already
+_MOST = 80  # conditions imposed or dropped; a problem with more active bounds is one for the interior point
 
 
-def active_set(linear: LinearScene, closed: np.ndarray, ball: float, softness: float = 0.0) -> tuple[np.ndarray, np.ndarray] | None:
-    """(side (steps, nu), touching (steps, nc)) at the optimum, or None where none was found: see `quadratic` for the problem.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WorkingSet:
+    """The active conditions: side (steps, nu), -1 on the lower bound, 1 on the upper, 0 free; touching (steps, nc), phi = 0 is imposed."""
+
+    side: np.ndarray
+    touching: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """How many conditions are active."""
+        return int(np.count_nonzero(self.side) + np.count_nonzero(self.touching))
+
+    def same_as(self, other: WorkingSet) -> bool:
+        """Whether the other set has the same conditions."""
+        return np.array_equal(self.side, other.side) and np.array_equal(self.touching, other.touching)
+
+
+def interior_point_active_set(linear: LinearScene, closed: np.ndarray, ball: float, softness: float = 0.0) -> WorkingSet | None:
+    """Name the active conditions by Clarabel.
 
     The unknowns are z[0..T], u, and by how much z[T] leaves the goal: what a softness lets it, then what the ball does.
+
+    Parameters
+    ----------
+    closed : (steps, nc) [-], whether a contact is closed in a step
+    ball : radius of the ball around the goal [m, rad, m/s, rad/s]
+    softness : of the goal, as in `ModesProblem`
+
+    Returns
+    -------
+    The active conditions, or None where no optimum was found.
     """
     T, n, nu, nc = linear.steps, linear.n, linear.nu, linear.nc
     aimed = np.flatnonzero(linear.aimed)
@@ -84,32 +114,38 @@ def active_set(linear: LinearScene, closed: np.ndarray, ball: float, softness: f
     side = np.zeros(T * nu, dtype=int)
     side[low] -= on_lower
     side[up] += on_upper
-    return side.reshape(T, nu), np.vstack([np.zeros((1, nc), dtype=bool), touching.reshape(T - 1, nc)])
-
-
-_VIOLATED = 1e-11  # [m], [N]
-_DEPENDENT = 1e-11  # part of a condition's own curvature below which it depends on those imposed already
-_MOST = 80  # conditions imposed or dropped; a problem with more active bounds is one for the interior point
+    return WorkingSet(side=side.reshape(T, nu), touching=np.vstack([np.zeros((1, nc), dtype=bool), touching.reshape(T - 1, nc)]))
 
 
 @dataclass(frozen=True, eq=False)
 class DualAnswer:
-    """cost: of the optimum, or a lower bound where `is_cut`; side, touching: the active set."""
+    """Cost of the optimum, or a lower bound of it where `is_cut`, and the active conditions."""
 
     cost: float
     is_cut: bool
-    side: np.ndarray
-    touching: np.ndarray
+    active: WorkingSet
 
 
-class DualRounds:
-    """See the module docstring. A condition is (kind, t, column), kind -1 and 1 a bound of u, 0 the sign of phi."""
+class DualActiveSet:
+    """The dual active-set method. A condition is (kind, t, column), kind -1 and 1 a bound of u, 0 the sign of phi."""
 
     def __init__(self, linear: LinearScene, kkt: BandedKKT) -> None:
         self._linear, self._kkt = linear, kkt
 
-    def run(self, closed: np.ndarray, goal: np.ndarray, ceiling: float, softness: float = 0.0) -> DualAnswer | str:
-        """The optimum or a bound above `ceiling`; "infeasible" or "unfinished" where there is none."""
+    def solve(self, closed: np.ndarray, goal: np.ndarray, ceiling: float, softness: float = 0.0) -> DualAnswer | str:
+        """Impose violated conditions until there is none, or the cost passes `ceiling`.
+
+        Parameters
+        ----------
+        closed : (steps, nc) [-], whether a contact is closed in a step
+        goal : (n,) [m, rad, m/s, rad/s], NaN where the end is free
+        ceiling : cost above which the optimum is of no interest
+        softness : of the goal, as in `ModesProblem`
+
+        Returns
+        -------
+        The optimum or a bound above `ceiling`; "infeasible" or "unfinished" where there is none.
+        """
         lin, kkt = self._linear, self._kkt
         sign = np.where(closed, 1.0, -1.0)
         none_u, none_c = np.zeros((lin.steps, lin.nu), dtype=bool), np.zeros((lin.steps, lin.nc), dtype=bool)
@@ -125,12 +161,12 @@ class DualRounds:
         for _ in range(_MOST):
             point = kkt.point(x)
             cost = self._cost(point, goal, softness)
-            condition, reach = self._worst(point, sign, imposed)
+            condition, violation = self._worst(point, sign, imposed)
             if condition is None or cost >= ceiling:
                 side, touching = np.zeros((lin.steps, lin.nu), dtype=int), none_c.copy()
                 for kind, t, column in imposed:
                     (touching if kind == 0 else side)[t, column] = kind or 1
-                return DualAnswer(cost, condition is not None, side, touching)
+                return DualAnswer(cost, condition is not None, WorkingSet(side=side, touching=touching))
             column = kkt.solve(self._right(condition, sign))
             own, own_force = self._value(column, condition, sign), 0.0
             cross = np.array([self._value(column, other, sign) for other in imposed])
@@ -143,13 +179,13 @@ class DualRounds:
                 falling = np.flatnonzero(share > 1e-14)
                 drop = int(falling[np.argmin(force[falling] / share[falling])]) if falling.size else -1
                 partial = float(force[drop] / share[drop]) if drop >= 0 else np.inf
-                full = -reach / slope if slope > _DEPENDENT * own else np.inf
+                full = -violation / slope if slope > _DEPENDENT * own else np.inf
                 step = min(partial, full)
                 if not np.isfinite(step):
                     return "infeasible"
                 if np.isfinite(full):
                     x = x + step * (column - share @ np.array(columns) if columns else column)
-                    reach += step * slope
+                    violation += step * slope
                 force, own_force = force - step * share, own_force + step
                 if full <= partial:
                     break

@@ -1,18 +1,16 @@
-"""From contact modes that miss the goal to modes that reach it: the same search over windows, with the miss as a price that rises.
+"""How the goal is met: inputs corrected until their rollout ends on it, and modes that miss it continued to modes that meet it.
 
-    answer = approach(problem, closed, stride, is_over)          # closed: the modes of a rollout, whatever it ends at
+    rollout, u = correct_end(scene, kernel, u, ball)
 
-The modes of a rollout always have a plan if the goal need not be met. Its cost is sum_t cost + |z[T] - goal|^2 / (2 softness); windows are
-searched for less of it, the softness falls, until the modes found have a plan that meets the goal. Steering one rollout stops where a contact
-would have to begin or end; here that is a neighbour like any other, and the multipliers of touching pairs say which.
+What a solver's plan misses the goal by in its replay is taken out by steps on the true rollout. Each step is the smallest change of the inputs that moves
+the end state where it should be, by the adjoint of the time step (Levenberg and Marquardt: a Newton step where that works, as it does for a miss of 1e-9;
+a shorter one, along which contacts may begin and end, from further off). Inputs on a bound are not pushed across it.
 
-Inputs that hit the goal to rounding: what a solver's plan misses it by in its replay is taken out by steps on the true rollout.
+    answer = continue_to_goal(problem, closed, stride, is_over)          # closed: the modes of a rollout, whatever it ends at
 
-    rollout, u = land(kernel, start, goal, u, step, (lower, upper), ball)
-
-Each step is the smallest change of the inputs that moves the end state where it should be, by the adjoint of the time step (Levenberg and
-Marquardt: a Newton step where that works, as it does for a miss of 1e-9; a shorter one, along which contacts may begin and end, from further
-off). Inputs on a bound are not pushed across it.
+The modes of a rollout always have a plan if the goal need not be met. Its cost is sum_t cost + |z[T] - goal|^2 / (2 softness); mode sequences are searched
+for less of it, the softness falls, until the modes found have a plan that meets the goal. Correcting one rollout stops where a contact would have to begin
+or end; here that is a neighbour like any other, and the multipliers of touching pairs say which.
 """
 
 from __future__ import annotations
@@ -21,33 +19,32 @@ from collections.abc import Callable
 
 import numpy as np
 
-from formulations.contact_modes.quadratic import ModesAnswer, ModesProblem
-from formulations.contact_modes.search import search_windows
+from formulations.contact_modes.quadratic import ModesProblem, QuadraticAnswer
+from formulations.contact_modes.search import search_sequences
+from formulations.grids import input_bounds
 from models.codegen.kernel import Kernel, Rollout
 from models.contact_law import ContactLaw
-from models.scene import goal as goals
-from models.scene.goal import distance
+from models.scene import Scene
+from models.scene.goal import distance, goal_state, miss
 
 _GOOD_ENOUGH = 1e-13  # relative to the size of the goal: what a rollout of some hundred steps rounds to
 _MOST = 150  # steps tried; the plan of a solver needs one or two, a softplus plan with many contacts up to a hundred
-_FIRST_TRIES, _CALMER, _BOLDER = (
-    1e-4,
-    4.0,
-    0.2,
-)  # damping after the first failure (part of the largest eigenvalue); its factor after failure and success
+# Damping after the first failure (part of the largest eigenvalue); its factor after failure and success.
+_FIRST_DAMPING, _CALMER, _BOLDER = 1e-4, 4.0, 0.2
 _LEAST, _LARGEST = 1e-10, 1e8  # damping below which it is none at all, and above which nothing is left to try
 
 # By softplus: factor between two sharpnesses b L, the last (eps = exp(-b L) must be a number), steps tried at each, and the miss that is enough there.
 _SHARPER, _SHARPEST, _EACH, _ON_THE_WAY = 1.25, 700.0, 25, 1e-7
 
+_FIRST = 0.05  # the first miss is worth twenty times the cost of the inputs
+_FALL, _LEVELS = 0.02, 4
+_TRIES = 120  # modes tried at a level
 
-def land(
+
+def correct_end(
+    scene: Scene,
     kernel: Kernel,
-    start: np.ndarray,
-    goal: np.ndarray,
     u: np.ndarray,
-    step: float,
-    bounds: tuple[np.ndarray, np.ndarray],
     ball: float = 0.0,
     *,
     law: ContactLaw = ContactLaw.RELU,
@@ -55,59 +52,91 @@ def land(
     most: int = _MOST,
     enough: float = _GOOD_ENOUGH,
 ) -> tuple[Rollout, np.ndarray]:
-    """The rollout and the corrected inputs; it ends nearer to the goal (or to the ball around it) than that of u, or is that of u."""
+    """Change inputs as little as needed for their rollout to end on the goal.
+
+    Parameters
+    ----------
+    u : (steps, nu) [N, N m], inputs to begin with
+    ball : radius of the ball around the goal that is near enough [m, rad, m/s, rad/s]
+    law, eps : contact law of the rollouts, and the eps of softplus [-]
+    most : most steps tried
+    enough : miss that counts as none, in parts of the goal's size [-]
+
+    Returns
+    -------
+    The rollout and its inputs (steps, nu) [N, N m]. It ends nearer to the goal than that of u, or is that of u.
+
+    Raises
+    ------
+    KernelError
+        Where the mass matrix is not positive definite along the rollout.
+    """
+    start, goal, step, bounds = np.array(scene.task.start), goal_state(scene.task), scene.task.step, input_bounds(scene)
     u = np.clip(u, *bounds)
     best = kernel.rollout(start, u, step, law, eps)
-    miss = miss_of(best, goal, ball)
+    missed = ball_miss(best, goal, ball)
     near = enough * max(1.0, float(np.linalg.norm(np.nan_to_num(goal))))
     damping, slopes = 0.0, None
     for _ in range(most):
-        if best.diverged or np.linalg.norm(miss) <= near or damping > _LARGEST:
+        if best.diverged or np.linalg.norm(missed) <= near or damping > _LARGEST:
             break
         if slopes is None:
-            slopes = _sensitivity(kernel, best, u, len(goal))
+            slopes = np.stack([kernel.adjoint(best, u, end_bar=component)[0] for component in np.eye(len(goal))])  # d(q, v)[T]/du
             slopes[np.isnan(goal)] = 0.0  # a free component does not ask for anything
-        tried_u = np.clip(u + _change(slopes, miss, u, bounds, damping), *bounds)
+        tried_u = np.clip(u + _change(slopes, missed, u, bounds, damping), *bounds)
         tried = kernel.rollout(start, tried_u, step, law, eps)
-        tried_miss = miss_of(tried, goal, ball)
-        if not tried.diverged and np.linalg.norm(tried_miss) < np.linalg.norm(miss):
-            best, u, miss, slopes = tried, tried_u, tried_miss, None
+        tried_miss = ball_miss(tried, goal, ball)
+        if not tried.diverged and np.linalg.norm(tried_miss) < np.linalg.norm(missed):
+            best, u, missed, slopes = tried, tried_u, tried_miss, None
             damping = damping * _BOLDER if damping > _LEAST else 0.0
         else:
-            damping = max(_FIRST_TRIES, damping * _CALMER)
+            damping = max(_FIRST_DAMPING, damping * _CALMER)
     return best, u
 
 
-def land_by_softplus(
-    kernel: Kernel,
-    start: np.ndarray,
-    goal: np.ndarray,
-    u: np.ndarray,
-    step: float,
-    bounds: tuple[np.ndarray, np.ndarray],
-    ball: float,
-    sharpness: float,
-) -> tuple[Rollout, np.ndarray]:
-    """The same by way of softplus contact that grows sharper in small steps, from `sharpness` (b L, L the scene's length),
-    at which u nearly ends where it should.
+def correct_end_by_softplus(scene: Scene, kernel: Kernel, u: np.ndarray, ball: float, sharpness: float) -> tuple[Rollout, np.ndarray]:
+    """Do the same by way of softplus contact that grows sharper in small steps.
 
     A contact that begins or ends on the way bends the path of the true law, and a miss may be smallest at such a bend; softplus has none.
+
+    Parameters
+    ----------
+    u : (steps, nu) [N, N m], inputs to begin with
+    ball : radius of the ball around the goal that is near enough [m, rad, m/s, rad/s]
+    sharpness : b L [-], L the scene's length, at which u nearly ends where it should
+
+    Returns
+    -------
+    The rollout through the true contact law and its inputs (steps, nu) [N, N m].
+
+    Raises
+    ------
+    KernelError
+        Where the mass matrix is not positive definite along the rollout.
     """
     for b in np.geomspace(sharpness, _SHARPEST, 2 + int(np.log(_SHARPEST / sharpness) / np.log(_SHARPER))):
-        _, u = land(
-            kernel, start, goal, u, step, bounds, ball, law=ContactLaw.SOFTPLUS, eps=float(np.exp(-b)), most=_EACH, enough=_ON_THE_WAY
-        )
-    return land(kernel, start, goal, u, step, bounds, ball)
+        _, u = correct_end(scene, kernel, u, ball, law=ContactLaw.SOFTPLUS, eps=float(np.exp(-b)), most=_EACH, enough=_ON_THE_WAY)
+    return correct_end(scene, kernel, u, ball)
 
 
-def miss_of(rollout: Rollout, goal: np.ndarray, ball: float) -> np.ndarray:
-    """By how much the end misses the ball around the goal, as a vector."""
-    error = goals.miss(np.concatenate([rollout.q[-1], rollout.v[-1]]), goal)
+def ball_miss(rollout: Rollout, goal: np.ndarray, ball: float) -> np.ndarray:
+    """Give the vector from the ball around the goal to the end of a rollout.
+
+    Parameters
+    ----------
+    goal : (2*nq,) [m, rad, m/s, rad/s], NaN where the end is free
+    ball : radius of the ball [m, rad, m/s, rad/s]
+
+    Returns
+    -------
+    (2*nq,) [m, rad, m/s, rad/s], zero inside the ball
+    """
+    error = miss(np.concatenate([rollout.q[-1], rollout.v[-1]]), goal)
     size = float(np.linalg.norm(error))
     return error * (max(0.0, size - ball) / size) if size > 0.0 else error
 
 
-def _change(slopes: np.ndarray, miss: np.ndarray, u: np.ndarray, bounds: tuple[np.ndarray, np.ndarray], damping: float) -> np.ndarray:
+def _change(slopes: np.ndarray, missed: np.ndarray, u: np.ndarray, bounds: tuple[np.ndarray, np.ndarray], damping: float) -> np.ndarray:
     """The damped step of the inputs (steps, nu); those on a bound that it would push outwards are left out of it."""
     free = np.ones(u.shape, dtype=bool)
     change = np.zeros(u.shape)
@@ -116,31 +145,25 @@ def _change(slopes: np.ndarray, miss: np.ndarray, u: np.ndarray, bounds: tuple[n
         gram = matrix @ matrix.T
         values, vectors = np.linalg.eigh(gram)
         shifted = values + damping * values[-1]
-        along = np.where(shifted > 1e-14 * values[-1], vectors.T @ -miss / np.where(shifted > 0.0, shifted, 1.0), 0.0)
+        along = np.where(shifted > 1e-14 * values[-1], vectors.T @ -missed / np.where(shifted > 0.0, shifted, 1.0), 0.0)
         change = (matrix.T @ (vectors @ along)).reshape(u.shape)
         free = ~(((u <= bounds[0]) & (change < 0.0)) | ((u >= bounds[1]) & (change > 0.0)))
     return change
 
 
-def _sensitivity(kernel: Kernel, rollout: Rollout, u: np.ndarray, n: int) -> np.ndarray:
-    """d(q, v)[T]/du: (n, steps, nu)."""
-    rows = []
-    for index in range(n):
-        q_bar, v_bar = np.zeros_like(rollout.q), np.zeros_like(rollout.v)
-        end = np.zeros(n)
-        end[index] = 1.0
-        q_bar[-1], v_bar[-1] = end[: n // 2], end[n // 2 :]
-        rows.append(kernel.adjoint(rollout, u, q_bar, v_bar)[0])
-    return np.stack(rows)
+def continue_to_goal(problem: ModesProblem, closed: np.ndarray, stride: int, is_over: Callable[[], bool]) -> QuadraticAnswer | None:
+    """Find modes that meet the goal, from modes that miss it.
 
+    Parameters
+    ----------
+    closed : (steps, nc) [-], modes that need not have a plan that meets the goal
+    stride : first stride of the searches [steps]
+    is_over : whether to stop
 
-_FIRST = 0.05  # the first miss is worth twenty times the cost of the inputs
-_FALL, _LEVELS = 0.02, 4
-_TRIES = 120  # modes tried at a level
-
-
-def approach(problem: ModesProblem, closed: np.ndarray, stride: int, is_over: Callable[[], bool]) -> ModesAnswer | None:
-    """The optimum of modes that meet the goal, or None where none were found."""
+    Returns
+    -------
+    The optimum of the modes found, or None where none were found.
+    """
     linear = problem.linear
     try:
         problem.softness = 1.0
@@ -156,7 +179,7 @@ def approach(problem: ModesProblem, closed: np.ndarray, stride: int, is_over: Ca
             if answer is None:
                 return None
             last = problem.solves + _TRIES
-            found = search_windows(
+            found = search_sequences(
                 answer,
                 lambda modes, near, below: problem.solve(modes, near=near, below=below),
                 stride=stride,

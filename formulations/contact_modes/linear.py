@@ -1,30 +1,23 @@
-"""The optimality conditions of a plan with fixed contact modes, as one banded matrix, factorised in milliseconds.
+"""A linear scene in numbers, and the optimality conditions of its plans with fixed contact modes as one banded matrix.
 
-Unknowns, time by time: y[t] (multipliers of the time step), u[t], z[t+1], mu[t+1] (multipliers of phi = 0 where that is imposed), and w, the
-multipliers of the goal, last. All that a change of modes or active bounds does is change numbers in the band: its shape is settled once.
+    linear = linear_scene(scene)          # ask `why_not_linear(scene)` first
+    linear.A @ z + linear.B @ u + linear.c + linear.E @ lam
+
+z = (q, v) moves by z[t+1] = A z[t] + B u[t] + c + E lam[t], and lam_i = k_i phi_i(z) where contact i is closed. The running cost is
+1/2 x' H x + g' x + constant with x = (q, v, u). With the contact modes fixed, what is left of the planning problem is a convex quadratic program.
 
     kkt = BandedKKT(linear)
     kkt.factor(closed, held, touching)             # which contacts push, which inputs lie on a bound, where phi = 0 is imposed
-    point = kkt.solve(kkt.right_side(closed, held, bound, touching, goal))
+    point = kkt.point(kkt.solve(kkt.right_side(closed, held, bound, touching, goal)))
 
-Lagrangian: L = sum_t cost(z[t], u[t]) + y[t]' (A[t] z[t] + B u[t] + c[t] - z[t+1]) + mu[t]' (P z[t] + p) + w' (z[T] - goal).
+Unknowns, time by time: y[t] (multipliers of the time step), u[t], z[t+1], mu[t+1] (multipliers of phi = 0 where that is imposed), and w, the
+multipliers of the goal, last. All that a change of modes or active bounds does is change numbers in the band: its shape is settled once. Lagrangian:
 
-Banded LU with row pivoting in compiled C: milliseconds for a plan of some hundred steps, always one thread.
+    L = sum_t cost(z[t], u[t]) + y[t]' (A[t] z[t] + B u[t] + c[t] - z[t+1]) + mu[t]' (P z[t] + p) + w' (z[T] - goal)
 
-    band = BandedLU(size, width)
-    band.factor(matrix)                 # (2*width + 1, size), Fortran order: entry (i, j) at [width + i - j, j]; False where singular
-    x = band.solve(right)               # right (size,) or (size, m)
-
-LAPACK's gbtrf and gbtrs do the same through SciPy. Measured on three_cart x mpcc_front they took 1.7 times the CPU of the whole solve: their loop over
-the columns calls the BLAS twice for each, for ten numbers; and where the threads of the BLAS are not limited, these spin, three times.
-
-A linear scene in numbers: z = (q, v) moves by z[t+1] = A z[t] + B u[t] + c + E lam[t], and lam_i = k_i phi_i(z) where contact i is closed.
-
-    linear = linear_scene(scene)          # raises nothing: ask `why_not_linear(scene)` first
-    linear.A @ z + linear.B @ u + linear.c + linear.E @ lam
-
-The running cost is 1/2 x' H x + g' x + constant with x = (q, v, u). With the contact modes fixed, what is left of the planning problem
-is a convex quadratic program.
+The banded LU with row pivoting is compiled C, milliseconds for a plan of some hundred steps, always one thread. LAPACK's gbtrf and gbtrs do the same
+through SciPy. Measured on three_cart x mpcc_front they took 1.7 times the CPU of the whole solve: their loop over the columns calls the BLAS twice for
+each, for ten numbers; and where the threads of the BLAS are not limited, these spin, three times.
 """
 
 from __future__ import annotations
@@ -38,6 +31,7 @@ from pathlib import Path
 import numpy as np
 import sympy as sp
 
+from formulations.grids import input_bounds
 from models.codegen.cache import cached
 from models.codegen.compiler import FLAGS, compile_shared, find_compiler
 from models.dynamics import Dynamics, derive
@@ -66,7 +60,7 @@ def _library() -> ctypes.CDLL:
 
 
 class BandedLU:
-    """See the module docstring."""
+    """Banded LU with row pivoting: entry (i, j) of the matrix stands at [width + i - j, j]."""
 
     def __init__(self, size: int, width: int) -> None:
         self._size, self._width = size, width
@@ -75,18 +69,23 @@ class BandedLU:
         self._factors, self._pivots = np.zeros((3 * width + 1, size), order="F"), np.zeros(size, dtype=np.intc)
 
     def factor(self, matrix: np.ndarray) -> bool:
-        """Factorise; False where a pivot is exactly zero. The matrix is kept, and must not be written to afterwards."""
+        """Factorise; False where a pivot is exactly zero.
+
+        Parameters
+        ----------
+        matrix : (2*width + 1, size) [-], in Fortran order; it is kept, and must not be written to afterwards
+        """
         self._matrix = np.asfortranarray(matrix, dtype=np.float64)
         self._factors[: self._width], self._factors[self._width :] = 0.0, matrix
         return self._library.band_factor(self._size, self._width, self._factors.ctypes.data, self._pivots.ctypes.data) == 0
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """Solution of the factorised system for right (size,) or (size, m), refined once by its own residual."""
+        """Solve the factorised system for right (size,) or (size, m) [-], refined once by its own residual; the same shape [-]."""
         found = self._back(right)
         return found + self._back(right - self.product(found))
 
     def product(self, x: np.ndarray) -> np.ndarray:
-        """The matrix of the last factorisation times x (size,) or (size, m)."""
+        """Multiply by the matrix of the last factorisation: x (size,) or (size, m) [-] -> the same shape [-]."""
         columns = np.array(x.T, dtype=np.float64, order="C", ndmin=2)
         found = np.empty_like(columns)
         for column, row in zip(columns, found, strict=True):
@@ -106,7 +105,9 @@ _CONVEX = 1e-12
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinearScene:
-    """n = 2*nq states z = (q, v). A (n, n), B (n, nu), c (n,), E (n, nc) [per N]; phi = P z + p, P (nc, n), p (nc,) [m]; k (nc,) [N/m].
+    """The matrices of a linear scene with n = 2*nq states z = (q, v).
+
+    A (n, n), B (n, nu), c (n,), E (n, nc) [per N]; phi = P z + p, P (nc, n), p (nc,) [m]; k (nc,) [N/m].
 
     H (n+nu, n+nu), g (n+nu,), constant: the running cost; lower, upper (nu,); start, goal (n,), NaN where the end is free; step [s], steps.
     The first `contacts` of the nc rows of P are contacts. The others are bounds of velocities, phi <= 0: contacts that push with no force
@@ -133,31 +134,34 @@ class LinearScene:
 
     @property
     def aimed(self) -> np.ndarray:
-        """(n,) whether a component of the end is given."""
+        """Whether a component of the end is given: (n,) [-]."""
         return ~np.isnan(self.goal)
 
     def with_bounds(self, closed: np.ndarray) -> np.ndarray:
-        """(steps, nc) modes of contacts (steps, contacts) with those of the bounds: open."""
+        """Append the modes of the velocity bounds, always open, to those of the contacts: (steps, contacts) [-] -> (steps, nc) [-]."""
         return np.hstack([closed, np.zeros((len(closed), self.nc - self.contacts), dtype=bool)])
 
     @property
     def n(self) -> int:
+        """Number of states, positions and velocities."""
         return len(self.c)
 
     @property
     def nu(self) -> int:
+        """Number of inputs."""
         return self.B.shape[1]
 
     @property
     def nc(self) -> int:
+        """Number of contacts and velocity bounds."""
         return len(self.p)
 
     def penetration(self, z: np.ndarray) -> np.ndarray:
-        """phi (rows, nc) [m] at states z (rows, n)."""
+        """Give phi (rows, nc) [m] at states z (rows, n) [m, rad, m/s, rad/s]."""
         return z @ self.P.T + self.p
 
     def cost(self, z: np.ndarray, u: np.ndarray) -> float:
-        """Sum of the running cost; z (steps, n), u (steps, nu)."""
+        """Sum the running cost over z (steps, n) [m, rad, m/s, rad/s] and u (steps, nu) [N, N m]."""
         x = np.hstack([z, u])
         return float(0.5 * ((x @ self.H) * x).sum() + (x @ self.g).sum() + self.constant * len(x))
 
@@ -179,7 +183,7 @@ def why_not_linear(scene: Scene) -> str | None:
 
 
 def linear_scene(scene: Scene) -> LinearScene:
-    """The numbers of a scene for which `why_not_linear` is None."""
+    """Give the matrices of a scene for which `why_not_linear` is None."""
     d, task, nq = derive(scene), scene.task, scene.nq
     inverse = np.linalg.inv(_numbers(d, d.mass_matrix))
     slope = {name: inverse @ _slopes(d, d.tau, symbols) for name, symbols in (("q", d.q), ("v", d.v), ("u", d.u))}
@@ -190,7 +194,7 @@ def linear_scene(scene: Scene) -> LinearScene:
     position = np.hstack([eye, np.zeros((nq, nq))]) + h * velocity
     x = [*d.q, *d.v, *d.u]
     cost = sp.Matrix([d.running_cost])
-    P, p = _velocity_bounds(scene)
+    (lower, upper), (P, p) = input_bounds(scene), _velocity_bounds(scene)
     return LinearScene(
         A=np.vstack([position, velocity]),
         B=np.vstack([h * h * slope["u"], h * slope["u"]]),
@@ -202,8 +206,8 @@ def linear_scene(scene: Scene) -> LinearScene:
         H=np.array(_cost_hessian(d), dtype=float),
         g=_numbers(d, cost.jacobian(x).subs(dict.fromkeys(x, 0))).ravel(),
         constant=float(_at_zero(d, cost)[0]),
-        lower=np.array([item.lower for item in scene.inputs], dtype=float),
-        upper=np.array([item.upper for item in scene.inputs], dtype=float),
+        lower=lower,
+        upper=upper,
         start=np.array(task.start),
         goal=goal_state(task),
         step=h,
@@ -252,8 +256,14 @@ class Point:
     w: np.ndarray
 
 
+def _block(rows: np.ndarray, columns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows (times, m) and columns (times, m) of the m entries of a block (a, b) that are not zero, and these entries (m,)."""
+    i, j = values.nonzero()
+    return rows[:, i], columns[:, j], values[i, j]
+
+
 class BandedKKT:
-    """See the module docstring."""
+    """The optimality conditions of a linear scene as a banded matrix, `size` rows and columns."""
 
     def __init__(self, linear: LinearScene) -> None:
         self._linear = linear
@@ -275,10 +285,9 @@ class BandedKKT:
         entries: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
         def add(rows: np.ndarray, columns: np.ndarray, values: np.ndarray) -> None:
-            """The same dense block at each time: rows (times, a), columns (times, b), values (a, b)."""
-            i, j = np.nonzero(values)
-            at = np.broadcast_to(values[i, j], (len(rows), len(i)))
-            entries.append((rows[:, i].ravel(), columns[:, j].ravel(), at.ravel()))
+            """Add the same dense block at each time: rows (times, a), columns (times, b) [-], values (a, b) [-]."""
+            at_rows, at_columns, numbers = _block(rows, columns, values)
+            entries.append((at_rows.ravel(), at_columns.ravel(), np.broadcast_to(numbers, at_rows.shape).ravel()))
 
         add(self._y, self.rows_z, -ones)
         add(self.rows_z, self._y, -ones)
@@ -297,23 +306,20 @@ class BandedKKT:
         i, j = self._step
         forward = self._y[1:, i], self.rows_z[:-1, j]
         held = [(self.rows_u, self.rows_u, r), (self.rows_u, self._y, lin.B.T), (self.rows_u[1:], self.rows_z[:-1], s.T)]
-        moving = [forward, *((a[:, v.nonzero()[0]], b[:, v.nonzero()[1]]) for a, b, v in held)]
-        moving += [
-            (self.rows_u, self.rows_u),
-            (self.rows_mu[:-1, lin.P.nonzero()[0]], self.rows_z[:-1, lin.P.nonzero()[1]]),
-            (self.rows_mu, self.rows_mu),
-        ]
-        reach = [rows - columns, *((a - b).ravel() for a, b in moving)]
-        width = max(int(np.abs(part).max(initial=0)) for part in reach)
+        blocks = [(_block(*block), block[2].nonzero()[0]) for block in held]
+        touch = _block(self.rows_mu[:-1], self.rows_z[:-1], lin.P)
+        moving = [forward, *((a, b) for (a, b, _), _ in blocks), (self.rows_u, self.rows_u), touch[:2], (self.rows_mu, self.rows_mu)]
+        distances = [rows - columns, *((a - b).ravel() for a, b in moving)]
+        width = max(int(np.abs(part).max(initial=0)) for part in distances)
         self._width, self._height = width, 2 * width + 1  # as many diagonals below as above
         self._lu = BandedLU(self.size, width)
         self._constant = np.zeros((self._height, self.size), order="F")
         flat = self._constant.reshape(-1, order="F")
         np.add.at(flat, self._place(rows, columns), values)
         self._at_forward, self._at_backward = self._place(*forward), self._place(forward[1], forward[0])
-        self._at_held = [(self._place(a[:, v.nonzero()[0]], b[:, v.nonzero()[1]]), v.nonzero()[0], v[v.nonzero()]) for a, b, v in held]
+        self._at_held = [(self._place(a, b), row, numbers) for (a, b, numbers), row in blocks]
         self._at_u = self._place(self.rows_u, self.rows_u)
-        self._at_touch = self._place(self.rows_mu[:-1, lin.P.nonzero()[0]], self.rows_z[:-1, lin.P.nonzero()[1]])
+        self._at_touch = self._place(*touch[:2])
         self._at_mu = self._place(self.rows_mu, self.rows_mu)
         self._at_w = self._place(self.rows_w, self.rows_w)
 
@@ -321,19 +327,15 @@ class BandedKKT:
         """Positions in the band, column by column (Fortran order)."""
         return columns * self._height + self._width + rows - columns
 
-    def transition(self, closed: np.ndarray) -> np.ndarray:
-        """A[t] (rows, n, n) with the contacts of closed (rows, nc) pushing."""
-        return self._linear.A + np.tensordot(closed.astype(float), self._closing, axes=1)
-
-    def drift(self, closed: np.ndarray) -> np.ndarray:
-        """c[t] (steps, n)."""
-        return self._linear.c + (closed * (self._linear.k * self._linear.p)) @ self._linear.E.T
-
     def factor(self, closed: np.ndarray, held: np.ndarray, touching: np.ndarray, *, softness: float = 0.0) -> bool:
-        """Factorise with these closed contacts (steps, nc), inputs held on a bound (steps, nu) and phi = 0 imposed (steps, nc; row 0 unused).
+        """Factorise; False where the matrix is singular: the goal cannot be steered to, or conditions contradict each other.
 
-        softness: instead of z[T] = goal, the cost 1/2 |z[T] - goal|^2 / softness is added.
-        False where the matrix is singular: the goal cannot be steered to, or conditions contradict each other.
+        Parameters
+        ----------
+        closed : (steps, nc) [-], whether a contact is closed in a step
+        held : (steps, nu) [-], whether an input lies on a bound
+        touching : (steps, nc) [-], whether phi = 0 is imposed; row 0 is not used
+        softness : instead of z[T] = goal, the cost 1/2 |z[T] - goal|^2 / softness is added
         """
         band = self._constant.copy(order="F")
         flat = band.reshape(-1, order="F")
@@ -354,11 +356,22 @@ class BandedKKT:
         return self._lu.factor(band)
 
     def right_side(self, closed: np.ndarray, held: np.ndarray, bound: np.ndarray, touching: np.ndarray, goal: np.ndarray) -> np.ndarray:
-        """(size,) right-hand side; bound (steps, nu): the values of held inputs; goal (n,): where z[T] is to be."""
+        """Give the right-hand side of the optimality system.
+
+        Parameters
+        ----------
+        closed, held, touching : (steps, nc), (steps, nu), (steps, nc) [-], as in `factor`
+        bound : (steps, nu) [N, N m], values of the inputs that are held
+        goal : (n,) [m, rad, m/s, rad/s], where z[T] is to be
+
+        Returns
+        -------
+        (size,) [-]
+        """
         lin, n = self._linear, self._linear.n
         right = np.zeros(self.size)
-        step = -self.drift(closed)
-        step[0] -= self.transition(closed[:1])[0] @ lin.start
+        step = -(lin.c + (closed * (lin.k * lin.p)) @ lin.E.T)
+        step[0] -= (lin.A + np.tensordot(closed[0].astype(float), self._closing, axes=1)) @ lin.start
         slope = np.tile(-lin.g[n:], (lin.steps, 1))
         slope[0] -= lin.H[n:, :n] @ lin.start
         right[self._y], right[self.rows_u] = step, np.where(held, bound, slope)
@@ -368,22 +381,22 @@ class BandedKKT:
         return right
 
     def goal_columns(self) -> np.ndarray:
-        """(size, number of given components) right-hand sides of a goal moved by one in each of their directions."""
+        """Give the right-hand sides (size, given) [-] of a goal moved by one in each direction that is given."""
         rows = self.rows_w[self._linear.aimed]
         columns = np.zeros((self.size, len(rows)), order="F")
         columns[rows, np.arange(len(rows))] = 1.0
         return columns
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """Solution of the factorised system for right (size,) or (size, m), refined once by its own residual."""
+        """Solve the factorised system for right (size,) or (size, m) [-], refined once by its own residual; the same shape [-]."""
         return self._lu.solve(right)
 
     def product(self, x: np.ndarray) -> np.ndarray:
-        """The matrix of the last factorisation times x (size,)."""
+        """Multiply by the matrix of the last factorisation: x (size,) [-] -> (size,) [-]."""
         return self._lu.product(x)
 
     def point(self, x: np.ndarray) -> Point:
-        """A solution by name."""
+        """Take a solution x (size,) [-] apart."""
         lin = self._linear
         return Point(
             z=np.vstack([lin.start, x[self.rows_z]]),

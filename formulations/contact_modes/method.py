@@ -1,4 +1,4 @@
-"""What `mpcc` and `mpcc_front` share beside their session: the options, and to which scenes contact windows apply. Light to import: no Pyomo."""
+"""What `mpcc` and `mpcc_front` share beside their session: the options, and which scenes have only open and closed contacts. Light to import: no Pyomo."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from models.scene import Scene
 
 @dataclass(frozen=True, kw_only=True)
 class MpccOptions(Options):
-    search: bool = option(True, "search for cheaper contact windows around those found")
+    """Options of `mpcc`."""
+
+    search: bool = option(True, "search for cheaper contact modes around those found")
     search_windows: int = option(
-        2000, "most contact windows that are tried; a twentieth of them where each is a run of Ipopt", lower=0, upper=10**9
+        2000, "most contact mode sequences that are tried; a twentieth of them where each is a run of Ipopt", lower=0, upper=10**9
     )
     search_share: float = option(0.5, "part of the work that is left, and of the time, which this search may take", lower=0.0, upper=1.0)
     work: float = option(
@@ -43,7 +45,7 @@ class MpccOptions(Options):
     )
     sharpness_growth: float = option(2.0, "factor between two stages", lower=1.01, upper=1e3)
     coarse_steps: int = option(
-        600, "a task of more steps is first solved on a grid of at most so many, whose windows are then refined", lower=2, upper=10**9
+        600, "a task of more steps is first solved on a grid of at most so many, whose contact modes are then refined", lower=2, upper=10**9
     )
     goal_tolerance: float = option(
         0.0, "how far from the goal the plan may end, in the norm of (q, v): the cheapest end within this ball is chosen", lower=0.0
@@ -74,14 +76,14 @@ class MpccOptions(Options):
 
 
 def why_not(scene: Scene) -> str | None:
-    """None, or the reason why contact windows do not make a plan of this scene."""
+    """Give None, or the reason why modes that are open or closed do not make a plan of this scene."""
     if not scene.inputs:
         return without_inputs(scene, "plan")
     if scene.nf:
-        return f"scene {scene.name} has friction, and contact windows alone do not say where it sticks; strict_lcp plans it."
+        return f"scene {scene.name} has friction, and open and closed contacts alone do not say where it sticks; strict_lcp plans it."
     if scene.damped:
         names = ", ".join(scene.contacts[index].name for index in scene.damped)
-        return f"scene {scene.name} has damped contacts ({names}), and contact windows alone do not say where they are released; strict_lcp plans it."
+        return f"scene {scene.name} has damped contacts ({names}), and open and closed contacts alone do not say where they are released; strict_lcp plans it."
     # What is smooth as it was written is so once it is derived.
     written = {
         "the kinetic energy": (scene.kinetic_energy,),

@@ -2,20 +2,14 @@
 
 The same question as `quadratic` answers for linear scenes, at the price of an Ipopt run; its answers are local.
 
-Softplus contact that grows sharper, b L = 7, 14, .., 448: where the contacts will be, from a cold start.
+Where the contacts will be, from a cold start, is found by softplus contact that grows sharper, b L = 7, 14, .., 448. L is the length that the scene counts
+eps in, 1 m unless it says otherwise: a scene in other units, or a tenth as large, has the same schedule. Softplus acts at a distance with k ln 2 / b at the
+touch. Where that exceeds what the inputs can hold against, the contact begins softer: k is a hundredth, a fiftieth, .. of its value, and reaches it with
+the last stage. Each stage starts from the one before; multipliers are handed on once the plan no longer moves much. A plan is the last stage's, of a law
+that is nearly but not quite the true one: only its contact modes are used.
 
-L is the length that the scene counts eps in, 1 m unless it says otherwise: a scene in other units, or a tenth as large, has the same schedule.
-
-Softplus acts at a distance with k ln 2 / b at the touch. Where that exceeds what the inputs can hold against, the contact begins softer:
-k is a hundredth, a fiftieth, .. of its value, and reaches it with the last stage.
-
-Each stage starts from the one before; multipliers are handed on once the plan no longer moves much. A plan is the last stage's, of a law that is
-nearly but not quite the true one: only its contact modes are used.
-
-The models that a window search asks for, built and translated once for a scene: other starts and other radii of its goal change numbers in them.
-
-A model is put into the same state before every use (`load_plan`, `load_first_guess`, modes, ball, sharpness): what is found with it does not depend on
-what it was used for before.
+`SceneModels` holds the models that a search asks for, built and translated once for a scene: other starts and other radii of its goal change numbers in
+them. A model is put into the same state before every use: what is found with it does not depend on what it was used for before.
 """
 
 from __future__ import annotations
@@ -28,7 +22,7 @@ import numpy as np
 import sympy as sp
 
 from formulations.contact_modes.linear import linear_scene, why_not_linear
-from formulations.contact_modes.quadratic import ModesProblem, ModeStationarity, classify
+from formulations.contact_modes.quadratic import ModesAnswer, ModesProblem
 from formulations.ipopt import IpoptResult
 from formulations.mpec.certificate.plan import PlanJudge
 from formulations.solution import Outcome
@@ -57,11 +51,16 @@ _DUALS_FROM = 100.0
 _TOUCH = 0.3
 # Most iterations of a stage once there is a plan: those that ended well mostly took up to 83 (chains of 2 to 5 carts); one that needs more has
 # lost its way in restoration, and the plans before it are worth more than the time it takes.
-PATIENCE = 200
+STAGE_ITERATIONS = 200
+_BIACTIVE = 1e-6  # [N] force and separation below which a pair touches without pressing; Ipopt keeps them to 1e-8
+_NEIGHBOUR_ITERATIONS = 50  # most iterations for a neighbour of a plan: it needs 5 to 20
 
 
 class SoftplusHomotopy:
-    """The softplus model of one scene, built once. schedule: b L of its stages; ball: radius of the goal, as in `quadratic`; scheme, integrate_cost: as in `build_model`."""
+    """The softplus model of one scene, built once.
+
+    ball: radius of the goal, as in `quadratic`; schedule: b L of its stages; scheme, integrate_cost: as in `build_model`.
+    """
 
     def __init__(
         self,
@@ -80,23 +79,25 @@ class SoftplusHomotopy:
 
     @property
     def bench(self) -> Workbench:
-        """The model, which holds the last stage's plan."""
+        """The model, which holds the plan of the last stage."""
         return self._bench
 
     def move_ball(self, ball: float) -> None:
-        """Another radius of the goal: positive if it was built with one, else 0."""
+        """Change the radius of the goal: positive if it was built with one, else 0."""
         move_ball(self._bench.model, ball)
 
     def run(
         self,
-        account: SolveBudget,
+        budget: SolveBudget,
         options: Mapping[str, Any],
         start: Trajectory | None,
         keep: Callable[[Trajectory], None],
-        patience: int = 10**9,
+        most_iterations: int = 10**9,
     ) -> tuple[Outcome, str]:
-        """How the last stage ended, and in words. keep: called with the plan of every stage that was solved; patience: most iterations of a
-        stage once there is a plan."""
+        """Solve stage by stage; how the last one ended, and in words.
+
+        keep: called with the plan of every stage that was solved; most_iterations: of a stage once there is a plan.
+        """
         model = self._bench.model
         if start is None:
             load_first_guess(model)
@@ -104,18 +105,18 @@ class SoftplusHomotopy:
             load_plan(model, start)
         plan, before = None, None
         outcome, message = Outcome.FAILED, ""
-        options = {**options, "max_iter": account.iterations + options["max_iter"]}  # those of other runs do not count
+        options = {**options, "max_iter": budget.iterations + options["max_iter"]}  # those of other runs do not count
         for sharpness, share in self._stages:
             if len(self._stages) > 1:
                 tighten(model, _eps(sharpness))
             for name, value in self._stiffness.items():
                 model.parameter_scene[name] = share * value
             warm = primal_dual(before) if before is not None and sharpness >= _DUALS_FROM else None
-            allowed = options if plan is None else {**options, "max_iter": min(options["max_iter"], account.iterations + patience)}
-            result = self._bench.run(account, allowed, warm)
-            if not result.solved and warm is not None and plan is not None and not account.is_over:
+            allowed = options if plan is None else {**options, "max_iter": min(options["max_iter"], budget.iterations + most_iterations)}
+            result = self._bench.run(budget, allowed, warm)
+            if not result.solved and warm is not None and plan is not None and not budget.is_over:
                 load_plan(model, plan)
-                result = self._bench.run(account, allowed)
+                result = self._bench.run(budget, allowed)
             outcome, message = result.outcome, result.message
             if not result.solved:
                 break
@@ -125,7 +126,7 @@ class SoftplusHomotopy:
 
 
 def schedule(first: float, last: float, growth: float) -> tuple[float, ...]:
-    """b L by b L, from the first to the last by a constant factor."""
+    """Give the b L of the stages, from the first to the last by a constant factor."""
     count = int(np.floor(np.log(max(last / first, 1.0)) / np.log(growth) + 1e-9)) + 1
     return tuple(first * growth**index for index in range(count))
 
@@ -160,67 +161,44 @@ def _eps(sharpness: float) -> float:
     return float(np.exp(-sharpness))
 
 
-_BIACTIVE = 1e-6  # [N] force and separation below which a pair touches without pressing; Ipopt keeps them to 1e-8
-_PATIENCE = 50  # most iterations for a neighbour of a plan: it needs 5 to 20
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
-class NlpAnswer:
-    """A local optimum for these modes."""
+class NonlinearAnswer(ModesAnswer):
+    """A local optimum for these modes, with its plan."""
 
-    closed: np.ndarray
     plan: Trajectory
-    phi: np.ndarray
-    cost: float
-    result: IpoptResult
-    of_force: np.ndarray
-    of_separation: np.ndarray
-    stiffness: np.ndarray
-
-    @property
-    def u(self) -> np.ndarray:
-        return self.plan.u
-
-    @property
-    def dual_infeasibility(self) -> float:
-        return self.result.residuals.dual_infeasibility
-
-    def stationarity(self) -> ModeStationarity:
-        """The class of the pairs that touch without pressing."""
-        return classify(self.of_force, self.of_separation, self._biactive())
-
-    @property
-    def pull(self) -> np.ndarray:
-        """(steps, nc) what holds a touching pair in its mode, 0 elsewhere: where it is negative the other mode is cheaper."""
-        return np.where(self._biactive(), np.minimum(0.0, np.minimum(self.of_force, self.of_separation)), 0.0)
-
-    def _biactive(self) -> np.ndarray:
-        lam, separation = self.plan.lam, self.plan.lam - self.stiffness * self.phi
-        biactive = (lam <= _BIACTIVE) & (separation <= _BIACTIVE)
-        biactive[:1] = False  # the start is no choice
-        return biactive
 
 
 class NonlinearModes:
-    """One model, whose modes are moved by bounds. guess: the plan that the first solve starts from."""
+    """One model, whose modes are fixed by bounds. guess: the plan that the first solve starts from."""
 
-    def __init__(self, scene: Scene, kernel: Kernel, ball: float, account: SolveBudget, options: Mapping[str, Any]) -> None:
+    def __init__(self, scene: Scene, kernel: Kernel, ball: float, budget: SolveBudget, options: Mapping[str, Any]) -> None:
         self._scene, self._kernel = scene, kernel
         # The bound is never used: products are switched off as soon as modes are held.
         model = build_model(scene, ContactFormulation.COMPLEMENTARITY, eps=1.0 if scene.nc else None)
         open_goal(model, ball)
         self._bench, self._residuals = Workbench(model), PlanResiduals(scene)
-        self.begin(ball, account, options)
+        self.begin(ball, budget, options)
 
-    def begin(self, ball: float, account: SolveBudget, options: Mapping[str, Any]) -> None:
-        """As if built anew; ball: positive if it was built with one, else 0."""
+    def begin(self, ball: float, budget: SolveBudget, options: Mapping[str, Any]) -> None:
+        """Begin as if built anew; ball: positive if it was built with one, else 0."""
         move_ball(self._bench.model, ball)
-        self._account, self._options = account, {**options, "bound_relax_factor": 0.0}
+        self._budget, self._options = budget, {**options, "bound_relax_factor": 0.0}
         self.guess: Trajectory | None = None
         self.solves, self.unsolved = 0, 0
 
-    def solve(self, closed: np.ndarray, *, near: NlpAnswer | None = None, below: float = np.inf) -> NlpAnswer | None:
-        """The optimum near the plan of `near`, or None where none was found that costs less than `below`."""
+    def solve(self, closed: np.ndarray, *, near: NonlinearAnswer | None = None, below: float = np.inf) -> NonlinearAnswer | None:
+        """Find an optimum for these modes.
+
+        Parameters
+        ----------
+        closed : (steps, nc) [-], whether a contact is closed in a step
+        near : the answer of similar modes, whose plan it starts from
+        below : cost above which no plan is of interest
+
+        Returns
+        -------
+        The optimum, or None where none was found that costs less than `below`.
+        """
         model, scene = self._bench.model, self._scene
         guess = self.guess if near is None else near.plan
         closed = np.array(closed, dtype=bool)
@@ -233,8 +211,8 @@ class NonlinearModes:
         if scene.nc:
             hold_modes(model, closed)
         self.solves += 1
-        most = self._options["max_iter"] if near is None else min(self._options["max_iter"], _PATIENCE)
-        result = self._bench.run(self._account, {**self._options, "max_iter": self._account.iterations + most})
+        most = self._options["max_iter"] if near is None else min(self._options["max_iter"], _NEIGHBOUR_ITERATIONS)
+        result = self._bench.run(self._budget, {**self._options, "max_iter": self._budget.iterations + most})
         if not result.solved:
             self.unsolved += 1
             return None
@@ -242,22 +220,25 @@ class NonlinearModes:
         cost = self._residuals.cost(plan)
         if not cost < below:
             return None
-        slope = self._slope(result)
+        of_force, of_separation = self._multipliers(result)
         phi = self._kernel.penetration(plan.q[:-1])
-        return NlpAnswer(
+        biactive = (plan.lam <= _BIACTIVE) & (plan.lam - self._kernel.stiffness() * phi <= _BIACTIVE)
+        biactive[:1] = False  # the start is no choice
+        return NonlinearAnswer(
             closed=closed,
+            u=plan.u,
             plan=plan,
             phi=phi,
             cost=cost,
-            result=result,
-            of_force=slope[0],
-            of_separation=slope[1],
-            stiffness=self._kernel.stiffness(),
+            of_force=of_force,
+            of_separation=of_separation,
+            biactive=biactive,
+            dual_infeasibility=result.residuals.dual_infeasibility,
         )
 
-    def _slope(self, result: IpoptResult) -> np.ndarray:
+    def _multipliers(self, result: IpoptResult) -> np.ndarray:
         """(2, steps, nc) derivative of the Lagrangian without its bounds, by lam and by v = lam - k phi: the multipliers of their bounds."""
-        model, problem = self._bench.model, self._bench.problem(self._account)
+        model, problem = self._bench.model, self._bench.problem(self._budget)
         if not self._scene.nc:
             return np.zeros((2, self._scene.task.steps, 0))
         place = {id(variable): column for column, variable in enumerate(problem.variables)}
@@ -268,34 +249,34 @@ class NonlinearModes:
         return slope[np.array([lam, separation])].reshape(2, -1, self._scene.nc)
 
 
-class Structures:
-    """Of one scene. A goal that is a point and one that is a ball are two models, balls of any radius one."""
+class SceneModels:
+    """The models of one scene. A goal that is a point and one that is a ball are two models, balls of any radius one."""
 
     def __init__(self, scene: Scene, kernel: Kernel) -> None:
         self._scene, self._kernel = scene, kernel
         self._homotopies: dict[tuple[bool, tuple[float, ...]], SoftplusHomotopy] = {}
         self._nonlinear: dict[bool, NonlinearModes] = {}
         self._linear: ModesProblem | None = None
-        self._coarser: dict[int, Structures] = {}
+        self._coarser: dict[int, SceneModels] = {}
         self._judge: PlanJudge | None = None
         self.is_linear = why_not_linear(scene) is None
 
-    def coarser(self, scene: Scene) -> Structures:
-        """Those of the same scene with fewer steps."""
+    def coarser(self, scene: Scene) -> SceneModels:
+        """Give those of the same scene with fewer steps."""
         if scene.task.steps not in self._coarser:
-            self._coarser[scene.task.steps] = Structures(scene, self._kernel)
+            self._coarser[scene.task.steps] = SceneModels(scene, self._kernel)
         return self._coarser[scene.task.steps]
 
     def homotopy(self, ball: float, schedule: tuple[float, ...]) -> SoftplusHomotopy:
-        """The softplus homotopy with this ball around the goal."""
+        """Give the softplus homotopy with this ball around the goal."""
         key = (ball > 0.0, schedule)
         if key not in self._homotopies:
             self._homotopies[key] = SoftplusHomotopy(self._scene, ball, schedule)
         self._homotopies[key].move_ball(ball)
         return self._homotopies[key]
 
-    def modes(self, ball: float, account: SolveBudget, options: Mapping[str, Any]) -> ModesProblem | NonlinearModes:
-        """The problem with modes fixed, with this ball; account, options: of the runs of Ipopt that a nonlinear scene needs."""
+    def modes(self, ball: float, budget: SolveBudget, options: Mapping[str, Any]) -> ModesProblem | NonlinearModes:
+        """Give the problem with modes fixed, with this ball; budget, options: of the runs of Ipopt that a nonlinear scene needs."""
         if self.is_linear:
             if self._linear is None:
                 self._linear = ModesProblem(linear_scene(self._scene), ball)
@@ -303,13 +284,13 @@ class Structures:
             return self._linear
         is_ball = ball > 0.0
         if is_ball not in self._nonlinear:
-            self._nonlinear[is_ball] = NonlinearModes(self._scene, self._kernel, ball, account, options)
+            self._nonlinear[is_ball] = NonlinearModes(self._scene, self._kernel, ball, budget, options)
         else:
-            self._nonlinear[is_ball].begin(ball, account, options)
+            self._nonlinear[is_ball].begin(ball, budget, options)
         return self._nonlinear[is_ball]
 
     def judge(self) -> PlanJudge:
-        """What certifies plans of this scene."""
+        """Give what certifies plans of this scene."""
         if self._judge is None:
             self._judge = PlanJudge(self._scene)
         return self._judge

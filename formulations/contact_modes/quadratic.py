@@ -2,20 +2,17 @@
 
     problem = ModesProblem(linear)
     answer = problem.solve(closed)                       # closed (steps, nc): True where lam = k phi, False where lam = 0
-    answer.z, answer.u, answer.cost
+    answer.u, answer.cost, answer.point.z
 
     minimise sum_t cost   subject to   the time step,  lower <= u <= upper,  phi >= 0 where closed,  phi <= 0 where open,
                                        |z[T] - goal| <= ball   (ball = 0: z[T] = goal)
 
-A dual active-set method (`dual_rounds`) names the active conditions; where it finds too many of them an interior-point method (`interior_point`)
-does. Then the equality problem is solved once more by a factorisation that holds them, and every sign is checked: the answer is exact or
-there is none.
+A dual active-set method names the active conditions; where it finds too many of them an interior-point method does (`dual_active_set`). Then the
+equality problem is solved once more by a factorisation that holds them, and every sign is checked: the answer is exact or there is none.
 
-What the multipliers of the fixed modes say about the contact problem itself.
-
-With G = lam >= 0 and H = lam - k phi >= 0 and one of them zero at each step, the problem with fixed modes has multipliers s_G and s_H per
-newton (L = ... - s_G G - s_H H). Where one of G and H is positive its multiplier is zero and the other may have any sign. Where both are zero (a
-biactive pair: the bodies touch without pressing) the signs decide:
+The multipliers of the fixed modes say whether other modes are cheaper. With G = lam >= 0 and H = lam - k phi >= 0 and one of them zero at each step, the
+problem with fixed modes has multipliers s_G and s_H per newton (L = ... - s_G G - s_H H). Where one of G and H is positive its multiplier is zero and the
+other may have any sign. Where both are zero (a biactive pair: the bodies touch without pressing) the signs decide:
 
     S  both >= 0: no mode of these pairs is cheaper to first order       M  both > 0, or one of them zero
     C  the product is >= 0      A  one of them >= 0      W  neither
@@ -34,7 +31,7 @@ from hashlib import blake2b
 
 import numpy as np
 
-from formulations.contact_modes.dual_active_set import DualAnswer, DualRounds, active_set
+from formulations.contact_modes.dual_active_set import DualActiveSet, DualAnswer, WorkingSet, interior_point_active_set
 from formulations.contact_modes.linear import BandedKKT, LinearScene, Point
 from models.scene.goal import miss
 
@@ -43,7 +40,7 @@ _ZERO = 1e-6  # part of the largest multiplier that counts as zero
 
 @dataclass(frozen=True, kw_only=True)
 class ModeStationarity:
-    """letter: the strongest class that holds; biactive: number of pairs; least: their smallest multiplier (0 without pairs)."""
+    """The strongest class that holds, the number of biactive pairs, and their least multiplier [1/N] (0 without pairs)."""
 
     letter: str
     biactive: int
@@ -51,6 +48,7 @@ class ModeStationarity:
 
     @property
     def sentence(self) -> str:
+        """The same in words."""
         if not self.biactive:
             return "S-stationary: no contact touches without pressing."
         pairs = "pair touches" if self.biactive == 1 else "pairs touch"
@@ -58,7 +56,13 @@ class ModeStationarity:
 
 
 def classify(of_force: np.ndarray, of_separation: np.ndarray, biactive: np.ndarray) -> ModeStationarity:
-    """of_force, of_separation: multipliers s_G, s_H (steps, nc) per newton; biactive (steps, nc): whether both G and H are zero."""
+    """Say of which class the signs of the multipliers are.
+
+    Parameters
+    ----------
+    of_force, of_separation : (steps, nc) [1/N], multipliers s_G and s_H
+    biactive : (steps, nc) [-], whether both G and H are zero
+    """
     pairs = np.stack([of_force[biactive], of_separation[biactive]])
     if not pairs.size:
         return ModeStationarity(letter="S", biactive=0, least=0.0)
@@ -74,7 +78,18 @@ _HALVINGS = 80  # of the interval in which the logarithm of the multiplier lies:
 
 
 def nearest_goal(kkt: BandedKKT, x: np.ndarray, columns: np.ndarray, right: np.ndarray, ball: float) -> tuple[np.ndarray, np.ndarray]:
-    """(solution, right-hand side) with the goal moved by the best e. x: solution for the goal itself; columns: per unit of e."""
+    """Move the goal to the cheapest end within the ball around it.
+
+    Parameters
+    ----------
+    x, right : (size,) [-], solution of the optimality system for the goal itself, and its right-hand side
+    columns : (size, n) [-], solutions for the goal moved by one in each direction that is given
+    ball : radius [m, rad, m/s, rad/s]
+
+    Returns
+    -------
+    (size,) [-] each: the solution and its right-hand side with the goal moved by the best e.
+    """
     moved = kkt.goal_columns()
     place = np.nonzero(moved)[0]
     curvature = -columns[place]
@@ -83,7 +98,18 @@ def nearest_goal(kkt: BandedKKT, x: np.ndarray, columns: np.ndarray, right: np.n
 
 
 def cheapest_in_ball(slope: np.ndarray, curvature: np.ndarray, radius: float) -> np.ndarray:
-    """argmin over |e| <= radius of slope' e + 1/2 e' curvature e, for a positive semidefinite curvature (n, n)."""
+    """Minimise slope' e + 1/2 e' curvature e over |e| <= radius.
+
+    Parameters
+    ----------
+    slope : (n,) [-]
+    curvature : (n, n) [-], positive semidefinite
+    radius : of the ball [-]
+
+    Returns
+    -------
+    (n,) [-], the minimiser e
+    """
     values, vectors = np.linalg.eigh(curvature)
     values = np.maximum(values, 0.0)
     along = vectors.T @ slope
@@ -106,7 +132,7 @@ _ROUNDS = 12  # of the active set before it counts as going in circles; from a n
 # each condition): worth it where that set has more conditions than this.
 _WARM_ROUNDS, _MANY = 5, 12
 _VIOLATED = 1e-12  # [m], [N]: rounding of the banded solution
-_PULLING = 1e-9  # a multiplier below minus this asks for its condition to be dropped
+_WRONG_SIGN = 1e-9  # a multiplier below minus this asks for its condition to be dropped
 _BIACTIVE = 1e-11  # [m] penetration or gap below which a pair touches without pressing
 _ENORMOUS = 1e100  # what a singular matrix that was not found out leaves
 _SAME = 1e-10  # part of a cost by which two are the same
@@ -114,54 +140,42 @@ _SOLVED = 1e-8  # largest residual of the linear system that still counts as a s
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class WorkingSet:
-    """side (steps, nu): -1 on the lower bound, 1 on the upper, 0 free; touching (steps, nc): phi = 0 is imposed."""
-
-    side: np.ndarray
-    touching: np.ndarray
-
-    @property
-    def count(self) -> int:
-        return int(np.count_nonzero(self.side) + np.count_nonzero(self.touching))
-
-    def same_as(self, other: WorkingSet) -> bool:
-        return np.array_equal(self.side, other.side) and np.array_equal(self.touching, other.touching)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class ModesAnswer:
-    """The optimum for these modes: states, inputs and multipliers (see `kkt`), active conditions, and phi (steps, nc) [m]."""
+    """An optimum for fixed modes: closed (steps, nc), u (steps, nu) [N, N m], its cost and phi (steps, nc) [m].
+
+    of_force, of_separation: (steps, nc) [1/N], multipliers s_G and s_H; biactive (steps, nc): pairs that touch without pressing, but for those of the
+    first step, which the start decides; dual_infeasibility: largest derivative of the Lagrangian that should be zero.
+    """
 
     closed: np.ndarray
-    point: Point
-    active: WorkingSet
+    u: np.ndarray
     cost: float
     phi: np.ndarray
     of_force: np.ndarray
     of_separation: np.ndarray
+    biactive: np.ndarray
     dual_infeasibility: float
 
-    @property
-    def u(self) -> np.ndarray:
-        return self.point.u
-
     def stationarity(self) -> ModeStationarity:
-        """The class of the pairs that touch without pressing."""
-        return classify(self.of_force, self.of_separation, self._biactive())
+        """Give the class of the pairs that touch without pressing."""
+        return classify(self.of_force, self.of_separation, self.biactive)
 
     @property
-    def pull(self) -> np.ndarray:
-        """(steps, nc) what holds a touching pair in its mode, 0 elsewhere: where it is negative the other mode is cheaper."""
-        return np.where(self._biactive(), np.minimum(0.0, np.minimum(self.of_force, self.of_separation)), 0.0)
+    def biactive_multiplier(self) -> np.ndarray:
+        """Smaller multiplier of a biactive pair where it is negative, else 0: (steps, nc) [1/N]. There the other mode is cheaper."""
+        return np.where(self.biactive, np.minimum(0.0, np.minimum(self.of_force, self.of_separation)), 0.0)
 
-    def _biactive(self) -> np.ndarray:
-        biactive = np.abs(self.phi) <= _BIACTIVE
-        biactive[:1] = False  # the start is no choice
-        return biactive
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class QuadraticAnswer(ModesAnswer):
+    """The same with states and multipliers of the whole optimality system, and its active conditions."""
+
+    point: Point
+    active: WorkingSet
 
 
 class ModesProblem:
-    """See the module docstring. `ball` and `softness` may be moved between solves.
+    """The quadratic program of one scene; `ball` and `softness` may be moved between solves.
 
     softness: where positive, the goal need not be met: |z[T] - goal|^2 / (2 softness) is added to the cost. The modes of any rollout have a plan
     then.
@@ -172,16 +186,23 @@ class ModesProblem:
         self.kkt = BandedKKT(linear)
         self.solves, self.softness = 0, 0.0
         self._floors: dict[tuple[float, float, bytes], float] = {}  # by ball, softness and modes: no plan costs less
-        self._dual = DualRounds(linear, self.kkt)
+        self._dual = DualActiveSet(linear, self.kkt)
 
-    def empty_set(self) -> WorkingSet:
-        lin = self.linear
-        return WorkingSet(side=np.zeros((lin.steps, lin.nu), dtype=int), touching=np.zeros((lin.steps, lin.nc), dtype=bool))
+    def solve(self, closed: np.ndarray, *, near: QuadraticAnswer | None = None, below: float = np.inf) -> QuadraticAnswer | None:
+        """Find the optimum for these modes.
 
-    def solve(self, closed: np.ndarray, *, near: ModesAnswer | None = None, below: float = np.inf) -> ModesAnswer | None:
-        """The optimum, or None where these modes have no plan of a cost below `below`. near: the answer of similar modes.
+        What modes were found to cost at least is remembered, since searches from other starts end among the same modes.
 
-        What modes were found to cost at least is kept, since searches from other starts end among the same windows."""
+        Parameters
+        ----------
+        closed : (steps, nc) [-], whether a contact is closed in a step
+        near : the answer of similar modes, whose active conditions are tried first
+        below : cost above which no plan is of interest
+
+        Returns
+        -------
+        The optimum, or None where these modes have no plan of a cost below `below`.
+        """
         closed = self._whole(closed)
         self.solves += 1
         key = (self.ball, self.softness, blake2b(np.packbits(closed).tobytes(), digest_size=16).digest())
@@ -192,29 +213,30 @@ class ModesProblem:
         self._floors[key] = max(floor, below if found is None else found.cost)
         return found
 
-    def _optimum(self, closed: np.ndarray, near: ModesAnswer | None, below: float) -> ModesAnswer | None:
+    def _optimum(self, closed: np.ndarray, near: QuadraticAnswer | None, below: float) -> QuadraticAnswer | None:
         if near is not None and near.active.count > _MANY:
             found = self._rounds(closed, near.active, _WARM_ROUNDS, below)
             if found is not None:
                 return found if found.cost < below else None
         softness = self.softness if self.ball == 0.0 or near is None else self._softness(near)
-        guess = self.empty_set()
+        lin = self.linear
+        guess = WorkingSet(side=np.zeros((lin.steps, lin.nu), dtype=int), touching=np.zeros((lin.steps, lin.nc), dtype=bool))
         if self.ball == 0.0 or softness > 0.0:
             # with a ball: by weak duality cost + (|e|^2 - ball^2)/(2 softness) never exceeds the optimum, whatever the softness
             credit = 0.5 * self.ball**2 / softness if softness > 0.0 else 0.0
-            dual = self._dual.run(closed, self.linear.goal, below + credit, softness)
+            dual = self._dual.solve(closed, self.linear.goal, below + credit, softness)
             if dual == "infeasible" or (isinstance(dual, DualAnswer) and dual.is_cut):
                 return None
             if isinstance(dual, DualAnswer):
-                guess = WorkingSet(side=dual.side, touching=dual.touching)
+                guess = dual.active
         found = self._rounds(closed, guess)
         if found is None:
-            named = active_set(self.linear, closed, self.ball, self.softness)
-            found = None if named is None else self._rounds(closed, WorkingSet(side=named[0], touching=named[1]))
+            active = interior_point_active_set(self.linear, closed, self.ball, self.softness)
+            found = None if active is None else self._rounds(closed, active)
         return found if found is not None and found.cost < below else None
 
-    def _softness(self, near: ModesAnswer) -> float:
-        """ball / |w|: the softness at which a penalty ends on the sphere of the ball, for modes like those of `near`."""
+    def _softness(self, near: QuadraticAnswer) -> float:
+        """Give ball / |w|: the softness at which a penalty ends on the sphere of the ball, for modes like those of `near`."""
         size = float(np.linalg.norm(near.point.w))
         return self.ball / size if size > 0.0 else 0.0
 
@@ -224,15 +246,18 @@ class ModesProblem:
         fixed[0] = self.linear.penetration(self.linear.start[None])[0] > 0.0
         return fixed
 
-    def slopes(self, point: Point) -> np.ndarray:
+    def _slopes(self, point: Point) -> np.ndarray:
         """(steps, nu) derivative of the Lagrangian with respect to u: 0 where u is free, the multiplier of its bound elsewhere."""
         lin, n = self.linear, self.linear.n
         x = np.hstack([point.z[:-1], point.u])
         return x @ lin.H[:, n:] + lin.g[n:] + point.y @ lin.B
 
-    def _rounds(self, closed: np.ndarray, active: WorkingSet, most: int = _ROUNDS, below: float = np.inf) -> ModesAnswer | None:
-        """The optimum, from a guess of its active set; or None. An answer of a cost of `below` or more may only be a lower bound: conditions
-        that are imposed and all pull the right way are those of a problem with fewer."""
+    def _rounds(self, closed: np.ndarray, active: WorkingSet, most: int = _ROUNDS, below: float = np.inf) -> QuadraticAnswer | None:
+        """The optimum, from a guess of its active set; or None.
+
+        An answer of a cost of `below` or more may only be a lower bound: imposed conditions whose multipliers all have the right sign are those of a
+        problem with fewer.
+        """
         sign = np.where(closed, 1.0, -1.0)
         active = WorkingSet(side=active.side, touching=active.touching & (np.arange(len(closed)) > 0)[:, None])
         for _ in range(most):
@@ -246,21 +271,26 @@ class ModesProblem:
             active = better
         return None
 
-    def _answer(self, closed: np.ndarray, point: Point, active: WorkingSet) -> ModesAnswer:
-        """With the multipliers of lam >= 0 and lam - k phi >= 0 (see `stationarity`): their sum is that of lam in the time step."""
+    def _answer(self, closed: np.ndarray, point: Point, active: WorkingSet) -> QuadraticAnswer:
+        """With the multipliers of lam >= 0 and lam - k phi >= 0: their sum is that of lam in the time step."""
         lin = self.linear
         both, own = point.y @ lin.E, point.mu / np.where(lin.k > 0.0, lin.k, 1.0)
         of_force = np.where(closed, -own, both - own)
         contacts = slice(lin.contacts)
-        return ModesAnswer(
+        phi = lin.penetration(point.z[:-1])[:, contacts]
+        biactive = np.abs(phi) <= _BIACTIVE
+        biactive[:1] = False  # the start is no choice
+        return QuadraticAnswer(
             closed=closed[:, contacts],
+            u=point.u,
             point=point,
             active=active,
             cost=self._cost(point),
-            phi=lin.penetration(point.z[:-1])[:, contacts],
+            phi=phi,
+            biactive=biactive,
             of_force=of_force[:, contacts],
             of_separation=(both - of_force)[:, contacts],
-            dual_infeasibility=float(np.abs(np.where(active.side == 0, self.slopes(point), 0.0)).max(initial=0.0)),
+            dual_infeasibility=float(np.abs(np.where(active.side == 0, self._slopes(point), 0.0)).max(initial=0.0)),
         )
 
     def _cost(self, point: Point) -> float:
@@ -269,13 +299,13 @@ class ModesProblem:
 
     def _next(self, point: Point, sign: np.ndarray, active: WorkingSet) -> WorkingSet:
         lin, side = self.linear, active.side
-        slope = self.slopes(point)
-        keeps = side * slope <= _PULLING  # the lower bound pushes up (slope >= 0), the upper one down
+        slope = self._slopes(point)
+        keeps = side * slope <= _WRONG_SIGN  # the lower bound pushes up (slope >= 0), the upper one down
         moved = np.where(
             side == 0, np.sign((point.u > lin.upper + _VIOLATED).astype(int) - (point.u < lin.lower - _VIOLATED)), side * keeps
         )
-        reach = sign * lin.penetration(point.z[:-1])
-        touching = np.where(active.touching, -sign * point.mu >= -_PULLING, reach < -_VIOLATED)
+        separation = sign * lin.penetration(point.z[:-1])
+        touching = np.where(active.touching, -sign * point.mu >= -_WRONG_SIGN, separation < -_VIOLATED)
         touching[0] = False
         return WorkingSet(side=moved.astype(int), touching=touching)
 

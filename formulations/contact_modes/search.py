@@ -1,20 +1,16 @@
-"""A local search over contact windows: the first neighbour that is cheaper is taken, until there is none.
+"""A local search over contact mode sequences: the first neighbour that is cheaper is taken, until there is none.
 
-Where a pair touches and its multiplier pulls the wrong way, the other mode is cheaper to first order: such pairs are switched before anything
-is tried. Then windows that are not needed are dropped, and long strides begin, halved whenever no shift helps. Between the longest stride and
-the others windows are repeated (a second push costs less than one twice as strong): none of the small moves gets there. With a stride of one
-step windows are also merged, dropped, split and added. A move that helped is tried again at once. At last detours: a window is dropped, or two
-are merged, although that is dearer, and what is left is shifted for a while; two pushes become one that way, at another time. The search knows
-its problem by one question: is there a plan with these modes below this cost?
+A mode sequence says for each contact in which intervals of steps it is closed. An interval (first, stop) is a run of steps first <= t < stop.
 
-Contact windows and the moves between neighbours.
+    sequence = mode_sequence(closed)                                      # closed (steps, nc)
+    Shift(contact=0, index=0, first=-2).apply(sequence, steps)            # the contact closes two steps earlier; None where that is not possible
 
-A window (first, stop) is a run of steps first <= t < stop in which a contact is closed; `Windows` holds those of each contact, in order.
-
-    windows = windows_of(closed)                       # closed (steps, nc)
-    MoveEnd(contact=0, index=0, end=0, by=-2).apply(windows, steps)     # a window begins two steps earlier
-
-A move that is not possible gives None. `undo(windows)` of a move is the move that takes its result back to `windows`.
+Where a pair touches and its multiplier has the wrong sign, the other mode is cheaper to first order: such pairs are switched before anything is
+tried. Then intervals that are not needed are dropped, and long strides begin, halved whenever no shift helps. Between the longest stride and the others
+intervals are repeated (a second push costs less than one twice as strong): none of the small moves gets there. With a stride of one step intervals are
+also merged, dropped, split and added. A move that helped is tried again at once. At last detours: an interval is dropped, or two are merged, although
+that is dearer, and what is left is shifted for a while; two pushes become one that way, at another time. The search knows its problem by one question:
+is there a plan with these modes below this cost?
 """
 
 from __future__ import annotations
@@ -27,15 +23,20 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
-Window = tuple[int, int]
-Windows = tuple[tuple[Window, ...], ...]
+Interval = tuple[int, int]
+ModeSequence = tuple[tuple[Interval, ...], ...]
 
-_APART = (0.05, 0.1, 0.15, 0.2, 0.3)  # of the horizon: how far a window is from its repetition
-_PLACES = tuple(0.05 * place for place in range(1, 20))  # of the horizon: where a first window of a contact is tried
+_APART = (0.05, 0.1, 0.15, 0.2, 0.3)  # of the horizon: how far an interval is from its repetition
+_PLACES = tuple(0.05 * place for place in range(1, 20))  # of the horizon: where a first interval of a contact is tried
 
 
-def windows_of(closed: np.ndarray) -> Windows:
-    """The windows of closed (steps, nc)."""
+def mode_sequence(closed: np.ndarray) -> ModeSequence:
+    """Give the intervals in which each contact is closed.
+
+    Parameters
+    ----------
+    closed : (steps, nc) [-], whether a contact is closed in a step
+    """
     found = []
     for column in np.asarray(closed, dtype=bool).T:
         edges = np.flatnonzero(np.diff(np.concatenate([[False], column, [False]])))
@@ -43,10 +44,15 @@ def windows_of(closed: np.ndarray) -> Windows:
     return tuple(found)
 
 
-def closed_of(windows: Windows, steps: int) -> np.ndarray:
-    """closed (steps, nc) of windows."""
-    closed = np.zeros((steps, len(windows)), dtype=bool)
-    for contact, row in enumerate(windows):
+def closed_steps(sequence: ModeSequence, steps: int) -> np.ndarray:
+    """Give the steps in which each contact is closed: the inverse of `mode_sequence`.
+
+    Returns
+    -------
+    (steps, nc) [-], whether a contact is closed in a step
+    """
+    closed = np.zeros((steps, len(sequence)), dtype=bool)
+    for contact, row in enumerate(sequence):
         for first, stop in row:
             closed[first:stop, contact] = True
     return closed
@@ -54,129 +60,87 @@ def closed_of(windows: Windows, steps: int) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True)
 class Move(ABC):
-    """One change of the windows of one contact."""
+    """One change of the intervals of one contact."""
 
     contact: int
 
     @abstractmethod
-    def changed(self, row: tuple[Window, ...]) -> tuple[Window, ...] | None:
-        """The windows of the contact after the move, or None where it does not apply."""
+    def _changed(self, row: tuple[Interval, ...]) -> tuple[Interval, ...] | None:
+        """Give the intervals of the contact after the move, or None where there is no interval of that index."""
 
-    @abstractmethod
-    def undo(self, windows: Windows) -> Move:
-        """The move that leads from the result back to `windows`."""
-
-    def apply(self, windows: Windows, steps: int) -> Windows | None:
-        """All windows after the move, or None: empty, overlapping or adjoining windows, or none of that index."""
-        row = self.changed(windows[self.contact])
+    def apply(self, sequence: ModeSequence, steps: int) -> ModeSequence | None:
+        """Give the sequence after the move, or None where intervals would be empty, overlap or adjoin, or there is none of that index."""
+        row = self._changed(sequence[self.contact])
         if row is None or not _fits(row, steps):
             return None
-        return (*windows[: self.contact], row, *windows[self.contact + 1 :])
+        return (*sequence[: self.contact], row, *sequence[self.contact + 1 :])
 
 
 @dataclass(frozen=True, kw_only=True)
-class MoveEnd(Move):
-    """One end of a window (0 its first step, 1 its stop) by some steps."""
+class Shift(Move):
+    """An interval begins and stops so many steps later."""
 
     index: int
-    end: int
-    by: int
+    first: int = 0
+    stop: int = 0
 
-    def changed(self, row: tuple[Window, ...]) -> tuple[Window, ...] | None:
-        if not 0 <= self.index < len(row):
+    def _changed(self, row: tuple[Interval, ...]) -> tuple[Interval, ...] | None:
+        if self.index >= len(row):
             return None
         first, stop = row[self.index]
-        moved = (first + self.by, stop) if self.end == 0 else (first, stop + self.by)
-        return (*row[: self.index], moved, *row[self.index + 1 :])
-
-    def undo(self, windows: Windows) -> Move:
-        return MoveEnd(contact=self.contact, index=self.index, end=self.end, by=-self.by)
+        return (*row[: self.index], (first + self.first, stop + self.stop), *row[self.index + 1 :])
 
 
 @dataclass(frozen=True, kw_only=True)
-class Translate(Move):
-    """A whole window by some steps."""
-
-    index: int
-    by: int
-
-    def changed(self, row: tuple[Window, ...]) -> tuple[Window, ...] | None:
-        if not 0 <= self.index < len(row):
-            return None
-        first, stop = row[self.index]
-        return (*row[: self.index], (first + self.by, stop + self.by), *row[self.index + 1 :])
-
-    def undo(self, windows: Windows) -> Move:
-        return Translate(contact=self.contact, index=self.index, by=-self.by)
-
-
-@dataclass(frozen=True, kw_only=True)
-class SplitWindow(Move):
-    """A window opens in first <= t < stop, strictly inside it."""
+class Split(Move):
+    """An interval is interrupted in first <= t < stop, strictly inside it."""
 
     index: int
     first: int
     stop: int
 
-    def changed(self, row: tuple[Window, ...]) -> tuple[Window, ...] | None:
-        if not 0 <= self.index < len(row) or self.first >= self.stop:
+    def _changed(self, row: tuple[Interval, ...]) -> tuple[Interval, ...] | None:
+        if self.index >= len(row):
             return None
         first, stop = row[self.index]
-        if not first < self.first < self.stop < stop:
-            return None
         return (*row[: self.index], (first, self.first), (self.stop, stop), *row[self.index + 1 :])
-
-    def undo(self, windows: Windows) -> Move:
-        return Merge(contact=self.contact, index=self.index)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Merge(Move):
-    """A window and the next become one: the contact stays closed between them."""
+    """An interval and the next become one: the contact stays closed between them."""
 
     index: int
 
-    def changed(self, row: tuple[Window, ...]) -> tuple[Window, ...] | None:
-        if not 0 <= self.index < len(row) - 1:
+    def _changed(self, row: tuple[Interval, ...]) -> tuple[Interval, ...] | None:
+        if self.index >= len(row) - 1:
             return None
         return (*row[: self.index], (row[self.index][0], row[self.index + 1][1]), *row[self.index + 2 :])
-
-    def undo(self, windows: Windows) -> Move:
-        row = windows[self.contact]
-        return SplitWindow(contact=self.contact, index=self.index, first=row[self.index][1], stop=row[self.index + 1][0])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Add(Move):
-    """A new window where the contact is open."""
+    """A new interval where the contact is open."""
 
     first: int
     stop: int
 
-    def changed(self, row: tuple[Window, ...]) -> tuple[Window, ...] | None:
+    def _changed(self, row: tuple[Interval, ...]) -> tuple[Interval, ...] | None:
         return tuple(sorted((*row, (self.first, self.stop))))
-
-    def undo(self, windows: Windows) -> Move:
-        index = sum(window[0] < self.first for window in windows[self.contact])
-        return Drop(contact=self.contact, index=index)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drop(Move):
-    """A window less."""
+    """An interval less."""
 
     index: int
 
-    def changed(self, row: tuple[Window, ...]) -> tuple[Window, ...] | None:
-        return (*row[: self.index], *row[self.index + 1 :]) if 0 <= self.index < len(row) else None
-
-    def undo(self, windows: Windows) -> Move:
-        first, stop = windows[self.contact][self.index]
-        return Add(contact=self.contact, first=first, stop=stop)
+    def _changed(self, row: tuple[Interval, ...]) -> tuple[Interval, ...] | None:
+        return (*row[: self.index], *row[self.index + 1 :]) if self.index < len(row) else None
 
 
-def onwards(before: Windows, after: Windows, times: int, steps: int) -> Windows | None:
-    """`after` with every end moved on by so many times its way from `before`; None unless both have the same windows and room is left."""
+def onwards(before: ModeSequence, after: ModeSequence, times: int, steps: int) -> ModeSequence | None:
+    """Move every end on from `after` by so many times its way from `before`; None unless both have as many intervals and room is left."""
     if [len(row) for row in before] != [len(row) for row in after]:
         return None
     moved = tuple(
@@ -186,32 +150,37 @@ def onwards(before: Windows, after: Windows, times: int, steps: int) -> Windows 
     return moved if all(_fits(row, steps) for row in moved) else None
 
 
-def _fits(row: tuple[Window, ...], steps: int) -> bool:
-    """Whether windows lie in the horizon, none empty, none overlapping or adjoining."""
+def _fits(row: tuple[Interval, ...], steps: int) -> bool:
+    """Whether intervals lie in the horizon, none empty, none overlapping or adjoining."""
     return all(0 <= first < stop <= steps for first, stop in row) and all(before[1] < after[0] for before, after in pairwise(row))
 
 
-def shifts(windows: Windows, stride: int) -> Iterator[Move]:
-    """Every end and every window, moved by one stride either way."""
-    for contact, row in enumerate(windows):
+def shifts(sequence: ModeSequence, stride: int) -> Iterator[Move]:
+    """Yield each interval with either end, or both, moved by one stride either way."""
+    for contact, row in enumerate(sequence):
         for index in range(len(row)):
             for by in (-stride, stride):
-                yield MoveEnd(contact=contact, index=index, end=0, by=by)
-                yield MoveEnd(contact=contact, index=index, end=1, by=by)
-                yield Translate(contact=contact, index=index, by=by)
+                yield Shift(contact=contact, index=index, first=by)
+                yield Shift(contact=contact, index=index, stop=by)
+                yield Shift(contact=contact, index=index, first=by, stop=by)
 
 
-def fewer(windows: Windows) -> Iterator[Move]:
-    """Each window dropped, the last of a contact first (those that remain keep their index), and each merged with the next."""
-    for contact, row in enumerate(windows):
+def fewer(sequence: ModeSequence) -> Iterator[Move]:
+    """Yield each interval dropped, the last of a contact first (those that remain keep their index), and each merged with the next."""
+    for contact, row in enumerate(sequence):
         for index in reversed(range(len(row))):
             yield Drop(contact=contact, index=index)
             yield Merge(contact=contact, index=index)
 
 
-def rearrangements(windows: Windows, phi: np.ndarray) -> Iterator[Move]:
-    """Windows merged, dropped, split where they press least, added where bodies come nearest; phi (steps, nc) of the present plan."""
-    for contact, row in enumerate(windows):
+def rearrangements(sequence: ModeSequence, phi: np.ndarray) -> Iterator[Move]:
+    """Yield intervals merged, dropped, split where they press least, and added where bodies come nearest.
+
+    Parameters
+    ----------
+    phi : (steps, nc) [m], penetration along the present plan
+    """
+    for contact, row in enumerate(sequence):
         depth = phi[:, contact]
         for index, (first, stop) in enumerate(row):
             if index + 1 < len(row):
@@ -219,20 +188,22 @@ def rearrangements(windows: Windows, phi: np.ndarray) -> Iterator[Move]:
             yield Drop(contact=contact, index=index)
             if stop - first >= 3:
                 least = first + 1 + int(depth[first + 1 : stop - 1].argmin())
-                yield SplitWindow(contact=contact, index=index, first=least, stop=least + 1)
-        edges = [0, *(edge for window in row for edge in window), len(depth)]
+                yield Split(contact=contact, index=index, first=least, stop=least + 1)
+        edges = [0, *(edge for interval in row for edge in interval), len(depth)]
         for first, stop in zip(edges[::2], edges[1::2], strict=True):
             if stop - first >= 3:
                 nearest = first + 1 + int(depth[first + 1 : stop - 1].argmax())
                 yield Add(contact=contact, first=nearest, stop=nearest + 1)
 
 
-def repetitions(windows: Windows, steps: int) -> Iterator[Move]:
-    """Every window once more, as long as it is, before or after it where the contact is open; where a contact has none, one as long as the
-    others' at places all over the horizon."""
-    lengths = sorted(stop - first for row in windows for first, stop in row)
+def repetitions(sequence: ModeSequence, steps: int) -> Iterator[Move]:
+    """Yield each interval once more, as long as it is, before or after it where the contact is open.
+
+    Where a contact has none, one as long as the others' is tried at places all over the horizon.
+    """
+    lengths = sorted(stop - first for row in sequence for first, stop in row)
     usual = lengths[len(lengths) // 2] if lengths else max(1, steps // 20)
-    for contact, row in enumerate(windows):
+    for contact, row in enumerate(sequence):
         wanted = [(first + sign * round(part * steps), stop - first) for first, stop in row for part in _APART for sign in (-1, 1)]
         if not row:
             wanted = [(round(place * steps), usual) for place in _PLACES]
@@ -241,9 +212,9 @@ def repetitions(windows: Windows, steps: int) -> Iterator[Move]:
                 yield Add(contact=contact, first=begin, stop=begin + length)
 
 
-# A neighbour counts as cheaper by this part of the cost: well above the rounding of a solve (1e-13), far below what a step of a window costs.
-GAIN = 1e-10
-_PULL = 1e-6  # a multiplier [cost per N] that is clearly not zero
+# A neighbour counts as cheaper by this part of the cost: well above the rounding of a solve (1e-13), far below what a step of an interval costs.
+_GAIN = 1e-10
+_NEGATIVE = 1e-6  # a multiplier [cost per N] that is clearly not zero
 _ALONE = 20  # pairs that are switched one by one where switching them together does not help
 _DETOUR = 40  # plans tried on a detour; from two pushes to one, 27 steps away, 20 are enough
 _STRETCH = 4  # of the longest stride: the first on a detour
@@ -253,14 +224,23 @@ class ModePlan(Protocol):
     """A plan that is optimal for its modes."""
 
     @property
-    def closed(self) -> np.ndarray: ...
+    def closed(self) -> np.ndarray:
+        """Whether a contact is closed in a step: (steps, nc) [-]."""
+        ...
+
     @property
-    def cost(self) -> float: ...
+    def cost(self) -> float:
+        """Its cost."""
+        ...
+
     @property
-    def phi(self) -> np.ndarray: ...
+    def phi(self) -> np.ndarray:
+        """Penetration: (steps, nc) [m]."""
+        ...
+
     @property
-    def pull(self) -> np.ndarray:
-        """(steps, nc), negative where a touching pair would rather be in its other mode."""
+    def biactive_multiplier(self) -> np.ndarray:
+        """Smaller multiplier of a touching pair where it is negative, else 0: (steps, nc) [1/N]. There the other mode is cheaper."""
         ...
 
 
@@ -270,24 +250,24 @@ Improve = Callable[[np.ndarray, Answer, float], Answer | None]  # (modes, neighb
 
 @dataclass(frozen=True, kw_only=True)
 class SearchResult(Generic[Answer]):
-    """best: the cheapest; tried: neighbours solved; complete: no neighbour is cheaper (False: stopped before that was known)."""
+    """The cheapest plan, how many neighbours were solved, and whether none of them is cheaper (False: stopped before that was known)."""
 
     best: Answer
     tried: int
     complete: bool
 
 
-def search_windows(
+def search_sequences(
     best: Answer, improve: Improve[Answer], *, stride: int, is_over: Callable[[], bool], far: bool = True
 ) -> SearchResult[Answer]:
-    """From `best` downhill. stride: the first stride in steps; is_over: whether to stop; far: whether to look further than a move."""
+    """Search downhill from `best`. stride: the first stride in steps; is_over: whether to stop; far: whether to look further than a move."""
     return _Search(best, improve, is_over).run(stride, far)
 
 
-def follow_pulls(best: Answer, improve: Improve[Answer], *, is_over: Callable[[], bool]) -> SearchResult[Answer]:
-    """Only switch pairs that touch and would rather be in their other mode, until none helps."""
+def flip_wrong_signs(best: Answer, improve: Improve[Answer], *, is_over: Callable[[], bool]) -> SearchResult[Answer]:
+    """Only switch touching pairs whose multiplier has the wrong sign, until none helps."""
     search = _Search(best, improve, is_over)
-    search.follow_pulls()
+    search.flip_wrong_signs()
     return search.found(complete=not is_over())
 
 
@@ -306,13 +286,13 @@ class _Search(Generic[Answer]):
     def run(self, stride: int, far: bool) -> SearchResult[Answer]:
         longest, repeated = stride, not far
         if far:
-            self.follow_pulls()
-            self._any(fewer(windows_of(self._best.closed)))
+            self.flip_wrong_signs()
+            self._any(fewer(mode_sequence(self._best.closed)))
         while not self._is_over():
-            self.follow_pulls()
-            helped = self._any(shifts(windows_of(self._best.closed), stride))
+            self.flip_wrong_signs()
+            helped = self._any(shifts(mode_sequence(self._best.closed), stride))
             if not helped and stride == 1:
-                helped = self._any(rearrangements(windows_of(self._best.closed), self._best.phi))
+                helped = self._any(rearrangements(mode_sequence(self._best.closed), self._best.phi))
             if not helped and not repeated:
                 repeated = not self._repeat()
                 helped, stride = not repeated, longest
@@ -328,25 +308,25 @@ class _Search(Generic[Answer]):
     def shift(self, stride: int) -> Answer:
         """Only shifts, down to those by one step."""
         while stride and not self._is_over():
-            self.follow_pulls()
-            stride = stride if self._any(shifts(windows_of(self._best.closed), stride)) else stride // 2
+            self.flip_wrong_signs()
+            stride = stride if self._any(shifts(mode_sequence(self._best.closed), stride)) else stride // 2
         return self._best
 
     def _detours(self, stride: int) -> bool:
-        """Whether one of the moves to fewer windows, dearer as it may be, leads to a cheaper plan by shifts."""
-        begin, windows = self._best, windows_of(self._best.closed)
-        for move in fewer(windows):
-            moved = move.apply(windows, self._steps)
+        """Whether one of the moves to fewer sequence, dearer as it may be, leads to a cheaper plan by shifts."""
+        begin, sequence = self._best, mode_sequence(self._best.closed)
+        for move in fewer(sequence):
+            moved = move.apply(sequence, self._steps)
             if moved is None or self._is_over():
                 continue
             self._tried += 1
-            start = self._improve(closed_of(moved, self._steps), begin, np.inf)
+            start = self._improve(closed_steps(moved, self._steps), begin, np.inf)
             if start is None:
                 continue
             way = _Search(start, self._improve, self._is_over, _DETOUR)
             end = way.shift(_STRETCH * stride)
             self._tried += way.found(complete=True).tried
-            if end.cost < begin.cost - GAIN * abs(begin.cost):
+            if end.cost < begin.cost - _GAIN * abs(begin.cost):
                 self._best = end
                 return True
         return False
@@ -360,31 +340,33 @@ class _Search(Generic[Answer]):
         return helped
 
     def _step(self, move: Move) -> bool:
-        moved = move.apply(windows_of(self._best.closed), self._steps)
-        return moved is not None and self._take(closed_of(moved, self._steps))
+        moved = move.apply(mode_sequence(self._best.closed), self._steps)
+        return moved is not None and self._take(closed_steps(moved, self._steps))
 
     def _repeat(self) -> bool:
-        """The cheapest of the plans with one window repeated, if it is cheaper."""
-        begin, windows = self._best, windows_of(self._best.closed)
-        for move in repetitions(windows, self._steps):
-            moved = move.apply(windows, self._steps)
+        """The cheapest of the plans with one interval repeated, if it is cheaper."""
+        begin, sequence = self._best, mode_sequence(self._best.closed)
+        for move in repetitions(sequence, self._steps):
+            moved = move.apply(sequence, self._steps)
             if moved is not None and not self._is_over():
-                self._take(closed_of(moved, self._steps))
+                self._take(closed_steps(moved, self._steps))
         return self._best is not begin
 
-    def follow_pulls(self) -> None:
-        """Switch the pairs that would rather be in their other mode: all of them, else half, a quarter .. of them, those that pull most, else
-        one by one. What helped once is tried again, ever further: every window end as many steps on as it just went."""
+    def flip_wrong_signs(self) -> None:
+        """Switch the touching pairs whose multiplier is negative: all of them, else the worst half, quarter .. of them, else one by one.
+
+        What helped once is tried again, ever further: every end of an interval as many steps on as it just went.
+        """
         times = 1
         while not self._is_over():
-            before, pull = windows_of(self._best.closed), self._best.pull
-            order = np.argsort(pull, axis=None)[: int((pull < -_PULL).sum())]
+            before, multiplier = mode_sequence(self._best.closed), self._best.biactive_multiplier
+            order = np.argsort(multiplier, axis=None)[: int((multiplier < -_NEGATIVE).sum())]
             together = [order[: len(order) >> halvings] for halvings in range(len(order).bit_length())]
             alone = [order[one : one + 1] for one in range(1, min(len(order), _ALONE))]
             if not any(self._switch(pairs) for pairs in (*together, *alone)):
                 return
-            further = onwards(before, windows_of(self._best.closed), times, self._steps)
-            helped = further is not None and not self._is_over() and self._take(closed_of(further, self._steps))
+            further = onwards(before, mode_sequence(self._best.closed), times, self._steps)
+            helped = further is not None and not self._is_over() and self._take(closed_steps(further, self._steps))
             times = 2 * times if helped else max(1, times // 2)
 
     def _switch(self, pairs: np.ndarray) -> bool:
@@ -398,7 +380,7 @@ class _Search(Generic[Answer]):
             return False
         self._seen.add(closed.tobytes())
         self._tried += 1
-        found = self._improve(closed, self._best, self._best.cost - GAIN * abs(self._best.cost))
+        found = self._improve(closed, self._best, self._best.cost - _GAIN * abs(self._best.cost))
         if found is None:
             return False
         self._best = found

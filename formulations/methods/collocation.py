@@ -11,13 +11,13 @@ Contacts open and close within steps, not at nodes. What that costs is bounded: 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from time import perf_counter, process_time
+from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from formulations.method import Kind, Method, Session, option, without_inputs
-from formulations.solution import ModelSize, Outcome, Solution
+from formulations.method import Clock, Kind, Method, Session, option, without_inputs
+from formulations.solution import ModelSize, Outcome, Solution, checked
 from formulations.transcription.account import SolveBudget
 from formulations.transcription.method import TranscriptionOptions, why_not_collocated
 from formulations.transcription.residuals import PlanResiduals
@@ -38,6 +38,8 @@ _TRIED = 3
 
 @dataclass(frozen=True, kw_only=True)
 class CollocationOptions(TranscriptionOptions):
+    """Options of `collocation`."""
+
     scheme: str = option(
         "radau_iia_2",
         "the time step: Radau IIA with two stages (order 3) or three (order 5), or the implicit midpoint (order 2, keeps energy)",
@@ -57,7 +59,7 @@ class CollocationOptions(TranscriptionOptions):
 class CollocationSession(Session):
     """The models are built at the first solve, and serve those after it."""
 
-    def __init__(self, method: Collocation, scene: Scene, options: CollocationOptions, opening: tuple[float, float]) -> None:
+    def __init__(self, method: Collocation, scene: Scene, options: CollocationOptions, clock: Clock) -> None:
         from formulations.contact_modes import collocation  # imports Pyomo and Ipopt: 1 s that planning a campaign does without
 
         self._method, self._scene, self._options = method, scene, options
@@ -71,48 +73,50 @@ class CollocationSession(Session):
             homotopy_tolerance=options.homotopy_tolerance,
             most_iterations=options.max_iterations,
         )
-        self._opening = (perf_counter() - opening[0], process_time() - opening[1])
+        self._clock = clock
+        clock.stop()
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
+        """Find a plan of collocated steps; the models are built at the first solve. Raises TrajectoryError for a plan of another grid."""
         self._method.check_stage(eps, time_limit)
-        account, self._opening = SolveBudget(time_limit, self._opening), (0.0, 0.0)
+        budget = SolveBudget(time_limit, self._clock.pay())
         begin, problem = perf_counter(), self._problem
         problem.prepare(warm_start)
-        account.build += perf_counter() - begin
-        guesses, outcome, message = self._softened(account, warm_start)
+        budget.build += perf_counter() - begin
+        guesses, outcome, message = self._softened(budget, warm_start)
         if not self._scene.nc:
-            return self._solution(account, problem.homotopy.bench, outcome, message)
+            return self._solution(budget, problem.homotopy.bench, outcome, message)
         if not guesses:
-            return self._solution(account, None, outcome, message)
+            return self._solution(budget, None, outcome, message)
         for guess in guesses:
-            result = problem.with_modes(account, guess)
-            if result.outcome is Outcome.SOLVED or account.is_over:
+            result = problem.with_modes(budget, guess)
+            if result.outcome is Outcome.SOLVED or budget.is_over:
                 break
         else:
-            result = problem.from_relaxed(account, guesses[0])
+            result = problem.from_relaxed(budget, guesses[0])
         if result.outcome is Outcome.SOLVED:
             message = f"Modes of the stages were read off, the rest solved by Ipopt: {result.message}"
-            return self._solution(account, problem.exact(account), Outcome.SOLVED, message)
-        if account.is_over:
-            return self._solution(account, None, Outcome.TIME_LIMIT, "no modes of the stages with a plan were found in the time given.")
+            return self._solution(budget, problem.exact(budget), Outcome.SOLVED, message)
+        if budget.is_over:
+            return self._solution(budget, None, Outcome.TIME_LIMIT, "no feasible modes of the stages were found within the time limit.")
         message = "no modes of the stages that were tried have a plan; a finer grid, or another start, may."
-        return self._solution(account, None, Outcome.STALLED, message)
+        return self._solution(budget, None, Outcome.STALLED, message)
 
-    def _softened(self, account: SolveBudget, start: Trajectory | None) -> tuple[list[StageModes], Outcome, str]:
+    def _softened(self, budget: SolveBudget, start: Trajectory | None) -> tuple[list[StageModes], Outcome, str]:
         """The last stages of the homotopy, the sharpest first; where its first stage has no plan, from the plan that comes nearest to the goal."""
         guesses: list[StageModes] = []
-        outcome, message = self._problem.soften(account, start, guesses.append)
-        if not guesses and outcome is not Outcome.SOLVED and not account.is_over:
-            found = self._problem.nearest(account, self._options.first_sharpness / self._scene.length)
+        outcome, message = self._problem.soften(budget, start, guesses.append)
+        if not guesses and outcome is not Outcome.SOLVED and not budget.is_over:
+            found = self._problem.nearest(budget, self._options.first_sharpness / self._scene.length)
             if found.is_out_of_reach:
                 task = self._scene.task
                 words = f"no plan of {task.steps} steps of {task.step:g} s was found that reaches the goal within the bounds: the nearest misses {found.words}."
                 return [], Outcome.INFEASIBLE, words
             if found.is_solved:
-                outcome, message = self._problem.soften(account, found.plan, guesses.append)
+                outcome, message = self._problem.soften(budget, found.plan, guesses.append)
         return guesses[: -_TRIED - 1 : -1], outcome, message
 
-    def _solution(self, account: SolveBudget, bench: Workbench | None, outcome: Outcome, message: str) -> Solution:
+    def _solution(self, budget: SolveBudget, bench: Workbench | None, outcome: Outcome, message: str) -> Solution:
         plan, cost, residuals = None, None, {}
         if bench is not None and outcome.has_answer:
             try:
@@ -122,33 +126,28 @@ class CollocationSession(Session):
         if plan is not None:
             cost = self._residuals.cost(plan)
             residuals = {**self._residuals.of(plan), "switch_error": switch_error(self._kernel, plan)}
-            promises = self._options.promises()
-            missed = {name: residuals[name] for name, limit in promises.items() if not residuals.get(name, 0.0) <= limit}
-            if missed and outcome is Outcome.SOLVED:
-                worst = ", ".join(f"{name} is {value:.3g}" for name, value in missed.items())
-                outcome, message = (
-                    Outcome.STALLED,
-                    f"{message} Checked on the plan itself, {worst} (limit {self._options.plan_tolerance:g}).",
-                )
+            outcome, message = checked(outcome, message, residuals, self._options.promises())
         return Solution(
             method=self._method.name,
             outcome=outcome,
             message=message,
             trajectory=plan,
             cost=cost,
-            iterations=account.iterations,
-            seconds=account.seconds(),
+            iterations=budget.iterations,
+            seconds=budget.seconds(),
             residuals={name: value for name, value in residuals.items() if np.isfinite(value)},
             options=asdict(self._options),
-            solver=account.solver,
-            history={name: tuple(values) for name, values in account.history.items()},
+            solver=budget.solver,
+            history={name: tuple(values) for name, values in budget.history.items()},
             size=None if bench is None else bench.size,
             paper_size=None if bench is None else self._paper_size(),
         )
 
     def _paper_size(self) -> ModelSize:
-        """Unknowns and equations of the model with its modes by hand: nodes, inputs, stages that are no node, forces and separation forces; ends,
-        stages, nodes that are no stage, separation forces."""
+        """Unknowns and equations of the model with its modes, counted by hand.
+
+        Nodes, inputs, stages that are no node, forces and separation forces; ends, stages, nodes that are no stage, separation forces.
+        """
         scene, table = self._scene, tableau(Scheme(self._options.scheme))
         steps, given = scene.task.steps, sum(value is not None for value in scene.task.goal)
         own, ends = (table.stages - 1, 0) if table.is_stiffly_accurate else (table.stages, 1)
@@ -159,6 +158,8 @@ class CollocationSession(Session):
 
 
 class Collocation(Method[CollocationOptions]):
+    """Exact contact at the stages of steps of order 2 to 5."""
+
     name = "collocation"
     title = "Exact contact by collocation of higher order"
     kind = Kind.DIRECT
@@ -166,10 +167,12 @@ class Collocation(Method[CollocationOptions]):
     options = CollocationOptions
 
     def accepts(self, scene: Scene) -> str | None:
+        """Refuse scenes without inputs, with friction or with damped contacts."""
         return without_inputs(scene, "plan") or why_not_collocated(scene)
 
-    def session(self, scene: Scene, options: CollocationOptions, opening: tuple[float, float]) -> Session:
-        return CollocationSession(self, scene, options, opening)
+    def session(self, scene: Scene, options: CollocationOptions, clock: Clock) -> Session:
+        """Open a session, whose models are built at its first solve."""
+        return CollocationSession(self, scene, options, clock)
 
 
 METHOD = Collocation()

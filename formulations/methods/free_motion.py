@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping
-
 import numpy as np
 
 from formulations.grids import plan_of
-from formulations.method import Kind, Method, Session
+from formulations.method import Clock, Kind, Method, Options, Session
 from formulations.solution import Outcome, Seconds, Solution
 from models.codegen.kernel import Kernel, load_kernel
 from models.scene import Scene
@@ -25,10 +22,12 @@ class _FreeMotionSession(Session):
         scene, task = self._kernel.scene, self._kernel.scene.task
         if warm_start is not None:
             warm_start.check_fits(scene)
-        wall, cpu = time.perf_counter(), time.process_time()
+        clock = Clock()
         u = np.zeros((task.steps, 0))
         motion = self._kernel.rollout(np.array(task.start), u, task.step)
-        seconds = Seconds(evaluate=time.perf_counter() - wall, wall=time.perf_counter() - wall, cpu=time.process_time() - cpu)
+        clock.stop()
+        wall, cpu = clock.pay()
+        seconds = Seconds(evaluate=wall, wall=wall, cpu=cpu)
         if motion.diverged:
             message = (
                 f"the time step of {task.step:g} s let the motion grow without bound by step {motion.finite_steps}; use a smaller one."
@@ -47,15 +46,19 @@ class _FreeMotionSession(Session):
 
 
 class FreeMotion(Method):
+    """The motion of a scene that has no inputs."""
+
     name = "free_motion"
     title = "Free motion of a scene without inputs"
     kind = Kind.DIRECT
     needs_eps = False
 
     def accepts(self, scene: Scene) -> str | None:
+        """Refuse scenes with inputs, whose motion is to be planned."""
         return f"scene {scene.name} has inputs, so its motion is to be planned." if scene.nu else None
 
-    def session(self, scene: Scene, options: Mapping[str, object], opening: tuple[float, float]) -> Session:
+    def session(self, scene: Scene, options: Options, clock: Clock) -> Session:
+        """Open a session with the compiled time step."""
         return _FreeMotionSession(self, load_kernel(scene))
 
 

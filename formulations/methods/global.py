@@ -1,18 +1,17 @@
 """The global optimum, proved: one binary variable a contact and step, for linear scenes with few enough of them.
 
-The plan given is the incumbent, the proof says how much cheaper a plan could be at most, and what it found is told as a Solution.
+The plan given is the incumbent, the proof says how much cheaper a plan could be at most.
 """
 # ruff: noqa: N999 - a method's file is named like the method; nobody writes `import global`
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from time import perf_counter, process_time
 
 import numpy as np
 
 from formulations.grids import check_warm_start
-from formulations.method import Kind, Method, Options, Session, option, without_inputs
+from formulations.method import Clock, Kind, Method, Options, Session, option, without_inputs
 from formulations.solution import Seconds, Solution
 from formulations.transcription.residuals import PlanResiduals
 from models.scene import Scene
@@ -24,23 +23,26 @@ _MOST = 60
 
 @dataclass(frozen=True, kw_only=True)
 class GlobalOptions(Options):
+    """Options of `global`."""
+
     seconds: float = option(200.0, "time after which the best bound is reported", unit="s", lower=1e-3, upper=1e7)
 
 
 class GlobalSession(Session):
-    """A proof each time it is asked: nothing is kept."""
+    """A proof each time it is asked: nothing is shared between stages."""
 
-    def __init__(self, method: Global, scene: Scene, options: GlobalOptions, opening: tuple[float, float]) -> None:
+    def __init__(self, method: Global, scene: Scene, options: GlobalOptions, clock: Clock) -> None:
         from formulations.proof import prove  # imports Pyomo: 0.9 s that planning a campaign does without
 
         self._method, self._scene, self._options, self._prove = method, scene, options, prove
-        self._opening = (perf_counter() - opening[0], process_time() - opening[1])
+        self._clock = clock
+        clock.stop()
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
+        """Prove a bound; warm_start: the incumbent. Raises TrajectoryError for a plan of another scene or grid."""
         self._method.check_stage(eps, time_limit)
-        if warm_start is not None:
-            check_warm_start(self._scene, warm_start)
-        (build, build_cpu), self._opening = self._opening, (0.0, 0.0)
+        check_warm_start(self._scene, warm_start)
+        build, build_cpu = self._clock.pay()
         proof = self._prove(self._scene, incumbent=warm_start, time_limit=min(time_limit, self._options.seconds))
         return Solution(
             method=self._method.name,
@@ -61,6 +63,8 @@ class GlobalSession(Session):
 
 
 class Global(Method[GlobalOptions]):
+    """A bound below which no plan costs, by branch and bound."""
+
     name = "global"
     title = "Global optimum by branch and bound"
     kind = Kind.DIRECT
@@ -68,6 +72,7 @@ class Global(Method[GlobalOptions]):
     options = GlobalOptions
 
     def accepts(self, scene: Scene) -> str | None:
+        """Refuse scenes whose modes do not leave a convex quadratic program, with too many contact decisions, or without SCIP."""
         if not scene.inputs:
             return without_inputs(scene, "plan")
         decisions = scene.nc * (scene.task.steps - 1)
@@ -80,8 +85,9 @@ class Global(Method[GlobalOptions]):
 
         return why_no_proof(scene) or missing_solver()
 
-    def session(self, scene: Scene, options: GlobalOptions, opening: tuple[float, float]) -> Session:
-        return GlobalSession(self, scene, options, opening)
+    def session(self, scene: Scene, options: GlobalOptions, clock: Clock) -> Session:
+        """Open a session, which imports Pyomo."""
+        return GlobalSession(self, scene, options, clock)
 
 
 METHOD = Global()

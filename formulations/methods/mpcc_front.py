@@ -3,8 +3,8 @@
     points = front(load_scene("three_cart"), (0.0, 1e-3, 1e-2, 5e-2, 0.2))
     [(point.tolerance, point.solution.cost) for point in points]
 
-A sweep: from a cold start at one tolerance the windows are handed on to the next, outwards and inwards, and searched there, as long as
-that is cheaper than what is known. The best windows change their number on the way (three carts: two pushes on the left at 0.01, one at 0.001, one on
+A sweep: from a cold start at one tolerance the modes are handed on to the next, outwards and inwards, and searched there, as long as
+that is cheaper than what is known. The best modes change the number of their intervals on the way (three carts: two pushes on the left at 0.01, one at 0.001, one on
 each side at 0), and no small move leads from one kind to the other: hence three cold starts, in the middle and at both ends. Where two
 sweeps meet, the cheaper one goes on.
 """
@@ -13,12 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields, replace
-from time import perf_counter, process_time
+from time import perf_counter
 from types import MappingProxyType
 from typing import TYPE_CHECKING, cast
 
 from formulations.contact_modes.method import why_not
-from formulations.method import Kind, Method, OptionError, Options, Session, option
+from formulations.method import Clock, Kind, Method, OptionError, Options, Session, option
 from formulations.pipelines import load_method
 from formulations.solution import FrontPoint, Outcome, Seconds, Solution
 from models.scene import Scene
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class MpccFrontOptions(Options):
+    """Options of `mpcc_front`."""
+
     tolerances: tuple[float, ...] = option(
         (0.0, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1, 0.2), "largest norms of (q, v)[T] - goal; the plan handed on is that of the smallest"
     )
@@ -39,12 +41,12 @@ class MpccFrontOptions(Options):
         unit="millions",
         lower=0.0,
     )
-    search: bool = option(True, "search for cheaper contact windows at each tolerance")
+    search: bool = option(True, "search for cheaper contact modes at each tolerance")
     seed: int = option(0, "of random starts, tried where the first guess leads nowhere", lower=0, upper=10**9)
 
 
 def checked_tolerances(given: Iterable[float]) -> tuple[float, ...]:
-    """Each once, in rising order. Raises OptionError."""
+    """Give each tolerance once, in rising order. Raises OptionError for what is none, or where there is none."""
     values = tuple(given) if isinstance(given, Iterable) and not isinstance(given, str) else (given,)
     for value in values:
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value < float("inf"):
@@ -62,8 +64,11 @@ def front(
     start: Trajectory | None = None,
     time_limit: float = 600.0,
 ) -> tuple[FrontPoint, ...]:
-    """Points by increasing tolerance. options: of method mpcc; start: a plan that the first solve starts from; time_limit: wall seconds for
-    all of them. Raises OptionError."""
+    """Solve for the least cost within each tolerance; points by increasing tolerance.
+
+    options: of method mpcc; start: a plan that the first solve starts from; time_limit: wall seconds for all of them. Raises OptionError for a tolerance
+    or an option that is none, and for a scene that mpcc does not accept.
+    """
     ordered = checked_tolerances(tolerances)
     end = perf_counter() + time_limit
     best: dict[float, Solution] = {}
@@ -93,7 +98,7 @@ def front(
         found, _ = solve(ordered[place], start)
         sweep(found.trajectory, ordered[place + 1 :])
         sweep(found.trajectory, ordered[:place][::-1])
-    vain: dict[float, Solution] = {}
+    skipped: dict[float, Solution] = {}
     for tolerance in reversed(ordered):  # a sweep may have ended before it got here
         if tolerance in best or perf_counter() >= end:
             continue
@@ -101,8 +106,8 @@ def front(
         if without is None:
             solve(tolerance, start)
         else:
-            vain[tolerance] = _vain(without)
-    return _falling(ordered, {**vain, **best})
+            skipped[tolerance] = _not_tried(without)
+    return _falling(ordered, {**skipped, **best})
 
 
 def _falling(ordered: tuple[float, ...], best: Mapping[float, Solution]) -> tuple[FrontPoint, ...]:
@@ -115,7 +120,7 @@ def _falling(ordered: tuple[float, ...], best: Mapping[float, Solution]) -> tupl
     return tuple(points)
 
 
-def _vain(larger: float) -> Solution:
+def _not_tried(larger: float) -> Solution:
     """Plans within a tolerance are among those within a larger one: where none of these was found, none is looked for."""
     message = f"Not tried: within the larger tolerance {larger:g} no plan was found either."
     return Solution(method="mpcc", outcome=Outcome.STALLED, message=message)
@@ -128,15 +133,16 @@ def _cost(solution: Solution) -> float:
 class MpccFrontSession(Session):
     """The sweep of `front` as one stage, whose plan is that of the smallest tolerance."""
 
-    def __init__(self, method: MpccFront, scene: Scene, options: MpccFrontOptions, opening: tuple[float, float]) -> None:
+    def __init__(self, method: MpccFront, scene: Scene, options: MpccFrontOptions, clock: Clock) -> None:
         self._method, self._scene = method, scene
         self._options = replace(options, tolerances=checked_tolerances(options.tolerances))
-        self._opening = (perf_counter() - opening[0], process_time() - opening[1])
+        self._clock = clock
+        clock.stop()
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
+        """Sweep over the tolerances."""
         self._method.check_stage(eps, time_limit)
-        wall, cpu = perf_counter() - self._opening[0], process_time() - self._opening[1]
-        self._opening = (0.0, 0.0)
+        stage = Clock()
         own = {"work": self._options.work, "search": self._options.search, "seed": self._options.seed}
         points = front(self._scene, self._options.tolerances, options=own, start=warm_start, time_limit=time_limit)
         first = points[0].solution
@@ -148,16 +154,16 @@ class MpccFrontSession(Session):
             first,
             method=self._method.name,
             outcome=outcome,
-            message=told(found, points, first.message),
+            message=front_message(found, points, first.message),
             options=asdict(self._options),
             iterations=sum(solution.iterations for solution in solutions),
-            seconds=_together(solutions, perf_counter() - wall, process_time() - cpu),
+            seconds=_sum(solutions, stage, self._clock),
             front=points,
         )
 
 
-def told(found: int, points: tuple[FrontPoint, ...], message: str) -> str:
-    """How many points have a plan, and how the first of them ended, whose tolerance is the smallest."""
+def front_message(found: int, points: tuple[FrontPoint, ...], message: str) -> str:
+    """Say how many points have a plan, and how the first of them ended, whose tolerance is the smallest."""
     if not found:
         return f"No plan was found within any of {len(points)} terminal tolerances: {message}"
     began = f"Plans were found within {found} of {len(points)} terminal tolerances"
@@ -166,13 +172,17 @@ def told(found: int, points: tuple[FrontPoint, ...], message: str) -> str:
     return f"{began}; this is the one within {points[0].tolerance:g}. {message[:1].upper()}{message[1:]}"
 
 
-def _together(solutions: list[Solution], wall: float, cpu: float) -> Seconds:
-    """Seconds of the solves that the front is made of; wall and cpu are those of the whole sweep."""
+def _sum(solutions: list[Solution], stage: Clock, opening: Clock) -> Seconds:
+    """Seconds of the solves that the front is made of; wall and cpu are those of the whole sweep and of opening it."""
+    stage.stop()
+    wall, cpu = (sum(pair) for pair in zip(stage.pay(), opening.pay(), strict=True))
     parts = {item.name: sum(getattr(solution.seconds, item.name) for solution in solutions) for item in fields(Seconds)}
     return Seconds(**{**parts, "wall": wall, "cpu": cpu})
 
 
 class MpccFront(Method[MpccFrontOptions]):
+    """`mpcc` within each of several tolerances around the goal."""
+
     name = "mpcc_front"
     title = "Exact contact, least cost within each terminal tolerance"
     kind = Kind.DIRECT
@@ -181,12 +191,14 @@ class MpccFront(Method[MpccFrontOptions]):
     options = MpccFrontOptions
 
     def accepts(self, scene: Scene) -> str | None:
+        """Refuse scenes without a goal, and those that mpcc refuses."""
         if not scene.task.has_goal:
             return f"scene {scene.name} leaves its end free, so there is no terminal error to trade for cost."
         return why_not(scene)
 
-    def session(self, scene: Scene, options: MpccFrontOptions, opening: tuple[float, float]) -> Session:
-        return MpccFrontSession(self, scene, options, opening)
+    def session(self, scene: Scene, options: MpccFrontOptions, clock: Clock) -> Session:
+        """Open a session, which opens mpcc when it is solved."""
+        return MpccFrontSession(self, scene, options, clock)
 
 
 METHOD = MpccFront()

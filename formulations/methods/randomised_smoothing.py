@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
-import numpy as np
-
-from formulations.method import Kind, Method, OptionError, Session, option, without_inputs
+from formulations.method import Clock, Kind, Method, OptionError, Session, option, without_inputs
 from formulations.shooting.options import LbfgsOptions
 from models.contact_law import ContactLaw
 from models.scene import Scene
@@ -15,6 +14,8 @@ from models.scene import Scene
 # The goal is not displaced: what the mean misses is as much the noise as the plan.
 @dataclass(frozen=True, kw_only=True)
 class RandomisedSmoothingOptions(LbfgsOptions):
+    """Options of `randomised_smoothing`."""
+
     samples: int = option(16, "rollouts with noise; an even number, in pairs of opposite noise", lower=2, upper=10**6)
     pieces: int = option(5, "noise is held over so many equal parts of the horizon", lower=1, upper=10**9)
     seed: int = option(0, "of the noise", lower=0)
@@ -27,6 +28,8 @@ class RandomisedSmoothingOptions(LbfgsOptions):
 
 
 class RandomisedSmoothing(Method[RandomisedSmoothingOptions]):
+    """L-BFGS on the mean loss over random inputs, with eps as the size of the noise."""
+
     name = "randomised_smoothing"
     title = "L-BFGS on ReLU contact, averaged over random inputs"
     kind = Kind.INDIRECT
@@ -34,22 +37,17 @@ class RandomisedSmoothing(Method[RandomisedSmoothingOptions]):
     options = RandomisedSmoothingOptions
 
     def accepts(self, scene: Scene) -> str | None:
+        """Refuse scenes without inputs."""
         return without_inputs(scene, "descend on")
 
-    def session(self, scene: Scene, options: RandomisedSmoothingOptions, opening: tuple[float, float]) -> Session:
+    def session(self, scene: Scene, options: RandomisedSmoothingOptions, clock: Clock) -> Session:
+        """Open a session, which imports PyTorch."""
         from formulations.shooting.session import ShootingSession, noise, quasi_newton  # imports PyTorch
 
-        def drawn(eps: float) -> np.ndarray:
-            return noise(
-                scene,
-                deviation=eps,
-                unbounded=options.unbounded,
-                samples=options.samples,
-                pieces=options.pieces,
-                seed=options.seed,
-            )
-
-        return ShootingSession(self, scene, options, opening, law=ContactLaw.RELU, minimise=quasi_newton, noise=drawn)
+        drawn = partial(
+            noise, scene, unbounded=options.unbounded, samples=options.samples, pieces=options.pieces, seed=options.seed
+        )  # of the deviation
+        return ShootingSession(self, scene, options, clock, law=ContactLaw.RELU, minimise=quasi_newton, noise=drawn)
 
 
 METHOD = RandomisedSmoothing()

@@ -17,7 +17,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, cast
 
 from formulations.grids import coarse_scene, on_grid
-from formulations.method import Kind, Method, Session, option, without_inputs
+from formulations.method import Clock, Kind, Method, Session, option, without_inputs
 from formulations.solution import Outcome, Solution
 from formulations.transcription.account import SolveBudget
 from formulations.transcription.method import BarrierOptions, StageRules, Work, ended
@@ -47,6 +47,8 @@ _LONG, _SHORT = 2000, 500
 
 @dataclass(frozen=True, kw_only=True)
 class RelaxedLCPOptions(BarrierOptions):
+    """Options of `relaxed_lcp`."""
+
     duals_from: float = option(
         1e-4,
         "a stage at this eps or below also takes the multipliers of the stage before it; larger eps move the plan too much",
@@ -59,26 +61,25 @@ class RelaxedLCPOptions(BarrierOptions):
 class RelaxedLCPSession(Session):
     """The model is built once; each eps moves its bound, and starts warm. longest: more steps than this are solved on coarser grids first."""
 
-    def __init__(
-        self, method: RelaxedLCP, scene: Scene, options: RelaxedLCPOptions, opening: tuple[float, float], longest: int | None = None
-    ) -> None:
+    def __init__(self, method: RelaxedLCP, scene: Scene, options: RelaxedLCPOptions, clock: Clock, longest: int | None = None) -> None:
         from formulations.transcription import homotopy  # imports Pyomo and Ipopt: 0.9 s that planning a campaign does without
 
         self._method, self._scene, self._options = method, scene, options
         self._longest = _LONG if longest is None else longest
-        self._homotopy = homotopy.Homotopy(method, scene, homotopy.ContactFormulation.COMPLEMENTARITY, options, opening, self._rules)
+        self._homotopy = homotopy.Homotopy(method, scene, homotopy.ContactFormulation.COMPLEMENTARITY, options, clock, self._rules)
         self._solver = self._homotopy.solver
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
+        """Solve at this eps. Raises TrajectoryError for a plan of another grid."""
         self._method.check_stage(eps, time_limit)
         eps = cast(float, eps)
         failure = self._homotopy.failed_before(eps, warm_start)
         if failure is not None:  # plans of a smaller eps are among those of a larger one
             outcome = Outcome.INFEASIBLE if failure.outcome is Outcome.INFEASIBLE else Outcome.STALLED
             return self._homotopy.not_tried(failure, outcome)
-        account = self._solver.begin(eps, warm_start, time_limit)
-        result = self._found(account, eps, warm_start)
-        return self._homotopy.solution(account, eps, warm_start, result)
+        budget = self._solver.begin(eps, warm_start, time_limit)
+        result = self._found(budget, eps, warm_start)
+        return self._homotopy.solution(budget, eps, warm_start, result)
 
     def _rules(self, eps: float) -> StageRules:
         scene, options, tolerance = self._scene, self._options, self._options.plan_tolerance
@@ -103,42 +104,42 @@ class RelaxedLCPSession(Session):
             promises=promises,
         )
 
-    def _found(self, account: SolveBudget, eps: float, start: Trajectory | None) -> IpoptResult:
+    def _found(self, budget: SolveBudget, eps: float, start: Trajectory | None) -> IpoptResult:
         """Solve the model, which holds the start already."""
         if self._scene.task.steps <= self._longest or self._solver.last is not None:  # a later stage starts from a plan of this grid
-            with self._homotopy.stage(account) as stage:
-                return self._reached_cold(stage, account, eps) if start is None else stage.reach(eps, start)
-        on_coarser = SolveBudget(account.remaining)
+            with self._homotopy.stage(budget) as stage:
+                return self._reached_cold(stage, budget, eps) if start is None else stage.reach(eps, start)
+        on_coarser = SolveBudget(budget.remaining)
         coarse = self._from_coarser_grid(on_coarser, eps, start)
         if coarse is not None:
             self._solver.load(coarse)
-        with self._homotopy.stage(account) as stage:
+        with self._homotopy.stage(budget) as stage:
             result = stage.reach(eps, start if coarse is None else coarse)
-        account.include(on_coarser)
+        budget.include(on_coarser)
         return result
 
-    def _from_coarser_grid(self, account: SolveBudget, eps: float, start: Trajectory | None) -> Trajectory | None:
+    def _from_coarser_grid(self, budget: SolveBudget, eps: float, start: Trajectory | None) -> Trajectory | None:
         """A plan of every second step, on this grid, or None if there is none."""
         coarse = coarse_scene(self._scene, math.ceil(self._scene.task.steps / 2))
         if coarse is None or not step_stability(coarse).is_stable:
             return None
         begin = perf_counter()
-        session = RelaxedLCPSession(self._method, coarse, self._options, (0.0, 0.0), _SHORT)
+        session = RelaxedLCPSession(self._method, coarse, self._options, Clock(), _SHORT)
         start = None if start is None else on_grid(start, coarse)
         session._solver.prepare(eps, start)
-        account.build += perf_counter() - begin
-        session._found(account, eps, start)
+        budget.build += perf_counter() - begin
+        session._found(budget, eps, start)
         solved = session._solver.last
         return None if solved is None else on_grid(solved.plan, self._scene)
 
-    def _reached_cold(self, stage: Stage, account: SolveBudget, eps: float) -> IpoptResult:
+    def _reached_cold(self, stage: Stage, budget: SolveBudget, eps: float) -> IpoptResult:
         """From the first guess, which the model holds; softer first where that leads nowhere soon."""
         levels = [eps]
         while self._scene.nl and 10.0 * levels[-1] < 1.0:
             levels.append(10.0 * levels[-1])
         result, last = self._first_to_end(stage, levels)
         if last > 0:
-            if result.outcome is not Outcome.INFEASIBLE and not account.is_over:
+            if result.outcome is not Outcome.INFEASIBLE and not budget.is_over:
                 result = self._back_from(stage, levels[: last + 1])
             result = replace(result, message=f"{ended(result.message)} {_SOFTER.format(levels[last])}".lstrip())
         return result
@@ -171,6 +172,8 @@ class RelaxedLCPSession(Session):
 
 
 class RelaxedLCP(Method[RelaxedLCPOptions]):
+    """Collocation with lam (lam - k phi) <= eps."""
+
     name = "relaxed_lcp"
     title = "Collocation with relaxed complementarity"
     kind = Kind.INDIRECT
@@ -178,10 +181,12 @@ class RelaxedLCP(Method[RelaxedLCPOptions]):
     options = RelaxedLCPOptions
 
     def accepts(self, scene: Scene) -> str | None:
+        """Refuse scenes without inputs."""
         return without_inputs(scene, "plan")
 
-    def session(self, scene: Scene, options: RelaxedLCPOptions, opening: tuple[float, float]) -> Session:
-        return RelaxedLCPSession(self, scene, options, opening)
+    def session(self, scene: Scene, options: RelaxedLCPOptions, clock: Clock) -> Session:
+        """Open a session, which imports Pyomo and Ipopt."""
+        return RelaxedLCPSession(self, scene, options, clock)
 
 
 METHOD = RelaxedLCP()

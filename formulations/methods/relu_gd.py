@@ -6,6 +6,8 @@ from models.contact_law import ContactLaw
 
 
 class ReluGD(DescentMethod):
+    """Gradient descent on the true contact law."""
+
     name = "relu_gd"
     title = "Gradient descent on ReLU contact"
     kind = Kind.DIRECT

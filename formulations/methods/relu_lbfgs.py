@@ -6,6 +6,8 @@ from models.contact_law import ContactLaw
 
 
 class ReluLbfgs(QuasiNewtonMethod):
+    """L-BFGS on the true contact law."""
+
     name = "relu_lbfgs"
     title = "L-BFGS on ReLU contact"
     kind = Kind.DIRECT

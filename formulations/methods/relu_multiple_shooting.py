@@ -6,6 +6,8 @@ from models.contact_law import ContactLaw
 
 
 class ReluMultipleShooting(MultipleShootingMethod):
+    """Multiple shooting on the true contact law."""
+
     name = "relu_multiple_shooting"
     title = "Multiple shooting on ReLU contact"
     kind = Kind.DIRECT

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import cast
 
-from formulations.method import Kind, Method, Session, option, without_inputs
+from formulations.method import Clock, Kind, Method, Session, option, without_inputs
 from formulations.solution import Outcome, Solution
 from formulations.transcription.method import StageRules, TranscriptionOptions, Work
 from models.contact_law import ContactLaw, sharpness
@@ -25,6 +25,8 @@ _BROKEN = 1e-2
 
 @dataclass(frozen=True, kw_only=True)
 class SoftplusDCOptions(TranscriptionOptions):
+    """Options of `softplus_dc`."""
+
     duals_from: float = option(
         1e-4,
         "a stage at this eps or below also takes the multipliers of the stage before it; larger eps move the plan too much",
@@ -36,25 +38,26 @@ class SoftplusDCOptions(TranscriptionOptions):
 class SoftplusDCSession(Session):
     """The model is built once; each eps moves its sharpness, and starts warm."""
 
-    def __init__(self, method: SoftplusDC, scene: Scene, options: SoftplusDCOptions, opening: tuple[float, float]) -> None:
+    def __init__(self, method: SoftplusDC, scene: Scene, options: SoftplusDCOptions, clock: Clock) -> None:
         from formulations.transcription import homotopy  # imports Pyomo and Ipopt: 0.9 s that planning a campaign does without
 
         self._method, self._scene, self._options = method, scene, options
         self._band = homotopy.band_options()
         self._homotopy = homotopy.Homotopy(
-            method, scene, homotopy.ContactFormulation.SOFTPLUS, options, opening, self._rules, counts_nonzeros=True
+            method, scene, homotopy.ContactFormulation.SOFTPLUS, options, clock, self._rules, counts_nonzeros=True
         )
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
+        """Solve at this eps. Raises TrajectoryError for a plan of another grid."""
         self._method.check_stage(eps, time_limit)
         eps = cast(float, eps)
         failure = self._homotopy.failed_before(eps, warm_start)
         if failure is not None and warm_start is not None:  # a cold start at a smaller eps is another one: contact acts from less far away
             return self._homotopy.not_tried(failure, Outcome.STALLED)
-        account = self._homotopy.solver.begin(eps, warm_start, time_limit)
-        with self._homotopy.stage(account) as stage:
+        budget = self._homotopy.solver.begin(eps, warm_start, time_limit)
+        with self._homotopy.stage(budget) as stage:
             result = stage.reach(eps, warm_start)
-        return self._homotopy.solution(account, eps, warm_start, result)
+        return self._homotopy.solution(budget, eps, warm_start, result)
 
     def _rules(self, eps: float) -> StageRules:
         scene, options = self._scene, self._options
@@ -73,6 +76,8 @@ class SoftplusDCSession(Session):
 
 
 class SoftplusDC(Method[SoftplusDCOptions]):
+    """Collocation with softplus contact, whose forces act at a distance."""
+
     name = "softplus_dc"
     title = "Collocation with softplus contact"
     kind = Kind.INDIRECT
@@ -80,10 +85,12 @@ class SoftplusDC(Method[SoftplusDCOptions]):
     options = SoftplusDCOptions
 
     def accepts(self, scene: Scene) -> str | None:
+        """Refuse scenes without inputs."""
         return without_inputs(scene, "plan")
 
-    def session(self, scene: Scene, options: SoftplusDCOptions, opening: tuple[float, float]) -> Session:
-        return SoftplusDCSession(self, scene, options, opening)
+    def session(self, scene: Scene, options: SoftplusDCOptions, clock: Clock) -> Session:
+        """Open a session, which imports Pyomo and Ipopt."""
+        return SoftplusDCSession(self, scene, options, clock)
 
 
 METHOD = SoftplusDC()

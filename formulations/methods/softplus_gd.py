@@ -6,6 +6,8 @@ from models.contact_law import ContactLaw
 
 
 class SoftplusGD(DescentMethod):
+    """Gradient descent on softplus contact."""
+
     name = "softplus_gd"
     title = "Gradient descent on softplus contact"
     kind = Kind.INDIRECT

@@ -6,6 +6,8 @@ from models.contact_law import ContactLaw
 
 
 class SoftplusLbfgs(QuasiNewtonMethod):
+    """L-BFGS on softplus contact."""
+
     name = "softplus_lbfgs"
     title = "L-BFGS on softplus contact"
     kind = Kind.INDIRECT

@@ -6,6 +6,8 @@ from models.contact_law import ContactLaw
 
 
 class SoftplusMultipleShooting(MultipleShootingMethod):
+    """Multiple shooting on softplus contact."""
+
     name = "softplus_multiple_shooting"
     title = "Multiple shooting on softplus contact"
     kind = Kind.INDIRECT

@@ -18,14 +18,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from formulations.method import Kind, Method, Session, option, without_inputs
+from formulations.grids import replayed_goal_error
+from formulations.method import Clock, Kind, Method, Session, option, without_inputs
 from formulations.solution import Outcome, Solution
 from formulations.transcription.account import SolveBudget
 from formulations.transcription.method import BarrierOptions, Work, ended
 from models.codegen.kernel import load_kernel
 from models.dynamics import derive
 from models.scene import Scene
-from models.scene.goal import distance, goal_state
 from models.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -52,6 +52,8 @@ _CUT_OFF = "The search for contact modes was cut off by its limit or stalled; wi
 
 @dataclass(frozen=True, kw_only=True)
 class StrictLCPOptions(BarrierOptions):
+    """Options of `strict_lcp`."""
+
     attack_bound: float = option(
         1e-4,
         "bound of lam (lam - k phi) at which the modes of the contacts are found; the plan itself has none",
@@ -73,58 +75,54 @@ class StrictLCPOptions(BarrierOptions):
 class StrictLCPSession(Session):
     """The model is built once, at the bound of the attack, and translated a second time with its modes fixed."""
 
-    def __init__(self, method: StrictLCP, scene: Scene, options: StrictLCPOptions, opening: tuple[float, float]) -> None:
+    def __init__(self, method: StrictLCP, scene: Scene, options: StrictLCPOptions, clock: Clock) -> None:
         from formulations.transcription import solving  # imports Pyomo and Ipopt: 0.9 s that planning a campaign does without
 
         self._method, self._scene, self._options = method, scene, options
-        self._solver = solving.PlanSolver(scene, solving.ContactFormulation.COMPLEMENTARITY, options, opening)
+        self._solver = solving.PlanSolver(scene, solving.ContactFormulation.COMPLEMENTARITY, options, clock)
         self._kernel = load_kernel(scene)
         self._modes: FixedModes | None = None
 
     def start_used(self, warm_start: Trajectory | None) -> Trajectory | None:
-        """Without contacts any plan is a start; with them a broken one is none."""
+        """Without contacts any plan is a start; with them one that misses its own time step is none."""
         if warm_start is None or not self._scene.nl or self._solver.residuals.dynamics_defect(warm_start) <= _BROKEN:
             return warm_start
         return warm_start if self._is_nearly_strict(warm_start, self._options.attack_bound) else None
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
+        """Find an exact plan by the three steps. Raises TrajectoryError for a plan of another grid."""
         self._method.check_stage(eps, time_limit)
-        account = self._solver.begin(self._options.attack_bound, warm_start, time_limit)
+        budget = self._solver.begin(self._options.attack_bound, warm_start, time_limit)
         start = self.start_used(warm_start)
         if start is not warm_start:
             self._solver.load(start)
-        result = self._found(account, start)
-        return self._solver.solution(self._method.name, account, result, self._residuals, plan_limits={}, promises=self._promises())
-
-    def solve_modes(self, closed: np.ndarray, time_limit: float = 60.0) -> IpoptResult:
-        """Step 2 alone, from the paper's first guess: closed (steps, nc + 2 nf) as in `hold_modes`."""
-        self._solver.prepare(self._options.attack_bound, None)
-        return self._with_modes(SolveBudget(time_limit), closed)
+        result = self._found(budget, start)
+        return self._solver.solution(self._method.name, budget, result, self._residuals, plan_limits={}, promises=self._promises())
 
     # -- the three steps --------------------------------------------------------------------------------------------------------
 
-    def _found(self, account: SolveBudget, start: Trajectory | None) -> IpoptResult:
+    def _found(self, budget: SolveBudget, start: Trajectory | None) -> IpoptResult:
         if not self._scene.nl:
-            return self._solver.attempt(account, self._ipopt(start), from_plan=self._options.ipopt())
+            return self._solver.attempt(budget, self._ipopt(start), from_plan=self._options.ipopt())
         bound = self._options.attack_bound
         if start is not None and self._is_nearly_strict(start, bound):
-            exact = self._exact(account, start)
+            exact = self._exact(budget, start)
             if exact.outcome is Outcome.SOLVED:
                 return exact
             self._solver.load(start)
-        result = self._attack(account, start, bound)
-        while result.outcome.has_answer and not account.is_over:
+        result = self._attack(budget, start, bound)
+        while result.outcome.has_answer and not budget.is_over:
             plan = self._solver.read()
-            exact = self._exact(account, plan)
+            exact = self._exact(budget, plan)
             if exact.outcome is Outcome.SOLVED:
                 return exact if result.outcome is Outcome.SOLVED else replace(exact, message=f"{ended(exact.message)} {_CUT_OFF}")
             self._solver.load(plan)
             bound *= _TIGHTENING
-            if result.outcome is not Outcome.SOLVED or bound < _LAST_BOUND or account.is_over:
+            if result.outcome is not Outcome.SOLVED or bound < _LAST_BOUND or budget.is_over:
                 break
             self._solver.tighten(bound)
             self._solver.release_modes()
-            result = self._solver.run(account, self._options.ipopt(), after=result)
+            result = self._solver.run(budget, self._options.ipopt(), after=result)
             if result.outcome is Outcome.INFEASIBLE:  # a little looser there was a plan: that is no proof that there is none
                 result = replace(result, outcome=Outcome.STALLED)
         return result
@@ -134,74 +132,73 @@ class StrictLCPSession(Session):
         products = max(found.get("complementarity", 0.0), found.get("friction_law", 0.0))
         return products <= bound + tolerance and max(found["terminal_error"], found["dynamics_defect"]) <= tolerance
 
-    def _attack(self, account: SolveBudget, start: Trajectory | None, bound: float) -> IpoptResult:
+    def _attack(self, budget: SolveBudget, start: Trajectory | None, bound: float) -> IpoptResult:
         """Step 1; a plan that leads nowhere is left for the first guess."""
         self._solver.release_modes()
         if start is not None:
-            result = self._narrowed(account, start, bound)
-            if result.outcome.has_answer or account.is_over:
+            result = self._narrowed(budget, start, bound)
+            if result.outcome.has_answer or budget.is_over:
                 return result
             self._solver.load(None)
-        return self._narrowed(account, None, bound)
+        return self._narrowed(budget, None, bound)
 
-    def _narrowed(self, account: SolveBudget, start: Trajectory | None, bound: float) -> IpoptResult:
+    def _narrowed(self, budget: SolveBudget, start: Trajectory | None, bound: float) -> IpoptResult:
         """The model solved at the bound from what it holds: at once, or by way of looser bounds, each from the plan before."""
         bounds = [bound]
         while not derive(self._scene).structure.linear and bounds[0] < _FIRST_BOUND:
             bounds.insert(0, bounds[0] / _NARROWING)
         for looser in bounds:
             self._solver.tighten(looser)
-            result = self._attempted(account, start, is_first=looser == bounds[0] and len(bounds) > 1)
+            result = self._attempted(budget, start, is_first=looser == bounds[0] and len(bounds) > 1)
             if result.outcome is not Outcome.SOLVED or looser == bounds[-1]:
                 break
             start = self._solver.read()
         return result
 
-    def _attempted(self, account: SolveBudget, start: Trajectory | None, *, is_first: bool) -> IpoptResult:
+    def _attempted(self, budget: SolveBudget, start: Trajectory | None, *, is_first: bool) -> IpoptResult:
         """At the bound of the model; a plan that leads nowhere with Ipopt's own barrier is tried once more from well inside its bounds."""
-        options, from_plan = self._attack_options(account, start), self._options.ipopt()
+        options, from_plan = self._attack_options(budget, start), self._options.ipopt()
         if start is None or not is_first:
-            return self._solver.attempt(account, options, from_plan=from_plan, share=_ATTACK_SHARE)
-        most = min(options["max_iter"], account.iterations + _FROM_PLAN)
-        result = self._solver.attempt(account, {**options, "max_iter": most}, from_plan=from_plan, share=_ATTACK_SHARE)
-        if result.outcome is not Outcome.ITERATION_LIMIT or account.is_over or most == options["max_iter"]:
+            return self._solver.attempt(budget, options, from_plan=from_plan, share=_ATTACK_SHARE)
+        most = min(options["max_iter"], budget.iterations + _FROM_PLAN)
+        result = self._solver.attempt(budget, {**options, "max_iter": most}, from_plan=from_plan, share=_ATTACK_SHARE)
+        if result.outcome is not Outcome.ITERATION_LIMIT or budget.is_over or most == options["max_iter"]:
             return result
         self._solver.load(start)
-        inside = {**self._attack_options(account, start), **self._options.cold_barrier()}
-        return self._solver.attempt(account, inside, from_plan=from_plan, share=_ATTACK_SHARE)
+        inside = {**self._attack_options(budget, start), **self._options.cold_barrier()}
+        return self._solver.attempt(budget, inside, from_plan=from_plan, share=_ATTACK_SHARE)
 
     def _ipopt(self, start: Trajectory | None) -> dict[str, Any]:
         return {**self._options.ipopt(), **(self._options.cold_barrier() if start is None else {})}
 
-    def _attack_options(self, account: SolveBudget, start: Trajectory | None) -> dict[str, Any]:
+    def _attack_options(self, budget: SolveBudget, start: Trajectory | None) -> dict[str, Any]:
         options, most = self._ipopt(start), _ATTACK.iterations(self._solver.unknowns)
-        return {**options, "max_iter": min(options["max_iter"], account.iterations + min(most, self._options.attack_iterations))}
+        return {**options, "max_iter": min(options["max_iter"], budget.iterations + min(most, self._options.attack_iterations))}
 
-    def _exact(self, account: SolveBudget, plan: Trajectory) -> IpoptResult:
-        """Step 2 with the modes of a plan; where they have none, with those of its inputs under the true law, which have one: that motion,
-        if it only reached the goal. Where friction begins to hold, a mode that is one step early leaves nothing."""
-        exact = self._with_modes(account, self._solver.residuals.modes(plan))
-        if exact.outcome is Outcome.SOLVED or account.is_over:
+    def _exact(self, budget: SolveBudget, plan: Trajectory) -> IpoptResult:
+        """Step 2 with the modes of a plan; where they have none, with those of its inputs under the true law.
+
+        These have one: that motion, if it only reached the goal. Where friction begins to hold, a mode that is one step early leaves nothing.
+        """
+        exact = self._with_modes(budget, self._solver.residuals.modes(plan))
+        if exact.outcome is Outcome.SOLVED or budget.is_over:
             return exact
         rolled = self._kernel.rollout(np.array(self._scene.task.start), plan.u, self._scene.task.step)
         if rolled.diverged:
             return exact
         motion = replace(plan, q=rolled.q, v=rolled.v, lam=rolled.lam)
         self._solver.load(motion)
-        return self._with_modes(account, self._solver.residuals.modes(motion))
+        return self._with_modes(budget, self._solver.residuals.modes(motion))
 
-    def _with_modes(self, account: SolveBudget, closed: np.ndarray) -> IpoptResult:
+    def _with_modes(self, budget: SolveBudget, closed: np.ndarray) -> IpoptResult:
         if self._modes is None:
             self._modes = self._solver.with_fixed_modes(self._options.mode_switches)
-        return self._modes.solve(account, closed)
+        return self._modes.solve(budget, closed)
 
     # -- what is promised of the plan -------------------------------------------------------------------------------------------
 
     def _residuals(self, plan: Trajectory) -> dict[str, float]:
-        task = self._scene.task
-        replay = self._kernel.rollout(np.array(task.start), plan.u, task.step)
-        end = np.concatenate([replay.q[-1], replay.v[-1]])
-        return {**self._solver.residuals.of(plan), "discrete_terminal_error": distance(end, goal_state(task))}
+        return {**self._solver.residuals.of(plan), "discrete_terminal_error": replayed_goal_error(self._scene, self._kernel, plan)}
 
     def _promises(self) -> dict[str, float]:
         return {
@@ -214,6 +211,8 @@ class StrictLCPSession(Session):
 
 
 class StrictLCP(Method[StrictLCPOptions]):
+    """Collocation whose plan has no relaxation left."""
+
     name = "strict_lcp"
     title = "Collocation with strict complementarity"
     kind = Kind.DIRECT
@@ -222,10 +221,12 @@ class StrictLCP(Method[StrictLCPOptions]):
     options = StrictLCPOptions
 
     def accepts(self, scene: Scene) -> str | None:
+        """Refuse scenes without inputs."""
         return without_inputs(scene, "plan")
 
-    def session(self, scene: Scene, options: StrictLCPOptions, opening: tuple[float, float]) -> Session:
-        return StrictLCPSession(self, scene, options, opening)
+    def session(self, scene: Scene, options: StrictLCPOptions, clock: Clock) -> Session:
+        """Open a session, which imports Pyomo and Ipopt."""
+        return StrictLCPSession(self, scene, options, clock)
 
 
 METHOD = StrictLCP()

@@ -1,9 +1,7 @@
 """Multiple shooting: the states at the nodes are unknowns beside the inputs, and what a step misses the next node by is a gap to be closed.
 
-riccati    the linear-quadratic subproblem, in compiled C: backward sweep with bounds on the inputs, forward sweep
-costs      running and final cost of a scene with first and second derivatives, from its SymPy expressions
-goal       the goal as an augmented Lagrangian, and with it velocity bounds
-solver     steps, merit function and line search
+costs      running and final cost of a scene with first and second derivatives, from its SymPy expressions; the goal as an augmented Lagrangian
+solver     the linear-quadratic subproblem (riccati.c: backward sweep with bounds on the inputs, forward sweep), steps, merit function and line search
 method     the methods, opened on a scene
 
 A step is run through the scene's own time step with the feedback of the subproblem, so that an unstable scene stays near the plan.

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
-from time import perf_counter, process_time
+from time import perf_counter
 
 import numpy as np
 
 from formulations.grids import plan_of
-from formulations.method import Method, Session, without_inputs
+from formulations.method import Clock, Method, Session, without_inputs
 from formulations.multiple_shooting.costs import Costs, GoalTerm
 from formulations.multiple_shooting.solver import MultipleShootingOptions, Solver, SolverResult
-from formulations.shooting.ending import arrived, first_inputs, plan_residuals
 from formulations.shooting.growth import measure_growth
-from formulations.solution import Seconds, Solution
+from formulations.shooting.stage import arrived, first_inputs, plan_residuals, stage_seconds
+from formulations.solution import Solution
 from models.codegen.kernel import load_kernel, load_steps
 from models.contact_law import ContactLaw
 from models.scene import Scene
@@ -22,18 +22,17 @@ from models.trajectory import Trajectory, uniform_grid
 
 
 class MultipleShootingSession(Session):
-    """Opened on a scene: its steps are compiled once and serve every eps. opening: wall and CPU clock when opening began."""
+    """Multiple shooting on one scene: its steps are compiled once and serve every eps."""
 
-    def __init__(
-        self, method: MultipleShootingMethod, scene: Scene, options: MultipleShootingOptions, opening: tuple[float, float]
-    ) -> None:
+    def __init__(self, method: MultipleShootingMethod, scene: Scene, options: MultipleShootingOptions, clock: Clock) -> None:
         self._method, self._scene, self._options = method, scene, options
         self._kernel, self._steps, self._costs = load_kernel(scene), load_steps(scene), Costs(scene)
-        # The first stage pays for building; the stages after it find it done.
-        self._opening = (perf_counter() - opening[0], process_time() - opening[1])
+        self._clock = clock
+        clock.stop()
 
     def solve(self, *, eps: float | None, warm_start: Trajectory | None, time_limit: float) -> Solution:
-        started, cpu = perf_counter(), process_time()
+        """Shoot from the nodes of the warm start. Raises TrajectoryError for a plan of another scene or grid."""
+        stage, started = Clock(), perf_counter()
         method, scene = self._method, self._scene
         method.check_stage(eps, time_limit)
         x, u = self._first_guess(warm_start)
@@ -41,18 +40,9 @@ class MultipleShootingSession(Session):
         solver = Solver(steps=self._steps, costs=self._costs, law=method.law, eps=eps, options=self._options)
         solving = perf_counter()
         found = solver.solve(x, u, goal, started + time_limit)
-        rest = perf_counter() - solving - solver.evaluate_seconds
+        solving = perf_counter() - solving
         solution = self._solution(found, eps)
-        opening_wall, opening_cpu = self._opening
-        self._opening = (0.0, 0.0)
-        seconds = Seconds(
-            build=opening_wall,
-            evaluate=solver.evaluate_seconds,
-            linear_algebra=max(0.0, rest),
-            wall=opening_wall + perf_counter() - started,
-            cpu=opening_cpu + process_time() - cpu,
-        )
-        return replace(solution, seconds=seconds)
+        return replace(solution, seconds=stage_seconds(stage, self._clock, solver.evaluate_seconds, solving))
 
     def _first_guess(self, warm_start: Trajectory | None) -> tuple[np.ndarray, np.ndarray]:
         """Nodes (steps+1, 2*nq) from the start on, and inputs (steps, nu) within their bounds."""
@@ -93,7 +83,7 @@ class MultipleShootingSession(Session):
             "gap": found.gap,
             "promised_decrease": max(0.0, -found.slope),
             **plan_residuals(scene, plan),
-            **({} if growth is None else growth.figures()),
+            **({} if growth is None else growth.residuals()),
         }
         outcome, message = found.outcome, found.message
         open_gap = f"the nodes are up to {found.gap:.2g} apart from the motion" if found.gap > self._options.gap_tolerance else ""
@@ -116,7 +106,9 @@ class MultipleShootingMethod(Method[MultipleShootingOptions]):
     options = MultipleShootingOptions
 
     def accepts(self, scene: Scene) -> str | None:
+        """Refuse scenes without inputs."""
         return without_inputs(scene, "shoot with")
 
-    def session(self, scene: Scene, options: MultipleShootingOptions, opening: tuple[float, float]) -> Session:
-        return MultipleShootingSession(self, scene, options, opening)
+    def session(self, scene: Scene, options: MultipleShootingOptions, clock: Clock) -> Session:
+        """Open a session with the compiled steps."""
+        return MultipleShootingSession(self, scene, options, clock)

@@ -1,12 +1,11 @@
 """Multiple shooting by sequential linear-quadratic programming, with the steps run through the scene's own time step under feedback.
 
-Unknowns are the inputs u and the states x at every node; gap[t] = f(x[t], u[t]) - x[t+1]. In each iteration the linear-quadratic
-subproblem (riccati.py) gives inputs and feedback, and the plan is rolled out with both, the gaps closed by the length of the step. A
-step is taken if it lowers the exact penalty function  cost + goal term + nu sum |gap|,  nu above the multipliers of the gaps.
+Unknowns are the inputs u and the states x at every node; gap[t] = f(x[t], u[t]) - x[t+1]. In each iteration the linear-quadratic subproblem gives inputs
+and feedback, and the plan is rolled out with both, the gaps closed by the length of the step. A step is taken if it lowers the exact penalty function
+cost + goal term + nu sum |gap|,  nu above the multipliers of the gaps. The goal is met by an augmented Lagrangian (`costs.GoalTerm`): its multipliers are
+updated where the iterations have settled.
 
-The goal is met by an augmented Lagrangian (goal.py): its multipliers are updated where the iterations have settled.
-
-The linear-quadratic subproblem of multiple shooting, in compiled C: linear in the number of stages.
+The subproblem is solved in compiled C (riccati.c), linear in the number of stages:
 
     stages = Stages(steps, nx, nu)
     stages.A, stages.B, stages.gap, stages.lx ...      # filled in by the caller
@@ -28,6 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from formulations.grids import input_bounds
 from formulations.method import Options, option
 from formulations.multiple_shooting.costs import Costs, GoalTerm
 from formulations.solution import Outcome
@@ -42,6 +42,8 @@ _POINTER, _INT, _DOUBLE = ctypes.c_void_p, ctypes.c_int, ctypes.c_double
 
 @dataclass(frozen=True, kw_only=True)
 class MultipleShootingOptions(Options):
+    """Options of multiple shooting."""
+
     goal_weight: float = option(
         1e4,
         "first weight of half the squared miss of the goal, beside the cost; multipliers take over what it leaves",
@@ -75,7 +77,7 @@ def _library() -> ctypes.CDLL:
 
 
 class Stages:
-    """The data of the subproblem, and its solution; see the module docstring and riccati.c.
+    """The data of the subproblem, and its solution (riccati.c).
 
     A (steps, nx, nx), B (steps, nx, nu), gap (steps, nx): the linearised steps; lx (steps, nx), lu (steps, nu), lxx (steps, nx, nx),
     lux (steps, nu, nx), luu (steps, nu, nu): the cost of the stages; px (nx,), pxx (nx, nx): that of the end.
@@ -94,7 +96,10 @@ class Stages:
         self._held = np.zeros(nu, dtype=np.intc)
 
     def backward(self, u: np.ndarray, lower: np.ndarray, upper: np.ndarray, shift: float) -> bool:
-        """Fill k, K, Vx for inputs u (steps, nu) with bounds (nu,); False where a Hessian is not positive definite (try a larger shift)."""
+        """Fill k, K, Vx for inputs u (steps, nu) [N, N m] within bounds (nu,) [N, N m].
+
+        shift: added to the inputs' Hessian. False where a Hessian is not positive definite (try a larger shift).
+        """
         self.Vx[-1] = self.px
         hessian = self.pxx.copy()
         given = (self.A, self.B, self.gap, self.lx, self.lu, self.lxx, self.lux, self.luu)
@@ -106,7 +111,7 @@ class Stages:
         return failed == 0
 
     def forward(self, gap: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """dx (steps+1, nx) and du (steps, nu) of the linearised stages under k and K; with a gap (steps, nx) of one's own: under K alone."""
+        """Give dx (steps+1, nx) [SI] and du (steps, nu) [N, N m] of the linearised stages under k and K; with a gap (steps, nx) [SI] of one's own: K alone."""
         dx, du = np.zeros((self.steps + 1, self.nx)), np.zeros((self.steps, self.nu))
         arrays = (self.A, self.B, self.gap, self.k, self.K, dx, du)
         if gap is not None:
@@ -127,8 +132,11 @@ _FIRST_PRECISION = 1e-3  # before the first update of the multipliers; each one 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SolverResult:
-    """x (steps+1, 2*nq), u (steps, nu): the nodes and inputs it ended with; gap: largest entry; miss: |x_T - goal| at the last node;
-    slope: promised decrease of the penalty function; history: columns of equal length, one row an iteration."""
+    """How it ended: x (steps+1, 2*nq), u (steps, nu), the last nodes and inputs.
+
+    gap: largest entry; miss: |x_T - goal| at the last node; slope: promised decrease of the penalty function; history: columns of equal length, one row an
+    iteration.
+    """
 
     outcome: Outcome
     message: str
@@ -150,7 +158,7 @@ class _Taken(NamedTuple):
 
 @dataclass(eq=False)
 class Solver:
-    """See the module docstring. evaluate_seconds: wall seconds in the scene's compiled steps."""
+    """The iterations on one scene. evaluate_seconds: wall seconds in its compiled steps."""
 
     steps: Steps
     costs: Costs
@@ -163,9 +171,17 @@ class Solver:
     )
 
     def solve(self, x: np.ndarray, u: np.ndarray, goal: GoalTerm, deadline: float) -> SolverResult:
-        """From nodes x (steps+1, 2*nq), x[0] the start, and inputs u (steps, nu) within their bounds; deadline: of perf_counter."""
+        """Iterate until nodes and inputs settle, or a limit is reached.
+
+        Parameters
+        ----------
+        x : (steps+1, 2*nq) [m, rad, m/s, rad/s], first nodes, x[0] the start
+        u : (steps, nu) [N, N m], first inputs, within their bounds
+        goal : the goal's term, whose multipliers and weight move
+        deadline : of perf_counter [s]
+        """
         scene, options = self.steps.scene, self.options
-        self._lower, self._upper = np.array([i.lower for i in scene.inputs]), np.array([i.upper for i in scene.inputs])
+        self._lower, self._upper = input_bounds(scene)
         self._stages = Stages(len(u), 2 * scene.nq, scene.nu)
         shift, slope, last_miss, iteration, crawling, nu, settled = 0.0, -np.inf, np.inf, 0, 0, 0.0, False
         precision = max(options.tolerance, _FIRST_PRECISION) if goal.any else options.tolerance

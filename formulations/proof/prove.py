@@ -33,10 +33,10 @@ import clarabel
 import numpy as np
 import pyomo.environ as pyo
 
-from formulations.contact_modes.goal import land
+from formulations.contact_modes.goal import correct_end
 from formulations.contact_modes.linear import linear_scene, why_not_linear
 from formulations.contact_modes.quadratic import ModesProblem
-from formulations.grids import input_bounds, plan_of
+from formulations.grids import plan_of
 from formulations.proof.bounds import PairBounds, pair_bounds
 from formulations.solution import Bound, Outcome
 from formulations.transcription.build import build_model
@@ -301,9 +301,7 @@ def why_no_proof(scene: Scene) -> str | None:
 
 def exact_plan(scene: Scene, u: np.ndarray) -> Trajectory | None:
     """The rollout of these inputs through the true contact law, landed on the goal; None unless it is exact to `EXACT` by its own residuals."""
-    task, kernel = scene.task, load_kernel(scene)
-    bounds = input_bounds(scene)
-    rollout, u = land(kernel, np.array(task.start), goal_state(task), u, task.step, bounds)
+    rollout, u = correct_end(scene, load_kernel(scene), u)
     if rollout.diverged:
         return None
     plan = plan_of(scene, rollout, u)

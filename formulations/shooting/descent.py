@@ -8,13 +8,12 @@ projection changes nothing, not even a bit. `projected_descent` is the loop alon
     u = torch.randn(64, 500, 2, device="cuda", requires_grad=True)
     for _, loss in zip(range(100), projected_descent(lambda u: loss_of(rollout(kernel, u), u), u, 500.0, lower, upper)): ...
 
-When to stop descending, judged by the losses alone, whatever their scale and whatever the learning rate.
+When to stop is judged by the losses alone, whatever their scale and whatever the learning rate, over the last quarter of the iterations (at least 50).
+That span grows with the iterations because a learning rate ten times smaller needs ten times the iterations for the same way: one of fixed length would
+call a slow descent finished.
 
-The last quarter of the iterations (at least 50) is the window. It grows with the iterations because a learning rate ten times
-smaller needs ten times the iterations for the same way: a window of fixed length would call a slow descent finished.
-
-    settled      the best loss fell by less than `tolerance` (relative) over the window, or is down to rounding
-    runaway      the loss stayed above twice its best over half a window: it climbs instead of descending
+    settled      the best loss fell by less than `tolerance` (relative) over the span, or is down to rounding
+    runaway      the loss stayed above twice its best over half the span: it climbs instead of descending
 """
 
 from __future__ import annotations
@@ -35,21 +34,23 @@ from formulations.shooting.options import DescentOptions
 from formulations.shooting.rollout import ShootingError
 from formulations.solution import Outcome
 
-_SHORTEST_WINDOW = 50
-_WINDOW_SHARE = 4
+_SHORTEST_SPAN = 50
+_SPAN_SHARE = 4
 # A loss this far below the first one has lost all digits that the goal was given in.
 _NOTHING_LEFT = 1e-20
 _RUNAWAY = 2.0
 
 
 class Progress(Enum):
+    """How the losses go."""
+
     DESCENDING = "descending"
     SETTLED = "settled"
     RUNAWAY = "runaway"
 
 
 class Losses:
-    """values: the loss before each iteration, and at the end."""
+    """The loss before each iteration and at the end (`values`), and what they say of the descent."""
 
     def __init__(self) -> None:
         self.values: list[float] = []
@@ -61,37 +62,30 @@ class Losses:
         self._best.append(min(loss, self._best[-1]) if self._best else loss)
         if self.exhausted:
             return Progress.SETTLED
-        if len(self.values) <= self.window:
+        if len(self.values) <= self.span:
             return Progress.DESCENDING
-        if loss > _RUNAWAY * self.best and min(self.values[-(self.window // 2) :]) > _RUNAWAY * self.best:
+        if loss > _RUNAWAY * self.best and min(self.values[-(self.span // 2) :]) > _RUNAWAY * self.best:
             return Progress.RUNAWAY
         return Progress.SETTLED if self.decrease() <= tolerance else Progress.DESCENDING
 
     @property
-    def first(self) -> float:
-        return self.values[0]
-
-    @property
-    def last(self) -> float:
-        return self.values[-1]
-
-    @property
-    def window(self) -> int:
-        """Length of the window [iterations]."""
-        return max(_SHORTEST_WINDOW, len(self.values) // _WINDOW_SHARE)
+    def span(self) -> int:
+        """Over how many iterations the decrease is judged."""
+        return max(_SHORTEST_SPAN, len(self.values) // _SPAN_SHARE)
 
     @property
     def best(self) -> float:
+        """The least loss so far."""
         return self._best[-1]
 
     @property
     def exhausted(self) -> bool:
         """Whether the best loss is down to rounding."""
-        return self.best <= _NOTHING_LEFT * self.first
+        return self.best <= _NOTHING_LEFT * self.values[0]
 
     def decrease(self) -> float:
-        """Relative decrease of the best loss over the window."""
-        earlier = self._best[max(0, len(self._best) - 1 - self.window)]
+        """Give the relative decrease of the best loss over the span."""
+        earlier = self._best[max(0, len(self._best) - 1 - self.span)]
         return (earlier - self.best) / earlier if earlier > 0.0 else 0.0
 
 
@@ -112,9 +106,17 @@ class Descent:
 
 
 def projected_descent(loss_of: Callable[[Tensor], Tensor], u: Tensor, rate: float, lower: Tensor, upper: Tensor) -> Iterator[Tensor]:
-    """The loss (..) at u (.., steps, nu), and again after each step, without end; u.grad is its gradient there.
+    """Yield the loss, and again after each step, without end; u.grad is its gradient there.
 
-    u: requires a gradient, and moves in place when the next loss is asked for; each of its leading rows descends by itself. lower, upper (nu,).
+    Parameters
+    ----------
+    loss_of : u (.., steps, nu) [N, N m] -> (..) [-]
+    u : (.., steps, nu) [N, N m]; requires a gradient, and moves in place when the next loss is asked for; each of its leading rows descends by itself
+    lower, upper : (nu,) [N, N m]
+
+    Yields
+    ------
+    (..) [-]
     """
     optimiser = torch.optim.SGD([u], lr=rate)
     while True:
@@ -127,7 +129,18 @@ def projected_descent(loss_of: Callable[[Tensor], Tensor], u: Tensor, rate: floa
 
 
 def descend(objective: Objective, u0: np.ndarray, options: DescentOptions, time_limit: float) -> Descent:
-    """Descend from u0 (steps, nu). time_limit: wall seconds. Raises ShootingError for a loss of one's own that has no gradient."""
+    """Descend until nothing is gained, or a limit is reached.
+
+    Parameters
+    ----------
+    u0 : (steps, nu) [N, N m], first guess
+    time_limit : wall seconds [s]
+
+    Raises
+    ------
+    ShootingError
+        For a loss of one's own that has no gradient with respect to the inputs.
+    """
     began = perf_counter()
     scene = objective.kernel.scene
     lower, upper = input_bounds(scene)
@@ -138,6 +151,7 @@ def descend(objective: Objective, u0: np.ndarray, options: DescentOptions, time_
     history: dict[str, list[float]] = {"loss": losses.values, "terminal_error": [], "cost": [], "gradient_norm": []}
 
     def ended(outcome: Outcome, message: str, plan: np.ndarray | None, norm: float) -> Descent:
+        """Say how it ended, with plan (steps, nu) [N, N m]."""
         return Descent(outcome=outcome, message=message, u=plan, iterations=iteration, gradient_norm=norm, history=history)
 
     progress, iteration = Progress.DESCENDING, 0
@@ -192,7 +206,7 @@ def _norm(array: np.ndarray) -> float:
 
 def _limit_message(options: DescentOptions, losses: Losses) -> str:
     if options.iterations is not None:
-        rose = "; the loss is higher than at the start" if losses.last > losses.first else ""
+        rose = "; the loss is higher than at the start" if losses.values[-1] > losses.values[0] else ""
         return f"stopped after the {options.iterations} iterations asked for{rose}"
     return (
         f"stopped at max_iterations = {options.max_iterations}; over the last quarter of them the loss still fell by "
@@ -207,8 +221,8 @@ def _settled(losses: Losses, tolerance: float, promise: float) -> tuple[Outcome,
     promises more than the tolerance, the steps are too long for its curvature or its kinks, and it is no minimum.
     """
     if losses.exhausted:
-        return Outcome.SOLVED, f"the loss is down to {losses.best:.2g}, from {losses.first:.2g}"
-    facts = f"the loss fell by {100.0 * losses.decrease():.2g} % over the last {losses.window} iterations"
+        return Outcome.SOLVED, f"the loss is down to {losses.best:.2g}, from {losses.values[0]:.2g}"
+    facts = f"the loss fell by {100.0 * losses.decrease():.2g} % over the last {losses.span} iterations"
     share = promise / losses.best
     if share <= tolerance:
         return Outcome.SOLVED, f"{facts}, and one more step promises {100.0 * share:.2g} %"

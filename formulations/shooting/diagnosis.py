@@ -27,7 +27,7 @@ _DIFFERENCE = 1e-5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sensitivity:
-    """Of the last state: to_inputs (2*nq, steps*nu), to_start (2*nq, 2*nq)."""
+    """Derivatives of the last state: to_inputs (2*nq, steps*nu), to_start (2*nq, 2*nq)."""
 
     to_inputs: np.ndarray
     to_start: np.ndarray
@@ -39,7 +39,10 @@ class Sensitivity:
 
 
 def sensitivity(objective: Objective, u: np.ndarray) -> Sensitivity:
-    """Derivatives of the last state at inputs u (steps, nu), by one adjoint sweep for each of its components."""
+    """Differentiate the last state at inputs u (steps, nu) [N, N m], by one adjoint sweep for each of its components.
+
+    Raises KernelError where the mass matrix is not positive definite along the rollout.
+    """
     kernel, task = objective.kernel, objective.kernel.scene.task
     plan = kernel.rollout(np.array(task.start), u, task.step, objective.law, objective.eps)
     rows = [kernel.adjoint(plan, u, end_bar=component) for component in np.eye(2 * kernel.scene.nq)]
@@ -47,7 +50,7 @@ def sensitivity(objective: Objective, u: np.ndarray) -> Sensitivity:
 
 
 def out_of_reach(objective: Objective, rows: Sensitivity, learning_rate: float) -> list[str]:
-    """Names of the coordinates that miss the goal and that no gradient moves, each with its error, for a sentence."""
+    """Name the coordinates that miss the goal and that no gradient moves, each with its error."""
     scene, missed = objective.kernel.scene, np.abs(objective.error)
     found = []
     for index, coordinate in enumerate(scene.coordinates):
@@ -61,7 +64,7 @@ def out_of_reach(objective: Objective, rows: Sensitivity, learning_rate: float) 
 
 
 def dead_contact_message(objective: Objective, rows: Sensitivity, learning_rate: float) -> str:
-    """A sentence if a coordinate misses the goal and nothing moves it, else ""."""
+    """Say which coordinate misses the goal although nothing moves it; "" where there is none."""
     found = out_of_reach(objective, rows, learning_rate)
     if not found:
         return ""
@@ -92,7 +95,7 @@ def _gaps(scene: Scene, phi: np.ndarray, contacts: list[int], step: float) -> st
 
 
 def stable_rate(objective: Objective, u: np.ndarray) -> float:
-    """Largest learning rate at which a gradient step near u (steps, nu) does not overshoot: 2 / largest curvature of the loss.
+    """Give the largest learning rate at which a gradient step near u (steps, nu) [N, N m] does not overshoot: 2 / largest curvature of the loss.
 
     The curvature comes from a power iteration on differences of gradients, so that all of the loss counts: the way to the goal,
     contacts, and the running cost.
@@ -117,7 +120,7 @@ def stable_rate(objective: Objective, u: np.ndarray) -> float:
 
 
 def divergence_message(objective: Objective, learning_rate: float, iteration: int, best: np.ndarray | None) -> str:
-    """What went wrong at this iteration, and the growth and the rate measured at the best inputs seen (None if there are none)."""
+    """Say what went wrong at this iteration, with growth and rate at the best inputs seen (steps, nu) [N, N m], if there are any."""
     where = (
         f"after {iteration} {'iteration' if iteration == 1 else 'iterations'} at learning rate {learning_rate:g}"
         if iteration

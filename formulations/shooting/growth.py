@@ -45,14 +45,15 @@ class GradientGrowth:
 
     @property
     def horizon(self) -> float:
+        """The horizon [s]."""
         return self.step * (len(self.exponents) - 1)
 
-    def figures(self) -> dict[str, float]:
-        """For a solution's residuals: gradient_growth and growth_rate [1/s]."""
+    def residuals(self) -> dict[str, float]:
+        """Give what a solution says of it: gradient_growth [-] and growth_rate [1/s]."""
         return {"gradient_growth": self.factor, "growth_rate": self.rate}
 
     def sentence(self) -> str:
-        """What the growth means for shooting, or "" while it is harmless."""
+        """Say what the growth means for shooting, or "" while it is harmless."""
         if self.exponents[0] < math.log(HARMLESS):
             return ""
         return (
@@ -61,8 +62,8 @@ class GradientGrowth:
         )
 
 
-def told(message: str, growth: GradientGrowth) -> str:
-    """A message of a method that did not solve its scene, with what the growth has to do with it."""
+def with_growth(message: str, growth: GradientGrowth) -> str:
+    """Add to the message of a method that did not solve its scene what the growth has to do with it."""
     return f"{message} {growth.sentence()}".strip()
 
 
@@ -74,7 +75,14 @@ def _power(exponent: float) -> str:
 def measure_growth(
     steps: Steps, x: np.ndarray, u: np.ndarray, law: ContactLaw = ContactLaw.RELU, eps: float | None = None
 ) -> GradientGrowth | None:
-    """Along nodes x (steps+1, 2*nq) and inputs u (steps, nu); None where a step is not finite."""
+    """Measure the growth along a plan; None where a step is not finite.
+
+    Parameters
+    ----------
+    x : (steps+1, 2*nq) [m, rad, m/s, rad/s], nodes
+    u : (steps, nu) [N, N m], inputs
+    law, eps : contact law of the steps, and the eps of softplus [-]
+    """
     step = steps.scene.task.step
     linear = steps.linearise(x[:-1], u, step, law, eps)
     if linear is None or not np.isfinite(linear.A).all():

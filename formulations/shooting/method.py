@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from formulations.method import AnyOptions, Method, Session, without_inputs
+from formulations.method import AnyOptions, Clock, Method, Session, without_inputs
 from formulations.shooting.options import DescentOptions, QuasiNewtonOptions
 from models.contact_law import ContactLaw
 
@@ -19,10 +19,11 @@ class ShootingMethod(Method[AnyOptions]):
     law: ContactLaw
 
     def accepts(self, scene: Scene) -> str | None:
+        """Refuse scenes without inputs."""
         return without_inputs(scene, "descend on")
 
     def loss(self, scene: Scene) -> Loss | None:
-        """A loss of one's own, of a rollout and its inputs (formulations.shooting.objective); None: the paper's, by the weights among the options."""
+        """Give a loss of one's own, of a rollout and its inputs (formulations.shooting.objective); None: the paper's, by the weights among the options."""
         return None
 
 
@@ -31,10 +32,11 @@ class DescentMethod(ShootingMethod[DescentOptions]):
 
     options = DescentOptions
 
-    def session(self, scene: Scene, options: DescentOptions, opening: tuple[float, float]) -> Session:
+    def session(self, scene: Scene, options: DescentOptions, clock: Clock) -> Session:
+        """Open a session, which imports PyTorch."""
         from formulations.shooting.session import ShootingSession, descend
 
-        return ShootingSession(self, scene, options, opening, law=self.law, minimise=descend, loss=self.loss(scene))
+        return ShootingSession(self, scene, options, clock, law=self.law, minimise=descend, loss=self.loss(scene))
 
 
 class QuasiNewtonMethod(ShootingMethod[QuasiNewtonOptions]):
@@ -42,7 +44,8 @@ class QuasiNewtonMethod(ShootingMethod[QuasiNewtonOptions]):
 
     options = QuasiNewtonOptions
 
-    def session(self, scene: Scene, options: QuasiNewtonOptions, opening: tuple[float, float]) -> Session:
+    def session(self, scene: Scene, options: QuasiNewtonOptions, clock: Clock) -> Session:
+        """Open a session, which imports PyTorch."""
         from formulations.shooting.session import ShootingSession, quasi_newton
 
-        return ShootingSession(self, scene, options, opening, law=self.law, minimise=quasi_newton, loss=self.loss(scene))
+        return ShootingSession(self, scene, options, clock, law=self.law, minimise=quasi_newton, loss=self.loss(scene))

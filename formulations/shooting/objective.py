@@ -14,9 +14,9 @@ A loss of one's own is any function of a rollout (RolloutTensors) and its inputs
 
     objective = Objective(load_kernel(scene), law=ContactLaw.RELU, loss=calm)
 
-The loss averaged over random inputs: contact that only some samples make still has a gradient.
+The loss may be averaged over random inputs: contact that only some samples make still has a gradient then.
 
-    objective = Objective(kernel, law=ContactLaw.RELU, noise=noise(scene, deviation=1.0, samples=16, pieces=5, seed=0))
+    objective = Objective(kernel, law=ContactLaw.RELU, noise=noise(scene, 1.0, unbounded=1.0, samples=16, pieces=5, seed=0))
 
 F(u) = mean over i of loss(u + w_i), with rollouts through the true contact law and first-order gradients, averaged ("bundled": Suh, Pang,
 Tedrake, Bundled Gradients through Contact via Randomized Smoothing, RA-L 2022). The w_i are drawn once, in pairs w and -w, and are the
@@ -48,12 +48,14 @@ Loss = Callable[[RolloutTensors, Tensor], Tensor]
 
 @dataclass(frozen=True, kw_only=True)
 class Weights:
+    """Weights of the mean squared terminal error and of the running cost in the loss."""
+
     terminal: float = 1.0
     running: float = PAPER_INPUT_WEIGHT
 
 
 class GoalLoss:
-    """The loss of the module docstring: (..) of the rollouts of inputs u (.., steps, nu). goal (2*nq,): None or NaN where the end is free."""
+    """The paper's loss: (..) of the rollouts of inputs u (.., steps, nu). goal (2*nq,): None or NaN where the end is free."""
 
     def __init__(self, goal: Sequence[float | None] | np.ndarray, weights: Weights | None = None) -> None:
         given = np.array(goal, dtype=float)
@@ -62,6 +64,7 @@ class GoalLoss:
         self._asked = torch.from_numpy(~np.isnan(given)) if np.isnan(given).any() else None
 
     def __call__(self, plan: RolloutTensors, u: Tensor) -> Tensor:
+        """Weigh the squared miss of the goal against the running cost: (..) [-] for each rollout."""
         if (self._goal.device, self._goal.dtype) != (plan.end.device, plan.end.dtype):
             self._goal = self._goal.to(plan.end)
             self._asked = None if self._asked is None else self._asked.to(plan.end.device)
@@ -89,7 +92,7 @@ class Objective:
         goal: Sequence[float | None] | None = None,
         loss: Loss | None = None,
         noise: np.ndarray | None = None,
-    ):
+    ) -> None:
         task = kernel.scene.task
         self.kernel, self.law, self.eps = kernel, law, eps
         self.start = torch.tensor(task.start, dtype=torch.float64)
@@ -101,7 +104,7 @@ class Objective:
         self.aim(np.array(task.goal if goal is None else goal, dtype=float), Weights() if weights is None else weights)
 
     def aim(self, goal: np.ndarray, weights: Weights) -> None:
-        """Another goal and other weights from now on; nothing to a loss of one's own."""
+        """Change the goal (2*nq,) [m, rad, m/s, rad/s] and the weights; a loss of one's own stays as it is."""
         self.goal, self.weights = goal, weights
         self.loss = GoalLoss(goal, weights) if self._own is None else self._own
 
@@ -159,13 +162,13 @@ class Objective:
         return self._own is None
 
     def missed(self, goal: np.ndarray) -> np.ndarray:
-        """(2*nq,) x_T - goal of the last rollout, 0 where the goal is free."""
+        """Give x_T - goal (2*nq,) [m, rad, m/s, rad/s] of the last rollout, 0 where the goal is free."""
         assert self.plan is not None
         return miss(self.plan.end.detach().numpy(), goal)
 
     @property
     def error(self) -> np.ndarray:
-        """(2*nq,) `missed` of the goal aimed at."""
+        """x_T minus the goal aimed at: (2*nq,) [m, rad, m/s, rad/s], 0 where it is free."""
         return self.missed(self.goal)
 
     @property
@@ -181,7 +184,7 @@ class Objective:
         return self.plan.cost.item()
 
     def value(self, u: np.ndarray) -> float:
-        """The loss at inputs u (steps, nu); infinite if the rollout diverges."""
+        """Evaluate the loss at inputs u (steps, nu) [N, N m]; infinite if the rollout diverges. Raises ShootingError as `__call__` does."""
         began = perf_counter()
         self._inputs = torch.tensor(u, dtype=torch.float64, requires_grad=True)
         self._value = self(self._inputs)
@@ -190,17 +193,26 @@ class Objective:
         return found if math.isfinite(found) else math.inf
 
     def gradient(self) -> np.ndarray:
-        """Gradient (steps, nu) of the loss at the inputs that `value` evaluated last."""
+        """Differentiate the loss at the inputs that `value` evaluated last: (steps, nu) [1/N, 1/N/m]."""
         began = perf_counter()
         (found,) = torch.autograd.grad(self._value, self._inputs, retain_graph=True)
         self.seconds += perf_counter() - began
         return found.numpy()
 
 
-def noise(scene: Scene, *, deviation: float, unbounded: float, samples: int, pieces: int, seed: int) -> np.ndarray:
-    """w (samples, steps, nu): Gaussian, of standard deviation `deviation` times half the range of each input, or times `unbounded` where it has none.
+def noise(scene: Scene, deviation: float, *, unbounded: float, samples: int, pieces: int, seed: int) -> np.ndarray:
+    """Draw Gaussian noise in pairs w and -w.
 
-    samples: even; pieces: so many values over the horizon.
+    Parameters
+    ----------
+    deviation : standard deviation, in half ranges of each input [-]
+    unbounded : what stands for half the range of an input without bounds, in its unit
+    samples : how many, an even number
+    pieces : so many values over the horizon
+
+    Returns
+    -------
+    (samples, steps, nu) [N, N m]
     """
     steps = scene.task.steps
     half = [(item.upper - item.lower) / 2 for item in scene.inputs]

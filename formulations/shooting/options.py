@@ -9,6 +9,8 @@ from formulations.method import OptionError, Options, option
 
 @dataclass(frozen=True, kw_only=True)
 class DescentOptions(Options):
+    """Options of gradient descent."""
+
     learning_rate: float = option(
         500.0, "step along the gradient; 500 is the paper's scene's, other scenes and horizons may need less", lower=1e-12, upper=1e12
     )
@@ -36,6 +38,8 @@ class DescentOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class LbfgsOptions(Options):
+    """Options of L-BFGS for one aim."""
+
     input_weight: float = option(5e-6, "weight of the running cost in the loss", lower=0.0, upper=1e12)
     terminal_weight: float = option(1.0, "weight of the mean squared terminal error in the loss", lower=1e-12, upper=1e12)
     memory: int = option(20, "pairs of steps and gradient differences that are kept", lower=1, upper=1000)
@@ -48,6 +52,8 @@ class LbfgsOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class QuasiNewtonOptions(LbfgsOptions):
+    """Options of L-BFGS that meets the goal by aiming beside it."""
+
     goal_rounds: int = option(
         10,
         "how often the goal that is aimed at is displaced by what was missed (multipliers); 0: the loss of gradient descent",

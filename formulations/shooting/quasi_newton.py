@@ -2,9 +2,9 @@
 
     found = minimise(objective, u0, QuasiNewtonOptions(), time_limit=60.0)
 
-SciPy's, because `torch.optim.LBFGS` knows no bounds. The loss is that of gradient descent, through the same `rollout`; it weighs the goal against the cost and so the plan ends a little beside the goal. Each round after the
-first displaces the goal that is aimed at by what was missed: goal - s with s <- s + (x_T - goal). That is the method of multipliers, since
-w |m + s|^2 = w |m|^2 + 2 w s'm + constant, with 2 w s as multipliers.
+SciPy's, because `torch.optim.LBFGS` knows no bounds. The loss is that of gradient descent, through the same `rollout`; it weighs the goal against the
+cost and so the plan ends a little beside the goal. Each round after the first displaces the goal that is aimed at by what was missed: goal - s with
+s <- s + (x_T - goal). That is the method of multipliers, since w |m + s|^2 = w |m|^2 + 2 w s'm + constant, with 2 w s as multipliers.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from formulations.shooting.options import LbfgsOptions
 from formulations.solution import Outcome
 from models.scene import Scene
 
-_PATIENCE = 20  # iterations over which the decrease is judged
+_JUDGED_OVER = 20  # iterations over which the decrease is judged
 _SHRINKS, _HEAVIER = 0.25, 5.0  # a round that misses by more than this share of the least before makes the goal heavier
 _STALLS = 0.9  # three rounds in a row that miss by more than this share of the least are enough
 _FLAT = 1e-5  # a gradient of this share of the first one is none, where no step lowers the loss
@@ -44,6 +44,7 @@ class _Run:
         self._norm = 0.0  # of the projected gradient at the last iterate
 
     def start(self, u: np.ndarray) -> float:
+        """Scale by the loss at u (steps, nu) [N, N m], and give it."""
         value = self._objective.value(u)
         self._scale = value if np.isfinite(value) and value > 0.0 else 1.0
         if np.isfinite(value):
@@ -57,6 +58,7 @@ class _Run:
         return self._norm <= _FLAT * (norms[0] if norms else 0.0)
 
     def function(self, point: np.ndarray) -> tuple[float, np.ndarray]:
+        """Evaluate the scaled loss and its gradient (steps*nu,) [1/N, 1/N/m] at a point (steps*nu,) [N, N m]."""
         value = self._objective.value(point.reshape(self._shape))
         if not np.isfinite(value):  # a step too far: the line search shortens it
             return 1e300, np.zeros(point.size)
@@ -70,8 +72,8 @@ class _Run:
         )
         return value / self._scale, gradient / self._scale
 
-    def watch(self, point: np.ndarray) -> None:
-        """After each iteration; raises StopIteration where it is enough."""
+    def monitor(self, point: np.ndarray) -> None:
+        """Note an iterate (steps*nu,) [N, N m]; raises StopIteration where it is enough."""
         objective, options = self._objective, self._options
         if self._last is None or not np.array_equal(self._last[0], point):
             self.function(point)
@@ -88,23 +90,27 @@ class _Run:
             self.ending = "limit"
         elif perf_counter() >= self._deadline:
             self.ending = "time"
-        elif len(self.losses) > _PATIENCE and self.losses[-1 - _PATIENCE] - value <= options.tolerance * abs(self.losses[-1 - _PATIENCE]):
+        elif len(self.losses) > _JUDGED_OVER and self.losses[-1 - _JUDGED_OVER] - value <= options.tolerance * abs(
+            self.losses[-1 - _JUDGED_OVER]
+        ):
             self.ending = "settled"
         if self.ending:
             raise StopIteration
 
 
 def projected(objective: Objective, u: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """The gradient (steps, nu) without entries whose descent would leave the bounds."""
+    """Take out of a gradient (steps, nu) [1/N, 1/N/m] at u (steps, nu) [N, N m] what would leave the bounds: (steps, nu) [1/N, 1/N/m]."""
     lower, upper = input_bounds(objective.kernel.scene)
     beyond = ((u <= lower) & (gradient > 0.0)) | ((u >= upper) & (gradient < 0.0))
     return np.where(beyond, 0.0, gradient)
 
 
 def minimise(objective: Objective, u0: np.ndarray, options: LbfgsOptions, time_limit: float) -> Descent:
-    """From u0 (steps, nu) to the best inputs; gradient_norm is without entries that point beyond a bound. time_limit: wall seconds.
+    """Minimise from u0 (steps, nu) [N, N m] within the bounds; the objective's goal is left where it was.
 
-    The objective's goal is left where it was."""
+    Of the answer, gradient_norm is without entries that point beyond a bound. time_limit: wall seconds. Raises ShootingError for a loss of one's own that
+    cannot be differentiated.
+    """
     deadline = perf_counter() + time_limit
     goal, weights = objective.goal, objective.weights
     history: dict[str, list[float]] = {"loss": [], "terminal_error": [], "cost": [], "gradient_norm": []}
@@ -115,21 +121,22 @@ def minimise(objective: Objective, u0: np.ndarray, options: LbfgsOptions, time_l
         objective.aim(goal, weights)
     if run is None:
         steps = objective.finite_steps
-        told = (
-            f"at the first guess the rollout is no longer finite beyond step {steps} (t = {steps * objective.kernel.scene.task.step:.3g} s)"
-        )
-        return Descent(outcome=Outcome.EVALUATION_ERROR, message=f"{told}.", u=None, iterations=0, gradient_norm=0.0, history=history)
+        message = f"at the first guess the rollout is no longer finite beyond step {steps} (t = {steps * objective.kernel.scene.task.step:.3g} s)."
+        return Descent(outcome=Outcome.EVALUATION_ERROR, message=message, u=None, iterations=0, gradient_norm=0.0, history=history)
     iterations = len(history["loss"])
     objective.value(u)
     gradient = float(np.linalg.norm(projected(objective, u, objective.gradient())))
-    told = {
+    endings = {
         "limit": (Outcome.ITERATION_LIMIT, f"stopped at max_iterations = {options.max_iterations}"),
         "time": (Outcome.TIME_LIMIT, f"stopped after {iterations} iterations at the time limit of {time_limit:g} s"),
-        "settled": (Outcome.SOLVED, f"the loss fell by less than {100.0 * options.tolerance:.2g} % over the last {_PATIENCE} iterations"),
+        "settled": (
+            Outcome.SOLVED,
+            f"the loss fell by less than {100.0 * options.tolerance:.2g} % over the last {_JUDGED_OVER} iterations",
+        ),
         "flat": (Outcome.SOLVED, f"the gradient has fallen to less than {_FLAT:g} of what it was"),
         "search": (Outcome.STALLED, "no step along the search direction lowers the loss: a kink of the contact forces, or rounding"),
     }
-    outcome, message = told[run.ending]
+    outcome, message = endings[run.ending]
     if rounds:
         message += f"; the goal was displaced {rounds} times"
     dead = ""
@@ -177,7 +184,7 @@ def _one(run: _Run, scene: Scene, u: np.ndarray, options: LbfgsOptions) -> np.nd
         jac=True,
         method="L-BFGS-B",
         bounds=Bounds(lower, upper),
-        callback=run.watch,
+        callback=run.monitor,
         options={"maxcor": options.memory, "maxiter": options.max_iterations, "maxfun": 10**9, "ftol": 0.0, "gtol": 0.0, "maxls": 40},
     )
     if not run.ending:

@@ -6,9 +6,7 @@ It shares nothing with the compiled kernel but the equations themselves, and is 
 tested against. About a thousand times slower: use `formulations.shooting.rollout` to plan. Many plans at once (leading dimensions of u and start)
 cost little more than one, and it runs where the tensors are: it is the rollout on devices that the compiled one does not reach.
 
-Dry friction in the rollout of plain PyTorch: the forces of one time step, their derivatives by the implicit function theorem.
-
-With s(f) = s0 + h W f the slips at the end of the step, W = S M^-1 S', and the limits mu N:
+Dry friction acts by the forces of one time step, with their derivatives by the implicit function theorem. With s(f) = s0 + h W f the slips at the end of the step, W = S M^-1 S', and the limits mu N:
 
     Coulomb        |f| <= mu N,  f minimises f's / 2 + s0' f:   s = 0, or f = -mu N sign(s)
     regularised    f = -mu N tanh(c s),                         c = |ln eps| / (2 nominal)
@@ -37,7 +35,19 @@ _SETTLED = 1e-15  # change of a force in parts of its limit
 
 
 def friction_forces(s0: Tensor, hw: Tensor, limit: Tensor, steepness: Tensor | None) -> Tensor:
-    """f (.., nf) [N] of one step of many plans, one by one: s0, limit (.., nf), hw (.., nf, nf); steepness (nf,), None for Coulomb's law."""
+    """Give the friction forces of one step of many plans.
+
+    Parameters
+    ----------
+    s0 : (.., nf) [m/s], slips at the end of the step without friction
+    hw : (.., nf, nf) [m/s/N], h W
+    limit : (.., nf) [N], mu N
+    steepness : (nf,) [s/m], c of the regularised law; None for Coulomb's
+
+    Returns
+    -------
+    (.., nf) [N]
+    """
     nf = s0.shape[-1]
     rows = [
         coulomb(s, w, most) if steepness is None else regularised(s, w, most, steepness)
@@ -47,7 +57,7 @@ def friction_forces(s0: Tensor, hw: Tensor, limit: Tensor, steepness: Tensor | N
 
 
 def coulomb(s0: Tensor, hw: Tensor, limit: Tensor) -> Tensor:
-    """f (nf,) [N] from s0 (nf,) [m/s], hw = h W (nf, nf), limit mu N (nf,) [N]."""
+    """Give the forces (nf,) [N] of Coulomb's law from s0 (nf,) [m/s], hw = h W (nf, nf) [m/s/N], limit mu N (nf,) [N]."""
     held, sticks = _swept(s0.detach(), hw.detach(), limit.detach(), None)
     slipping = torch.sign(held) * limit * ~sticks
     if not bool(sticks.any()):
@@ -58,7 +68,7 @@ def coulomb(s0: Tensor, hw: Tensor, limit: Tensor) -> Tensor:
 
 
 def regularised(s0: Tensor, hw: Tensor, limit: Tensor, steepness: Tensor) -> Tensor:
-    """The same with the logistic law; steepness c (nf,) [s/m]."""
+    """Give them by the regularised law; steepness c (nf,) [s/m]."""
     f, _ = _swept(s0.detach(), hw.detach(), limit.detach(), steepness)
     one = torch.eye(len(f), dtype=f.dtype, device=f.device)
     for _ in range(3):  # the first polishes, each carries derivatives one order further
@@ -88,7 +98,7 @@ def _swept(s0: Tensor, hw: Tensor, limit: Tensor, steepness: Tensor | None) -> t
 
 
 def _root(rest: float, w: float, limit: float, c: float) -> float:
-    """f of f + limit tanh(c (rest + w f)) = 0, whose left side increases: bisection."""
+    """Solve for f in f + limit tanh(c (rest + w f)) = 0, whose left side increases: bisection."""
     low, high = -limit, limit
     for _ in range(200):
         middle = 0.5 * (low + high)
@@ -110,11 +120,20 @@ def reference_rollout(
     law: ContactLaw = ContactLaw.RELU,
     eps: float | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """q, v (.., steps+1, nq) and lam (.., steps, nc + nf), contact and then friction forces, from inputs u (.., steps, nu) and start (.., 2*nq); step: that of the task unless given.
+    """Simulate lam[t] = L(phi(q[t])), v[t+1] = v[t] + h M^-1 (tau + J' lam), q[t+1] = q[t] + h v[t+1].
 
     All is computed in the dtype of start: float64, unless it is to be seen what float32 loses; and on its device.
 
-    lam[t] = L(phi(q[t])), v[t+1] = v[t] + h M^-1 (tau + J' lam), q[t+1] = q[t] + h v[t+1].
+    Parameters
+    ----------
+    u : (.., steps, nu) [N, N m], inputs
+    start : (.., 2*nq) [m, rad, m/s, rad/s]
+    step : h [s], that of the task unless given
+    law, eps : contact law, and the eps of softplus [-]
+
+    Returns
+    -------
+    q (.., steps+1, nq) [m, rad], v (.., steps+1, nq) [m/s, rad/s] and lam (.., steps, nc+nf) [N], contact and then friction forces
     """
     h = scene.task.step if step is None else step
     force = _contact_law(law, eps, scene.length)
@@ -139,7 +158,17 @@ def reference_rollout(
 
 
 def reference_cost(scene: Scene, q: Tensor, v: Tensor, u: Tensor) -> Tensor:
-    """(..): the running cost summed over the steps, and the cost of the last state, of q, v (.., steps+1, nq) and u (.., steps, nu)."""
+    """Sum the running cost over the steps, and the cost of the last state.
+
+    Parameters
+    ----------
+    q, v : (.., steps+1, nq) [m, rad, m/s, rad/s]
+    u : (.., steps, nu) [N, N m]
+
+    Returns
+    -------
+    (..) [-]
+    """
     d = derive(scene)
     kind = {"dtype": q.dtype, "device": q.device}
     running = _torch_function(scene, sp.Matrix([d.running_cost]), d.q, d.v, d.u, **kind)
@@ -183,7 +212,7 @@ def _damped_forces(scene: Scene, law: ContactLaw, eps: float | None, **kind: Any
 def _friction_forces(
     scene: Scene, law: ContactLaw, eps: float | None, h: float, acceleration: Callable[..., Tensor], **kind: Any
 ) -> Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]:
-    """(q, v, u, lam) -> f (.., nf) [N], of the slips at the end of the step (`reference_friction`)."""
+    """(q, v, u, lam) -> f (.., nf) [N], of the slips at the end of the step."""
     d = derive(scene)
     slip, limit = _torch_function(scene, d.slip, d.q, d.v, **kind), _torch_function(scene, d.friction_limit, d.q, d.lam, **kind)
     steepness = None
@@ -244,7 +273,8 @@ def _torch_function(
 def _compiled(groups: tuple[tuple[sp.Symbol, ...], ...], entries: tuple[sp.Expr, ...]) -> Callable[..., list[Any]]:
     """Values of the entries, of one sequence of tensors a group.
 
-    Kept, because a descent calls for the same ones in each iteration: they take 10 ms to make (three carts) or 50 (two fingers), the loop over 500 steps 100 or 650.
+    Cached, because a descent calls for the same ones in each iteration: they take 10 ms to make (three carts) or 50 (two fingers), the loop over 500 steps
+    100 or 650.
     Parameters enter as tensors and constants as floats, because PyTorch's functions take tensors only (`torch.sqrt(2)` fails).
     """
     plain = [entry.replace(lambda e: e.is_number and not e.is_Number, lambda e: sp.Float(e, 17)) for entry in entries]

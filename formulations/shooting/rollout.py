@@ -10,12 +10,11 @@ on top. Decisions:
 - The compiled code computes in float64 on the CPU. Another type is refused, not converted in silence: `rollout(scene, u.double())` lets
   gradients flow back to a float32 tensor, and says in the caller's code where precision changes.
 - Tensors on another device (CUDA) never visit the CPU: the same time step is then a loop of PyTorch operations on that device, in the tensors'
-  own float type (formulations/shooting/reference.py). One plan is a thousand times slower so; thousands at once are what it is for. Scenes with friction are refused there.
+  own float type (formulations/shooting/reference.py). One plan is a thousand times slower so; thousands at once are what it is for. Scenes with friction
+  are refused there.
 - First derivatives only on the CPU; `create_graph=True` followed by a second backward raises ShootingError.
 - At a penetration of exactly zero the ReLU has slope 0, as in `torch.relu`.
 - A rollout that diverges gives NaN from there on, and NaN gradients, as PyTorch functions do.
-
-What a user of the shooting package can do wrong.
 """
 
 from __future__ import annotations
@@ -38,8 +37,11 @@ class ShootingError(TouchstoneError):
 
 
 class RolloutTensors(NamedTuple):
-    """q, v: (.., steps+1, nq) [m, rad]; lam: (.., steps, nc+nf) [N]; cost: (..) sum of the scene's running cost over the steps, and the final one;
-    end: (.., 2*nq) the last positions and velocities, once more: a gradient of them alone is cheaper."""
+    """A rollout: q, v (.., steps+1, nq) [m, rad, m/s, rad/s]; lam (.., steps, nc+nf) [N].
+
+    cost: (..) sum of the scene's running cost over the steps, and the final one; end: (.., 2*nq) the last positions and velocities, once more: a gradient
+    of them alone is cheaper.
+    """
 
     q: Tensor
     v: Tensor
@@ -57,10 +59,19 @@ def rollout(
     law: ContactLaw = ContactLaw.RELU,
     eps: float | None = None,
 ) -> RolloutTensors:
-    """Simulate `scene` with inputs u (.., steps, nu), held over each step of `step` seconds, from start (.., 2*nq); leading dimensions are
-    broadcast.
+    """Simulate a scene; leading dimensions are broadcast.
 
-    start and step: those of the scene's task unless given. eps: sharpness of the softplus law, 0 < eps < 1. Raises ShootingError for tensors it does not take.
+    Parameters
+    ----------
+    u : (.., steps, nu) [N, N m], inputs, held over each step
+    start : (.., 2*nq) [m, rad, m/s, rad/s], that of the scene's task unless given
+    step : [s], that of the scene's task unless given
+    law, eps : contact law, and the eps of softplus [-], 0 < eps < 1
+
+    Raises
+    ------
+    ShootingError
+        For tensors of another type, device or shape than it takes.
     """
     kernel = load_kernel(scene) if isinstance(scene, Scene) else scene
     task = kernel.scene.task
@@ -133,11 +144,11 @@ class _Rollout(torch.autograd.Function):
             raise KernelError(f"scene {ctx.kernel.scene.name}: the mass matrix is not positive definite along rollout {done}.")
         if torch.is_grad_enabled():  # create_graph=True: whoever differentiates these again shall be told
             parents = [tensor for tensor in (u, q, *bars) if tensor is not None and tensor.requires_grad]
-            gradients = [FirstDerivativeOnly.apply(gradient, *parents) for gradient in gradients]
+            gradients = [_FirstDerivativeOnly.apply(gradient, *parents) for gradient in gradients]
         return (*gradients, None, None, None, None)
 
 
-class FirstDerivativeOnly(torch.autograd.Function):
+class _FirstDerivativeOnly(torch.autograd.Function):
     """The identity on a gradient that cannot be differentiated again; depends on what it came from, so that trying raises."""
 
     @staticmethod

@@ -15,7 +15,7 @@ from typing import Any
 
 from formulations.ipopt import IpoptResult
 from formulations.ipopt.linear_solver import band_options
-from formulations.method import Method
+from formulations.method import Clock, Method
 from formulations.solution import Outcome, Solution
 from formulations.transcription.contact import ContactFormulation
 from formulations.transcription.method import StageRules, TranscriptionOptions, Work, ended
@@ -48,13 +48,13 @@ class Homotopy:
         scene: Scene,
         contact: ContactFormulation,
         options: TranscriptionOptions,
-        opening: tuple[float, float],
+        clock: Clock,
         rules: Callable[[float], StageRules],
         *,
         counts_nonzeros: bool = False,
     ) -> None:
         self._method, self._options, self.rules = method.name, options, rules
-        self.solver = PlanSolver(scene, contact, options, opening)
+        self.solver = PlanSolver(scene, contact, options, clock)
         self._counts_nonzeros = counts_nonzeros
         self._failure: Failure | None = None
 

@@ -1,6 +1,6 @@
 """The model of one scene under one contact law: built once, loaded with a start, solved with patience, its plan read and checked.
 
-    solver = PlanSolver(scene, ContactFormulation.SOFTPLUS, options, opening)
+    solver = PlanSolver(scene, ContactFormulation.SOFTPLUS, options, clock)
     account = solver.begin(1e-3, None, time_limit)                     # the model holds the first guess
     result = solver.solve_at(1e-3, None, account, rules, options, from_plan)
     solution = solver.solution(name, account, result, residuals_of, plan_limits=.., promises=..)
@@ -12,12 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
-from time import perf_counter, process_time
+from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 from formulations.ipopt import IpoptResult, Start
+from formulations.method import Clock
 from formulations.solution import Outcome, Solution
 from formulations.transcription.build import build_model
 from formulations.transcription.contact import ContactFormulation, release_modes, tighten
@@ -43,15 +44,16 @@ class SolvedModel:
 
 
 class PlanSolver:
-    """See the module docstring. last: the stage solved last, None where the last stage was not solved; opening: wall and CPU clock when opening began."""
+    """See the module docstring. last: the stage solved last, None where the last stage was not solved; clock: of the opening."""
 
-    def __init__(self, scene: Scene, contact: ContactFormulation, options: TranscriptionOptions, opening: tuple[float, float]) -> None:
+    def __init__(self, scene: Scene, contact: ContactFormulation, options: TranscriptionOptions, clock: Clock) -> None:
         self._scene, self._contact, self._options = scene, contact, options
         self.residuals = PlanResiduals(scene)
         self.last: SolvedModel | None = None
         self._bench: Workbench | None = None
         self._nearest: dict[float, Nearest] = {}
-        self._opening = (perf_counter() - opening[0], process_time() - opening[1])
+        self._clock = clock
+        clock.stop()
 
     # -- the model and what it holds ----------------------------------------------------------------------------------------------
 
@@ -64,7 +66,7 @@ class PlanSolver:
 
     def begin(self, eps: float, start: Trajectory | None, time_limit: float) -> SolveBudget:
         """A stage begins: its account, and the model with its start."""
-        account, self._opening = SolveBudget(time_limit, self._opening), (0.0, 0.0)
+        account = SolveBudget(time_limit, self._clock.pay())
         begin = perf_counter()
         self.prepare(eps, start)
         account.build += perf_counter() - begin

@@ -35,7 +35,7 @@ def solved(name: str, scene: Scene) -> Solution:
 
 
 def both(scene: Scene) -> tuple[Solution, Solution]:
-    """By the windows' banded quadratic program and by Ipopt on the Pyomo model: they share no line."""
+    """By the banded quadratic program of fixed modes and by Ipopt on the Pyomo model: they share no line."""
     first, second = solved("mpcc", scene), solved("strict_lcp", scene)
     assert first.cost == pytest.approx(second.cost, rel=1e-6)
     return first, second

@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from dataclasses import asdict, fields
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from example_scenes import example_scene
 
 from formulations.method import Kind, Method, OptionError
 from formulations.pipelines import load_method, method_names
@@ -20,7 +20,7 @@ from models.trajectory import Trajectory
 
 # What plans: every method but the free motion, which is for scenes that leave nothing to plan (test_methods_free_motion.py).
 ALL = tuple(name for name in method_names() if name != "free_motion")
-BARE = load_scene(str(Path(__file__).parents[1] / "scenes" / "oscillator.py"))
+BARE = example_scene("oscillator")
 SCENE = load_scene("three_cart").with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100)
 # The same for a method that says why SCENE is too much for it.
 LITTLE = SCENE.with_task(steps=6, step=0.15)

@@ -1,9 +1,8 @@
 """The free motion of scenes without inputs: what the time step makes of the start, and refusal of anything that could be planned."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from example_scenes import example_scene
 
 from formulations.method import Kind, OptionError
 from formulations.pipelines import PIPELINES, load_method, pipelines_for
@@ -38,7 +37,7 @@ def test_a_scene_with_inputs_is_refused_with_a_reason():
 
 
 def test_a_step_beyond_the_stability_limit_diverges_and_says_so():
-    oscillator = load_scene(str(Path(__file__).parents[1] / "scenes" / "oscillator.py"))
+    oscillator = example_scene("oscillator")
     scene = oscillator.with_task(step=3.0, steps=2000)  # h w = 3, beyond 2
     with METHOD.open(scene) as session:
         solution = session.solve(eps=None, warm_start=None, time_limit=10.0)

@@ -11,7 +11,7 @@ import sympy as sp
 import torch
 
 from formulations.contact_modes import collocation as stage_modes
-from formulations.contact_modes.goal import land_by_softplus
+from formulations.contact_modes.goal import correct_end_by_softplus
 from formulations.contact_modes.nonlinear import SoftplusHomotopy
 from formulations.pipelines import load_method
 from formulations.shooting.reference import reference_rollout
@@ -25,7 +25,6 @@ from models.codegen.kernel import load_kernel, load_steps
 from models.contact_law import ContactLaw as ForceLaw
 from models.scene import Coordinate, Input, Parameter, Scene, Task
 from models.scene.contacts import Contact, DampingLaw
-from models.scene.goal import goal_state
 from models.scene.scene import goal_limits
 from models.trajectory import Trajectory, uniform_grid
 
@@ -131,16 +130,14 @@ def test_a_homotopy_goes_through_the_same_stages():
     assert stiff[0][0][1] < 1.0, "so stiff a contact begins softer"
 
 
-def test_inputs_are_steered_the_same_way():
-    """Landing stops where the miss is 1e-7 m in either unit: inputs agree to parts of a hundredth, and not with those of contact ten times as sharp."""
+def test_inputs_are_corrected_the_same_way():
+    """A correction stops where the miss is 1e-7 m in either unit: inputs agree to parts of a hundredth, and not with those of contact ten times as sharp."""
     scene = carts()
-    bounds, nothing = (np.full(2, -10.0), np.full(2, 10.0)), np.zeros((100, 2))
 
-    def steered(one: Scene, sharpness: float) -> np.ndarray:
-        start, goal = np.array(one.task.start), goal_state(one.task)
-        return land_by_softplus(load_kernel(one), start, goal, nothing, one.task.step, bounds, 0.0, sharpness)[1]
+    def corrected(one: Scene, sharpness: float) -> np.ndarray:
+        return correct_end_by_softplus(one, load_kernel(one), np.zeros((100, 2)), 0.0, sharpness)[1]
 
-    large, small, sharper = steered(scene, 7.0), steered(shrunk(scene), 7.0), steered(scene, 70.0)
+    large, small, sharper = corrected(scene, 7.0), corrected(shrunk(scene), 7.0), corrected(scene, 70.0)
     size = np.abs(large).max()
     assert size > 1.0
     assert np.abs(small - large).max() < 0.01 * size
@@ -168,7 +165,7 @@ def test_the_nearest_plan_is_asked_for_at_the_first_sharpness(monkeypatch):
     class OutOfReach:
         is_out_of_reach, words = True, "q2 by 0.1 m"
 
-    def nearest(scene, account, most, sharpest):
+    def nearest(scene, budget, most, sharpest):
         asked.append(sharpest)
         return OutOfReach()
 

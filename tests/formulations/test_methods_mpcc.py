@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from example_scenes import example_scene
 
-from formulations.contact_modes.search import windows_of
+from formulations.contact_modes.search import mode_sequence
 from formulations.method import OptionError
 from formulations.mpec.certificate.plan import certify_plan, certify_solution
 from formulations.pipelines import load_method
@@ -18,14 +17,14 @@ from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
 
 SCENE = load_scene("three_cart")
-ARM = load_scene(str(Path(__file__).parents[1] / "scenes" / "two_link_arm.py"))
-PATIENCE = 600.0  # wall seconds; never reached, only so that a broken solver ends
+ARM = example_scene("two_link_arm")
+TIME_LIMIT = 600.0  # wall seconds; never reached, only so that a broken solver ends
 SMALL = SCENE.with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100)
 
 
 def solved(scene: Scene = SCENE, warm_start=None, **options) -> Solution:
     with load_method("mpcc").open(scene, options) as session:
-        return session.solve(eps=None, warm_start=warm_start, time_limit=PATIENCE)
+        return session.solve(eps=None, warm_start=warm_start, time_limit=TIME_LIMIT)
 
 
 def check(solution: Solution, scene: Scene, ball: float = 0.0) -> None:
@@ -65,7 +64,7 @@ def test_with_search_it_reaches_the_best_known_plan(best: Solution) -> None:
     assert best.cost is not None
     assert best.cost <= 490.5496
     assert best.trajectory is not None
-    left, right = windows_of(best.trajectory.lam > 0)
+    left, right = mode_sequence(best.trajectory.lam > 0)
     assert left[0][1] == 179
     assert right == ((276, 307),)
     assert "S-stationary" in best.message
@@ -112,19 +111,19 @@ def test_without_search_touching_pairs_are_switched_all_the_same() -> None:
 
 @pytest.mark.slow
 def test_a_plan_that_can_be_left_downhill_is_not_solved() -> None:
-    """With no windows to try, the plan comes with the name of its class, and not as solved."""
+    """With no modes to try, the plan comes with the name of its class, and not as solved."""
     scene = SCENE.with_task(steps=620, step=5.0 / 620)
     solution = solved(scene, search=False, search_windows=0)
     assert solution.outcome is Outcome.STALLED
     assert solution.trajectory is not None
     assert solution.residuals["least_biactive_multiplier"] < -1.0
     assert "not B-stationary" in solution.message
-    assert solution.certificate is not None, "what said so is kept"
+    assert solution.certificate is not None, "and comes with what said so"
     assert solution.certificate.b_stationary is False
     assert certify_solution(scene, solution) is solution, "and nothing is certified twice"
 
 
-def test_a_search_without_time_still_switches_the_pairs_that_pull() -> None:
+def test_a_search_without_time_still_switches_the_pairs_of_the_wrong_sign() -> None:
     scene = SCENE.with_task(steps=620, step=5.0 / 620)
     solution = solved(scene, search_share=0.0)
     check(solution, scene)
@@ -133,7 +132,7 @@ def test_a_search_without_time_still_switches_the_pairs_that_pull() -> None:
 
 
 @pytest.mark.slow
-def test_a_search_ends_after_the_windows_it_may_try() -> None:
+def test_a_search_ends_after_the_modes_it_may_try() -> None:
     solution = solved(search_windows=20)
     check(solution, SCENE)
     assert solution.residuals["windows_tried"] <= 21
@@ -161,7 +160,7 @@ def test_other_grids_cost_the_same_per_unit_of_time(steps: int) -> None:
 def test_a_nonlinear_scene_goes_by_ipopt() -> None:
     solution = solved(ARM)
     check(solution, ARM)
-    strict = load_method("strict_lcp").open(ARM).solve(eps=None, warm_start=None, time_limit=PATIENCE)
+    strict = load_method("strict_lcp").open(ARM).solve(eps=None, warm_start=None, time_limit=TIME_LIMIT)
     assert solution.cost is not None
     assert strict.cost is not None
     assert solution.cost <= strict.cost * (1 + 1e-6)
@@ -207,11 +206,11 @@ def test_several_starts_keep_the_cheapest_and_tell_the_spread() -> None:
 
 @pytest.mark.slow
 def test_a_stiff_contact_is_pushed_twice() -> None:
-    """k = 300: one push on each side costs 4.98 J s, two on the left 4.53; no shift of a window leads from one to the other."""
+    """k = 300: one push on each side costs 4.98 J s, two on the left 4.53; no shift of an interval leads from one to the other."""
     scene = SCENE.with_parameters(k=300.0).with_task(steps=250, step=0.02)
     solution = solved(scene)
     check(solution, scene)
     assert solution.cost is not None
     assert solution.cost * scene.task.step <= 4.54
     assert solution.trajectory is not None
-    assert len(windows_of(solution.trajectory.lam > 0)[0]) == 2
+    assert len(mode_sequence(solution.trajectory.lam > 0)[0]) == 2

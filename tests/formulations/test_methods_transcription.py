@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from formulations.method import OptionError
+from formulations.method import Clock, OptionError
 from formulations.methods import strict_lcp
 from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
-from formulations.transcription.contact import ContactFormulation as TranscribedLaw
+from formulations.transcription.contact import ContactFormulation
 from formulations.transcription.method import Work
 from formulations.transcription.residuals import PlanResiduals
-from formulations.transcription.workbench import size_on_paper
+from formulations.transcription.solving import PlanSolver
+from formulations.transcription.workbench import SolveBudget, size_on_paper
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw, worst_case_violation
@@ -21,7 +22,7 @@ from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
 
 SCENE = load_scene("three_cart")
-PATIENCE = 600.0  # wall seconds; never reached, only so that a broken solver ends
+TIME_LIMIT = 600.0  # wall seconds; never reached, only so that a broken solver ends
 METHODS = ("softplus_dc", "relaxed_lcp", "strict_lcp")
 
 # Two carts in reach of each other and a second of time: contact is needed, and a solve takes half a second at most.
@@ -34,7 +35,7 @@ def chain(
     found = []
     with load_method(method).open(scene, options) as session:
         for eps in schedule:
-            found.append(session.solve(eps=eps, warm_start=warm_start, time_limit=PATIENCE))
+            found.append(session.solve(eps=eps, warm_start=warm_start, time_limit=TIME_LIMIT))
             warm_start = found[-1].trajectory
     return found
 
@@ -191,7 +192,7 @@ def test_a_strict_attack_cut_off_still_has_its_modes_solved() -> None:
 @pytest.mark.slow
 def test_a_strict_attack_may_do_so_much_work(monkeypatch: pytest.MonkeyPatch) -> None:
     """Counted in iterations times unknowns: cut off there, as by its option, and its modes tried."""
-    monkeypatch.setattr(strict_lcp, "_ATTACK", Work(40.5 * size_on_paper(SMALL, TranscribedLaw.COMPLEMENTARITY).unknowns, 1))
+    monkeypatch.setattr(strict_lcp, "_ATTACK", Work(40.5 * size_on_paper(SMALL, ContactFormulation.COMPLEMENTARITY).unknowns, 1))
     by_work = chain("strict_lcp", (None,), SMALL)[0]
     monkeypatch.setattr(strict_lcp, "_ATTACK", Work(0.0, 1000))
     by_option = chain("strict_lcp", (None,), SMALL, attack_iterations=40)[0]
@@ -217,7 +218,7 @@ def test_strict_takes_no_eps_and_no_time_is_refused() -> None:
 def test_a_plan_of_another_grid_is_refused() -> None:
     other = chain("softplus_dc", (1e-1,), SMALL.with_task(steps=99))[0].trajectory
     with load_method("softplus_dc").open(SMALL) as session, pytest.raises(TrajectoryError, match="resample"):
-        session.solve(eps=1e-1, warm_start=other, time_limit=PATIENCE)
+        session.solve(eps=1e-1, warm_start=other, time_limit=TIME_LIMIT)
 
 
 @pytest.mark.parametrize(("change", "at_least"), [({"k": 300.0}, 1.0), ({"c": 3.0}, 1.0), ({"m": 2.0}, 1.0), ({"d": 0.45}, 1.0)])
@@ -246,8 +247,8 @@ def test_wrong_modes_are_switched_by_their_multipliers(contact: int, shift: int)
     closed[min(first, first + shift) : max(first, first + shift), contact] = shift < 0
     costs = []
     for switches in (0, 20):
-        with load_method("strict_lcp").open(SMALL, {"mode_switches": switches}) as session:
-            assert isinstance(session, strict_lcp.StrictLCPSession)
-            costs.append(session.solve_modes(closed).objective)
+        solver = PlanSolver(SMALL, ContactFormulation.COMPLEMENTARITY, strict_lcp.StrictLCPOptions(), Clock())
+        solver.prepare(1e-4, None)
+        costs.append(solver.with_fixed_modes(switches).solve(SolveBudget(60.0), closed).objective)
     assert costs[0] > (best.cost or 0) * (1 + 1e-6)
     assert costs[1] == pytest.approx(best.cost, rel=1e-9)

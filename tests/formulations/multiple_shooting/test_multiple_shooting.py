@@ -1,11 +1,11 @@
 """Multiple shooting: the subproblem against dense linear algebra, optima known in closed form, and unstable scenes from a cold start."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy as sp
+from example_scenes import example_scene
 
 from formulations.multiple_shooting.costs import Costs
 from formulations.multiple_shooting.solver import Stages
@@ -16,7 +16,7 @@ from models.codegen.kernel import load_kernel, load_steps
 from models.dynamics import derive
 from models.scene import Scene
 
-HILL = load_scene(str(Path(__file__).parents[2] / "scenes" / "leaning_mass.py"))
+HILL = example_scene("leaning_mass")
 FREE = HILL.with_task(goal=(None, None))
 
 

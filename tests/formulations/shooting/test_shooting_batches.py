@@ -1,24 +1,22 @@
 """Several plans at once: each row as if it were alone, on the CPU compiled, on another device in PyTorch operations."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from example_scenes import example_scene
 
 from formulations.grids import input_bounds
 from formulations.shooting.descent import descend, projected_descent
 from formulations.shooting.objective import GoalLoss, Objective
 from formulations.shooting.options import DescentOptions
 from formulations.shooting.reference import reference_cost, reference_rollout
-from formulations.shooting.rollout import RolloutTensors, ShootingError, rollout
-from models.catalog import load_scene, scene_names
+from formulations.shooting.rollout import RolloutTensors, rollout
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw
 from models.scene import Scene
 
-SCENES = Path(__file__).parents[2] / "scenes"
 # With a mass matrix that turns, friction, damped contacts, a final cost, and the paper's.
 FRICTIONLESS = " without friction"
 NAMES = ("two_link_arm", "hopper_planar", "damped_arm", "three_cart")
@@ -30,7 +28,7 @@ ROUNDING = 1e-11
 
 
 def scene_of(name: str) -> Scene:
-    scene = load_scene(name if name in scene_names() else str(SCENES / f"{name.removesuffix(FRICTIONLESS)}.py"))
+    scene = example_scene(name.removesuffix(FRICTIONLESS))
     return replace(scene, frictions=()) if name.endswith(FRICTIONLESS) else scene
 
 
@@ -92,14 +90,6 @@ def test_a_row_that_diverges_leaves_the_others_alone():
     assert spoilt.grad is not None
     assert spoilt.grad.isnan().flatten(1).any(1).tolist() == [False, True, False]
     assert torch.equal(spoilt.grad[2], torch.autograd.grad(rollout(scene, u[2], start[2]).q[-1].sum(), u)[0][2])
-
-
-def test_second_derivatives_of_several_plans_are_refused():
-    scene = scene_of("three_cart")
-    u, start = _plans(scene, 2)
-    (gradient,) = torch.autograd.grad(rollout(scene, u, start).q.square().sum(), u, create_graph=True)
-    with pytest.raises(ShootingError, match="differentiated once"):
-        gradient.sum().backward()
 
 
 def test_several_plans_descend_each_by_itself():

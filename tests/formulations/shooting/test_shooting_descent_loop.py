@@ -2,34 +2,28 @@
 
 import signal
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from descent_in_python import descend_in_python
+from example_scenes import example_scene
 
 from formulations.shooting.descent import descend
 from formulations.shooting.objective import Objective, Weights
 from formulations.shooting.options import DescentOptions
 from formulations.shooting.rollout import ShootingError
 from formulations.solution import Outcome
-from models.catalog import load_scene, scene_names
+from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw
-from models.scene import Scene
 
-SCENES = Path(__file__).parents[2] / "scenes"
 TOLD = {
     "at limit": Outcome.ITERATION_LIMIT, "runaway": Outcome.DIVERGED, "not finite": Outcome.DIVERGED,
 }  # fmt: skip
 
 
 SOFTPLUS, RELU = ContactLaw.SOFTPLUS, ContactLaw.RELU
-
-
-def _scene(name: str) -> Scene:
-    return load_scene(name if name in scene_names() else str(SCENES / f"{name}.py"))
 
 
 # scene, law, eps, options, size of the first inputs, how it ends, and how many digits of a chaotic descent two orders of summation share
@@ -48,7 +42,7 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_it_is_the_descent_written_out_in_numpy(case: str):
     name, law, eps, settings, size, expected, digits = CASES[case]
-    scene = _scene(name)
+    scene = example_scene(name)
     kernel = load_kernel(scene)
     goal = np.array(scene.task.goal, dtype=float)
     goal[0] = np.nan if case == "a free end" else goal[0]
@@ -74,7 +68,7 @@ def test_an_interrupt_is_obeyed_in_the_middle():
     def interrupt(number: int, frame: object) -> None:
         raise KeyboardInterrupt
 
-    objective = Objective(load_kernel(_scene("three_cart")), law=ContactLaw.RELU)
+    objective = Objective(load_kernel(load_scene("three_cart")), law=ContactLaw.RELU)
     before = signal.signal(signal.SIGALRM, interrupt)
     try:
         signal.setitimer(signal.ITIMER_REAL, 0.2)
@@ -86,7 +80,7 @@ def test_an_interrupt_is_obeyed_in_the_middle():
 
 
 def test_a_time_limit_ends_it_with_the_plan_so_far():
-    objective = Objective(load_kernel(_scene("three_cart")), law=ContactLaw.RELU)
+    objective = Objective(load_kernel(load_scene("three_cart")), law=ContactLaw.RELU)
     found = descend(objective, np.zeros((500, 2)), DescentOptions(learning_rate=1e-9, iterations=10**9), 0.1)
     assert found.outcome is Outcome.TIME_LIMIT
     assert found.u is not None
@@ -95,7 +89,7 @@ def test_a_time_limit_ends_it_with_the_plan_so_far():
 
 def test_a_loss_of_ones_own_is_descended():
     """Changes of the inputs cost, instead of the inputs: a smoother plan, and the loss falls to where its gradient is small."""
-    scene = _scene("three_cart")
+    scene = load_scene("three_cart")
     kernel, goal = load_kernel(scene), torch.tensor(scene.task.goal, dtype=torch.float64)
 
     def smooth(plan, u):
@@ -113,7 +107,7 @@ def test_a_loss_of_ones_own_is_descended():
 
 
 def test_a_loss_that_does_not_depend_on_the_inputs_is_refused():
-    scene = _scene("three_cart")
+    scene = load_scene("three_cart")
     objective = Objective(load_kernel(scene), law=ContactLaw.RELU, loss=lambda plan, u: plan.cost.detach())
     with pytest.raises(ShootingError, match="scene three_cart: the loss has no gradient with respect to the inputs"):
         descend(objective, np.zeros((500, 2)), DescentOptions(learning_rate=1.0, iterations=1), 60.0)

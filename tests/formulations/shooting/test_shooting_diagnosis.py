@@ -1,35 +1,28 @@
 """Why a descent ended: dead contacts, divergence and its numbers."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy as sp
+from example_scenes import example_scene, solve
 
-from formulations.pipelines import load_method
 from formulations.shooting.diagnosis import sensitivity, stable_rate
 from formulations.shooting.objective import Objective
-from formulations.solution import Outcome, Solution
+from formulations.solution import Outcome
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw
 from models.scene import Contact, Coordinate, Input, Scene, Task
 from models.scene.scene import goal_limits
 
-SCENES = Path(__file__).parents[2] / "scenes"
 SCENE = load_scene("three_cart")
 APART = SCENE.with_task(start=(0.0, 3.0, 6.0, 0.0, 0.0, 0.0), goal=(0.5, 3.5, 6.5, 0.0, 0.0, 0.0))
 
 
-def _solve(scene: Scene, method: str = "relu_gd", eps: float | None = None, **options: object) -> Solution:
-    with load_method(method).open(scene, options) as session:
-        return session.solve(eps=eps, warm_start=None, time_limit=60.0)
-
-
 @pytest.mark.parametrize("options", [{}, {"iterations": 30}])
 def test_dead_relu_is_told_with_its_numbers(options: dict[str, object]):
-    solution = _solve(APART, **options)
+    solution = solve(APART, **options)
     assert solution.outcome is (Outcome.ITERATION_LIMIT if options else Outcome.STALLED)
     assert solution.trajectory is not None
     assert (solution.trajectory.lam == 0.0).all()
@@ -44,7 +37,7 @@ def test_dead_relu_is_told_with_its_numbers(options: dict[str, object]):
 
 
 def test_faint_softplus_is_told_too():
-    solution = _solve(APART, "softplus_gd", 1e-7)
+    solution = solve(APART, "softplus_gd", 1e-7)
     assert solution.outcome is Outcome.STALLED
     assert "the relaxed contact is too faint" in solution.message
     assert "start from a larger eps" in solution.message
@@ -87,7 +80,7 @@ def _row_of_three() -> Scene:
 
 
 def test_the_one_contact_that_is_never_made_is_named():
-    solution = _solve(_row_of_three(), learning_rate=50.0)
+    solution = solve(_row_of_three(), learning_rate=50.0)
     assert solution.outcome is Outcome.STALLED
     assert "contact ab is never made (smallest gap ab" in solution.message
     assert "towards moving b (it misses" in solution.message
@@ -96,7 +89,7 @@ def test_the_one_contact_that_is_never_made_is_named():
 
 def test_no_diagnosis_where_nothing_is_missed():
     """No contact is made here either, but the middle cart is where it should be."""
-    solution = _solve(APART.with_task(goal=(0.5, 3.0, 5.5, 0.0, 0.0, 0.0)))
+    solution = solve(APART.with_task(goal=(0.5, 3.0, 5.5, 0.0, 0.0, 0.0)))
     assert solution.outcome is Outcome.SOLVED
     assert "no contact" not in solution.message
 
@@ -105,30 +98,30 @@ def test_no_diagnosis_where_nothing_is_missed():
 def test_a_learning_rate_that_is_too_large_is_named_and_a_good_one_is_given(name: str, eps: float | None):
     """Twice the horizon has more than twice the curvature: the paper's rate overshoots, and the rate of the message does not."""
     scene = SCENE.with_task(steps=1000)
-    solution = _solve(scene, name, eps)
+    solution = solve(scene, name, eps)
     assert solution.outcome is Outcome.DIVERGED
     assert solution.trajectory is None
     assert "learning rate 500" in solution.message
     assert "grows by a factor of" in solution.message
     rate = re.search(r"a learning rate below ([\d.e-]+) would not overshoot", solution.message)
     assert rate is not None
-    again = _solve(scene, name, eps, learning_rate=0.75 * float(rate[1]), iterations=60)
+    again = solve(scene, name, eps, learning_rate=0.75 * float(rate[1]), iterations=60)
     assert again.history["loss"][-1] == min(again.history["loss"]) < 0.2 * again.history["loss"][0]
 
 
 @pytest.mark.slow
 def test_divergence_of_an_unstable_scene_is_an_outcome_and_no_warning():
     """The arm's gradients grow over the horizon, and far too large a step makes the rollout itself overflow."""
-    solution = _solve(load_scene(str(SCENES / "two_link_arm.py")), learning_rate=500.0, iterations=200)
+    solution = solve(example_scene("two_link_arm"), learning_rate=500.0, iterations=200)
     assert solution.outcome is Outcome.DIVERGED
     assert "learning rate 500" in solution.message
     assert all(np.isfinite(column).all() for column in solution.history.values())
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("reference", ["three_cart", str(SCENES / "two_link_arm.py")])
+@pytest.mark.parametrize("reference", ["three_cart", "two_link_arm"])
 def test_sensitivity_rows_are_finite_differences(reference: str):
-    scene = load_scene(reference).with_task(steps=40)
+    scene = example_scene(reference).with_task(steps=40)
     objective = Objective(load_kernel(scene), law=ContactLaw.SOFTPLUS, eps=1e-3)
     u = np.random.default_rng(0).normal(size=(40, scene.nu))
     rows = sensitivity(objective, u)

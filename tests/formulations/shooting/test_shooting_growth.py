@@ -1,10 +1,10 @@
 """Growth of a disturbance over the horizon: against eigenvalues, against the adjoint, and in words where a method fails of it."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
+from example_scenes import example_scene
 
 from formulations.pipelines import load_method
 from formulations.shooting.diagnosis import sensitivity
@@ -15,7 +15,7 @@ from models.catalog import load_scene
 from models.codegen.kernel import load_kernel, load_steps
 from models.contact_law import ContactLaw
 
-HILL = load_scene(str(Path(__file__).parents[2] / "scenes" / "leaning_mass.py"))
+HILL = example_scene("leaning_mass")
 
 
 def _growth(steps: int) -> GradientGrowth:

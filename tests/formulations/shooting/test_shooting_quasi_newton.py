@@ -1,37 +1,31 @@
 """L-BFGS and randomised smoothing: optima known in closed form, gradients against finite differences, bounds, endings in words."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from example_scenes import example_scene, solve
 
 from formulations.method import OptionError
 from formulations.pipelines import load_method
 from formulations.shooting.objective import Objective, Weights, noise
 from formulations.shooting.options import QuasiNewtonOptions
 from formulations.shooting.quasi_newton import minimise
-from formulations.solution import Outcome, Solution
+from formulations.solution import Outcome
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw
-from models.scene import Scene
 
-HILL = load_scene(str(Path(__file__).parents[2] / "scenes" / "leaning_mass.py"))
+HILL = example_scene("leaning_mass")
 CARTS = load_scene("three_cart")
 APART = CARTS.with_task(start=(0.0, 3.0, 6.0, 0.0, 0.0, 0.0), goal=(0.5, 3.5, 6.5, 0.0, 0.0, 0.0))
-
-
-def _solve(scene: Scene, method: str, eps: float | None = None, **options: object) -> Solution:
-    with load_method(method).open(scene, options) as session:
-        return session.solve(eps=eps, warm_start=None, time_limit=60.0)
 
 
 def test_the_goal_is_met_and_nothing_is_cheaper():
     """Held against multiple shooting, whose optimum is tested in closed form: two methods that share only the time step."""
     free = replace(HILL, inputs=(replace(HILL.inputs[0], lower=-np.inf, upper=np.inf),))
-    solution = _solve(free, "relu_lbfgs", input_weight=1e-2, tolerance=1e-9, goal_rounds=20)
-    other = _solve(free, "relu_multiple_shooting", tolerance=1e-10, goal_tolerance=1e-9)
+    solution = solve(free, "relu_lbfgs", input_weight=1e-2, tolerance=1e-9, goal_rounds=20)
+    other = solve(free, "relu_multiple_shooting", tolerance=1e-10, goal_tolerance=1e-9)
     assert solution.outcome is Outcome.SOLVED, solution.message
     assert solution.residuals["terminal_error"] <= 1e-6
     assert solution.cost == pytest.approx(other.cost, rel=1e-5)
@@ -41,7 +35,7 @@ def test_without_rounds_it_is_the_minimum_of_the_loss_of_gradient_descent():
     kernel = load_kernel(CARTS)
     objective = Objective(kernel, law=ContactLaw.SOFTPLUS, eps=1e-3)
     found = minimise(objective, np.zeros((CARTS.task.steps, 2)), QuasiNewtonOptions(goal_rounds=0, tolerance=1e-8), 60.0)
-    descent = _solve(CARTS, "softplus_gd", 1e-3)
+    descent = solve(CARTS, "softplus_gd", 1e-3)
     assert found.u is not None
     assert descent.trajectory is not None
     assert objective.value(found.u) <= objective.value(descent.trajectory.u)
@@ -57,14 +51,14 @@ def test_the_goal_is_left_where_it_was():
 
 def test_bounds_hold_exactly():
     tight = replace(HILL, inputs=(replace(HILL.inputs[0], lower=-2.2, upper=1.0),))
-    plan = _solve(tight, "relu_lbfgs", input_weight=1e-2).trajectory
+    plan = solve(tight, "relu_lbfgs", input_weight=1e-2).trajectory
     assert plan is not None
     assert plan.u.min() == -2.2
     assert plan.u.max() <= 1.0
 
 
 def test_dead_contact_is_told():
-    solution = _solve(APART, "relu_lbfgs")
+    solution = solve(APART, "relu_lbfgs")
     assert solution.outcome is Outcome.STALLED
     assert "no contact is made anywhere on the trajectory" in solution.message
 
@@ -82,28 +76,14 @@ def test_another_seed_is_other_noise_and_another_plan():
     drawn = [noise(CARTS, deviation=0.1, unbounded=1.0, samples=4, pieces=5, seed=seed) for seed in (0, 0, 1, 2)]
     assert np.array_equal(drawn[0], drawn[1])
     assert not any(np.isclose(drawn[0], other).any(axis=(1, 2)).any() for other in drawn[2:])
-    costs = [_solve(APART, "randomised_smoothing", 0.3, seed=seed).cost for seed in (0, 0, 1, 2)]
+    costs = [solve(APART, "randomised_smoothing", 0.3, seed=seed).cost for seed in (0, 0, 1, 2)]
     assert costs[0] == costs[1]
     assert len(set(costs)) == 3
 
 
-def test_the_averaged_gradient_is_the_finite_difference_of_the_averaged_loss():
-    kernel = load_kernel(CARTS.with_task(steps=60, start=(2.0, 2.52, 3.04, 0.0, 0.0, 0.0)))
-    drawn = noise(kernel.scene, deviation=0.2, unbounded=1.0, samples=8, pieces=3, seed=1)
-    objective = Objective(kernel, law=ContactLaw.RELU, noise=drawn)
-    random = np.random.default_rng(3)
-    u, direction = random.normal(size=(60, 2)), random.normal(size=(60, 2))
-    objective.value(u)
-    slope = float((objective.gradient() * direction).sum())
-    ends = [objective.value(u + sign * 1e-6 * direction) for sign in (1.0, -1.0)]
-    assert slope == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=1e-6)
-    single = [Objective(kernel, law=ContactLaw.RELU).value(u + w) for w in drawn]
-    assert objective.value(u) == pytest.approx(np.mean(single), rel=1e-12)
-
-
 def test_noise_makes_contact_that_the_plan_itself_does_not():
     """From rest, with nothing in reach: gradient descent on ReLU is dead, noise finds the middle cart."""
-    dead, alive = _solve(APART, "relu_lbfgs"), _solve(APART, "randomised_smoothing", 0.3)
+    dead, alive = solve(APART, "relu_lbfgs"), solve(APART, "randomised_smoothing", 0.3)
     start = np.array(APART.task.start)
     assert dead.trajectory is not None
     assert alive.trajectory is not None

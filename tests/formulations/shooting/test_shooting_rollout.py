@@ -1,19 +1,15 @@
 """The compiled rollout as a PyTorch function: against the plain PyTorch reference, finite differences, and misuse."""
 
-from functools import cache
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
+from example_scenes import example_scene
 
 from formulations.shooting.reference import reference_rollout
 from formulations.shooting.rollout import ShootingError, rollout
-from models.catalog import load_scene, scene_names
 from models.contact_law import ContactLaw, RelaxationError
 from models.scene import Scene
 
-SCENES = Path(__file__).parents[2] / "scenes"
 LAWS = ((ContactLaw.RELU, None), (ContactLaw.SOFTPLUS, 1e-3), (ContactLaw.SOFTPLUS, 1e-7))
 # A start in contact for each scene, so that the contact's derivatives are there to be compared.
 STARTS = {
@@ -25,11 +21,6 @@ STARTS = {
 }
 # Two orders of summation: each step rounds differently, and 60 steps carry it on.
 ROUNDING = 1e-12
-
-
-@cache
-def scene_of(name: str) -> Scene:
-    return load_scene(name if name in scene_names() else str(SCENES / f"{name}.py"))
 
 
 def _pattern(name: str, shape: tuple[int, ...]) -> torch.Tensor:
@@ -56,7 +47,7 @@ def _gradients(function, scene: Scene, start: torch.Tensor, u: torch.Tensor, law
 @pytest.mark.parametrize("name", STARTS)
 @pytest.mark.parametrize(("law", "eps"), LAWS)
 def test_values_and_gradients_are_those_of_plain_pytorch(name: str, pattern: str, law: ContactLaw, eps: float | None):
-    scene = scene_of(name)
+    scene = example_scene(name)
     start, u = torch.tensor(STARTS[name], dtype=torch.float64), _pattern(pattern, (60, scene.nu))
     found, expected = _gradients(rollout, scene, start, u, law, eps), _gradients(reference_rollout, scene, start, u, law, eps)
     assert not scene.nc or expected[0][2].max() > 0.0
@@ -68,7 +59,7 @@ def test_values_and_gradients_are_those_of_plain_pytorch(name: str, pattern: str
 @pytest.mark.parametrize("pattern", ["zeros", "ones", "0101", "0123"])
 def test_states_of_patterns_too(pattern: str):
     """The start itself at zeros, ones, 0101, 0123."""
-    scene = scene_of("three_cart")
+    scene = example_scene("three_cart")
     start, u = _pattern(pattern, (6,)), _pattern("random", (30, 2))
     for law, eps in LAWS:
         for left, right in zip(
@@ -83,7 +74,7 @@ def test_states_of_patterns_too(pattern: str):
 @pytest.mark.parametrize(("law", "eps"), LAWS)
 def test_gradients_are_finite_differences(name: str, law: ContactLaw, eps: float | None):
     """PyTorch's own check, of every output with respect to every entry of u and start."""
-    scene = scene_of(name)
+    scene = example_scene(name)
     u = _pattern("random", (6, scene.nu)).requires_grad_()
     start = torch.tensor(STARTS[name], dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(lambda u, start: rollout(scene, u, start, step=0.005, law=law, eps=eps), (u, start))
@@ -91,7 +82,7 @@ def test_gradients_are_finite_differences(name: str, law: ContactLaw, eps: float
 
 def test_composes_with_a_loss_of_ones_own():
     """Through operations before and after it, with the running cost, and with the scene's own start and step."""
-    scene = scene_of("three_cart")
+    scene = example_scene("three_cart")
     knots = torch.full((50, 2), 0.5, dtype=torch.float64, requires_grad=True)
     plan = rollout(scene, torch.repeat_interleave(knots, 10, dim=0).tanh())
     loss = plan.q[:, 1].amax() + plan.lam.exp().mean() + 1e-3 * plan.cost
@@ -111,7 +102,7 @@ def test_composes_with_a_loss_of_ones_own():
 
 
 def test_gradients_only_where_asked():
-    scene = scene_of("three_cart")
+    scene = example_scene("three_cart")
     u, start = torch.zeros(5, 2, dtype=torch.float64), torch.tensor(scene.task.start, dtype=torch.float64)
     assert not any(part.requires_grad for part in rollout(scene, u, start))
     rollout(scene, u, start.requires_grad_()).q.sum().backward()
@@ -120,7 +111,7 @@ def test_gradients_only_where_asked():
 
 
 def test_is_differentiable_once_and_says_so():
-    scene = scene_of("three_cart")
+    scene = example_scene("three_cart")
     u = torch.ones(5, 2, dtype=torch.float64, requires_grad=True)
     loss = rollout(scene, u, torch.tensor(STARTS["three_cart"], dtype=torch.float64)).q.square().sum()
     (gradient,) = torch.autograd.grad(loss, u, create_graph=True)
@@ -130,7 +121,7 @@ def test_is_differentiable_once_and_says_so():
 
 
 def test_the_reference_is_differentiable_twice():
-    scene = scene_of("three_cart")
+    scene = example_scene("three_cart")
     u = torch.ones(3, 2, dtype=torch.float64, requires_grad=True)
     q, _, _ = reference_rollout(scene, u, torch.tensor(STARTS["three_cart"], dtype=torch.float64))
     loss = q.square().sum()
@@ -141,7 +132,7 @@ def test_the_reference_is_differentiable_twice():
 
 
 def test_outputs_changed_in_place_are_noticed():
-    scene = scene_of("three_cart")
+    scene = example_scene("three_cart")
     u = torch.ones(5, 2, dtype=torch.float64, requires_grad=True)
     plan = rollout(scene, u)
     loss = plan.v.square().sum()
@@ -152,7 +143,7 @@ def test_outputs_changed_in_place_are_noticed():
 
 
 def test_divergence_gives_nan_and_nan_gradients():
-    scene = scene_of("two_link_arm")
+    scene = example_scene("two_link_arm")
     u = torch.full((50, 2), 1e200, dtype=torch.float64, requires_grad=True)
     plan = rollout(scene, u)
     assert plan.q[-1].isnan().all()
@@ -163,7 +154,7 @@ def test_divergence_gives_nan_and_nan_gradients():
 
 
 def test_other_types_and_devices_are_refused_in_words():
-    scene = scene_of("three_cart")
+    scene = example_scene("three_cart")
     u = torch.zeros(5, 2, dtype=torch.float64)
     with pytest.raises(ShootingError, match=r"u is torch\.float32.*pass u\.double\(\)"):
         rollout(scene, u.float())
@@ -172,7 +163,7 @@ def test_other_types_and_devices_are_refused_in_words():
     with pytest.raises(ShootingError, match=r"u is .* on meta, start .* on cpu; pass start\.to"):
         rollout(scene, u.to("meta"), torch.tensor(scene.task.start, dtype=torch.float64))
     with pytest.raises(ShootingError, match=r"u is on meta, but a scene with friction.*pass u\.cpu\(\)"):
-        rollout(scene_of("hopper_planar"), torch.zeros(5, scene_of("hopper_planar").nu, device="meta"))
+        rollout(example_scene("hopper_planar"), torch.zeros(5, example_scene("hopper_planar").nu, device="meta"))
     with pytest.raises(ShootingError, match=r"u is a ndarray"):
         rollout(scene, u.numpy())  # pyright: ignore[reportArgumentType]
     with pytest.raises(ShootingError, match="last dimensions of u and start are 1 and 6, but 2 inputs and 6"):
@@ -184,7 +175,7 @@ def test_other_types_and_devices_are_refused_in_words():
 
 
 def test_float32_inputs_may_be_converted_in_the_open():
-    scene = scene_of("three_cart")
+    scene = example_scene("three_cart")
     u = torch.ones(5, 2, requires_grad=True)
     rollout(scene, u.double()).q.sum().backward()
     assert u.grad is not None
@@ -192,6 +183,6 @@ def test_float32_inputs_may_be_converted_in_the_open():
 
 
 def test_a_strided_tensor_is_read_in_its_own_order():
-    scene = scene_of("three_cart")
+    scene = example_scene("three_cart")
     u = _pattern("random", (2, 30))
     assert torch.equal(rollout(scene, u.T).q, rollout(scene, u.T.contiguous()).q)

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from formulations.method import Kind, Leg, Method, Options, Pipeline, Session, option
+from formulations.method import Clock, Kind, Leg, Method, Options, Pipeline, Session, option
 from formulations.solution import Outcome, Solution
 from models.scene import Scene
 from models.trajectory import Trajectory, uniform_grid
@@ -64,7 +64,7 @@ class FakeMethod(Method[FakeOptions]):
     def accepts(self, scene: Scene) -> str | None:
         return self._refuses
 
-    def session(self, scene: Scene, options: FakeOptions, opening: tuple[float, float]) -> Session:
+    def session(self, scene: Scene, options: FakeOptions, clock: Clock) -> Session:
         return _Session(scene, self._act, options, self.name)
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from campaign_fakes import TOOLS, FakeMethod, FakeOptions
 
-from formulations.method import Kind, Leg, Pipeline, Session
+from formulations.method import Clock, Kind, Leg, Pipeline, Session
 from formulations.solution import Outcome, Solution
 from models.scene import Scene
 from models.trajectory import Trajectory
@@ -61,8 +61,8 @@ class _ColdSession(Session):
 
 
 class _Cold(FakeMethod):
-    def session(self, scene: Scene, options: FakeOptions, opening: tuple[float, float]) -> Session:
-        return _ColdSession(super().session(scene, options, opening))
+    def session(self, scene: Scene, options: FakeOptions, clock: Clock) -> Session:
+        return _ColdSession(super().session(scene, options, clock))
 
 
 METHODS = {

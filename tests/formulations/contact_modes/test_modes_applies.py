@@ -1,4 +1,4 @@
-"""Whether contact windows apply is said without deriving anything."""
+"""Which scenes mpcc accepts is said without deriving anything."""
 
 from __future__ import annotations
 

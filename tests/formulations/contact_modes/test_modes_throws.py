@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from formulations.contact_modes import session as throws
-from formulations.contact_modes.session import final_cost, thrown_plans
+from formulations.contact_modes.starts import final_cost, thrown_plans
 from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene

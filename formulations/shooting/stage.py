@@ -1,4 +1,4 @@
-"""What every shooting method does with its plan at the end, and with a warm start at the beginning."""
+"""What every shooting method does with a warm start when a stage begins, and with its plan when it ends."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from formulations.grids import check_warm_start, input_bounds
-from formulations.solution import Outcome
+from formulations.method import Clock
+from formulations.solution import Outcome, Seconds
 from models.scene import Scene
 from models.scene.goal import goal_state, miss
 from models.trajectory import Trajectory
@@ -17,22 +18,20 @@ _TOLERANCE = 1e-6
 
 
 def first_inputs(scene: Scene, warm_start: Trajectory | None) -> np.ndarray:
-    """Inputs (steps, nu) of the warm start within their bounds, or zeros. Raises TrajectoryError for a plan of another scene or grid."""
+    """Give the inputs (steps, nu) [N, N m] of the warm start within their bounds, or zeros. Raises TrajectoryError for a plan of another scene or grid."""
     lower, upper = input_bounds(scene)
     return np.clip(given_inputs(scene, warm_start), lower, upper)
 
 
 def given_inputs(scene: Scene, warm_start: Trajectory | None) -> np.ndarray:
-    """The same as they are. Raises TrajectoryError."""
+    """Give them as they are: (steps, nu) [N, N m]. Raises TrajectoryError for a plan of another scene or grid."""
     task = scene.task
-    if warm_start is None:
-        return np.zeros((task.steps, scene.nu))
     check_warm_start(scene, warm_start)
-    return np.array(warm_start.u)
+    return np.zeros((task.steps, scene.nu)) if warm_start is None else np.array(warm_start.u)
 
 
 def plan_residuals(scene: Scene, plan: Trajectory) -> dict[str, float]:
-    """terminal_error, its position and velocity parts, input_bound_excess and, where the scene has such bounds, velocity_bound_excess."""
+    """Measure terminal_error, its position and velocity parts, input_bound_excess and, where the scene has such bounds, velocity_bound_excess."""
     error = miss(plan.end, goal_state(scene.task))
     lower, upper = input_bounds(scene)
     residuals = {
@@ -52,20 +51,27 @@ def plan_residuals(scene: Scene, plan: Trajectory) -> dict[str, float]:
 def arrived(
     scene: Scene, outcome: Outcome, message: str, residuals: Mapping[str, float], advice: str = "a larger terminal_weight"
 ) -> tuple[Outcome, str]:
-    """Outcome and message; whoever converged away from the goal, or beyond a velocity bound, has not solved the task: STALLED.
+    """Turn SOLVED into STALLED, and say why, where the plan converged away from the goal or beyond a velocity bound.
 
     advice: what brings it nearer to the goal.
     """
     for name in ("terminal_position_error", "terminal_velocity_error"):
         limit = scene.limit(name)
         if outcome is Outcome.SOLVED and limit is not None and limit.value is not None and residuals[name] > limit.value:
-            told = f"{name} is {residuals[name]:.3g}, the scene asks for {limit.value:g}; {advice} brings it nearer"
-            outcome, message = Outcome.STALLED, f"{message} It converged away from the goal: {told}.".strip()
+            missed = f"{name} is {residuals[name]:.3g}, the scene asks for {limit.value:g}; {advice} brings it nearer"
+            outcome, message = Outcome.STALLED, f"{message} It converged away from the goal: {missed}.".strip()
     excess = residuals.get("velocity_bound_excess", 0.0)
     if outcome is Outcome.SOLVED and excess > _TOLERANCE:
         outcome, message = (
             Outcome.STALLED,
             f"{message} A velocity exceeds its bound by {excess:.3g}: this method does not know such bounds.".strip(),
         )
-    missed = f" The goal is missed by {residuals['terminal_error']:.3g} in the plan's own contact model." if scene.task.has_goal else ""
-    return outcome, f"{message}{missed}".strip()
+    goal = f" The goal is missed by {residuals['terminal_error']:.3g} in the plan's own contact model." if scene.task.has_goal else ""
+    return outcome, f"{message}{goal}".strip()
+
+
+def stage_seconds(stage: Clock, opening: Clock, evaluate: float, solving: float) -> Seconds:
+    """Give the seconds of a stage, and of opening its session if it is the first. solving: wall seconds of the solve, of which evaluate in the scene's code."""
+    stage.stop()
+    (wall, cpu), (build, build_cpu) = stage.pay(), opening.pay()
+    return Seconds(build=build, evaluate=evaluate, linear_algebra=max(0.0, solving - evaluate), wall=build + wall, cpu=build_cpu + cpu)

@@ -5,10 +5,12 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pyomo.environ as pyo
 import pytest
 
-from formulations.contact_modes.finder import Search
+from formulations.contact_modes.finder import FinderResult
+from formulations.contact_modes.nonlinear import SceneModels
 from formulations.contact_modes.session import MultiStart
 from formulations.methods.mpcc import MpccOptions
 from formulations.pipelines import load_method
@@ -49,17 +51,11 @@ class _Finder:
     def __init__(self, spends: list[float]) -> None:
         self._spends, self.allowed = spends, []
 
-    def find(self, account: SolveBudget, _modes_of: Any, _start: Any) -> Search:
-        self.allowed.append(account.most_work - account.work)
-        account.work += self._spends[len(self.allowed) - 1]
-        answer = SimpleNamespace(cost=10.0 - len(self.allowed), closed=load_kernel(SCENE).penetration(_rest()) > 0.0)
-        return Search(answer=cast(Any, answer), outcome=Outcome.SOLVED, message="")
-
-
-def _rest():
-    import numpy as np
-
-    return np.zeros((3, SCENE.nq))
+    def find(self, budget: SolveBudget, _modes_of: Any, _start: Any) -> FinderResult:
+        self.allowed.append(budget.most_work - budget.work)
+        budget.work += self._spends[len(self.allowed) - 1]
+        answer = SimpleNamespace(cost=10.0 - len(self.allowed), closed=load_kernel(SCENE).penetration(np.zeros((3, SCENE.nq))) > 0.0)
+        return FinderResult(answer=cast(Any, answer), outcome=Outcome.SOLVED, message="")
 
 
 @pytest.mark.parametrize(
@@ -71,10 +67,11 @@ def _rest():
     ],
 )
 def test_half_of_the_work_that_is_left_for_each_start(spends: list[float], allowed: list[float]) -> None:
-    finder, account = _Finder(spends), SolveBudget(60.0)
-    account.most_work = 100.0
-    starts = MultiStart(SCENE, load_kernel(SCENE), cast(Any, finder), MpccOptions())
-    best, attempts = starts.run(account, range(5, 10), None)
+    finder, budget = _Finder(spends), SolveBudget(60.0)
+    budget.most_work = 100.0
+    kernel = load_kernel(SCENE)
+    starts = MultiStart(SCENE, kernel, cast(Any, finder), MpccOptions(), SceneModels(SCENE, kernel))
+    best, attempts = starts.run(budget, range(5, 10), None)
     assert finder.allowed == allowed
     assert [attempt.number for attempt in attempts] == list(range(5, 5 + len(allowed)))
     assert best.answer is not None
@@ -93,7 +90,7 @@ def test_the_clock_decides_nothing() -> None:
     assert "as many as it may try" in found[0].message
     assert found[2].outcome is Outcome.ITERATION_LIMIT
     assert found[2].trajectory is None
-    assert "by the work it may do" in found[2].message
+    assert "within the work limit" in found[2].message
 
 
 @pytest.mark.slow
@@ -105,6 +102,6 @@ def test_a_first_plan_has_less_work_than_the_search_around_it() -> None:
             found.append(session.solve(eps=None, warm_start=None, time_limit=600.0))
     given_up, bounded, free = found
     assert (given_up.outcome, given_up.trajectory) == (Outcome.ITERATION_LIMIT, None)
-    assert "until there is one" in given_up.message
+    assert "the work limit of a first one" in given_up.message
     assert given_up.iterations < bounded.iterations
     assert (bounded.cost, bounded.iterations, bounded.message) == (free.cost, free.iterations, free.message)

@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from example_scenes import example_scene
 
-from formulations.contact_modes.dual_active_set import active_set
+from formulations.contact_modes.dual_active_set import interior_point_active_set
 from formulations.contact_modes.linear import linear_scene, why_not_linear
 from formulations.contact_modes.nonlinear import NonlinearModes
-from formulations.contact_modes.quadratic import ModesProblem, WorkingSet
-from formulations.contact_modes.search import closed_of
+from formulations.contact_modes.quadratic import ModesProblem
+from formulations.contact_modes.search import closed_steps
 from formulations.transcription.workbench import SolveBudget
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.scene import Scene
 
 SCENE = load_scene("three_cart")
-ARM = load_scene(str(Path(__file__).parents[2] / "scenes" / "two_link_arm.py"))
-BEST = closed_of((((131, 179),), ((276, 307),)), 500)
+ARM = example_scene("two_link_arm")
+BEST = closed_steps((((131, 179),), ((276, 307),)), 500)
 
 
 def random_scene(seed: int, bound: float) -> tuple[Scene, np.ndarray]:
@@ -107,29 +107,29 @@ def test_the_interior_point_names_the_conditions_that_are_active(seed: int, ball
     problem.softness = softness
     answer = problem.solve(closed)
     assert answer is not None
-    named = active_set(linear, closed, ball, softness)
+    named = interior_point_active_set(linear, closed, ball, softness)
     assert named is not None
-    held = problem._rounds(closed, WorkingSet(side=named[0], touching=named[1]), most=2)
+    held = problem._rounds(closed, named, most=2)
     assert held is not None, "two rounds, so that a condition whose multiplier is zero may be named or not"
     assert held.cost == pytest.approx(answer.cost, rel=1e-11)
 
 
 def test_the_interior_point_finds_nothing_where_there_is_no_plan() -> None:
     linear, nobody = linear_scene(SCENE), np.zeros((500, 2), dtype=bool)
-    assert active_set(linear, nobody, 0.0) is None
-    assert active_set(linear, nobody, 1e-3) is None
-    assert active_set(linear, nobody, 0.0, softness=1e-3) is not None, "whatever the modes, some inputs come nearest"
+    assert interior_point_active_set(linear, nobody, 0.0) is None
+    assert interior_point_active_set(linear, nobody, 1e-3) is None
+    assert interior_point_active_set(linear, nobody, 0.0, softness=1e-3) is not None, "whatever the modes, some inputs come nearest"
 
 
 def test_modes_without_a_plan_have_no_answer() -> None:
     problem = ModesProblem(linear_scene(SCENE))
     assert problem.solve(np.zeros((500, 2), dtype=bool)) is None, "nobody pushes the middle cart"
-    assert problem.solve(closed_of((((0, 3),), ((276, 307),)), 500)) is None, "the left cart cannot be there that early"
+    assert problem.solve(closed_steps((((0, 3),), ((276, 307),)), 500)) is None, "the left cart cannot be there that early"
 
 
 def test_a_ceiling_only_hides_what_costs_more() -> None:
     problem = ModesProblem(linear_scene(SCENE))
-    worse = closed_of((((140, 190),), ((270, 300),)), 500)
+    worse = closed_steps((((140, 190),), ((270, 300),)), 500)
     free = problem.solve(worse)
     assert free is not None
     assert problem.solve(worse, below=free.cost * 0.999) is None

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from example_scenes import example_scene
 
 from formulations.contact_modes import finder
-from formulations.contact_modes.finder import descended_plan, mirrored, random_plan
 from formulations.contact_modes.quadratic import ModesProblem
+from formulations.contact_modes.starts import descended_plan, mirrored, random_plan
 from formulations.method import OptionError
 from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
@@ -20,7 +19,7 @@ from models.trajectory import Trajectory, uniform_grid
 
 SCENE = load_scene("three_cart")
 SMALL = SCENE.with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0), goal=(2.1, 2.7, 3.3, 0.0, 0.0, 0.0), steps=100)
-ARM = load_scene(str(Path(__file__).parents[2] / "scenes" / "two_link_arm.py"))
+ARM = example_scene("two_link_arm")
 
 
 def rolled(scene, u: np.ndarray) -> Trajectory:
@@ -100,7 +99,7 @@ def test_another_seed_is_another_random_start() -> None:
     assert len({ways[0], *ways[4:]}) > 1, "and so does the number of the start"
 
 
-def test_windows_of_a_start_are_named_by_contact() -> None:
+def test_contacts_of_a_start_are_named_by_contact() -> None:
     solution = several(starts=2)
     plan = solution.trajectory
     assert plan is not None
@@ -119,8 +118,8 @@ def test_impossible_numbers_are_refused() -> None:
 
 
 @pytest.mark.slow
-def test_random_inputs_that_led_nowhere_are_not_steered_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They are the same whatever a start is: the second start without a plan has only its own to steer."""
+def test_random_inputs_that_led_nowhere_are_not_corrected_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are the same whatever a start is: the second start without a plan has only its own to correct."""
     drawn: list[tuple[int, ...]] = []
 
     def noted(scene, kernel, seed):

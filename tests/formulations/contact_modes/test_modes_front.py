@@ -10,7 +10,7 @@ import pytest
 from formulations.contact_modes.quadratic import cheapest_in_ball
 from formulations.contact_modes.session import MpccSession
 from formulations.method import OptionError
-from formulations.methods.mpcc_front import front, told
+from formulations.methods.mpcc_front import front, front_message
 from formulations.mpec import certify_solution
 from formulations.pipelines import load_method
 from formulations.solution import FrontPoint, Outcome, Solution
@@ -47,7 +47,7 @@ def test_figures_of_the_front(ball: float, most: float) -> None:
 
 
 @pytest.mark.slow
-def test_the_figure_at_five_centimetres_needs_the_windows_of_ten() -> None:
+def test_the_figure_at_five_centimetres_needs_the_modes_of_ten() -> None:
     solution = within(0.05, within(0.1, search=False).trajectory)
     assert solution.cost is not None
     assert solution.cost <= 283.5
@@ -125,11 +125,11 @@ def test_a_cold_start_may_do_more_until_it_has_a_plan(monkeypatch: pytest.Monkey
     allowed: list[tuple[bool, float]] = []
     solve = MpccSession.solve
 
-    def told(self: MpccSession, **given: object) -> Solution:
+    def noted(self: MpccSession, **given: object) -> Solution:
         allowed.append((given["warm_start"] is not None, self._options.work))
         return solve(self, **given)  # type: ignore[arg-type] - handed on as they came
 
-    monkeypatch.setattr(MpccSession, "solve", told)
+    monkeypatch.setattr(MpccSession, "solve", noted)
     front(SMALL, (0.0, 0.01), options={"work": 2.0, "first_work": 5.0})
     assert set(allowed) == {(False, 7.0), (True, 2.0)}
 
@@ -144,10 +144,10 @@ def test_the_cheapest_point_of_a_ball(seed: int, radius: float) -> None:
     e = cheapest_in_ball(slope, curvature, radius)
     size = float(np.linalg.norm(e))
     assert size <= radius * (1 + 1e-9)
-    pull = slope + curvature @ e
-    shift = -float(pull @ e) / size**2
+    gradient = slope + curvature @ e
+    shift = -float(gradient @ e) / size**2
     assert shift >= -1e-9
-    np.testing.assert_allclose(pull + shift * e, 0.0, atol=1e-8)
+    np.testing.assert_allclose(gradient + shift * e, 0.0, atol=1e-8)
     assert shift <= 1e-8 or size == pytest.approx(radius, rel=1e-9)
 
 
@@ -156,8 +156,9 @@ def test_a_front_says_how_many_of_its_points_have_a_plan():
     lost = Solution(method="mpcc", outcome=Outcome.FAILED)
     plan = replace(lost, outcome=Outcome.SOLVED, trajectory=Trajectory(t=t, q=q, v=q, u=u, lam=u))
     tight, loose = FrontPoint(tolerance=0.0, solution=lost), FrontPoint(tolerance=0.1, solution=plan)
-    assert told(0, (tight, tight), "no windows.") == "No plan was found within any of 2 terminal tolerances: no windows."
-    assert told(1, (tight, loose), "no windows.") == "Plans were found within 1 of 2 terminal tolerances, none within 0: no windows."
+    assert front_message(0, (tight, tight), "no modes.") == "No plan was found within any of 2 terminal tolerances: no modes."
+    assert front_message(1, (tight, loose), "no modes.") == "Plans were found within 1 of 2 terminal tolerances, none within 0: no modes."
     assert (
-        told(1, (loose, tight), "it ended.") == "Plans were found within 1 of 2 terminal tolerances; this is the one within 0.1. It ended."
+        front_message(1, (loose, tight), "it ended.")
+        == "Plans were found within 1 of 2 terminal tolerances; this is the one within 0.1. It ended."
     )

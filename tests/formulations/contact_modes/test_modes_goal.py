@@ -1,21 +1,20 @@
-"""From inputs that miss the goal to a plan: steering the true rollout, by way of softplus, and the search with a price on the miss."""
+"""From inputs that miss the goal to a plan: correcting the true rollout, by way of softplus, and the search with a price on the miss."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from formulations.contact_modes.goal import approach, land, land_by_softplus, miss_of
+from formulations.contact_modes.goal import ball_miss, continue_to_goal, correct_end, correct_end_by_softplus
 from formulations.contact_modes.linear import linear_scene
 from formulations.contact_modes.quadratic import ModesProblem
-from formulations.contact_modes.search import closed_of
+from formulations.contact_modes.search import closed_steps
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 
 SCENE = load_scene("three_cart").with_task(steps=100, step=0.05)
 KERNEL = load_kernel(SCENE)
 START, GOAL = np.array(SCENE.task.start), np.array(SCENE.task.goal, dtype=float)
-BOUNDS = (np.full(2, -10.0), np.full(2, 10.0))
 
 
 def pushed(force: float) -> np.ndarray:
@@ -25,11 +24,11 @@ def pushed(force: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("force", [3.0, 4.0, 6.0])
-def test_inputs_far_from_the_goal_are_steered_to_it(force: float) -> None:
-    rollout, u = land(KERNEL, START, GOAL, pushed(force), SCENE.task.step, BOUNDS)
+def test_inputs_far_from_the_goal_are_corrected(force: float) -> None:
+    rollout, u = correct_end(SCENE, KERNEL, pushed(force))
     again = KERNEL.rollout(START, u, SCENE.task.step)
     np.testing.assert_array_equal(again.q, rollout.q)
-    assert np.linalg.norm(miss_of(again, GOAL, 0.0)) <= 1e-12
+    assert np.linalg.norm(ball_miss(again, GOAL, 0.0)) <= 1e-12
     assert np.abs(u).max() <= 10.0
 
 
@@ -37,12 +36,12 @@ def test_inputs_far_from_the_goal_are_steered_to_it(force: float) -> None:
 def test_without_contact_only_softplus_finds_the_way() -> None:
     """Nothing touches: the true law says nothing about the middle cart."""
     nothing = np.zeros((100, 2))
-    stuck, _ = land(KERNEL, START, GOAL, nothing, SCENE.task.step, BOUNDS)
-    assert np.linalg.norm(miss_of(stuck, GOAL, 0.0)) > 0.1
-    rollout, u = land_by_softplus(KERNEL, START, GOAL, nothing, SCENE.task.step, BOUNDS, 0.0, 7.0)
-    assert np.linalg.norm(miss_of(rollout, GOAL, 0.0)) <= 1e-3
+    stuck, _ = correct_end(SCENE, KERNEL, nothing)
+    assert np.linalg.norm(ball_miss(stuck, GOAL, 0.0)) > 0.1
+    rollout, u = correct_end_by_softplus(SCENE, KERNEL, nothing, 0.0, 7.0)
+    assert np.linalg.norm(ball_miss(rollout, GOAL, 0.0)) <= 1e-3
     assert np.abs(u).max() <= 10.0
-    assert approach(ModesProblem(linear_scene(SCENE)), rollout.lam > 0, 1, lambda: False) is not None
+    assert continue_to_goal(ModesProblem(linear_scene(SCENE)), rollout.lam > 0, 1, lambda: False) is not None
 
 
 @pytest.mark.slow
@@ -54,7 +53,7 @@ def test_modes_that_miss_the_goal_lead_to_modes_that_meet_it() -> None:
     assert closed[:, 0].any()
     assert not closed[:, 1].any()
     assert problem.solve(closed) is None, "nothing stops the middle cart"
-    answer = approach(problem, closed, 1, lambda: False)
+    answer = continue_to_goal(problem, closed, 1, lambda: False)
     assert answer is not None
     assert problem.softness == 0.0
     np.testing.assert_allclose(answer.point.z[-1], GOAL, atol=1e-9)
@@ -65,7 +64,7 @@ def test_modes_that_miss_the_goal_lead_to_modes_that_meet_it() -> None:
 
 def test_a_softer_goal_costs_less_and_a_hard_one_is_its_limit() -> None:
     problem = ModesProblem(linear_scene(load_scene("three_cart")))
-    best = closed_of((((131, 179),), ((276, 307),)), 500)
+    best = closed_steps((((131, 179),), ((276, 307),)), 500)
     hard = problem.solve(best)
     assert hard is not None
     costs = []

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import cast
 
 import pytest
+from example_scenes import example_scene
 
 from formulations.contact_modes.session import MpccSession
 from formulations.pipelines import load_method
 from formulations.transcription import workbench
-from models.catalog import load_scene
 
-ARM = load_scene(str(Path(__file__).parents[2] / "scenes" / "two_link_arm.py"))  # nonlinear: its modes are solved by Ipopt
+ARM = example_scene("two_link_arm")  # nonlinear: its modes are solved by Ipopt
 
 
 def opened(**options: object) -> MpccSession:

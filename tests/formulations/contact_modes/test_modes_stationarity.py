@@ -7,7 +7,7 @@ import pytest
 
 from formulations.contact_modes.linear import linear_scene
 from formulations.contact_modes.quadratic import ModesProblem, classify
-from formulations.contact_modes.search import closed_of
+from formulations.contact_modes.search import closed_steps
 from models.catalog import load_scene
 
 SCENE = load_scene("three_cart")
@@ -35,11 +35,11 @@ def test_classes(pairs: list[tuple[float, float]], letter: str, least: float) ->
 
 @pytest.mark.parametrize(("contact", "shift"), [(0, -2), (0, 2), (1, -2), (1, 2)])
 def test_a_negative_multiplier_names_a_cheaper_mode(contact: int, shift: int) -> None:
-    """Windows that begin wrongly: where the pair that touches has a negative multiplier, the other mode there is cheaper."""
-    windows = [[131, 179], [276, 307]]
-    windows[contact][0] += shift
+    """Intervals that begin wrongly: where the pair that touches has a negative multiplier, the other mode there is cheaper."""
+    intervals = [[131, 179], [276, 307]]
+    intervals[contact][0] += shift
     problem = ModesProblem(linear_scene(SCENE))
-    answer = problem.solve(closed_of(tuple(((first, stop),) for first, stop in windows), 500))
+    answer = problem.solve(closed_steps(tuple(((first, stop),) for first, stop in intervals), 500))
     assert answer is not None
     assert answer.cost > 490.5495306
     negative = [

@@ -1,0 +1,231 @@
+"""Mode sequences: their moves, and a search that ends where no neighbour is cheaper."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from formulations.contact_modes.search import (
+    Add,
+    Drop,
+    Merge,
+    Shift,
+    Split,
+    closed_steps,
+    fewer,
+    flip_wrong_signs,
+    mode_sequence,
+    onwards,
+    rearrangements,
+    repetitions,
+    search_sequences,
+    shifts,
+)
+
+STEPS = 40
+modes = st.lists(st.tuples(st.booleans(), st.booleans()), min_size=STEPS, max_size=STEPS).map(lambda rows: np.array(rows))
+
+
+@pytest.mark.slow
+@given(closed=modes)
+@settings(deadline=None, max_examples=50)
+def test_intervals_and_closed_steps_say_the_same(closed: np.ndarray) -> None:
+    assert np.array_equal(closed_steps(mode_sequence(closed), STEPS), closed)
+
+
+@pytest.mark.slow
+@given(closed=modes, stride=st.integers(1, 5), seed=st.integers(0, 99))
+@settings(deadline=None, max_examples=50)
+def test_every_move_leads_to_another_sequence(closed: np.ndarray, stride: int, seed: int) -> None:
+    sequence, phi = mode_sequence(closed), np.random.default_rng(seed).normal(size=(STEPS, 2))
+    for move in (*shifts(sequence, stride), *rearrangements(sequence, phi), *fewer(sequence)):
+        moved = move.apply(sequence, STEPS)
+        if moved is not None:
+            assert moved != sequence
+            assert mode_sequence(closed_steps(moved, STEPS)) == moved, "no interval is empty, none adjoin"
+
+
+def test_moves_do_what_they_say() -> None:
+    sequence = (((5, 10), (20, 30)), ())
+    assert Shift(contact=0, index=0, first=-2).apply(sequence, STEPS) == (((3, 10), (20, 30)), ())
+    assert Shift(contact=0, index=1, stop=3).apply(sequence, STEPS) == (((5, 10), (20, 33)), ())
+    assert Shift(contact=0, index=0, first=4, stop=4).apply(sequence, STEPS) == (((9, 14), (20, 30)), ())
+    assert Merge(contact=0, index=0).apply(sequence, STEPS) == (((5, 30),), ())
+    assert Split(contact=0, index=1, first=24, stop=26).apply(sequence, STEPS) == (((5, 10), (20, 24), (26, 30)), ())
+    assert Drop(contact=0, index=0).apply(sequence, STEPS) == (((20, 30),), ())
+    assert Add(contact=1, first=0, stop=1).apply(sequence, STEPS) == (((5, 10), (20, 30)), ((0, 1),))
+
+
+@pytest.mark.parametrize(
+    "move",
+    [
+        Shift(contact=0, index=0, stop=-5),  # empty
+        Shift(contact=0, index=0, stop=10),  # adjoins the next
+        Shift(contact=0, index=0, first=-6),  # before the beginning
+        Shift(contact=0, index=1, stop=11),  # after the end
+        Shift(contact=0, index=0, first=12, stop=12),  # overlaps
+        Shift(contact=0, index=2, first=1),
+        Merge(contact=0, index=1),
+        Split(contact=0, index=0, first=5, stop=6),  # at the edge
+        Drop(contact=1, index=0),
+        Add(contact=0, first=8, stop=12),
+    ],
+)
+def test_impossible_moves_give_nothing(move) -> None:
+    assert move.apply((((5, 10), (20, 30)), ()), STEPS) is None
+
+
+@dataclass(frozen=True)
+class Plan:
+    closed: np.ndarray
+    cost: float
+    phi: np.ndarray
+    biactive_multiplier: np.ndarray
+
+
+class Landscape:
+    """A cost of modes by hand: how many steps differ from a target. Modes that close contact 1 at step 0 have no plan."""
+
+    def __init__(self, target: np.ndarray) -> None:
+        self.target, self.asked = target, 0
+
+    def plan(self, closed: np.ndarray) -> Plan:
+        return Plan(closed, float((closed != self.target).sum()), np.where(self.target, 1.0, -1.0) - 0.01 * closed, np.zeros(closed.shape))
+
+    def improve(self, closed: np.ndarray, _near: Plan, below: float) -> Plan | None:
+        self.asked += 1
+        plan = self.plan(closed)
+        return plan if plan.cost < below else None
+
+
+@pytest.mark.parametrize(
+    ("start", "target"),
+    [
+        ((((3, 8),), ((30, 35),)), (((11, 20),), ((22, 36),))),  # shifts
+        ((((10, 20),), ()), (((10, 14), (16, 20)), ((5, 8),))),  # a split and a new interval
+        ((((10, 14), (16, 20)), ((5, 6),)), (((10, 20),), ())),  # a merge and a drop
+    ],
+)
+def test_the_search_reaches_the_target(start, target) -> None:
+    landscape = Landscape(closed_steps(target, STEPS))
+    found = search_sequences(landscape.plan(closed_steps(start, STEPS)), landscape.improve, stride=4, is_over=lambda: False)
+    assert found.complete
+    assert mode_sequence(found.best.closed) == target
+    assert found.tried == landscape.asked
+    around = (*shifts(target, 1), *rearrangements(target, found.best.phi))
+    moved = [neighbour for move in around if (neighbour := move.apply(target, STEPS)) is not None]
+    assert all(landscape.plan(closed_steps(neighbour, STEPS)).cost > 0 for neighbour in moved)
+
+
+class WithMultipliers(Landscape):
+    """The same with multipliers: every wrong mode says so."""
+
+    def plan(self, closed: np.ndarray) -> Plan:
+        plan = super().plan(closed)
+        return Plan(plan.closed, plan.cost, plan.phi, np.where(closed != self.target, -1.0, 0.0))
+
+
+def test_multipliers_lead_to_the_target_at_once() -> None:
+    target = closed_steps((((11, 20), (25, 27)), ((22, 36),)), STEPS)
+    landscape = WithMultipliers(target)
+    found = search_sequences(
+        landscape.plan(closed_steps((((3, 8),), ((30, 35),)), STEPS)), landscape.improve, stride=4, is_over=lambda: landscape.asked >= 1
+    )
+    assert found.tried == 1
+    assert np.array_equal(found.best.closed, target)
+
+
+def test_intervals_are_repeated_where_the_contact_is_open() -> None:
+    moves = list(repetitions((((50, 60),), ()), 100))
+    for move in moves:
+        moved = move.apply((((50, 60),), ()), 100)
+        assert moved is not None
+        assert sum(len(row) for row in moved) == 2
+    assert {move.contact for move in moves} == {0, 1}
+    assert Add(contact=0, first=70, stop=80) in moves
+    assert Add(contact=0, first=20, stop=30) in moves
+
+
+def test_the_search_repeats_an_interval() -> None:
+    """No small move helps on the way: one interval more is worth something only where it is."""
+    target = closed_steps((((30, 36), (60, 66)), ()), 150)
+
+    class Far(Landscape):
+        def plan(self, closed: np.ndarray) -> Plan:
+            second = bool(closed[60:66, 0].all())
+            return Plan(
+                closed,
+                10.0 - 5.0 * second + float((closed != target).sum()) * (0.01 if second else 1.0),
+                np.zeros(closed.shape),
+                np.zeros(closed.shape),
+            )
+
+    landscape = Far(target)
+    found = search_sequences(landscape.plan(closed_steps((((30, 36),), ()), 150)), landscape.improve, stride=4, is_over=lambda: False)
+    assert mode_sequence(found.best.closed) == (((30, 36), (60, 66)), ())
+
+
+def test_a_search_out_of_time_says_so() -> None:
+    landscape = Landscape(closed_steps((((11, 20),), ()), STEPS))
+    found = search_sequences(
+        landscape.plan(closed_steps((((3, 8),), ()), STEPS)), landscape.improve, stride=4, is_over=lambda: landscape.asked >= 2
+    )
+    assert not found.complete
+    assert found.tried >= 2
+
+
+def test_ends_move_on_as_they_went() -> None:
+    before, after = (((5, 10), (20, 30)), ((3, 6),)), (((6, 12), (19, 30)), ((3, 6),))
+    assert onwards(before, after, 1, STEPS) == (((7, 14), (18, 30)), ((3, 6),))
+    assert onwards(before, after, 3, STEPS) is None, "the intervals would overlap"
+    assert onwards(before, (((6, 12),), ((3, 6),)), 1, STEPS) is None, "an interval less"
+
+
+def test_wrong_signs_are_followed_in_growing_strides() -> None:
+    """A biactive_multiplier only speaks of the next step; 100 steps away takes far fewer than 100 plans."""
+    target = closed_steps((((111, 120),),), 150)
+
+    class Slope(Landscape):
+        def plan(self, closed: np.ndarray) -> Plan:
+            ((first, stop),) = mode_sequence(closed)[0]
+            multiplier = np.zeros(closed.shape)
+            multiplier[first if first < 111 else first - 1, 0] = -1.0 * (first != 111)
+            multiplier[stop if stop < 120 else stop - 1, 0] = -1.0 * (stop != 120)
+            return Plan(closed, abs(first - 111.0) + abs(stop - 120.0), np.zeros(closed.shape), multiplier)
+
+    landscape = Slope(target)
+    found = flip_wrong_signs(landscape.plan(closed_steps((((11, 20),),), 150)), landscape.improve, is_over=lambda: False)
+    assert found.complete
+    assert found.best.cost == 0.0
+    assert landscape.asked <= 40
+
+
+def test_the_search_takes_a_detour_to_fewer_intervals() -> None:
+    """Two intervals are where no move helps; one alone is dearer there, but cheaper elsewhere."""
+    target = closed_steps((((60, 66),), ()), 150)
+
+    class Family(Landscape):
+        def plan(self, closed: np.ndarray) -> Plan:
+            row = mode_sequence(closed)[0]
+            two = ((30, 36), (90, 96))
+            cost = 1e3
+            if len(row) == 1:
+                cost = 1.0 + abs(row[0][0] - 60) + abs(row[0][1] - 66)
+            elif len(row) == 2:
+                cost = 5.0 + sum(abs(a - b) for mine, its in zip(row, two, strict=True) for a, b in zip(mine, its, strict=True))
+            return Plan(closed, cost + 50.0 * len(mode_sequence(closed)[1]), np.zeros(closed.shape), np.zeros(closed.shape))
+
+    landscape = Family(target)
+    found = search_sequences(
+        landscape.plan(closed_steps((((32, 38), (90, 97)), ()), 150)), landscape.improve, stride=2, is_over=lambda: False
+    )
+    assert found.complete
+    assert mode_sequence(found.best.closed) == (((60, 66),), ())
+    near = search_sequences(
+        landscape.plan(closed_steps((((32, 38), (90, 97)), ()), 150)), landscape.improve, stride=2, is_over=lambda: False, far=False
+    )
+    assert near.best.cost == 5.0
