@@ -13,7 +13,7 @@ import numpy as np
 from formulations.ipopt.graph import CONSTANT, VARIABLE, Graph
 
 
-def partial_derivatives(graph: Graph, node: int) -> tuple[tuple[int, int], ...]:
+def _partial_derivatives(graph: Graph, node: int) -> tuple[tuple[int, int], ...]:
     """((operand, d node / d operand), ...) for the operands that depend on a variable."""
     op, args = graph.op[node], graph.args[node]
     a = args[0]
@@ -84,7 +84,7 @@ def gradient(graph: Graph, root: int) -> dict[int, int]:
             continue
         if graph.is_leaf(node):
             continue
-        for operand, slope in partial_derivatives(graph, node):
+        for operand, slope in _partial_derivatives(graph, node):
             if not graph.is_data[operand]:
                 step = graph.mul(bar, slope)
                 adjoint[operand] = graph.add(adjoint[operand], step) if operand in adjoint else step

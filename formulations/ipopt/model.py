@@ -21,7 +21,7 @@ from formulations.ipopt.errors import MissingValueError, ModelRefusedError, Stru
 from formulations.ipopt.graph import EvaluatedExpression
 
 # A side of all constraints: the numbers by row, and (row, expression) of the bounds that are expressions of data.
-Deferred = tuple[np.ndarray, tuple[tuple[int, Any], ...]]
+_Deferred = tuple[np.ndarray, tuple[tuple[int, Any], ...]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,8 +37,8 @@ class Layout:
     expressions: tuple[Any, ...]
     objective: Any | None
     sense: int
-    lower: Deferred
-    upper: Deferred
+    lower: _Deferred
+    upper: _Deferred
     variables: tuple[Any, ...]
     data: tuple[Any, ...]
     named: tuple[tuple[Any, Any], ...]

@@ -253,6 +253,10 @@ class IpoptProblem:
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         return self.entries_at(x)[: self._objective_start]
 
+    def lagrangian_gradient(self, x: np.ndarray, lagrange: np.ndarray) -> np.ndarray:
+        gradient, jacobian = self.split_entries(self.entries_at(x))
+        return gradient + np.bincount(self._jacobian_columns, jacobian * lagrange[self._jacobian_rows], self.n)
+
     def jacobianstructure(self) -> tuple[np.ndarray, np.ndarray]:
         return self._jacobian_rows, self._jacobian_columns
 

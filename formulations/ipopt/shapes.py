@@ -152,7 +152,7 @@ _BLOCK = 8_000_000
 _DENSE_SHARE = 0.1
 
 
-def product_nodes(graph: Graph, slopes: dict[int, int]) -> dict[int, int]:
+def _product_nodes(graph: Graph, slopes: dict[int, int]) -> dict[int, int]:
     """{i: node of sum_j H[i, j] seed[j]}, by differentiating the directional derivative once more."""
     along = graph.zero
     for slot, slope in slopes.items():
@@ -181,7 +181,7 @@ def column_groups(pairs: np.ndarray, size: int) -> np.ndarray:
     return groups
 
 
-def generate_by_products(
+def _generate_by_products(
     graph: Graph, products: dict[int, int], pairs: np.ndarray, hoisted: list[int], row: dict[int, int], operations: int
 ) -> Callable[..., None]:
     """A function `(x, p, out)` that writes the Hessian entry of local pair pairs[:, k] to out[k]; `row` as in codegen."""
@@ -213,9 +213,9 @@ def generate_by_products(
 
 # Above this product of variables and operations a symbolic Hessian would cost more source than it saves; the Hessian is then evaluated
 # through one generated Hessian-vector product. 20 000 operations compile in about 0.3 s.
-SYMBOLIC_HESSIAN_LIMIT = 20_000
+_SYMBOLIC_HESSIAN_LIMIT = 20_000
 # A process that builds new models for ever must not keep every shape it met; a scene needs about fifteen.
-CACHE_LIMIT = 20_000
+_CACHE_LIMIT = 20_000
 
 Signature = tuple[Hashable, ...]
 
@@ -249,9 +249,9 @@ def shape_of(signature: Signature) -> ExpressionShape:
     """The compiled shape of a signature, from the process-wide cache when it was met before."""
     shape = _cache.get(signature)
     if shape is None:
-        if len(_cache) >= CACHE_LIMIT:
+        if len(_cache) >= _CACHE_LIMIT:
             del _cache[next(iter(_cache))]
-        shape = _cache[signature] = compile_shape(*parse(signature))
+        shape = _cache[signature] = _compile_shape(*parse(signature))
     return shape
 
 
@@ -311,7 +311,7 @@ def _sum(graph: Graph, terms: list[int]) -> int:
     return total
 
 
-def compile_shape(graph: Graph, root: int) -> ExpressionShape:
+def _compile_shape(graph: Graph, root: int) -> ExpressionShape:
     split = split_linear(graph, root)
     slopes = gradient(graph, split.nonlinear)
     used = {graph.args[n][0] for n in graph.reachable(split.nonlinear) if graph.op[n] == "variable"}
@@ -322,9 +322,9 @@ def compile_shape(graph: Graph, root: int) -> ExpressionShape:
     operations = len(graph.reachable(*slope_nodes, split.nonlinear))
     entries: dict[tuple[int, int], int] = {}
     products: dict[int, int] = {}
-    directional = len(slopes) * operations > SYMBOLIC_HESSIAN_LIMIT
+    directional = len(slopes) * operations > _SYMBOLIC_HESSIAN_LIMIT
     if directional:
-        products = product_nodes(graph, slopes)
+        products = _product_nodes(graph, slopes)
         pairs = hessian_sparsity(graph, split.nonlinear)
     else:
         entries = _symbolic_hessian(graph, slopes)
@@ -332,11 +332,11 @@ def compile_shape(graph: Graph, root: int) -> ExpressionShape:
 
     hoisted = hoist(graph, [split.nonlinear, *slope_nodes, *products.values(), *entries.values()])
     linear = tuple(sorted(split.linear))
-    prepare = generate_prepare(graph, [split.constant, *(split.linear[s] for s in linear), *hoisted])
+    prepare = _generate_prepare(graph, [split.constant, *(split.linear[s] for s in linear), *hoisted])
     pairs = np.searchsorted(np.array(curved, dtype=np.intp), pairs)
     hessian = None
     if directional:
-        hessian = generate_by_products(graph, products, pairs, hoisted, local, operations)
+        hessian = _generate_by_products(graph, products, pairs, hoisted, local, operations)
     elif entries:
         hessian = generate(graph, list(entries.values()), hoisted, local, "hessian")
     return ExpressionShape(
@@ -352,7 +352,7 @@ def compile_shape(graph: Graph, root: int) -> ExpressionShape:
     )
 
 
-def generate_prepare(graph: Graph, outputs: list[int]) -> Callable[..., None]:
+def _generate_prepare(graph: Graph, outputs: list[int]) -> Callable[..., None]:
     """The once-per-refresh function: its `p` are the raw data slots of the shape."""
     data = [n for n in range(len(graph.op)) if graph.op[n] == "datum"]
     inner = generate(graph, outputs, data, {}, "prepare")

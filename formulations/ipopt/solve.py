@@ -48,7 +48,7 @@ class Start:
     zu: np.ndarray | None = None
 
 
-def complete_start(problem: IpoptProblem, given: Start | None) -> tuple[Start, int]:
+def _complete_start(problem: IpoptProblem, given: Start | None) -> tuple[Start, int]:
     """(start with all multipliers or none, number of variables that had no value).
 
     Missing lagrange are 0; missing zl and zu are what stationarity leaves to them. Raises ValueError for a wrong shape or a NaN.
@@ -63,7 +63,7 @@ def complete_start(problem: IpoptProblem, given: Start | None) -> tuple[Start, i
     zl = None if given.zl is None else _checked("zl", given.zl, problem.n)
     zu = None if given.zu is None else _checked("zu", given.zu, problem.n)
     if zl is None or zu is None:
-        slope = np.nan_to_num(_lagrangian_slope(problem, x, lagrange), nan=0.0, posinf=0.0, neginf=0.0)
+        slope = np.nan_to_num(problem.lagrangian_gradient(x, lagrange), nan=0.0, posinf=0.0, neginf=0.0)
         if zl is None:
             zl = np.where(np.isfinite(problem.lower), np.maximum(slope, 0.0), 0.0)
         if zu is None:
@@ -80,13 +80,7 @@ def _checked(name: str, values: np.ndarray, size: int) -> np.ndarray:
     return array
 
 
-def _lagrangian_slope(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray) -> np.ndarray:
-    gradient, jacobian = problem.split_entries(problem.entries_at(x))
-    rows, columns = problem.jacobianstructure()
-    return gradient + np.bincount(columns, jacobian * lagrange[rows], problem.n)
-
-
-def warm_options(problem: IpoptProblem, start: Start) -> dict[str, str | int | float]:
+def _warm_options(problem: IpoptProblem, start: Start) -> dict[str, str | int | float]:
     """Options of a primal-dual start; the barrier parameter is the mean complementarity of what was given."""
     if start.lagrange is None or start.zl is None or start.zu is None:
         return {}
@@ -188,11 +182,11 @@ def solve(
     asked = checked_options(options or {})
     factorised_by = linear_solver(_asked_for(asked))  # compiled at its first use, which no solve is to blame for
     begin, cpu = time.perf_counter(), time.process_time()
-    start, missing = complete_start(problem, warm_start)
+    start, missing = _complete_start(problem, warm_start)
     used: dict[str, str | int | float] = {
         **DEFAULTS,
         "linear_solver": factorised_by,
-        **warm_options(problem, start),
+        **_warm_options(problem, start),
         **asked,
     }
     if time_limit is not None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from formulations.ipopt import IpoptResult, Start
 from formulations.mpec.homotopy import WorkBudget
-from formulations.mpec.refine import lagrangian_slope, refined
+from formulations.mpec.refine import refined
 from formulations.mpec.settings import MpecSettings
 from formulations.mpec.workspace import Columns, Workspace
 from formulations.solution import Outcome
@@ -34,7 +34,7 @@ _CLAIMS_SUCCESS = (0, 1)
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Branch:
     """A solved branch. closed: (pairs,) True where v is held at 0, else w; x, lagrange refined; multiplier of the held side of each pair; slope (n,):
-    `bound_multipliers`."""
+    `_bound_multipliers`."""
 
     closed: np.ndarray
     result: IpoptResult
@@ -197,7 +197,7 @@ class Branching:
         better = refined(problem, result)
         x = better.x
         first, second = columns.pair_values(x)
-        slope = bound_multipliers(columns, x, better.lagrange)
+        slope = _bound_multipliers(columns, x, better.lagrange)
         return Branch(
             closed=closed.copy(),
             result=result,
@@ -210,10 +210,10 @@ class Branching:
         )
 
 
-def bound_multipliers(columns: Columns, x: np.ndarray, lagrange: np.ndarray) -> np.ndarray:
+def _bound_multipliers(columns: Columns, x: np.ndarray, lagrange: np.ndarray) -> np.ndarray:
     """What stationarity leaves to the bounds of each variable, zl - zu with the signs free (n,). Where v equals a variable u of the user both
     hold the sum: they are one side of a pair."""
-    slope = lagrangian_slope(columns.problem, x, lagrange)
+    slope = columns.problem.lagrangian_gradient(x, lagrange)
     twins = columns.twin >= 0
     np.add.at(slope, columns.twin[twins], slope[columns.first[twins]])
     slope[columns.first[twins]] = slope[columns.twin[twins]]

@@ -69,7 +69,7 @@ class EqualityCondition:
 Condition = SimpleCondition | BoxCondition | EqualityCondition
 
 
-def read_conditions(model: Any) -> list[Condition]:
+def _read_conditions(model: Any) -> list[Condition]:
     """Every active Complementarity of a model, in order of declaration; ModelRefusedError names one that cannot be understood."""
     return [_condition(data) for data in model.component_data_objects(Complementarity, active=True, descend_into=Block)]
 
@@ -188,7 +188,7 @@ def lift(model: Any) -> Lifted:
     """Read a model and build its shadow. Raises ModelRefusedError for what this solver cannot treat."""
     refuse_unknown_components(model, also=frozenset({Complementarity}))
     with PauseGC():
-        conditions = read_conditions(model)
+        conditions = _read_conditions(model)
         shadow = pyo.ConcreteModel(name=model.name)
         rows = active_constraints(model)
         if rows:

@@ -35,7 +35,7 @@ class Refined:
 
 def refined(problem: IpoptProblem, result: IpoptResult) -> Refined:
     """The best of the given point and two guesses of what is active. Bounds are those of the problem as it stands."""
-    best = Refined(x=result.x, lagrange=result.lagrange, error=kkt_error(problem, result.x, result.lagrange))
+    best = Refined(x=result.x, lagrange=result.lagrange, error=_kkt_error(problem, result.x, result.lagrange))
     limit = _SAME * max(1.0, abs(result.objective))
     for near, by_multiplier in ((1e-5, True), (1e-3, False), (1e-3, True)):
         candidate = _newton(problem, result, near, by_multiplier)
@@ -48,12 +48,6 @@ def refined(problem: IpoptProblem, result: IpoptResult) -> Refined:
     return best
 
 
-def lagrangian_slope(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray) -> np.ndarray:
-    """Gradient of f + lagrange' g at x (n,): at a solution it is zl - zu."""
-    rows, columns = problem.jacobianstructure()
-    return problem.gradient(x) + np.bincount(columns, problem.jacobian(x) * lagrange[rows], problem.n)
-
-
 def violation(problem: IpoptProblem, x: np.ndarray) -> float:
     """Largest violation of a row or bound; inf where a row is not a number."""
     g = problem.constraints(x)
@@ -62,10 +56,10 @@ def violation(problem: IpoptProblem, x: np.ndarray) -> float:
     return max(worst, 0.0) if np.isfinite(g).all() else float("inf")
 
 
-def kkt_error(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray) -> float:
+def _kkt_error(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray) -> float:
     """Largest of: violation, slope of a free variable, slope or multiplier with the wrong sign. Slopes relative to the objective's."""
     low, high = problem.lower, problem.upper
-    slope = lagrangian_slope(problem, x, lagrange)
+    slope = problem.lagrangian_gradient(x, lagrange)
     wrong = np.abs(slope)
     at_low, at_high = x - low <= 1e-12, high - x <= 1e-12
     wrong[at_low] = np.maximum(-slope[at_low], 0.0)
@@ -113,7 +107,7 @@ def _newton(problem: IpoptProblem, result: IpoptResult, near: float, by_multipli
         y[rows] = step[len(free) :]
         if np.max(np.abs(step[: len(free)]), initial=0.0) < 1e-15 * (1 + np.max(np.abs(x), initial=0.0)):
             break
-    return Refined(x=x, lagrange=y, error=kkt_error(problem, x, y))
+    return Refined(x=x, lagrange=y, error=_kkt_error(problem, x, y))
 
 
 def _step(problem: IpoptProblem, x: np.ndarray, y: np.ndarray, free: np.ndarray, rows: np.ndarray, target: np.ndarray) -> np.ndarray | None:

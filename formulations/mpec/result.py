@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 from pyomo.common.collections import ComponentMap
-from pyomo.core.staleflag import StaleFlagManager
 
+from formulations.ipopt.result import write_point
 from formulations.mpec.branching import Branch
 from formulations.mpec.certificate.certificate import Certificate, Multipliers
 from formulations.mpec.homotopy import PathPoint, Step, WorkBudget
@@ -137,10 +137,7 @@ def is_feasible(result: MpecResult) -> bool:
 
 def load(result: MpecResult) -> None:
     """Write x into the variables, marking all others stale as Pyomo's solvers do."""
-    StaleFlagManager.mark_all_as_stale()
-    for variable, number in zip(result.variables, result.x.tolist(), strict=True):
-        variable.set_value(number, skip_validation=True)
-    StaleFlagManager.mark_all_as_stale(delayed=True)
+    write_point(result.variables, result.x)
 
 
 def result_of(
@@ -188,7 +185,7 @@ def result_of(
         polished=branch is not None,
         has_multipliers=branch is not None,
         residual=float("nan"),
-        pairs=() if columns is None or x is None else pair_states(candidate, columns, x),
+        pairs=() if columns is None or x is None else _pair_states(candidate, columns, x),
         steps=candidate.steps,
         iterations=account.iterations,
         solves=account.solves,
@@ -215,7 +212,7 @@ def without_multipliers(result: MpecResult) -> MpecResult:
     )
 
 
-def pair_states(candidate: Candidate, columns: Columns, x: np.ndarray) -> tuple[PairState, ...]:
+def _pair_states(candidate: Candidate, columns: Columns, x: np.ndarray) -> tuple[PairState, ...]:
     """One per pair of the shadow: a box has two."""
     lifted = candidate.lifted
     first, second = columns.pair_values(x)

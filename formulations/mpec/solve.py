@@ -39,7 +39,7 @@ logger = logging.getLogger(__name__)
 # stationary and its objective is this near to the relaxation's, relative to max(1, |objective|).
 _EARLY_EPS, _NEAR = 1e-3, 1e-2
 # Multipliers with a larger residual (relative) are not handed out.
-WRONG_MULTIPLIERS = 1e-4
+_WRONG_MULTIPLIERS = 1e-4
 
 
 def solve_mpec(model: Any, settings: MpecSettings | None = None, *, time_limit: float | None = None) -> MpecResult:
@@ -53,9 +53,9 @@ def solve_mpec(model: Any, settings: MpecSettings | None = None, *, time_limit: 
     steps: list[Step] = []
     solved_before = False
     for name in settings.strategies:
-        candidate = run_strategy(model, STRATEGIES[name], settings, account)
+        candidate = _run_strategy(model, STRATEGIES[name], settings, account)
         steps += candidate.steps
-        result = judged(model, candidate, settings, account, begin)
+        result = _judged(model, candidate, settings, account, begin)
         result = replace(result, steps=tuple(steps))
         logger.info("%s on '%s': %s", name, model.name, result.message)
         if best is None or _rank(result) < _rank(best):
@@ -69,7 +69,7 @@ def solve_mpec(model: Any, settings: MpecSettings | None = None, *, time_limit: 
     return replace(best, steps=tuple(steps), iterations=account.iterations, solves=account.solves, seconds=time.perf_counter() - begin)
 
 
-def run_strategy(model: Any, strategy: Strategy, settings: MpecSettings, account: WorkBudget) -> Candidate:
+def _run_strategy(model: Any, strategy: Strategy, settings: MpecSettings, account: WorkBudget) -> Candidate:
     """One strategy from the model's values: its path, and the branch it leads to."""
     lifted = lift(model)
     work = Workspace(lifted, strategy)
@@ -128,7 +128,7 @@ def _without_branch(
     return None, Outcome.SOLVED, ""
 
 
-def judged(model: Any, candidate: Candidate, settings: MpecSettings, account: WorkBudget, begin: float) -> MpecResult:
+def _judged(model: Any, candidate: Candidate, settings: MpecSettings, account: WorkBudget, begin: float) -> MpecResult:
     """The result of a candidate; nothing is `solved` without residuals and a certificate that say so."""
     if candidate.branch is None and candidate.point is None:
         outcome, message = outcome_without_point(candidate.outcome, candidate.message, account)
@@ -145,7 +145,7 @@ def judged(model: Any, candidate: Candidate, settings: MpecSettings, account: Wo
     if settings.certificate:
         with values_set(columns.problem.variables, x.tolist()):
             certificate = certify(model, multipliers_of(candidate) if with_multipliers else None)
-            if certificate.given_dual > WRONG_MULTIPLIERS:  # the branch has none where it is degenerate; the certificate looks for its own
+            if certificate.given_dual > _WRONG_MULTIPLIERS:  # the branch has none where it is degenerate; the certificate looks for its own
                 with_multipliers, certificate = False, certify(model)
     outcome, message = verdict(candidate, residual, certificate, settings)
     result = result_of(candidate, columns, x, outcome, message, settings, account, time.perf_counter() - begin)

@@ -98,8 +98,8 @@ def _add_pairs(model: Any, scene: Scene, bounds: PairBounds) -> None:
 
 
 GAP = 1e-5  # relative, below which a plan counts as proved optimal: SCIP keeps the quadratic cost row to 1e-6 of its size
-CEILING = 1e-5  # relative: by so much plans may be dearer than the one known, so that rounding does not cut it off
-SCOUTING = 0.1  # part of the time given to SCIP for a first plan, where none is known
+_CEILING = 1e-5  # relative: by so much plans may be dearer than the one known, so that rounding does not cut it off
+_SCOUTING = 0.1  # part of the time given to SCIP for a first plan, where none is known
 EXACT = 1e-8  # largest residual [m, rad, N, ..] of a plan that counts
 
 
@@ -200,7 +200,7 @@ class _Prover:
         bounds = self._bounds()
         if np.isfinite(self._cost):
             return self._proof(bounds, self._branch(bounds, self._left))
-        bound = self._branch(bounds, SCOUTING * self._left)  # any plan will do: with its cost the bounds are much tighter
+        bound = self._branch(bounds, _SCOUTING * self._left)  # any plan will do: with its cost the bounds are much tighter
         if np.isfinite(self._cost) and bound < self._cost * (1.0 - GAP) and self._left > 0.0:
             bounds = self._bounds()
             bound = max(bound, self._branch(bounds, self._left))
@@ -213,14 +213,14 @@ class _Prover:
 
     @property
     def _ceiling(self) -> float:
-        return self._cost + CEILING * max(abs(self._cost), 1e-3) if np.isfinite(self._cost) else np.inf
+        return self._cost + _CEILING * max(abs(self._cost), 1e-3) if np.isfinite(self._cost) else np.inf
 
     def adopt(self, closed: np.ndarray) -> bool:
         """Keep the optimum of these modes if it is exact and cheaper than what is known."""
         answer = self._modes.solve(closed)
         if answer is None:
             return False
-        plan = exact_plan(self._scene, answer.u)
+        plan = _exact_plan(self._scene, answer.u)
         if plan is None or not self._residuals.cost(plan) < self._cost:
             return False
         self._plan, self._cost = plan, self._residuals.cost(plan)
@@ -299,7 +299,7 @@ def why_no_proof(scene: Scene) -> str | None:
     )
 
 
-def exact_plan(scene: Scene, u: np.ndarray) -> Trajectory | None:
+def _exact_plan(scene: Scene, u: np.ndarray) -> Trajectory | None:
     """The rollout of these inputs through the true contact law, landed on the goal; None unless it is exact to `EXACT` by its own residuals."""
     task, kernel = scene.task, load_kernel(scene)
     bounds = input_bounds(scene)

@@ -116,9 +116,9 @@ def relax(block: Any, eps: float) -> None:
 def settle_separation(block: Any) -> None:
     """Give the separation force v = lam - k phi (friction: the reserve mu N - |f| either way) of each relaxed pair the value that its own
     equation asks for (at least 0), and slip speeds and springs theirs."""
-    settle_slip(block)
-    settle_springs(block)
-    if not is_relaxed(block):
+    _settle_slip(block)
+    _settle_springs(block)
+    if not _is_relaxed(block):
         return
     for _, pair in pairs(block):
         pair.v.set_value(0.0, skip_validation=True)
@@ -179,7 +179,7 @@ def hold_modes(block: Any, closed: np.ndarray) -> None:
         separation.setlb(0.0)
         force.setub(None if is_closed else 0.0)
         separation.setub(0.0 if is_closed else None)
-    free_unpressed(block, couples, closed)
+    _free_unpressed(block, couples, closed)
 
 
 def release_modes(block: Any) -> None:
@@ -191,7 +191,7 @@ def release_modes(block: Any) -> None:
             side.setub(None)
 
 
-def is_relaxed(block: Any) -> bool:
+def _is_relaxed(block: Any) -> bool:
     """Whether the block's complementarity went through `relax`."""
     return hasattr(block, "mpec_bound")
 
@@ -258,7 +258,7 @@ def add_springs(
     return pushes
 
 
-def settle_springs(block: Any) -> None:
+def _settle_springs(block: Any) -> None:
     """Give the springs and switches of a block the values that their penetrations ask for."""
     if block.component("variable_spring") is None:
         return
@@ -320,7 +320,7 @@ def add_friction(
     return force
 
 
-def settle_slip(block: Any) -> None:
+def _settle_slip(block: Any) -> None:
     """Give the two slip speeds of each friction the values that their own equation asks for (one of them zero)."""
     if block.component("constraint_slip") is None:
         return
@@ -342,7 +342,7 @@ def pressed_columns(block: Any) -> list[tuple[int, int]]:
     return [(contacts.index(contact), len(contacts) + 2 * frictions.index(friction)) for friction, contact in block.set_pressed]
 
 
-def free_unpressed(block: Any, couples: list[tuple[Any, Any]], closed: np.ndarray) -> None:
+def _free_unpressed(block: Any, couples: list[tuple[Any, Any]], closed: np.ndarray) -> None:
     """Bounds of frictions whose contact is open; couples: (slip, reserve) of all pairs and closed as in `hold_modes`.
 
     One equation for the force, mu N + f = 0 with N = 0, and one variable for the slip, of either sign. That mu N - f >= 0 then follows; kept as a

@@ -82,7 +82,7 @@ class Homotopy:
             self._method,
             account,
             result,
-            lambda plan: residuals_at(self.solver, rules, plan, eps),
+            lambda plan: _residuals_at(self.solver, rules, plan, eps),
             plan_limits=rules.plan_limits,
             promises=rules.promises,
         )
@@ -149,7 +149,7 @@ class Stage:
         except TrajectoryError:
             return None
         rules = self._rules(eps)
-        return None if beyond(rules.plan_limits, residuals_at(self._solver, rules, plan, eps)) else plan
+        return None if beyond(rules.plan_limits, _residuals_at(self._solver, rules, plan, eps)) else plan
 
     def _limited(self, options: dict[str, Any], work: Work | None, size: int) -> dict[str, Any]:
         """With no more iterations than the stage has left, and than the work allows."""
@@ -157,6 +157,6 @@ class Stage:
         return {**options, "max_iter": most if work is None else min(most, work.iterations(size))}
 
 
-def residuals_at(solver: PlanSolver, rules: StageRules, plan: Trajectory, eps: float) -> dict[str, float]:
+def _residuals_at(solver: PlanSolver, rules: StageRules, plan: Trajectory, eps: float) -> dict[str, float]:
     """Residuals of a plan by name, held against the contact law of the rules."""
     return solver.residuals.of(plan, rules.law, eps if rules.law is ForceLaw.SOFTPLUS else None)

@@ -63,8 +63,7 @@ def _cheaper_modes(problem: IpoptProblem, result: IpoptResult, model: Any, close
     place = {id(variable): column for column, variable in enumerate(problem.variables)}
     couples = sides(model)
     lam, separation = (np.array([place[id(couple[side])] for couple in couples]) for side in (0, 1))
-    rows, columns = problem.jacobianstructure()
-    slope = problem.gradient(result.x) + np.bincount(columns, problem.jacobian(result.x) * result.lagrange[rows], problem.n)
+    slope = problem.lagrangian_gradient(result.x, result.lagrange)
     undecided = np.maximum(result.x[lam], result.x[separation]) < _UNDECIDED
     held = np.where(closed.ravel(), separation, lam)
     switch = (undecided & (slope[held] < -_WANTING)).reshape(closed.shape)

@@ -44,7 +44,7 @@ _SOLVED = 1e-12
 _DENSE = 600
 
 
-def forced_violation(local: LocalModel, tolerance: float) -> float:
+def _forced_violation(local: LocalModel, tolerance: float) -> float:
     """Largest violation of a row or bound (relative to max(1, |bound|)), to first order, after the step that makes every pair exact.
 
     The shortest step is taken where it keeps the violation within the tolerance, else the best; inf if no small one makes the pairs exact.
@@ -126,7 +126,7 @@ def _finite(bound: np.ndarray) -> np.ndarray:
 # derivative of the objective (at least 1). A point polished by this package has 1e-12 in the first two; a solver without polish about 1e-8.
 FEASIBILITY, COMPLEMENTARITY, STATIONARITY = 1e-6, 1e-6, 1e-5
 # A row, bound or side this near zero is active.
-ACTIVE = 1e-6
+_ACTIVE = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,7 +228,7 @@ def certify(model: Any, multipliers: Multipliers | None = None, *, tolerances: T
     multipliers: if given they are checked too. With more than ten biactive pairs B-stationarity is known only where it follows from class S.
     """
     with PauseGC():
-        local = read_local(model, ACTIVE)
+        local = read_local(model, _ACTIVE)
     rows = (*local.rows, *local.bounds)
     violations = [_violation(row) for row in rows]
     sides = [max(0.0, -min(pair.first, pair.second)) for pair in local.pairs]
@@ -238,11 +238,11 @@ def certify(model: Any, multipliers: Multipliers | None = None, *, tolerances: T
     )
     relative = _largest([*(v / _size(row) for v, row in zip(violations, rows, strict=True)), *sides])
     names = [*rows, *local.pairs]
-    active = active_set(local, ACTIVE)
+    active = active_set(local, _ACTIVE)
     stationarity, dual, descent, given, least, unique = Stationarity.NONE, math.nan, math.nan, math.nan, math.nan, False
     computable = _is_finite(local)
     if computable:
-        given = math.nan if multipliers is None else given_residual(local, active, multipliers)
+        given = math.nan if multipliers is None else _given_residual(local, active, multipliers)
         told = Stationarity.NONE if multipliers is None or not given <= STATIONARITY else _given_class(local, active, multipliers)
         if told is Stationarity.STRONG:
             stationarity, dual, descent = told, given, 0.0
@@ -257,7 +257,7 @@ def certify(model: Any, multipliers: Multipliers | None = None, *, tolerances: T
         primal_relative=relative,
         complementarity=complementarity,
         product=_largest([abs(pair.first * pair.second) for pair in local.pairs]),
-        forced=forced_violation(local, FEASIBILITY) if computable else math.nan,
+        forced=_forced_violation(local, FEASIBILITY) if computable else math.nan,
         dual=dual,
         given_dual=given,
         pairs=len(local.pairs),
@@ -273,7 +273,7 @@ def certify(model: Any, multipliers: Multipliers | None = None, *, tolerances: T
     )
 
 
-def given_residual(local: LocalModel, active: ActiveSet, multipliers: Multipliers) -> float:
+def _given_residual(local: LocalModel, active: ActiveSet, multipliers: Multipliers) -> float:
     """Largest of: what the multipliers leave of the gradient; wrong signs; products of multiplier and distance. Relative to the scale."""
     none = (0.0, 0.0)
     y = np.array([
@@ -281,7 +281,7 @@ def given_residual(local: LocalModel, active: ActiveSet, multipliers: Multiplier
         for row in local.rows
     ])  # fmt: skip
     z = np.array([multipliers.bounds.get(row.source, 0.0) for row in local.bounds])
-    pairs = [pair_multipliers(pair, multipliers) for pair in local.pairs]
+    pairs = [_pair_multipliers(pair, multipliers) for pair in local.pairs]
     nu, mu = np.array([first for first, _ in pairs]), np.array([second for _, second in pairs])
     rest = local.gradient - z
     for matrix, vector in ((local.jacobian, y), (local.first_jacobian, nu), (local.second_jacobian, mu)):
@@ -297,14 +297,14 @@ def given_residual(local: LocalModel, active: ActiveSet, multipliers: Multiplier
     return _largest(wrong) / active.scale
 
 
-def pair_multipliers(pair: Pair, multipliers: Multipliers) -> tuple[float, float]:
+def _pair_multipliers(pair: Pair, multipliers: Multipliers) -> tuple[float, float]:
     """(nu, mu) of the two sides, in the signs of the pair."""
     given = multipliers.pairs.get(pair.source, (0.0, 0.0))
     return pair.first_flip * given[pair.arguments[0]], pair.second_flip * given[pair.arguments[1]]
 
 
 def _given_class(local: LocalModel, active: ActiveSet, multipliers: Multipliers) -> Stationarity:
-    return class_of([pair_multipliers(local.pairs[k], multipliers) for k in active.both], STATIONARITY * active.scale)
+    return class_of([_pair_multipliers(local.pairs[k], multipliers) for k in active.both], STATIONARITY * active.scale)
 
 
 def _violation(row: ConstraintRow) -> float:

@@ -111,7 +111,7 @@ def _nodes(expression: Any) -> Iterator[Any]:
             stack.extend(node.args)
 
 
-def empty_expression(expression: Any) -> str | None:
+def _empty_expression(expression: Any) -> str | None:
     """The name of an Expression without content that is part of an expression, None if there is none."""
     return next((node.name for node in _nodes(expression) if node.is_named_expression_type() and node.expr is None), None)
 
@@ -301,7 +301,7 @@ def number_of(expression: Any) -> float:
 
 def _filled(source: Any, expression: Any, number: float) -> float:
     """The number. Raises MissingValueError where there is none because the expression holds one without content."""
-    name = empty_expression(expression) if math.isnan(number) else None
+    name = _empty_expression(expression) if math.isnan(number) else None
     if name is not None:
         raise MissingValueError(
             f"'{source.name}' needs the Expression '{name}', which is empty: give it a value, or deactivate '{source.name}'"

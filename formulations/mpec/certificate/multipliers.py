@@ -197,7 +197,7 @@ def project(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndarray, hi
         if found is None:
             return None
         candidates, used = [found[0] / length], found[1]
-    exact = proximal_least_squares(part[:, used], gradient)
+    exact = _proximal_least_squares(part[:, used], gradient)
     if exact is not None:
         candidates.append(np.zeros(columns))
         candidates[-1][used] = exact
@@ -271,7 +271,7 @@ def _settled(
     """Least squares with the signed columns that count and all others, and which these are; None where that is not the projection."""
     used = np.ones(matrix.shape[1], dtype=bool)
     used[signed] = counts
-    part = proximal_least_squares(matrix[:, used], gradient)
+    part = _proximal_least_squares(matrix[:, used], gradient)
     if part is None:
         return None
     y = np.zeros(len(used))
@@ -366,7 +366,7 @@ def signed_least_squares(
     The columns may depend on each other. None where there is no column, or the factorisation fails.
     """
     columns = matrix.shape[1]
-    y = proximal_least_squares(matrix, gradient)
+    y = _proximal_least_squares(matrix, gradient)
     if y is None:
         return None
     least = gradient - matrix @ y
@@ -376,7 +376,7 @@ def signed_least_squares(
         if np.max(np.abs(gradient - matrix @ held), initial=0.0) <= tolerance or not np.any(wrong):
             break
         chosen = np.flatnonzero((held != 0.0) & ~wrong)
-        part = proximal_least_squares(matrix[:, chosen], gradient)
+        part = _proximal_least_squares(matrix[:, chosen], gradient)
         if part is None:
             break
         y = np.zeros(columns)
@@ -386,7 +386,7 @@ def signed_least_squares(
     return SignedMultipliers(y=held, rest=gradient - matrix @ held, least=least, across=across)
 
 
-def proximal_least_squares(matrix: sparse.csc_matrix, gradient: np.ndarray) -> np.ndarray | None:
+def _proximal_least_squares(matrix: sparse.csc_matrix, gradient: np.ndarray) -> np.ndarray | None:
     """(columns,) least squares by the proximal point method; None if the factorisation fails."""
     n, columns = matrix.shape
     if not columns:
