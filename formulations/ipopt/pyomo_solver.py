@@ -188,7 +188,18 @@ class PyomoAnswer:
 
 
 def pyomo_multipliers(sense: int, lagrange: np.ndarray, zl: np.ndarray, zu: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(dual, zL, zU) in Pyomo's signs, from Ipopt's."""
+    """Multipliers in Pyomo's signs, from Ipopt's.
+
+    Parameters
+    ----------
+    sense : +1 to minimise, -1 to maximise
+    lagrange : (m,) of the constraints [objective per constraint]
+    zl, zu : (n,) of the bounds [objective per variable]
+
+    Returns
+    -------
+    dual (m,), zL (n,), zU (n,): the change of the model's objective when a bound grows by one
+    """
     return -sense * lagrange, sense * zl, -sense * zu
 
 
@@ -201,7 +212,7 @@ _WITHOUT_EFFECT = frozenset(
 
 
 class PyomoPlugin(ABC):
-    """`options` stays from solve to solve; `last_result` is what the last one found, in this package's own words."""
+    """What Pyomo asks of a solver; `options` stays from solve to solve, `last_result` is what the last one found, in this package's own words."""
 
     title: str
 
@@ -216,15 +227,19 @@ class PyomoPlugin(ABC):
     # -- what Pyomo asks of a solver ----------------------------------------------------------------------------------------------
 
     def available(self, exception_flag: bool = False) -> bool:
+        """True: importing the package needs Ipopt."""
         return True
 
     def license_is_valid(self) -> bool:
+        """True: no license is needed."""
         return True
 
     def warm_start_capable(self) -> bool:
+        """True: a solve starts from the model's values."""
         return True
 
     def has_capability(self, capability: str) -> bool:
+        """Whether models of this kind can be solved."""
         return capability in {"linear", "quadratic_objective", "quadratic_constraint"}
 
     def version(self) -> tuple[int, ...]:
@@ -236,6 +251,7 @@ class PyomoPlugin(ABC):
         self.options.update(_options_of_text(text))
 
     def reset(self) -> None:
+        """Forget the last result."""
         self.last_result = None
 
     def __enter__(self) -> Self:
@@ -258,10 +274,16 @@ class PyomoPlugin(ABC):
         options_string: str = "",
         **ignored: Any,
     ) -> SolverResults:
-        """Translate, solve and (by default) load. Raises ModelRefusedError for what cannot be treated, before anything runs.
+        """Translate, solve and (by default) load.
 
-        As with Pyomo's own solvers a result with a warning is loaded and logged, and a result that is an error raises ValueError
-        unless load_solutions is False. KeyboardInterrupt leaves the model as it was.
+        As with Pyomo's own solvers a result with a warning is loaded and logged. KeyboardInterrupt leaves the model as it was.
+
+        Raises
+        ------
+        ModelRefusedError
+            for what cannot be treated, before anything runs
+        ValueError
+            for a result that is an error, unless load_solutions is False
         """
         unknown = set(ignored) - _WITHOUT_EFFECT
         if unknown:

@@ -5,11 +5,8 @@
 gives the triplet (row, x[2], 3), the constant 4, and two terms: ("*", "p", 0) with weight 1 (its slope is data, so it is read again at each
 refresh) and ("sin", "*", 0, 1) with weight -1. Terms of one signature are collected in one `Bucket`.
 
-Which Pyomo classes mean which operation. Exact classes are looked up; a class met for the first time is asked what it is.
-
-Tokens of a term too long to be read as a tree: operands first, every shared subexpression once.
-
-Same alphabet as `TermReader`, with `"shared"` in front and `("ref", k)` for the k-th operation already written.
+A term too long to be read as a tree is read with operands first and every shared subexpression once: `"shared"` in front, and `("ref", k)` for the
+k-th operation already written. Pyomo's classes are looked up exactly; a class met for the first time is asked what it is.
 """
 
 from __future__ import annotations
@@ -111,7 +108,7 @@ class TermReader:
     # -- leaves ---------------------------------------------------------------------------------------------------------------
 
     def place(self, leaf: Any) -> int:
-        """Column of a free variable, or ~k for the k-th datum."""
+        """Column of a free variable, or ~k for the k-th datum. Raises ModelRefusedError for a variable that is not continuous."""
         known = self._place.get(id(leaf))
         if known is not None:
             return known
@@ -141,7 +138,20 @@ class TermReader:
     # -- top level: a sum of terms ------------------------------------------------------------------------------------------------
 
     def read(self, row: int, expression: Any, sign: float, where: Any) -> None:
-        """Add sign * expression to a row; `where` is the component, for messages. constants[row] must exist."""
+        """Add sign * expression to a row; constants[row] must exist.
+
+        Parameters
+        ----------
+        row : number of the row
+        expression : a Pyomo expression, or a number
+        sign : what it is multiplied by
+        where : the component, for messages
+
+        Raises
+        ------
+        ModelRefusedError
+            for what is no smooth expression of continuous variables
+        """
         self.where = where
         place, kind = self._place.get, _KIND.get
         rows, columns, slopes = self.rows, self.columns, self.slopes
@@ -207,6 +217,7 @@ class TermReader:
             self._term(row, weight, node, data)
 
     def open_named(self, named: Any) -> Any:
+        """What a named expression holds. Raises ModelRefusedError for an empty one."""
         inside = named.args[0]
         self.named[id(named)] = (named, inside)
         if inside is None:
@@ -296,6 +307,7 @@ class TermReader:
 
 
 def _read_shared(reader: TermReader, root: Any) -> tuple[tuple, list[int], list[float], list[int]]:
+    """Tokens of a term too long to be read as a tree; as `TermReader._tokens`."""
     tokens: list[Any] = ["shared"]
     numbers: list[float] = []
     params: list[int] = []

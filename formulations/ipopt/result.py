@@ -1,8 +1,8 @@
-"""What a solve hands back, frozen; and the explicit step that writes it into the Pyomo model.
+"""What a solve hands back, frozen, and the explicit step that writes it into the Pyomo model.
 
-Ipopt's return codes -> Outcome. One map; a code that is not in it is FAILED, never success.
-
-How far a point is from a KKT point of the model as it was written: no scaling, no relaxed bounds, nothing taken from Ipopt's report.
+`_STATUS` maps Ipopt's return codes to an Outcome; a code that is not in it is FAILED, never success.
+`residuals` says how far a point is from a KKT point of the model as it was written: no scaling, no relaxed bounds, nothing taken from Ipopt's
+report.
 """
 
 from __future__ import annotations
@@ -55,6 +55,7 @@ def outcome_of(status: int) -> Outcome:
 
 
 def name_of(status: int) -> str:
+    """Ipopt's name of a status."""
     return "decided without Ipopt" if status == NOT_SENT else STATUS_NAMES.get(status, f"unknown Ipopt status {status}")
 
 
@@ -85,10 +86,12 @@ class Residuals:
 
     @property
     def feasible(self) -> bool:
+        """Whether all constraints and bounds hold to `FEASIBILITY`."""
         return self.relative_violation <= FEASIBILITY
 
     @property
     def sentence(self) -> str:
+        """The three residuals in words."""
         return (
             f"constraint violation {self.constraint_violation:.2e}, dual infeasibility {self.dual_infeasibility:.2e}, "
             f"complementarity {self.complementarity:.2e} (unscaled)"
@@ -107,7 +110,15 @@ def _side(distance: np.ndarray, multiplier: np.ndarray, bound: np.ndarray) -> np
 
 
 def residuals(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, zl: np.ndarray, zu: np.ndarray) -> Residuals:
-    """Residuals at x (n,) with multipliers lagrange (m,), zl, zu (n,) in Ipopt's signs (L = f + lagrange' g - zl' x + zu' x)."""
+    """Unscaled residuals of a point with multipliers in Ipopt's signs (L = f + lagrange' g - zl' x + zu' x).
+
+    Parameters
+    ----------
+    problem : the compiled model
+    x : (n,) point [units of the variables]
+    lagrange : (m,) multipliers of the constraints [objective per constraint]
+    zl, zu : (n,) multipliers of the bounds [objective per variable]
+    """
     objective, g = problem.split_rows(problem.rows_at(x))
     gradient, jacobian = problem.split_entries(problem.entries_at(x))
     rows, columns = problem.jacobianstructure()
@@ -212,6 +223,7 @@ class IpoptResult:
 
     @property
     def solved(self) -> bool:
+        """Whether the outcome is SOLVED."""
         return self.outcome is Outcome.SOLVED
 
 
@@ -221,6 +233,7 @@ def load(problem: IpoptProblem, result: IpoptResult) -> None:
 
 
 def write_point(variables: tuple[Any, ...], x: np.ndarray) -> None:
+    """Set variables to x (n,) [units of the variables], marking all others of the process stale, as Pyomo's solvers do."""
     StaleFlagManager.mark_all_as_stale()
     for variable, number in zip(variables, x.tolist(), strict=True):
         variable.set_value(number, skip_validation=True)

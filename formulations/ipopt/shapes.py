@@ -5,17 +5,12 @@
 have one signature: two variable slots, one Param slot. It is analysed once: the affine part goes to the sparse linear rows, what is
 left is differentiated exactly, and what depends on data alone is computed once per refresh.
 
-Graph -> numpy source -> function. One statement an operation, so that neither nesting nor recursion limits the size.
+A generated function is numpy source with one statement an operation, so that neither nesting nor recursion limits the size. It takes `x` (one row
+for each variable slot), `p` (one row for each hoisted data value) and writes `out`; every row is an array over the instances of the shape, so that a
+thousand equal terms cost as many numpy calls as one. `TermGroup` holds all terms of one shape in one model.
 
-A generated function takes `x` (one row for each variable slot), `p` (one row for each hoisted data value) and writes `out`; every row
-is an array over the instances of the shape, so that a thousand equal terms cost as many numpy calls as one.
-
-Hessians of large terms: a generated Hessian-vector product, multiplied by few directions.
-
-Columns of the Hessian that share no row are read off one product (Curtis, Powell and Reid, 1974): a sum of five thousand separate terms
-needs one direction, a dense Hessian as many as it has columns.
-
-All terms of one shape in one model: index arrays settled once, data re-read at each refresh, derivatives evaluated together.
+Hessians of large terms are a generated Hessian-vector product, multiplied by few directions: columns that share no row are read off one product
+(Curtis, Powell and Reid, 1974), so that a sum of five thousand separate terms needs one direction, a dense Hessian as many as it has columns.
 """
 
 from __future__ import annotations
@@ -54,7 +49,7 @@ def _sech2(z):
 
 
 def _falling_power(base, exponent, order):
-    """p (p-1) .. (p-order+1) base**(p-order), and 0 where the factor is 0 (so that x**p at x = 0 is right for p = 0, 1, 2, ..)."""
+    """Derivative of base**p of this order: p (p-1) .. (p-order+1) base**(p-order), and 0 where the factor is 0 (so that x**p at x = 0 is right for p = 0, 1, 2, ..)."""
     factor = np.ones_like(exponent)
     for k in range(int(order)):
         factor = factor * (exponent - k)
@@ -161,7 +156,17 @@ def _product_nodes(graph: Graph, slopes: dict[int, int]) -> dict[int, int]:
 
 
 def column_groups(pairs: np.ndarray, size: int) -> np.ndarray:
-    """(size,) group of each column, such that two columns of a group have no common row; pairs (2, entries) is one triangle."""
+    """Groups of the Hessian's columns, such that two columns of a group have no common row.
+
+    Parameters
+    ----------
+    pairs : (2, entries) rows and columns of one triangle [-]
+    size : number of columns
+
+    Returns
+    -------
+    (size,) group of each column [-]
+    """
     groups = np.arange(size)
     if pairs.shape[1] > _DENSE_SHARE * size * size:
         return groups
@@ -184,7 +189,10 @@ def column_groups(pairs: np.ndarray, size: int) -> np.ndarray:
 def _generate_by_products(
     graph: Graph, products: dict[int, int], pairs: np.ndarray, hoisted: list[int], row: dict[int, int], operations: int
 ) -> Callable[..., None]:
-    """A function `(x, p, out)` that writes the Hessian entry of local pair pairs[:, k] to out[k]; `row` as in codegen."""
+    """A function `(x, p, out)` that writes the Hessian entry of local pair pairs[:, k] to out[k].
+
+    x (curved variables, instances) and out (entries, instances) as in `generate`; pairs (2, entries) [-].
+    """
     order = list(products)
     product = generate(graph, [products[i] for i in order], hoisted, row, "hessian_product")
     size = len(row)
@@ -197,6 +205,7 @@ def _generate_by_products(
     starts = np.searchsorted(entry_group[by_group], np.arange(count + 1))
 
     def hessian(x: np.ndarray, p: list[np.ndarray], out: np.ndarray) -> None:
+        """Write the entries into out (entries, instances) [row per variable^2]."""
         instances = out.shape[1]
         block = max(1, min(count, _BLOCK // max(1, operations * instances)))
         for start in range(0, count, block):
@@ -239,6 +248,7 @@ class ExpressionShape:
 
     @property
     def prepared(self) -> int:
+        """Rows that `prepare` fills."""
         return 1 + len(self.linear) + self.hoisted
 
 
@@ -256,7 +266,7 @@ def shape_of(signature: Signature) -> ExpressionShape:
 
 
 def parse(signature: Signature) -> tuple[Graph, int]:
-    """(graph, root) of a signature: operands first (`"shared"` as first token) or operator first (everything else)."""
+    """Graph and root of a signature: operands first (`"shared"` as first token) or operator first (everything else)."""
     graph = Graph()
     numbers = params = 0
     shared = signature[0] == "shared"
@@ -359,6 +369,7 @@ def _generate_prepare(graph: Graph, outputs: list[int]) -> Callable[..., None]:
     indices = [graph.args[n][0] for n in data]
 
     def prepare(rows: np.ndarray, out: np.ndarray) -> None:
+        """Fill out (prepared, instances) from rows (data, instances) [units of the data]."""
         inner(None, [rows[i] for i in indices], out)
 
     return prepare
@@ -397,58 +408,85 @@ class TermGroup:
 
     @property
     def affine_entries(self) -> tuple[np.ndarray, np.ndarray]:
-        """(rows, columns) of the affine part, slot after slot; values in `affine_values` after a refresh."""
+        """Places of the affine part, slot after slot; values in `affine_values` after a refresh.
+
+        Returns
+        -------
+        rows, columns (linear slots * N,) [-]
+        """
         slots = list(self.shape.linear)
         return np.tile(self.rows, len(slots)), self.columns[slots].ravel()
 
     @property
     def slope_entries(self) -> tuple[np.ndarray, np.ndarray]:
-        """(rows, columns) of the nonlinear part's gradient entries."""
+        """Places of the nonlinear part's gradient entries.
+
+        Returns
+        -------
+        rows, columns (gradient slots * N,) [-]
+        """
         slots = list(self.shape.slope_slots)
         return np.tile(self.rows, len(slots)), self._curved[slots].ravel()
 
     @property
     def curvature_entries(self) -> tuple[np.ndarray, np.ndarray]:
-        """(larger column, smaller column) of each Hessian entry."""
+        """Places of the Hessian entries.
+
+        Returns
+        -------
+        larger column, smaller column (pairs * N,) [-]
+        """
         first, second = (self._curved[slots].ravel() for slots in self.shape.hessian_pairs)
         return np.maximum(first, second), np.minimum(first, second)
 
     # -- values -----------------------------------------------------------------------------------------------------------------
 
     def refresh(self, data: np.ndarray) -> None:
-        """Compute everything that depends on data alone; data: (number of data,)."""
+        """Compute everything that depends on data alone, from all data of the model (data,) [units of the data]."""
         rows = [*self._numbers, *data[self._params]]
         self.shape.prepare(rows, self._prepared)
         self._hoisted = list(self._prepared[1 + len(self.shape.linear) :])
 
     @property
     def constants(self) -> np.ndarray:
-        """(N,) weighted constant parts."""
+        """Weighted constant parts (N,) [units of the rows]."""
         return self.weights * self._prepared[0]
 
     @property
     def affine_values(self) -> np.ndarray:
+        """Weighted linear coefficients (linear slots * N,), in the order of `affine_entries` [row per variable]."""
         return (self.weights * self._prepared[1 : 1 + len(self.shape.linear)]).ravel()
 
     @property
     def is_curved(self) -> bool:
+        """Whether the terms have a nonlinear part."""
         return self.shape.value is not None
 
     def values(self, x: np.ndarray) -> np.ndarray:
-        """(N,) weighted values of the nonlinear parts at x (n,)."""
+        """Weighted values (N,) of the nonlinear parts at x (n,) [units of the rows]."""
         out = np.empty((1, len(self.rows)))
         self.shape.value(x[self._curved], self._hoisted, out)  # pyright: ignore[reportOptionalCall] - asked only where is_curved
         return self.weights * out[0]
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
-        """Weighted gradient entries, in the order of `slope_entries`."""
+        """Weighted gradient entries (gradient slots * N,) at x (n,), in the order of `slope_entries` [row per variable]."""
         out = np.empty((len(self.shape.slope_slots), len(self.rows)))
         if self.shape.slope is not None:
             self.shape.slope(x[self._curved], self._hoisted, out)
         return (self.weights * out).ravel()
 
     def curvatures(self, x: np.ndarray, multipliers: np.ndarray) -> np.ndarray:
-        """Hessian entries times weight times the multiplier of each term's row, in the order of `curvature_entries`."""
+        """Weighted Hessian entries times the multiplier of each term's row.
+
+        Parameters
+        ----------
+        x : (n,) point [units of the variables]
+        multipliers : (constraints + 1,) of all rows [objective per row]
+
+        Returns
+        -------
+        (pairs * N,) entries in the order of `curvature_entries` [objective per variable^2]
+        """
         out = np.empty((self.shape.hessian_pairs.shape[1], len(self.rows)))
         if self.shape.hessian is not None:
             self.shape.hessian(x[self._curved], self._hoisted, out)

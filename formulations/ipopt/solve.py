@@ -1,8 +1,6 @@
-"""Solve a compiled problem, and judge the answer before believing it.
+"""Solve a compiled problem by one run of Ipopt, through cyipopt, and judge the answer before believing it.
 
-A start for Ipopt out of what the caller has: a point, perhaps multipliers, perhaps only some of them.
-
-One run of Ipopt, through cyipopt.
+A start is what the caller has: a point, perhaps multipliers, perhaps only some of them.
 """
 
 from __future__ import annotations
@@ -49,7 +47,7 @@ class Start:
 
 
 def _complete_start(problem: IpoptProblem, given: Start | None) -> tuple[Start, int]:
-    """(start with all multipliers or none, number of variables that had no value).
+    """The start with all multipliers or none, and the number of variables that had no value.
 
     Missing lagrange are 0; missing zl and zu are what stationarity leaves to them. Raises ValueError for a wrong shape or a NaN.
     """
@@ -114,15 +112,25 @@ class IpoptExit:
 
 
 def ipopt_version() -> tuple[int, ...]:
+    """Version of the Ipopt that runs."""
     return tuple(int(part) for part in cyipopt.IPOPT_VERSION)
 
 
 def version() -> str:
+    """Versions of cyipopt and Ipopt in words."""
     return f"cyipopt {cyipopt.__version__}, Ipopt {'.'.join(str(part) for part in ipopt_version())}"
 
 
 def run(problem: IpoptProblem, functions: Evaluations, start: Start, options: Mapping[str, str | int | float]) -> IpoptExit:
-    """Raises UnknownOptionError for a value that Ipopt does not take, and what a callback raised, as it was."""
+    """One run of Ipopt, from a complete start.
+
+    Raises
+    ------
+    UnknownOptionError
+        for a value that Ipopt does not take
+    BaseException
+        what a callback raised, as it was
+    """
     nlp = cyipopt.Problem(
         n=problem.n,
         m=problem.m,
@@ -174,10 +182,22 @@ def solve(
 ) -> IpoptResult:
     """Minimise from `warm_start` (default: the current values of the model's variables); the model is left as it is.
 
-    options: Ipopt options by name; unknown ones raise UnknownOptionError before anything runs; one of MUMPS asks for MUMPS, unless linear_solver is given
-    warm_start: with multipliers (some or all), Ipopt starts primal-dual; `mu_init` defaults to the mean complementarity given
-    callback: called after each iteration; returning False stops (Outcome.INTERRUPTED), an exception propagates
-    time_limit: wall time [s], checked once an iteration
+    Parameters
+    ----------
+    problem : the compiled model
+    options : Ipopt options by name; one of MUMPS asks for MUMPS, unless linear_solver is given
+    warm_start : with multipliers (some or all), Ipopt starts primal-dual; `mu_init` defaults to the mean complementarity given
+    callback : called after each iteration; returning False stops (Outcome.INTERRUPTED), an exception propagates
+    time_limit : wall time [s], checked once an iteration
+
+    Raises
+    ------
+    UnknownOptionError
+        for an unknown option, before anything runs
+    ValueError
+        for a start of another shape or with numbers that are not finite, and for a time limit that is not positive
+    MachineError
+        where a linear solver is insisted on that cannot be had
     """
     asked = checked_options(options or {})
     factorised_by = linear_solver(_asked_for(asked))  # compiled at its first use, which no solve is to blame for
@@ -327,8 +347,10 @@ def _undefined(problem: IpoptProblem, x: np.ndarray) -> str:
 
 
 def repeats_constraints(result: IpoptResult) -> bool:
-    """Whether Ipopt ended as where constraints repeat each other, and the option that copes with them was not set: with multipliers without end,
-    or by giving up the search for a feasible point at one."""
+    """Whether Ipopt ended as where constraints repeat each other, and the option that copes with them was not set.
+
+    That is with multipliers without end, or by giving up the search for a feasible point at one.
+    """
     if result.options.get("perturb_always_cd") == "yes":
         return False
     gave_up = result.status == _RESTORATION and result.residuals.constraint_violation <= FEASIBILITY

@@ -34,7 +34,7 @@ class Refined:
 
 
 def refined(problem: IpoptProblem, result: IpoptResult) -> Refined:
-    """The best of the given point and two guesses of what is active. Bounds are those of the problem as it stands."""
+    """The best of the given point and three guesses of what is active. Bounds are those of the problem as it stands."""
     best = Refined(x=result.x, lagrange=result.lagrange, error=_kkt_error(problem, result.x, result.lagrange))
     limit = _SAME * max(1.0, abs(result.objective))
     for near, by_multiplier in ((1e-5, True), (1e-3, False), (1e-3, True)):
@@ -49,7 +49,13 @@ def refined(problem: IpoptProblem, result: IpoptResult) -> Refined:
 
 
 def violation(problem: IpoptProblem, x: np.ndarray) -> float:
-    """Largest violation of a row or bound; inf where a row is not a number."""
+    """Largest violation of a row or bound; inf where a row is not a number.
+
+    Parameters
+    ----------
+    problem : the compiled problem
+    x : (n,) point [units of the variables]
+    """
     g = problem.constraints(x)
     sides = [problem.lower - x, x - problem.upper, problem.constraint_lower - g, g - problem.constraint_upper]
     worst = max((float(np.max(side)) for side in sides if side.size), default=0.0)
@@ -82,6 +88,7 @@ def _newton(problem: IpoptProblem, result: IpoptResult, near: float, by_multipli
     low, high = problem.lower, problem.upper
 
     def active(gap: np.ndarray, multiplier: np.ndarray) -> np.ndarray:
+        """Mask (k,) of the limits at distance gap (k,) with multiplier (k,) that are active [-]."""
         return (gap <= near) & ((multiplier > gap) | (gap <= 1e-12)) if by_multiplier else gap <= near
 
     at_low = active(x - low, result.zl) | (low == high)

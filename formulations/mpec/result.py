@@ -1,11 +1,4 @@
-"""What a solve hands back, and the explicit step that writes it into the user's model.
-
-How a solve ended, in words: every claim is held against residuals first.
-
-What one strategy hands on to be judged.
-
-From columns of the shadow back to the user's variables, constraints and complementarities.
-"""
+"""What a solve hands back: a candidate's claim held against residuals first, its columns as the user's variables, rows and complementarities."""
 
 from __future__ import annotations
 
@@ -53,9 +46,9 @@ def verdict(candidate: Candidate, residual: float, certificate: Certificate | No
     return Outcome.SOLVED, told
 
 
-def outcome_without_point(outcome: Outcome, message: str, account: WorkBudget) -> tuple[Outcome, str]:
+def outcome_without_point(outcome: Outcome, message: str, budget: WorkBudget) -> tuple[Outcome, str]:
     """Outcome and sentence where no relaxation could be solved."""
-    if account.is_over:
+    if budget.is_over:
         return Outcome.TIME_LIMIT, f"the time limit was reached before any relaxation was solved; {message}"
     if outcome is Outcome.SOLVED:
         return Outcome.FAILED, "no relaxation was solved, for no known reason"
@@ -93,9 +86,12 @@ class PairState:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MpecResult:
-    """variables, x: the user's variables and their values; rows, lagrange: the user's constraints and their multipliers (Ipopt's signs),
-    zl, zu (n,): of bounds; all NaN where there are none. objective in the model's own sense. polished: every pair decided, and what
-    remained solved exactly; has_multipliers: false without polish, and where those of the branch do not belong to the point. steps: the path. residual: largest min of a pair. certificate: recomputed from the model (None if switched off).
+    """How a solve ended; objective in the model's own sense.
+
+    variables, x (n,): the user's variables and their values; rows, lagrange (m,): the user's constraints and their multipliers (Ipopt's signs); zl, zu
+    (n,): of bounds; all NaN where there are none
+    polished: every pair decided, and what remained solved exactly; has_multipliers: false without polish, and where those of the branch do not belong
+    to the point; residual: largest min of a pair; steps: the path; certificate: recomputed from the model (None if switched off)
     """
 
     outcome: Outcome
@@ -123,10 +119,12 @@ class MpecResult:
 
     @property
     def solved(self) -> bool:
+        """Whether the outcome is SOLVED."""
         return self.outcome is Outcome.SOLVED
 
     @property
     def has_point(self) -> bool:
+        """Whether x is a point worth loading."""
         return self.x.size == len(self.variables) and bool(np.all(np.isfinite(self.x))) and self.outcome.has_answer
 
 
@@ -147,10 +145,21 @@ def result_of(
     outcome: Outcome,
     message: str,
     settings: MpecSettings,
-    account: WorkBudget,
+    budget: WorkBudget,
     seconds: float,
 ) -> MpecResult:
-    """columns, x: where the point is; None if there is none."""
+    """The result of a candidate, by the user's variables and rows.
+
+    Parameters
+    ----------
+    candidate : what a strategy found
+    columns : the columns that x is in; None if there is no point
+    x : (n,) where the point is [units of the variables]; None if there is none
+    outcome, message : how it ended
+    settings : of the solve
+    budget : what was spent
+    seconds : wall time [s]
+    """
     work, branch = candidate.work, candidate.branch
     problem = (columns or work.branches).problem
     mine = _own(candidate)
@@ -187,8 +196,8 @@ def result_of(
         residual=float("nan"),
         pairs=() if columns is None or x is None else _pair_states(candidate, columns, x),
         steps=candidate.steps,
-        iterations=account.iterations,
-        solves=account.solves,
+        iterations=budget.iterations,
+        solves=budget.solves,
         seconds=seconds,
         options=MappingProxyType({
             "strategy": candidate.strategy.name, "eps_start": settings.eps_start or candidate.strategy.first,

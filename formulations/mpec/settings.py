@@ -21,7 +21,9 @@ FALLBACKS = ("smoothing", "scholtes", "l1_penalty")
 
 @dataclass(frozen=True, kw_only=True)
 class MpecSettings:
-    """strategy: how pairs are made smooth; "auto" takes FALLBACKS in order until one succeeds (with at most `search` pairs, until two do)
+    """How an MPEC is solved.
+
+    strategy: how pairs are made smooth; "auto" takes FALLBACKS in order until one succeeds (with at most `search` pairs, until two do)
     eps_start, eps_end: where the relaxation starts and ends (None: the strategy's own)
     complementarity_tolerance: largest min(v, w) of a pair that counts as complementary without polish
     polish: decide every pair and solve what remains exactly; certificate: recompute residuals and stationarity from the model
@@ -44,6 +46,7 @@ class MpecSettings:
 
     @property
     def strategies(self) -> tuple[str, ...]:
+        """Names of the strategies to try, in order."""
         return FALLBACKS if self.strategy == "auto" else (self.strategy,)
 
 
@@ -51,7 +54,13 @@ _OWN = {item.name: item for item in fields(MpecSettings) if item.name != "ipopt"
 
 
 def read_settings(options: Mapping[str, Any]) -> MpecSettings:
-    """Split and check. Raises UnknownOptionError with what to write instead."""
+    """Split options into our own and Ipopt's, and check them.
+
+    Raises
+    ------
+    UnknownOptionError
+        for a name there is not, or a value that cannot be used, with what to write instead
+    """
     own = {name: value for name, value in options.items() if name in _OWN}
     ipopt = {name: value for name, value in options.items() if name not in _OWN and name != "solver"}
     for name in ipopt:

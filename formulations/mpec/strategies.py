@@ -15,8 +15,11 @@ from formulations.mpec.lifted import Lifted
 
 
 class Strategy(ABC):
-    """name: as chosen by option; first, last: where eps starts and ends unless the caller says otherwise;
-    warm_below: from which eps on a step starts from the multipliers of the step before."""
+    """A way to make all pairs smooth.
+
+    name: as chosen by option; first, last: where eps starts and ends unless the caller says otherwise; warm_below: from which eps on a step starts from
+    the multipliers of the step before
+    """
 
     name: str
     first: float = 1.0
@@ -29,7 +32,7 @@ class Strategy(ABC):
 
     @abstractmethod
     def set(self, lifted: Lifted, eps: float) -> None:
-        """Move its mutable Param."""
+        """Move the mutable Param to this eps."""
 
 
 def _replace_objective(shadow: Any, penalty: Any) -> None:
@@ -49,9 +52,11 @@ class Scholtes(Strategy):
     name = "scholtes"
 
     def attach(self, lifted: Lifted) -> None:
+        """Products at most `mpec_bound`."""
         lifted.products(active=True)
 
     def set(self, lifted: Lifted, eps: float) -> None:
+        """The bound is eps."""
         lifted.shadow.mpec_bound.value = eps
 
 
@@ -66,6 +71,7 @@ class _PathEquation(Strategy):
         """Of two expressions and the Param that goes to 0."""
 
     def attach(self, lifted: Lifted) -> None:
+        """One equation a pair instead of its product."""
         lifted.products(active=False)
         shadow = lifted.shadow
         shadow.smoothing = pyo.Param(mutable=True, initialize=self.first)
@@ -78,6 +84,7 @@ class _PathEquation(Strategy):
         shadow.path_equation = pyo.Constraint(range(len(sides)), rule=equation)
 
     def set(self, lifted: Lifted, eps: float) -> None:
+        """The smoothing is eps."""
         lifted.shadow.smoothing.value = eps
 
 
@@ -88,6 +95,7 @@ class Smoothing(_PathEquation):
 
     @staticmethod
     def radicand(v: Any, w: Any, eps: Any) -> Any:
+        """Sum of squares and 2 eps."""
         return v**2 + w**2 + 2 * eps
 
 
@@ -98,6 +106,7 @@ class Chks(_PathEquation):
 
     @staticmethod
     def radicand(v: Any, w: Any, eps: Any) -> Any:
+        """Square of the difference and 4 eps."""
         return (v - w) ** 2 + 4 * eps
 
 
@@ -107,6 +116,7 @@ class _Penalty(Strategy):
     last = 1e-8
 
     def attach(self, lifted: Lifted) -> None:
+        """No products; a weighted penalty in the objective."""
         lifted.products(active=False)
         lifted.shadow.weight = pyo.Param(mutable=True, initialize=1.0)
         self._penalise(lifted.shadow, list(zip(lifted.firsts, lifted.seconds, strict=True)))
@@ -116,6 +126,7 @@ class _Penalty(Strategy):
         """Put the weighted penalty of the pairs with these sides into the objective."""
 
     def set(self, lifted: Lifted, eps: float) -> None:
+        """The weight is 1 / eps."""
         lifted.shadow.weight.value = 1.0 / eps
 
 

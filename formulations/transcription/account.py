@@ -60,7 +60,7 @@ class SolveBudget:
                 self.history[name].append(getattr(line, name))
 
     def include(self, earlier: SolveBudget) -> None:
-        """What was spent before, in this account's time."""
+        """What was spent before, in this budget's time."""
         self.iterations += earlier.iterations
         self.work += earlier.work
         self.solver = self.solver or earlier.solver

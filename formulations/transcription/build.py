@@ -49,6 +49,7 @@ from formulations.transcription.contact import (
     add_springs,
     damped_softplus,
     relax,
+    rows_by_time,
 )
 from models.catalog import load_scene
 from models.contact_law import sharpness
@@ -201,8 +202,8 @@ def _add_steps(block: Any, scene: Scene, contact: ContactFormulation, b: float |
     law = SceneExpressions(derive(scene))
     nq, h = scene.nq, block.parameter_step
     p = list(block.parameter_scene.values()) if scene.parameters else []
-    q, v = _rows(block.variable_q, scene.task.steps + 1), _rows(block.variable_v, scene.task.steps + 1)
-    u = _rows(block.variable_u, scene.task.steps) if scene.nu else [[]] * scene.task.steps
+    q, v = rows_by_time(block.variable_q, scene.task.steps + 1), rows_by_time(block.variable_v, scene.task.steps + 1)
+    u = rows_by_time(block.variable_u, scene.task.steps) if scene.nu else [[]] * scene.task.steps
     place = {name: index for index, name in enumerate(block.set_coordinates)}
     lam: list[list[Any]] = [[]] * scene.task.steps
     if scene.nc:
@@ -234,7 +235,7 @@ def _add_contact(
     q, v = states
     place = {name: index for index, name in enumerate(block.set_contacts)}
     block.variable_lam = pyo.Var(block.set_steps, block.set_contacts, initialize=0.0)
-    lam = _rows(block.variable_lam, scene.task.steps)
+    lam = rows_by_time(block.variable_lam, scene.task.steps)
     k = law.stiffness(p)
     phi = [law.penetration(q_now, p) for q_now in q[:-1]]
     if contact is ContactFormulation.SOFTPLUS:
@@ -258,11 +259,3 @@ def _add_contact(
 
         block.complementarity_contact = Complementarity(block.set_steps, block.set_contacts, rule=complementarity)
     return lam
-
-
-def _rows(variable: Any, count: int) -> list[list[Any]]:
-    """The variables of each time, in the scene's order."""
-    rows: list[list[Any]] = [[] for _ in range(count)]
-    for (t, _), data in variable.items():
-        rows[t].append(data)
-    return rows

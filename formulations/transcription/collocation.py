@@ -25,7 +25,7 @@ import pyomo.environ as pyo
 from pyomo.mpec import Complementarity
 
 from formulations.transcription import equations
-from formulations.transcription.contact import ContactFormulation, ModelError, SceneExpressions, settle_separation
+from formulations.transcription.contact import ContactFormulation, ModelError, SceneExpressions, rows_by_time, settle_separation
 from formulations.transcription.method import why_not_collocated
 from models.dynamics import derive
 from models.scene import Scene
@@ -43,8 +43,8 @@ def add_collocation(
     block.scheme = scheme
     block.set_stages = pyo.RangeSet(1, table.stages)
     p = list(block.parameter_scene.values()) if scene.parameters else []
-    q, v = _nodes(block.variable_q, steps), _nodes(block.variable_v, steps)
-    u = _nodes(block.variable_u, steps - 1) if scene.nu else [[]] * steps
+    q, v = rows_by_time(block.variable_q, steps + 1), rows_by_time(block.variable_v, steps + 1)
+    u = rows_by_time(block.variable_u, steps) if scene.nu else [[]] * steps
     stage_q, stage_v = _add_stages(block, table, q, v)
     lam: list[list[list[Any]]] = [[[]] * table.stages] * steps
     if scene.nc:
@@ -59,13 +59,6 @@ def add_collocation(
     else:
         weighed = [law.running_cost(*arguments, p)[0] for arguments in zip(q[:-1], v[:-1], u, strict=True)]
     block.expression_cost = pyo.Expression(expr=equations.expression_cost([*weighed, *law.final_cost(q[-1], v[-1], p)]))
-
-
-def _nodes(variable: Any, last: int) -> list[list[Any]]:
-    rows: list[list[Any]] = [[] for _ in range(last + 1)]
-    for (t, _), data in variable.items():
-        rows[t].append(data)
-    return rows
 
 
 def _add_stages(block: Any, table: Tableau, q: list, v: list) -> tuple[list[list[list[Any]]], list[list[list[Any]]]]:

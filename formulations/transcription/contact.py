@@ -83,6 +83,14 @@ def _function(dynamics: Dynamics, what: str, expressions: list[sp.Expr], *groups
 _TRANSFORMATION = "mpec.simple_nonlinear"
 
 
+def rows_by_time(variable: Any, count: int) -> list[list[Any]]:
+    """The variables of each of `count` times, in the scene's order."""
+    rows: list[list[Any]] = [[] for _ in range(count)]
+    for (t, _), data in variable.items():
+        rows[t].append(data)
+    return rows
+
+
 class ContactFormulation(Enum):
     """SOFTPLUS: smooth force at a distance, eps in (0, 1). COMPLEMENTARITY: lam (lam - k phi) <= eps [N^2], eps = 0 is the true law."""
 
@@ -284,9 +292,7 @@ def add_friction(
     block.set_frictions = pyo.Set(initialize=names)
     block.set_pressed = pyo.Set(initialize=[(item.name, item.contact) for item in scene.frictions if item.contact is not None], dimen=2)
     block.variable_friction = pyo.Var(block.set_steps, block.set_frictions, initialize=0.0)
-    force: list[list[Any]] = [[] for _ in range(scene.task.steps)]
-    for (t, _), data in block.variable_friction.items():
-        force[t].append(data)
+    force = rows_by_time(block.variable_friction, scene.task.steps)
     slip = [law.slip(q_now, v_next, parameters) for q_now, v_next in zip(q[:-1], v[1:], strict=True)]
     limit = [law.friction_limit(q_now, lam_now, parameters) for q_now, lam_now in zip(q[:-1], lam, strict=True)]
     place = {name: index for index, name in enumerate(names)}

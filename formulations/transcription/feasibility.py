@@ -49,7 +49,7 @@ _FIRST, _FACTOR, _LAST = 3.0, 2.0, 384.0
 _OUT_OF_REACH = 1e-2
 _ITERATIONS = 300  # of one solve; 6 to 121 were needed
 # Consecutive restoration iterations after which a solve is stopped to ask here. Solves that found a plan spent at most 2.
-_PATIENCE = 100
+_MOST_RESTORATIONS = 100
 # Dual infeasibility past which a cold start is begun again. Of the scenes of the bank, those that were solved within 150 iterations stayed
 # below 5e10, those that took hundreds, or had no plan, went to 6e13 and beyond.
 _RUNAWAY = 1e12
@@ -59,7 +59,7 @@ _RELEASED_ITERATIONS = 300  # of a solve with the goal let go; 29 to 51 were nee
 _NEAR, _HEAVIER, _WEIGHTS = 0.1, 100.0, 3
 
 
-class Patience:
+class RestorationMonitor:
     """Ipopt callback: stops a solve that stays in restoration. `is_out`: it did."""
 
     def __init__(self) -> None:
@@ -68,11 +68,11 @@ class Patience:
 
     def __call__(self, line: Iteration) -> bool:
         self._restoring = self._restoring + 1 if line.restoration else 0
-        self.is_out = self._restoring >= _PATIENCE
+        self.is_out = self._restoring >= _MOST_RESTORATIONS
         return not self.is_out
 
 
-class Watch(Patience):
+class GoalMonitor(RestorationMonitor):
     """Ipopt callback: also stops a solve whose multipliers run away. `has_lost_goal`: that is why it was stopped."""
 
     def __init__(self) -> None:
@@ -84,7 +84,7 @@ class Watch(Patience):
         return super().__call__(line) and not self.has_lost_goal
 
 
-def plan_with_goal_released(scene: Scene, eps: float, account: SolveBudget, options: Mapping[str, Any]) -> Trajectory | None:
+def plan_with_goal_released(scene: Scene, eps: float, budget: SolveBudget, options: Mapping[str, Any]) -> Trajectory | None:
     """The plan of the softplus model at eps with the goal as a penalty; None where that is not solved either."""
     model: Any = build_model(scene, ContactFormulation.SOFTPLUS, eps=eps)
     nominal = {coordinate.name: coordinate.nominal for coordinate in scene.coordinates}
@@ -94,11 +94,11 @@ def plan_with_goal_released(scene: Scene, eps: float, account: SolveBudget, opti
     model.objective_near = pyo.Objective(expr=model.expression_cost + model.parameter_weight * missed)
     bench = Workbench(model)
     for _ in range(_WEIGHTS):
-        most = min(options["max_iter"], account.iterations + _RELEASED_ITERATIONS)
-        result = bench.run(account, {**options, "max_iter": most})
+        most = min(options["max_iter"], budget.iterations + _RELEASED_ITERATIONS)
+        result = bench.run(budget, {**options, "max_iter": most})
         if result.outcome is not Outcome.SOLVED:
             return None
-        if pyo.value(missed) <= _NEAR or account.is_over:
+        if pyo.value(missed) <= _NEAR or budget.is_over:
             break
         model.parameter_weight.value *= _HEAVIER
     return read_plan(model)
@@ -122,7 +122,7 @@ class Nearest:
         return self.is_solved and self.miss > _OUT_OF_REACH
 
 
-def nearest(scene: Scene, account: SolveBudget, max_iterations: int, sharpest: float = math.inf) -> Nearest:
+def nearest(scene: Scene, budget: SolveBudget, max_iterations: int, sharpest: float = math.inf) -> Nearest:
     """See the module docstring. sharpest: b [1/m] of the last solve, where contact is not to be sharper than that."""
     model: Any = build_model(scene, ContactFormulation.SOFTPLUS, eps=0.5)
     _aim_at_goal(model, scene)
@@ -132,14 +132,14 @@ def nearest(scene: Scene, account: SolveBudget, max_iterations: int, sharpest: f
         if scene.nc:
             model.parameter_sharpness.value = b
             problem.refresh()
-        most = int(min(_ITERATIONS, max(0, max_iterations - account.iterations), account.iterations_left(problem)))
-        result = solve(problem, options={"max_iter": most}, time_limit=account.remaining)
-        account.add(result, problem)
+        most = int(min(_ITERATIONS, max(0, max_iterations - budget.iterations), budget.iterations_left(problem)))
+        result = solve(problem, options={"max_iter": most}, time_limit=budget.remaining)
+        budget.add(result, problem)
         is_solved = result.outcome is Outcome.SOLVED
         if not np.all(np.isfinite(result.x)):
             break
         load(problem, result)
-        if account.is_over:
+        if budget.is_over:
             is_solved = False
             break
     return _measured(scene, read_plan(model), is_solved)

@@ -69,18 +69,18 @@ class Homotopy:
         return Solution(method=self._method, outcome=outcome, message=message, options=asdict(self._options))
 
     @contextmanager
-    def stage(self, account: SolveBudget) -> Iterator[Stage]:
-        """A stage, whose solves are in the account when it ends."""
-        stage = Stage(self.solver, self.rules, self._options, account, self._counts_nonzeros)
+    def stage(self, budget: SolveBudget) -> Iterator[Stage]:
+        """A stage, whose solves are in the budget when it ends."""
+        stage = Stage(self.solver, self.rules, self._options, budget, self._counts_nonzeros)
         yield stage
         stage.settle()
 
-    def solution(self, account: SolveBudget, eps: float, start: Trajectory | None, result: IpoptResult) -> Solution:
+    def solution(self, budget: SolveBudget, eps: float, start: Trajectory | None, result: IpoptResult) -> Solution:
         """The plan that the model holds, checked by the rules of its eps; that there is none is remembered."""
         rules = self.rules(eps)
         found = self.solver.solution(
             self._method,
-            account,
+            budget,
             result,
             lambda plan: _residuals_at(self.solver, rules, plan, eps),
             plan_limits=rules.plan_limits,
@@ -92,30 +92,30 @@ class Homotopy:
 
 
 class Stage:
-    """The solves of one stage, each with an account of its own, because iterations are limited for each."""
+    """The solves of one stage, each with a budget of its own, because iterations are limited for each."""
 
     def __init__(
         self,
         solver: PlanSolver,
         rules: Callable[[float], StageRules],
         options: TranscriptionOptions,
-        account: SolveBudget,
+        budget: SolveBudget,
         counts_nonzeros: bool,
     ) -> None:
-        self._solver, self._rules, self._account, self._counts_nonzeros = solver, rules, account, counts_nonzeros
+        self._solver, self._rules, self._budget, self._counts_nonzeros = solver, rules, budget, counts_nonzeros
         self._most = options.max_iterations
-        self._accounts: list[SolveBudget] = []
+        self._budgets: list[SolveBudget] = []
         self._spent = 0
 
     @property
     def may_go_on(self) -> bool:
         """Whether time and iterations are left."""
-        return not self._account.is_over and self._spent < self._most
+        return not self._budget.is_over and self._spent < self._most
 
     def settle(self) -> None:
-        """All that was spent is told by the account of the stage."""
-        for own in reversed(self._accounts):
-            self._account.include(own)
+        """All that was spent counts in the budget of the stage."""
+        for own in reversed(self._budgets):
+            self._budget.include(own)
 
     def reach(self, eps: float, start: Trajectory | None) -> IpoptResult:
         """Solve at this eps from the start, which the model holds already; by half way where it is a plan of this session and leads to none."""
@@ -133,9 +133,9 @@ class Stage:
     def solve(self, eps: float, start: Trajectory | None, *, cold_work: Work | None = None) -> IpoptResult:
         """Solve once at this eps from the start, which the model holds already. cold_work: most of it without a plan, if not as in the rules."""
         rules = self._rules(eps)
-        size = self._solver.nonzeros(self._account) if self._counts_nonzeros else self._solver.unknowns
-        own = SolveBudget(self._account.remaining)
-        self._accounts.append(own)
+        size = self._solver.nonzeros(self._budget) if self._counts_nonzeros else self._solver.unknowns
+        own = SolveBudget(self._budget.remaining)
+        self._budgets.append(own)
         cold = self._limited({**rules.ipopt, **rules.cold}, cold_work or rules.cold_work, size)
         warm = self._limited({**rules.ipopt}, rules.warm_work, size)
         result = self._solver.solve_at(eps, start, own, rules, cold if start is None else warm, warm)

@@ -138,24 +138,6 @@ class PlanResiduals:
         return {"friction_cone": cone, "regularised_friction": _largest(force + limit * np.tanh(steepness * slip))}
 
 
-MEANING = {
-    "dynamics_defect": "largest miss of the time step, in velocity [m/s, rad/s] or position [m, rad]",
-    "start_error": "norm of x[0] - start",
-    "terminal_error": "norm of x[T] - goal, over the components that are given",
-    "input_bound_excess": "by how much an input leaves its bounds [N, N m]",
-    "velocity_bound_excess": "by how much a velocity leaves its bounds at the start of a step",
-    "physics": "sum over steps and contacts of abs(lam (lam - k phi)) [N^2], k phi with its damping (paper, eq. 10)",
-    "complementarity": "largest abs(lam (lam - k phi)) [N^2]",
-    "force_sign": "by how much lam or lam - k phi is negative [N]",
-    "contact_law": "largest miss of the softplus law [N]",
-    "friction_cone": "by how much a friction force exceeds mu N [N]",
-    "friction_law": "largest mu N abs(s) + f s: what the friction dissipates less than maximal dissipation asks for [W]",
-    "regularised_friction": "largest miss of the regularised friction law [N]",
-    "switch_error": "bound of the velocity errors of steps in which a contact opens or closes, summed [m/s, rad/s]",
-    "discrete_terminal_error": "norm of x[T] - goal after the plan's inputs ran through its own time step with the true contact law",
-}
-
-
 def _function(scene: Scene, matrix: sp.Matrix, *groups: Sequence[sp.Symbol]) -> Callable[..., np.ndarray]:
     """f(*arrays (steps, size of the group)) -> (steps, number of entries), at the scene's parameter values."""
     evaluate = sp.lambdify([list(group) for group in groups], list(matrix.subs(scene.parameter_values)), modules="numpy", cse=True)

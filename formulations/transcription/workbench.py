@@ -160,14 +160,14 @@ class Workbench:
         self.model = model
         self._problem: IpoptProblem | None = None
 
-    def problem(self, account: SolveBudget) -> IpoptProblem:
+    def problem(self, budget: SolveBudget) -> IpoptProblem:
         """The translation, current with the model's Params and bounds."""
         begin = perf_counter()
         if self._problem is None:
             self._problem = compile_model(self.model)
         else:
             self._problem.refresh()
-        account.translate += perf_counter() - begin
+        budget.translate += perf_counter() - begin
         return self._problem
 
     def read(self) -> Trajectory:
@@ -181,7 +181,7 @@ class Workbench:
 
     def run(
         self,
-        account: SolveBudget,
+        budget: SolveBudget,
         options: Mapping[str, Any],
         start: Start | None = None,
         *,
@@ -192,10 +192,10 @@ class Workbench:
 
         options: Ipopt's; max_iter counts for the whole stage. share: part of the remaining time this run may take.
         """
-        problem = self.problem(account)
-        left = {**options, "max_iter": int(max(0, min(options["max_iter"] - account.iterations, account.iterations_left(problem))))}
-        result = solve(problem, options=left, warm_start=start, callback=callback, time_limit=share * account.remaining)
-        account.add(result, problem)
+        problem = self.problem(budget)
+        left = {**options, "max_iter": int(max(0, min(options["max_iter"] - budget.iterations, budget.iterations_left(problem))))}
+        result = solve(problem, options=left, warm_start=start, callback=callback, time_limit=share * budget.remaining)
+        budget.add(result, problem)
         if np.all(np.isfinite(result.x)):
             load(problem, result)
         return result

@@ -1,11 +1,11 @@
-"""certify(model): what can be said of the point that a Pyomo model's variables hold, whoever computed it.
+"""What can be said of the point that a Pyomo model's variables hold, whoever computed it.
 
 certificate = certify(model)
 certificate.holds                     # feasible, complementary, and no direction goes down to first order
 certificate.stationarity.letter       # S, M, C, A, W or -
 print(certificate.sentence)
 
-Would the constraints still hold if the complementarity held exactly?
+Beside residuals and class it says whether the constraints would still hold if the complementarity held exactly:
 
     x y >= 1,   0 <= x complementary to y >= 0        at   x = 5e-13, y = 2e12
 
@@ -56,6 +56,7 @@ def _forced_violation(local: LocalModel, tolerance: float) -> float:
     scale = np.maximum(1.0, np.maximum(_finite(low), _finite(high)))
 
     def violation(now: np.ndarray) -> float:
+        """Largest relative violation where rows and bounds have the values now (rows,) [units of the rows]."""
         return float(np.max(np.maximum(np.maximum(low - now, now - high), 0.0) / scale, initial=0.0))
 
     rounding = _ROUNDING * (abs(matrix) @ np.abs(x) + np.abs(sides - matrix @ x))  # of its terms and its constant
@@ -88,8 +89,11 @@ def _mended(
     high: np.ndarray,
     scale: np.ndarray,
 ) -> float:
-    """min t: low - t scale <= moved + everything N z <= high + t scale, |shortest + N z| <= 1. N spans the steps that leave the sides where
-    they are: as equations of the program they would hold within its tolerance only, which is what is in question."""
+    """Least t: low - t scale <= moved + everything N z <= high + t scale, |shortest + N z| <= 1.
+
+    N spans the steps that leave the sides where they are: as equations of the program they would hold within its tolerance only, which is what is in
+    question.
+    """
     basis = null_space(scaled.toarray(), rcond=1e-12)
     free = everything @ basis
     below, above = np.isfinite(low), np.isfinite(high)
@@ -155,11 +159,15 @@ class Multipliers:
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
-    """primal: largest violation of a row, a bound or a side of a pair [user's units]; complementarity: largest min(G, H); product: largest
-    |G H|; forced: what the constraints would be violated by (relative) if the pairs held exactly, to first order; dual: residual of the multipliers of the class (relative); given_dual: residual and wrong signs of the multipliers that came with the
-    point, NaN if none did; biactive: pairs with both sides zero; descent: steepest slope of a piece (0: B-stationary; NaN: not all pieces
-    were looked at); least: smallest multiplier of a biactive pair (NaN where others exist or none were found); unique: whether the multipliers are
-    the only ones (LICQ); worst: the name of the component with the largest violation.
+    """What can be said of a point.
+
+    primal: largest violation of a row, a bound or a side of a pair [user's units]; complementarity: largest min(G, H); product: largest |G H|
+    forced: what the constraints would be violated by (relative) if the pairs held exactly, to first order
+    dual: residual of the multipliers of the class (relative); given_dual: residual and wrong signs of the multipliers that came with the point, NaN if
+    none did
+    biactive: pairs with both sides zero; descent: steepest slope of a piece (0: B-stationary; NaN: not all pieces were looked at)
+    least: smallest multiplier of a biactive pair (NaN where others exist or none were found); unique: whether the multipliers are the only ones (LICQ)
+    worst: the name of the component with the largest violation
     """
 
     primal: float
@@ -208,6 +216,7 @@ class Certificate:
 
     @property
     def sentence(self) -> str:
+        """Residuals, class and B-stationarity in words."""
         b = {True: "B-stationary", False: f"not B-stationary (slope {self.descent:.1e})", None: "B-stationarity unknown"}[self.b_stationary]
         measured = f"primal {self.primal:.1e}, complementarity {self.complementarity:.1e}, dual {self.dual:.1e} (unscaled, recomputed from the model)"
         if not self._within:
@@ -225,7 +234,18 @@ class Certificate:
 def certify(model: Any, multipliers: Multipliers | None = None, *, tolerances: Tolerances = Tolerances()) -> Certificate:
     """Judge the current values of a model's variables. The model is only read.
 
-    multipliers: if given they are checked too. With more than ten biactive pairs B-stationarity is known only where it follows from class S.
+    With more than ten biactive pairs B-stationarity is known only where it follows from class S.
+
+    Parameters
+    ----------
+    model : a Pyomo model
+    multipliers : if given they are checked too
+    tolerances : up to which violation the point counts as feasible
+
+    Raises
+    ------
+    MissingValueError
+        where a component needs an Expression that is empty
     """
     with PauseGC():
         local = read_local(model, _ACTIVE)

@@ -34,9 +34,9 @@ def test_the_same_plan_by_way_of_coarser_grids(monkeypatch, warm):
     grids = []
     of_class = PlanSolver.attempt
 
-    def attempt(self, account, *arguments, **options):
+    def attempt(self, budget, *arguments, **options):
         grids.append(self._scene.task.steps)
-        return of_class(self, account, *arguments, **options)
+        return of_class(self, budget, *arguments, **options)
 
     monkeypatch.setattr(PlanSolver, "attempt", attempt)
     monkeypatch.setattr(relaxed_lcp, "_LONG", 12)

@@ -14,7 +14,7 @@ from formulations.methods import relaxed_lcp, softplus_dc
 from formulations.pipelines import load_method
 from formulations.solution import Outcome
 from formulations.transcription.contact import tighten
-from formulations.transcription.feasibility import Watch, plan_with_goal_released
+from formulations.transcription.feasibility import GoalMonitor, plan_with_goal_released
 from formulations.transcription.method import Work
 from formulations.transcription.residuals import PlanResiduals
 from formulations.transcription.workbench import SolveBudget, Workbench
@@ -32,25 +32,25 @@ def line(inf_du: float) -> Iteration:
 
 
 def test_multipliers_that_run_away_stop_a_cold_start():
-    watch = Watch()
-    assert watch(line(1e9))
-    assert not watch.has_lost_goal
-    assert not watch(line(1e13))
-    assert watch.has_lost_goal
+    monitor = GoalMonitor()
+    assert monitor(line(1e9))
+    assert not monitor.has_lost_goal
+    assert not monitor(line(1e13))
+    assert monitor.has_lost_goal
 
 
 @pytest.mark.slow
 def test_a_goal_that_is_let_go_is_still_drawn_to():
     """Three carts, whose cost says nothing of the goal: the plan keeps its dynamics, and ends near the goal but not on it."""
     scene = load_scene("three_cart")
-    account = SolveBudget(60.0)
-    plan = plan_with_goal_released(scene, EPS, account, {"max_iter": 200})
+    budget = SolveBudget(60.0)
+    plan = plan_with_goal_released(scene, EPS, budget, {"max_iter": 200})
     assert plan is not None
     found = PlanResiduals(scene).of(plan, ForceLaw.SOFTPLUS, EPS)
     assert found["dynamics_defect"] < 1e-8
     assert found["contact_law"] < 1e-6
     assert 1e-3 < found["terminal_error"] < 0.35
-    assert account.iterations > 0
+    assert budget.iterations > 0
 
 
 def test_a_cold_start_called_infeasible_is_begun_again_with_the_goal_let_go(monkeypatch):

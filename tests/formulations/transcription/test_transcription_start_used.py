@@ -70,10 +70,10 @@ def test_a_plan_that_leads_nowhere_with_ipopts_own_barrier_is_tried_once_more_fr
     plan = Trajectory(t=uniform_grid(task.step, task.steps), q=motion.q, v=motion.v, u=np.zeros((task.steps, scene.nu)), lam=motion.lam)
     asked: list[tuple[int, float, float]] = []
 
-    def attempt(self, account, options, own=PlanSolver.attempt, **named):
-        begun = account.iterations
-        result = own(self, account, options, **named)
-        asked.append((options["max_iter"] - begun, options.get("bound_push", -1.0), account.iterations - begun))
+    def attempt(self, budget, options, own=PlanSolver.attempt, **named):
+        begun = budget.iterations
+        result = own(self, budget, options, **named)
+        asked.append((options["max_iter"] - begun, options.get("bound_push", -1.0), budget.iterations - begun))
         return result
 
     monkeypatch.setattr(strict_lcp, "_FROM_PLAN", 3)
