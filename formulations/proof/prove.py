@@ -3,7 +3,7 @@
     proof = prove(scene, incumbent=mpcc.trajectory, time_limit=200.0)
     proof.cost, proof.bound, proof.gap, proof.seconds, proof.nodes
 
-The plan is never SCIP's own: its contact modes are taken, the convex program with these modes is solved exactly (`windows.quadratic`), its
+The plan is never SCIP's own: its contact modes are taken, the convex program with these modes is solved exactly (`contact_modes.quadratic`), its
 inputs are rolled out through the true contact law, and its residuals recomputed. The bound is the least of SCIP's and of the ceiling under which
 the big-M hold. It is true up to floating point: Clarabel's bounds are lowered by 1e-6, SCIP works to its 1e-6 of feasibility and 1e-9 of
 optimality.
@@ -58,9 +58,14 @@ def missing_solver() -> str | None:
 
 
 def build_miqp(scene: Scene, bounds: PairBounds) -> pyo.ConcreteModel:
-    """See the module docstring. The objective is `variable_cost`, at least the cost and at most the ceiling of the bounds.
+    """The scene's exact problem as a mixed-integer quadratic program; see the module docstring.
 
-    Raises ModelError for bounds that are infinite: they are the big-M.
+    The objective is `variable_cost`, at least the cost and at most the ceiling of the bounds.
+
+    Raises
+    ------
+    ModelError
+        for bounds that are infinite: they are the big-M
     """
     if not bounds.is_finite:
         raise ModelError(
@@ -122,9 +127,12 @@ _OUTCOMES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Proof:
-    """plan, cost: the cheapest exact plan known (None: none); bound: no plan costs less (inf: there is none at all); gap: (cost - bound)/cost, None
-    without a plan; seconds: wall; cpu: CPU seconds; nodes: of SCIP's tree; binaries: pairs that bounds alone did not decide; solver: names and versions;
-    bounds: the big-M; trouble: what SCIP said where it broke off."""
+    """What is proved of a scene.
+
+    plan, cost: the cheapest exact plan known (None: none); bound: no plan costs less (inf: there is none at all); gap: (cost - bound)/cost, None without
+    a plan; seconds: wall; cpu: CPU seconds; nodes: of SCIP's tree; binaries: pairs that bounds alone did not decide; solver: names and versions; bounds:
+    the big-M; trouble: what SCIP said where it broke off
+    """
 
     status: ProofStatus
     plan: Trajectory | None
@@ -141,10 +149,12 @@ class Proof:
 
     @property
     def gap(self) -> float | None:
+        """Cost above the bound, relative to the cost; None without a plan."""
         return None if self.cost is None else max(0.0, (self.cost - self.bound) / max(abs(self.cost), 1e-12))
 
     @property
     def outcome(self) -> Outcome:
+        """The status as an outcome."""
         return _OUTCOMES[self.status]
 
     @property
@@ -163,14 +173,26 @@ class Proof:
 
     @property
     def sentence(self) -> str:
+        """Status, decisions, nodes and bound in words."""
         words = f"{self.status.value}{self.trouble} {self.pairs} contact decisions, {self.binaries} of them left open by bounds, {self.nodes} nodes"
         return f"{words}, bound {self.bound:.10g}." if np.isfinite(self.bound) else f"{words}."
 
 
 def prove(scene: Scene, *, incumbent: Trajectory | None = None, time_limit: float = 600.0) -> Proof:
-    """See the module docstring. incumbent: a plan whose modes are tried first; time_limit: wall seconds.
+    """The cheapest exact plan found, and a cost below which no plan exists; see the module docstring.
 
-    Raises SceneError for scenes that are not linear (`why_no_proof`), MachineError where SCIP is not installed.
+    Parameters
+    ----------
+    scene : a linear scene
+    incumbent : a plan whose modes are tried first
+    time_limit : wall time [s]
+
+    Raises
+    ------
+    SceneError
+        for scenes that are not linear (`why_no_proof`)
+    MachineError
+        where SCIP is not installed
     """
     reason = why_no_proof(scene)
     if reason is not None:
@@ -216,7 +238,7 @@ class _Prover:
         return self._cost + _CEILING * max(abs(self._cost), 1e-3) if np.isfinite(self._cost) else np.inf
 
     def adopt(self, closed: np.ndarray) -> bool:
-        """Keep the optimum of these modes if it is exact and cheaper than what is known."""
+        """Keep the optimum of these modes, closed (steps, nc) [-], if it is exact and cheaper than what is known."""
         answer = self._modes.solve(closed)
         if answer is None:
             return False

@@ -35,7 +35,13 @@ from models.schemes import Scheme, Tableau, tableau
 def add_collocation(
     block: Any, scene: Scene, contact: ContactFormulation, b: float | None, scheme: Scheme, *, integrate_cost: bool = False
 ) -> None:
-    """Stages, dynamics, contact law and cost of a block that has its nodes, inputs and ends. Raises ModelError for a scene that has no collocation."""
+    """Stages, dynamics, contact law and cost of a block that has its nodes, inputs and ends.
+
+    Raises
+    ------
+    ModelError
+        for a scene that has no collocation
+    """
     reason = why_not_collocated(scene)
     if reason is not None:
         raise ModelError(f"scheme {scheme.value}: {reason}")
@@ -87,7 +93,7 @@ def _add_motion(block: Any, table: Tableau, law: SceneExpressions, nodes: tuple,
     force = [[law.force(stage_q[t][i], stage_v[t][i], u[t], lam[t][i], p) for i in range(table.stages)] for t in range(len(stage_q))]
 
     def gained(rows: list, now: list, t: int, i: int, weights: np.ndarray) -> list[Any]:
-        """sum_j D_ij (X_j - x[t]) of every coordinate."""
+        """The sum over j of D_ij (X_j - x[t]) of every coordinate (nq,), with weights D (stages, stages) [-]."""
         return [sum(float(weight) * (rows[t][j][c] - now[t][c]) for j, weight in enumerate(weights[i]) if weight != 0.0) for c in range(nq)]
 
     def position(_: Any, t: int, i: int, name: str) -> Any:
@@ -182,14 +188,14 @@ def settle_forces(block: Any) -> None:
 
 
 def forces_at_nodes(block: Any) -> np.ndarray:
-    """(steps, nc) contact forces at the start of each step [N], by the block's contact law."""
+    """Contact forces (steps, nc) at the start of each step [N], by the block's contact law."""
     if block.component("variable_lam") is None:
         return np.zeros((len(block.set_steps), 0))
     return _forces(block, _values(block.expression_penetration).reshape(len(block.set_steps), -1))
 
 
 def stage_penetration(block: Any) -> np.ndarray:
-    """(steps, s * nc) penetrations at the stages [m], those of the first stage first."""
+    """Penetrations (steps, s * nc) at the stages [m], those of the first stage first."""
     return _values(block.expression_stage_penetration).reshape(len(block.set_steps), -1)
 
 

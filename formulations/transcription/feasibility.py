@@ -1,19 +1,18 @@
-"""How near to its goal a scene comes at all: asked where Ipopt finds no plan, before the word `infeasible` is used.
+"""How near to its goal a scene comes at all, and how a solve that loses its goal is begun again.
+
+`nearest` is asked where Ipopt finds no plan, before the word `infeasible` is used:
 
     minimise  sum over the state of ((x_T - goal) / nominal)^2   subject to start, time step, contact and input bounds
 
 Every input within its bounds is a feasible point of this problem, so it needs no restoration, on which Ipopt can spend its whole time limit
 where complementarity meets a goal out of reach (three carts, inputs bounded by 0.3 N, T = 500: none after 1600 iterations, 0.42 m found here in
 280). Contact is softplus, sharpened in steps from a length as wide as the scene to one where the force at a distance no longer matters.
-
 The answer is local, like Ipopt's own; where it says that the goal can be reached, it has a plan to start from.
 
-
-A cold start of softplus contact that loses its way, and how it is begun again: with the goal let go first.
-
-The paper's first guess holds the start, and the goal is a constraint far from it. Where bodies can be driven past each other, the first steps do
-that, the contact no longer answers to any input, and the multipliers of the goal grow without bound: two fingers that lift a disc had none below
-1e10 after 90 iterations, and no plan after 3000. The same model with the goal as a penalty,
+`plan_with_goal_released` begins a cold start of softplus contact again, with the goal let go first. The paper's first guess holds the start, and the
+goal is a constraint far from it. Where bodies can be driven past each other, the first steps do that, the contact no longer answers to any input, and
+the multipliers of the goal grow without bound: two fingers that lift a disc had none below 1e10 after 90 iterations, and no plan after 3000. The same
+model with the goal as a penalty,
 
     cost + w sum over the state of ((x_T - goal) / nominal)^2,      w the cost of the first guess, at least 1, and heavier as needed
 
@@ -67,6 +66,7 @@ class RestorationMonitor:
         self._restoring = 0
 
     def __call__(self, line: Iteration) -> bool:
+        """Whether Ipopt shall go on."""
         self._restoring = self._restoring + 1 if line.restoration else 0
         self.is_out = self._restoring >= _MOST_RESTORATIONS
         return not self.is_out
@@ -80,6 +80,7 @@ class GoalMonitor(RestorationMonitor):
         self.has_lost_goal = False
 
     def __call__(self, line: Iteration) -> bool:
+        """Whether Ipopt shall go on."""
         self.has_lost_goal = line.inf_du > _RUNAWAY
         return super().__call__(line) and not self.has_lost_goal
 
@@ -119,11 +120,20 @@ class Nearest:
 
     @property
     def is_out_of_reach(self) -> bool:
+        """Whether the search converged and misses by more than solves that were cut off do."""
         return self.is_solved and self.miss > _OUT_OF_REACH
 
 
 def nearest(scene: Scene, budget: SolveBudget, max_iterations: int, sharpest: float = math.inf) -> Nearest:
-    """See the module docstring. sharpest: b [1/m] of the last solve, where contact is not to be sharper than that."""
+    """The plan that comes nearest to the goal, by softplus contact that is sharpened.
+
+    Parameters
+    ----------
+    scene : with a goal
+    budget : what the search may spend
+    max_iterations : of all solves in the budget
+    sharpest : b [1/m] of the last solve, where contact is not to be sharper than that
+    """
     model: Any = build_model(scene, ContactFormulation.SOFTPLUS, eps=0.5)
     _aim_at_goal(model, scene)
     problem = compile_model(model)

@@ -39,8 +39,10 @@ class Failure:
 
 
 class Homotopy:
-    """One method's model on a scene. rules: what the method asks of a stage at an eps; counts_nonzeros: whether work is counted in nonzeros of the model
-    or in its unknowns."""
+    """One method's model on a scene.
+
+    rules: what the method asks of a stage at an eps; counts_nonzeros: whether work is counted in nonzeros of the model or in its unknowns
+    """
 
     def __init__(
         self,

@@ -35,7 +35,13 @@ class FixedModes:
         self._bench = Workbench(model)
 
     def solve(self, budget: SolveBudget, closed: np.ndarray) -> IpoptResult:
-        """The last solved problem, its plan left in the model; closed (steps, nc + 2 nf + springs + switches) as in `hold_modes`."""
+        """The last solved problem, its plan left in the model.
+
+        Parameters
+        ----------
+        budget : what the stage may spend
+        closed : (steps, nc + 2 nf + springs + switches) as in `hold_modes` [-]
+        """
         hold_modes(self._model, closed)
         best = self._run(budget)
         for _ in range(self._most_switches):
@@ -59,7 +65,7 @@ class FixedModes:
 
 
 def _cheaper_modes(problem: IpoptProblem, result: IpoptResult, model: Any, closed: np.ndarray) -> np.ndarray:
-    """(steps, nc + 2 nf) pairs at lam = 0 = v that would lower the cost in the other mode: the force held at zero there has a negative multiplier."""
+    """Pairs (steps, nc + 2 nf) at lam = 0 = v that would lower the cost in the other mode: the force held at zero there has a negative multiplier."""
     place = {id(variable): column for column, variable in enumerate(problem.variables)}
     couples = sides(model)
     lam, separation = (np.array([place[id(couple[side])] for couple in couples]) for side in (0, 1))

@@ -71,7 +71,13 @@ class PlanSolver:
         return budget
 
     def prepare(self, eps: float, start: Trajectory | None) -> None:
-        """Build the model at its first use, at this eps, and load the start. Raises TrajectoryError for a plan of another grid."""
+        """Build the model at its first use, at this eps, and load the start.
+
+        Raises
+        ------
+        TrajectoryError
+            for a plan of another grid
+        """
         if self._bench is None:
             self._bench = Workbench(build_model(self._scene, self._contact, eps=eps))
         self.load(start)

@@ -68,7 +68,10 @@ def release_goal(model: Any) -> list[tuple[Any, Any, str]]:
 def load_plan(block: Any, plan: Trajectory) -> None:
     """Write a plan into the variables of a block, as first guess. Its ends need not be those of the task.
 
-    Raises TrajectoryError unless the plan has the block's grid and numbers of columns.
+    Raises
+    ------
+    TrajectoryError
+        unless the plan has the block's grid and numbers of columns
     """
     steps, h = len(block.set_steps), pyo.value(block.parameter_step)
     grid = uniform_grid(h, steps)
@@ -128,12 +131,12 @@ def read_plan(block: Any) -> Trajectory:
 
 
 def read_values(variable: Any) -> np.ndarray:
-    """(n,) values of an indexed variable in its own order, NaN where there is none."""
+    """Values (n,) of an indexed variable in its own order, NaN where there is none [units of the variable]."""
     return np.array([np.nan if data.value is None else data.value for data in variable.values()], dtype=float)
 
 
 def write_values(variable: Any, values: np.ndarray) -> None:
-    """Set an indexed variable from an array in its own order; a value outside the bounds is a guess like any other."""
+    """Set an indexed variable from values (n,) in its own order [units of the variable]; one outside the bounds is a guess like any other."""
     for data, value in zip(variable.values(), np.asarray(values, dtype=float).ravel().tolist(), strict=True):
         data.set_value(value, skip_validation=True)
 
@@ -190,7 +193,13 @@ class Workbench:
     ) -> IpoptResult:
         """Solve from `start` (default: the values of the model's variables), and write the point where it ended into the model.
 
-        options: Ipopt's; max_iter counts for the whole stage. share: part of the remaining time this run may take.
+        Parameters
+        ----------
+        budget : of the stage
+        options : Ipopt's; max_iter counts for the whole stage
+        start : with multipliers, perhaps
+        share : part of the remaining time this run may take
+        callback : called after each iteration; False stops
         """
         problem = self.problem(budget)
         left = {**options, "max_iter": int(max(0, min(options["max_iter"] - budget.iterations, budget.iterations_left(problem))))}
