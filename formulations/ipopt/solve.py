@@ -335,12 +335,10 @@ def _undefined(problem: IpoptProblem, x: np.ndarray) -> str:
     if not np.all(np.isfinite(x)):
         name = problem.variables[int(np.flatnonzero(~np.isfinite(x))[0])].name
         return f"; variable '{name}' is no finite number there: give it one to start from"
-    lost = np.flatnonzero(~np.isfinite(problem.constraints(x)))
-    if lost.size:
-        more = f" and {lost.size - 1} more" if lost.size > 1 else ""
-        return (
-            f"; constraint '{problem.equations[lost[0]].name}'{more} has no finite value there: start where it has, or bound what it takes"
-        )
+    undefined = np.flatnonzero(~np.isfinite(problem.constraints(x)))
+    if undefined.size:
+        more = f" and {undefined.size - 1} more" if undefined.size > 1 else ""
+        return f"; constraint '{problem.equations[undefined[0]].name}'{more} has no finite value there: start where it has, or bound what it takes"
     if not np.isfinite(problem.objective(x)):
         return "; the objective has no finite value there: start where it has, or bound what it takes"
     return "; all functions have finite values there, so that one of their derivatives has none"

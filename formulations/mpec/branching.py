@@ -115,14 +115,14 @@ class Branching:
         -------
         branch or None, and outcome: DIVERGED where a branch is; INFEASIBLE only where each is from every start
         """
-        best, endings = None, set[Outcome]()
+        best, outcomes = None, set[Outcome]()
         for closed in itertools.product((True, False), repeat=len(self._columns.first)):
             for start in starts:
                 if self._budget.is_over:
                     return best, Outcome.TIME_LIMIT
                 branch = self._solve_anew(np.array(closed), start)
                 assert self.last is not None
-                endings.add(self.last.outcome)
+                outcomes.add(self.last.outcome)
                 if branch is not None:
                     best = branch if best is None or self._is_better(branch, best) else best
                     break
@@ -130,7 +130,7 @@ class Branching:
             return best, Outcome.DIVERGED
         if best is not None:
             return self._improve(best), Outcome.SOLVED
-        return None, Outcome.INFEASIBLE if endings == {Outcome.INFEASIBLE} else Outcome.STALLED
+        return None, Outcome.INFEASIBLE if outcomes == {Outcome.INFEASIBLE} else Outcome.STALLED
 
     # -- branches -----------------------------------------------------------------------------------------------------------------
 

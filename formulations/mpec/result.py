@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -24,26 +24,26 @@ from formulations.solution import Outcome
 
 def verdict(candidate: Candidate, residual: float, certificate: Certificate | None, settings: MpecSettings) -> tuple[Outcome, str]:
     """Outcome and sentence of a candidate that has a point."""
-    told = f"{candidate.strategy.name}: " + (
+    summary = f"{candidate.strategy.name}: " + (
         certificate.sentence if certificate else f"complementarity {residual:.1e}, no certificate asked for"
     )
     if candidate.branch is None and candidate.outcome is not Outcome.SOLVED:
-        return candidate.outcome, f"{candidate.message}; {told}"
+        return candidate.outcome, f"{candidate.message}; {summary}"
     if certificate is not None and certificate.lives_on_tolerance:
-        told = (
+        summary = (
             f"violated by {certificate.forced:.1e} if the pairs held exactly" if certificate.forced < math.inf else "unknown at exact pairs"
         )
-        return Outcome.STALLED, f"the point holds only because complementarity is not exact (constraints {told}); {certificate.sentence}"
+        return Outcome.STALLED, f"the point holds only because complementarity is not exact (constraints {summary}); {certificate.sentence}"
     if certificate is not None and not certificate.feasible:
         worst = f" (worst: {certificate.worst})" if certificate.worst else ""
-        return Outcome.STALLED, f"the point found is not feasible{worst}; {told}"
+        return Outcome.STALLED, f"the point found is not feasible{worst}; {summary}"
     if residual > settings.complementarity_tolerance:
-        return Outcome.STALLED, f"the pairs could not be decided; {told}"
+        return Outcome.STALLED, f"the pairs could not be decided; {summary}"
     if certificate is not None and certificate.b_stationary is False:
         if candidate.unbounded:
-            return Outcome.DIVERGED, f"a branch of the problem is unbounded, and a direction goes down towards it; {told}"
-        return Outcome.STALLED, f"the point is feasible, but a direction goes down; {told}"
-    return Outcome.SOLVED, told
+            return Outcome.DIVERGED, f"a branch of the problem is unbounded, and a direction goes down towards it; {summary}"
+        return Outcome.STALLED, f"the point is feasible, but a direction goes down; {summary}"
+    return Outcome.SOLVED, summary
 
 
 def outcome_without_point(outcome: Outcome, message: str, budget: WorkBudget) -> tuple[Outcome, str]:
@@ -200,10 +200,9 @@ def result_of(
         solves=budget.solves,
         seconds=seconds,
         options=MappingProxyType({
+            **{item.name: getattr(settings, item.name) for item in fields(settings) if item.name != "ipopt"},
             "strategy": candidate.strategy.name, "eps_start": settings.eps_start or candidate.strategy.first,
-            "eps_end": settings.eps_end or candidate.strategy.last, "complementarity_tolerance": settings.complementarity_tolerance,
-            "polish": settings.polish, "certificate": settings.certificate, "max_biactive": settings.max_biactive, "search": settings.search,
-            "step_iterations": settings.step_iterations, **settings.ipopt,
+            "eps_end": settings.eps_end or candidate.strategy.last, **settings.ipopt,
         }),
     )  # fmt: skip
 

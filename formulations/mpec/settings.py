@@ -11,8 +11,9 @@ from typing import Any
 
 from formulations.ipopt.errors import UnknownOptionError
 from formulations.ipopt.options import checked_options, known_options
+from formulations.mpec.strategies import STRATEGIES
 
-STRATEGY_NAMES = ("scholtes", "smoothing", "chks", "l1_penalty", "elastic", "direct")
+STRATEGY_NAMES = tuple(STRATEGIES)
 # The order of "auto". Measured on 87 MacMPEC problems (solved, at the published optimum without `search`, iterations) and on three_cart with
 # 500 steps (cost, iterations): smoothing 87, 81, 6573 and 490.600, 173; scholtes 87, 82, 6997 and 490.624, 815; direct 87, 82, 4478; chks
 # 85, 78, 6432; l1_penalty 86, 77, 5424; elastic 85, 78, 10350.

@@ -157,4 +157,4 @@ class Direct(Scholtes):
     first = last = 1e-8  # Ipopt's own tolerance: a bound of 0 would leave its iterates no interior at all
 
 
-STRATEGIES: dict[str, Strategy] = {item.name: item for item in (Scholtes(), Smoothing(), Chks(), Elastic(), L1Penalty(), Direct())}
+STRATEGIES: dict[str, Strategy] = {item.name: item for item in (Scholtes(), Smoothing(), Chks(), L1Penalty(), Elastic(), Direct())}

@@ -126,9 +126,7 @@ def physical_bounds(scene: Scene, linear: LinearScene, ceiling: float) -> PairBo
     return PairBounds(lower=lower, upper=upper, ceiling=ceiling)
 
 
-def pair_bounds(
-    scene: Scene, linear: LinearScene, ceiling: float = np.inf, *, is_over: Callable[[], bool] = lambda: False, rounds: int = _ROUNDS
-) -> PairBounds:
+def pair_bounds(scene: Scene, linear: LinearScene, ceiling: float = np.inf, *, is_over: Callable[[], bool] = lambda: False) -> PairBounds:
     """Bounds of every pair, from all three sources of the module docstring.
 
     Parameters
@@ -136,12 +134,11 @@ def pair_bounds(
     scene, linear : the scene, and its linear form
     ceiling : the most that plans may cost
     is_over : whether to stop; bounds not reached by then are those of physics, or infinite
-    rounds : of source 3 at most
     """
     relaxation = Relaxation(linear)
     bounds = physical_bounds(scene, linear, ceiling)
     width = np.inf
-    for _ in range(1 + rounds):
+    for _ in range(1 + _ROUNDS):
         bounds = _swept(relaxation, bounds, is_over)
         if bounds.is_empty or is_over() or not bounds.is_finite:
             break

@@ -32,6 +32,7 @@ from typing import Any
 import clarabel
 import numpy as np
 import pyomo.environ as pyo
+from pyomo.contrib.solver.common.factory import SolverFactory
 
 from formulations.contact_modes.goal import land
 from formulations.contact_modes.linear import linear_scene, why_not_linear
@@ -341,8 +342,6 @@ def is_exact(scene: Scene, plan: Trajectory) -> bool:
 
 def scip(model: Any, seconds: float) -> Any:
     """SCIP by Pyomo. Its log must be off: it deadlocks on 64 KB of it."""
-    from pyomo.contrib.solver.common.factory import SolverFactory
-
     options = {"display/verblevel": 0, "limits/time": max(seconds, 1e-3), "limits/gap": 0.01 * GAP}
     return SolverFactory("scip_direct").solve(
         model, load_solutions=False, raise_exception_on_nonoptimal_result=False, solver_options=options

@@ -263,11 +263,11 @@ def certify(model: Any, multipliers: Multipliers | None = None, *, tolerances: T
     computable = _is_finite(local)
     if computable:
         given = math.nan if multipliers is None else _given_residual(local, active, multipliers)
-        told = Stationarity.NONE if multipliers is None or not given <= STATIONARITY else _given_class(local, active, multipliers)
-        if told is Stationarity.STRONG:
-            stationarity, dual, descent = told, given, 0.0
+        shown_class = Stationarity.NONE if multipliers is None or not given <= STATIONARITY else _given_class(local, active, multipliers)
+        if shown_class is Stationarity.STRONG:
+            stationarity, dual, descent = shown_class, given, 0.0
         else:
-            found = classify(active, STATIONARITY, told)
+            found = classify(active, STATIONARITY, shown_class)
             stationarity, dual, least, unique = found.kind, found.residual, found.least, found.unique
             # one wrong multiplier may show too gentle a slope where several together show a steep one
             shown = found.descent < -STATIONARITY

@@ -19,7 +19,7 @@ from formulations.transcription.workbench import load_plan, move_ball, open_goal
 from models.scene import Scene
 from models.trajectory import Trajectory
 
-# An exact plan has 1e-13 in both (mpcc) or 1e-9 (Ipopt with fixed modes); a force that is off by 1e-6 N, or a window by one step, has more.
+# An exact plan has 1e-13 in both (mpcc) or 1e-9 (Ipopt with fixed modes); a force that is off by 1e-6 N, or a contact that opens one step later, has more.
 PLAN_TOLERANCES = Tolerances(feasibility=1e-8, complementarity=1e-7)
 
 
