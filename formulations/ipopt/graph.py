@@ -18,6 +18,7 @@ Operations without a derivative rule: data where they depend on data alone, refu
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 from pyomo.core.expr import value
@@ -236,13 +237,13 @@ class Graph:
 
     # -- questions --------------------------------------------------------------------------------------------------------------
 
-    def reachable(self, *roots: int) -> list[int]:
-        """Every node the roots depend on, the roots included, ascending: an order of evaluation."""
+    def reachable(self, *roots: int, until: Callable[[int], bool] = lambda node: False) -> list[int]:
+        """Every node the roots depend on, the roots included, ascending: an order of evaluation. Behind a node `until` holds for nothing is looked at."""
         seen = set(roots)
         stack = list(seen)
         while stack:
             node = stack.pop()
-            if self.op[node] in (VARIABLE, DATUM, CONSTANT, SEED):
+            if self.is_leaf(node) or until(node):
                 continue
             for operand in self.args[node]:
                 if operand not in seen:

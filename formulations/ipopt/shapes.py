@@ -91,23 +91,8 @@ def _statement(graph: Graph, node: int, hoisted: Mapping[int, int], row: Mapping
 
 def hoist(graph: Graph, roots: Sequence[int]) -> list[int]:
     """Data nodes, structural constants apart, that the roots use directly: computed once per refresh and handed in as `p`."""
-    needed: set[int] = set()
-    seen = set(roots)
-    stack = list(roots)
-    while stack:
-        node = stack.pop()
-        if graph.op[node] == CONSTANT:
-            continue
-        if graph.is_data[node]:
-            needed.add(node)
-            continue
-        if graph.is_leaf(node):
-            continue
-        for operand in graph.args[node]:
-            if operand not in seen:
-                seen.add(operand)
-                stack.append(operand)
-    return sorted(needed)
+    found = graph.reachable(*roots, until=lambda node: graph.is_data[node])
+    return [node for node in found if graph.is_data[node] and graph.op[node] != CONSTANT]
 
 
 def generate(graph: Graph, outputs: Sequence[int], hoisted: Sequence[int], row: Mapping[int, int], name: str) -> Callable[..., None]:
@@ -116,24 +101,12 @@ def generate(graph: Graph, outputs: Sequence[int], hoisted: Sequence[int], row: 
     `hoisted` are the data nodes that p holds, in order; `row[i]` is the row of x (and of seed) that holds variable i.
     """
     slot = {node: k for k, node in enumerate(hoisted)}
-    order: list[int] = []
-    seen = set(outputs)
-    stack = list(seen)
-    while stack:
-        node = stack.pop()
-        if node in slot or graph.op[node] == CONSTANT:
-            continue
-        order.append(node)
-        if graph.is_leaf(node):
-            if graph.op[node] == DATUM:
-                raise ValueError(f"datum {graph.args[node][0]} is used by a generated function but was not hoisted")
-            continue
-        for operand in graph.args[node]:
-            if operand not in seen:
-                seen.add(operand)
-                stack.append(operand)
+    order = [n for n in graph.reachable(*outputs, until=slot.__contains__) if n not in slot and graph.op[n] != CONSTANT]
+    for node in order:
+        if graph.op[node] == DATUM:
+            raise ValueError(f"datum {graph.args[node][0]} is used by a generated function but was not hoisted")
     lines = [f"def {name}(x, p, out, seed=None):"]
-    lines += [f"    {_statement(graph, node, slot, row)}" for node in sorted(order)]
+    lines += [f"    {_statement(graph, node, slot, row)}" for node in order]
     lines += [f"    out[{k}] = {_name(graph, node, slot)}" for k, node in enumerate(outputs)]
     lines.append("    return")
     namespace = dict(_NAMESPACE)

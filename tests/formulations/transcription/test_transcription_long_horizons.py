@@ -8,8 +8,7 @@ from formulations.pipelines import load_method
 from formulations.solution import Outcome
 from formulations.transcription.solving import PlanSolver
 from models.catalog import load_scene
-from models.codegen.kernel import load_kernel
-from models.trajectory import Trajectory, uniform_grid
+from tests.formulations.transcription.rollouts import rolled_out
 
 EPS = 1e-2
 
@@ -21,9 +20,7 @@ def solved(scene, start):
 
 def pushed(scene):
     """A motion under a constant push: a start that is no answer."""
-    u = np.full((scene.task.steps, scene.nu), 0.5)
-    motion = load_kernel(scene).rollout(np.array(scene.task.start), u, scene.task.step)
-    return Trajectory(t=uniform_grid(scene.task.step, scene.task.steps), q=motion.q, v=motion.v, u=u, lam=motion.lam)
+    return rolled_out(scene, np.full((scene.task.steps, scene.nu), 0.5))
 
 
 @pytest.mark.parametrize("warm", [False, True])

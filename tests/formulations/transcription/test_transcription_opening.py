@@ -19,9 +19,8 @@ from formulations.transcription.method import Work
 from formulations.transcription.residuals import PlanResiduals
 from formulations.transcription.workbench import SolveBudget, Workbench
 from models.catalog import load_scene
-from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw as ForceLaw
-from models.trajectory import Trajectory, uniform_grid
+from tests.formulations.transcription.rollouts import rolled_out
 
 EPS = 1e-3
 
@@ -159,9 +158,7 @@ def test_one_eps_is_one_law_everywhere(length: float):
     """Softplus contact and regularised friction of two fingers: the compiled motion meets the equations of numpy and of Pyomo."""
     scene = replace(load_scene("two_finger_lift"), length=length).with_task(steps=6)
     u = np.random.default_rng(3).uniform(-0.2, 0.2, size=(6, scene.nu))
-    start, h = np.array(scene.task.start), scene.task.step
-    rolled = load_kernel(scene).rollout(start, u, h, ForceLaw.SOFTPLUS, EPS)
-    plan = Trajectory(t=uniform_grid(h, 6), q=rolled.q, v=rolled.v, u=u, lam=rolled.lam)
+    plan = rolled_out(scene, u, ForceLaw.SOFTPLUS, EPS)
     found = PlanResiduals(scene).of(plan, ForceLaw.SOFTPLUS, EPS)
     assert found["contact_law"] < 1e-12
     assert found["regularised_friction"] < 1e-12
