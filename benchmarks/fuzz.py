@@ -42,11 +42,11 @@ def mpec(seeds: int, first: int, file: Path | None) -> int:
     """
     logging.disable(logging.CRITICAL)
     warnings.simplefilter("ignore")
-    judge = module_at("tests/formulations/mpec/fuzz/enumeration.py")
+    judge, generator = (module_at(f"tests/formulations/mpec/fuzz/{name}.py") for name in ("enumeration", "generator"))
     classes: Counter[tuple[str, str]] = Counter()
     lines = []
     for seed in range(first, first + seeds):
-        verdict = judge.judge(judge.generator.random_mpec(seed))
+        verdict = judge.judge(generator.random_mpec(seed))
         classes[verdict.agreement, verdict.kind] += 1
         lines.append(json.dumps(asdict(verdict)))
         if verdict.agreement != "same":

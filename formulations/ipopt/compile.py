@@ -17,9 +17,15 @@ from formulations.ipopt.shapes import TermGroup, shape_of
 def compile_model(model: Any) -> IpoptProblem:
     """Translate a smooth Pyomo model; the model itself is not changed.
 
-    Raises ModelRefusedError for what Ipopt cannot treat (integer variables, untransformed Complementarity, abs of a variable, ..) and
-    MissingValueError where a Param or a fixed variable has no value. Variables come in order of first appearance, constraints in order of
-    declaration; constraints without any variable are checked by `IpoptProblem.trivial_violation`, not sent to Ipopt.
+    Variables come in order of first appearance, constraints in order of declaration; constraints without any variable are checked by
+    `IpoptProblem.trivial_violation`, not sent to Ipopt.
+
+    Raises
+    ------
+    ModelRefusedError
+        for what Ipopt cannot treat (integer variables, untransformed Complementarity, abs of a variable, ..)
+    MissingValueError
+        where a Param or a fixed variable has no value
     """
     with PauseGC():
         refuse_unknown_components(model)

@@ -13,7 +13,7 @@ import numpy as np
 from formulations.ipopt.graph import CONSTANT, VARIABLE, Graph
 
 
-def partial_derivatives(graph: Graph, node: int) -> tuple[tuple[int, int], ...]:
+def _partial_derivatives(graph: Graph, node: int) -> tuple[tuple[int, int], ...]:
     """((operand, d node / d operand), ...) for the operands that depend on a variable."""
     op, args = graph.op[node], graph.args[node]
     a = args[0]
@@ -84,7 +84,7 @@ def gradient(graph: Graph, root: int) -> dict[int, int]:
             continue
         if graph.is_leaf(node):
             continue
-        for operand, slope in partial_derivatives(graph, node):
+        for operand, slope in _partial_derivatives(graph, node):
             if not graph.is_data[operand]:
                 step = graph.mul(bar, slope)
                 adjoint[operand] = graph.add(adjoint[operand], step) if operand in adjoint else step
@@ -141,15 +141,19 @@ _LINEAR_OPERATIONS = frozenset({"add", "sub", "neg"})
 
 
 def hessian_sparsity(graph: Graph, root: int) -> np.ndarray:
-    """(2, entries) pairs i >= j of variable indices between which the root can be curved; a superset of the true pattern.
+    """Pairs of variables between which the root can be curved; a superset of the true pattern.
 
     Index sets are bit masks in Python integers: a nonlinear operation joins the variables of its operands.
+
+    Returns
+    -------
+    (2, entries) variable indices i >= j [-]
     """
     depends: dict[int, int] = {}
     partners: dict[int, int] = {}
 
     def join(left: int, right: int) -> None:
-        for i in bits(left).tolist():
+        for i in _bits(left).tolist():
             partners[i] = partners.get(i, 0) | right
 
     for node in graph.reachable(root):
@@ -176,12 +180,12 @@ def hessian_sparsity(graph: Graph, root: int) -> np.ndarray:
                 join(joined, joined)
     found = [np.empty((2, 0), dtype=np.intp)]
     for i in sorted(partners):
-        columns = bits(partners[i] & ((2 << i) - 1))
+        columns = _bits(partners[i] & ((2 << i) - 1))
         found.append(np.stack([np.full(len(columns), i), columns]))
     return np.concatenate(found, axis=1)
 
 
-def bits(mask: int) -> np.ndarray:
+def _bits(mask: int) -> np.ndarray:
     """Positions of the ones in a non-negative integer, ascending."""
     octets = np.frombuffer(mask.to_bytes((mask.bit_length() + 7) // 8, "little"), dtype=np.uint8)
     return np.flatnonzero(np.unpackbits(octets, bitorder="little"))

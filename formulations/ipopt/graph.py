@@ -18,6 +18,7 @@ Operations without a derivative rule: data where they depend on data alone, refu
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 from pyomo.core.expr import value
@@ -61,9 +62,11 @@ class Graph:
     # -- leaves ---------------------------------------------------------------------------------------------------------------
 
     def variable(self, index: int) -> int:
+        """The i-th variable of the term."""
         return self._node(VARIABLE, (index,), False)
 
     def datum(self, index: int) -> int:
+        """The k-th number of the term: data, read again at each refresh."""
         return self._node(DATUM, (index,), True)
 
     def seed(self, index: int) -> int:
@@ -71,6 +74,7 @@ class Graph:
         return self._node(SEED, (index,), False)
 
     def constant(self, value: float) -> int:
+        """A number that belongs to the structure; -0.0 is 0.0."""
         return self._node(CONSTANT, (float(value) + 0.0,), True)
 
     def constant_value(self, node: int) -> float | None:
@@ -80,6 +84,7 @@ class Graph:
     # -- arithmetic -------------------------------------------------------------------------------------------------------------
 
     def add(self, a: int, b: int) -> int:
+        """Node of a + b, simplified where structural constants or signs allow."""
         ca, cb = self.constant_value(a), self.constant_value(b)
         if ca is not None and cb is not None:
             return self.constant(ca + cb)
@@ -94,6 +99,7 @@ class Graph:
         return self._operation("add", *((a, b) if a <= b else (b, a)))
 
     def sub(self, a: int, b: int) -> int:
+        """Node of a - b; zero where both are the same node."""
         ca, cb = self.constant_value(a), self.constant_value(b)
         if ca is not None and cb is not None:
             return self.constant(ca - cb)
@@ -108,6 +114,7 @@ class Graph:
         return self._operation("sub", a, b)
 
     def neg(self, a: int) -> int:
+        """Node of -a; a sign in front of a sign or a difference goes inside."""
         ca = self.constant_value(a)
         if ca is not None:
             return self.constant(-ca)
@@ -118,6 +125,7 @@ class Graph:
         return self._operation("neg", a)
 
     def mul(self, a: int, b: int) -> int:
+        """Node of a b; constants come first and are multiplied together."""
         ca, cb = self.constant_value(a), self.constant_value(b)
         if ca is not None and cb is not None:
             return self.constant(ca * cb)
@@ -144,6 +152,7 @@ class Graph:
         return self._operation("mul", *((a, b) if a <= b else (b, a)))
 
     def div(self, a: int, b: int) -> int:
+        """Node of a / b; a quotient by 1 + exp(z) is a product with a logistic function, which does not overflow."""
         ca, cb = self.constant_value(a), self.constant_value(b)
         if ca == 0.0:
             return self.zero
@@ -164,7 +173,7 @@ class Graph:
         return self._operation("div", a, b)
 
     def pow(self, base: int, exponent: int) -> int:
-        """base ** exponent. A structural exponent gives products, quotients and roots that are right at base 0."""
+        """Node of base ** exponent. A structural exponent gives products, quotients and roots that are right at base 0."""
         c = self.constant_value(exponent)
         if c is None:
             return self.falling_power(base, exponent, 0) if self.is_data[exponent] else self._operation("pow", base, exponent)
@@ -186,7 +195,7 @@ class Graph:
         return self._operation("pow", base, exponent)
 
     def falling_power(self, base: int, exponent: int, order: int) -> int:
-        """p (p-1) .. (p-order+1) base**(p-order) for a data exponent p: the order-th derivative of base**p, 0 where a factor is 0."""
+        """Derivative of order `order` of base**p for a data exponent p: p (p-1) .. (p-order+1) base**(p-order), and 0 where a factor is 0."""
         return self._node("falling_power", (base, exponent, self.constant(order)), self.is_data[base] and self.is_data[exponent])
 
     # -- functions --------------------------------------------------------------------------------------------------------------
@@ -206,7 +215,7 @@ class Graph:
         return self._operation(name, a)
 
     def _one_plus_exp(self, node: int) -> int | None:
-        """z if the node is 1 + exp(z), in either order."""
+        """The z of a node 1 + exp(z), in either order; None for another node."""
         if self.op[node] != "add":
             return None
         a, b = self.args[node]
@@ -228,13 +237,13 @@ class Graph:
 
     # -- questions --------------------------------------------------------------------------------------------------------------
 
-    def reachable(self, *roots: int) -> list[int]:
-        """Every node the roots depend on, the roots included, ascending: an order of evaluation."""
+    def reachable(self, *roots: int, until: Callable[[int], bool] = lambda node: False) -> list[int]:
+        """Every node the roots depend on, the roots included, ascending: an order of evaluation. Behind a node `until` holds for nothing is looked at."""
         seen = set(roots)
         stack = list(seen)
         while stack:
             node = stack.pop()
-            if self.op[node] in (VARIABLE, DATUM, CONSTANT, SEED):
+            if self.is_leaf(node) or until(node):
                 continue
             for operand in self.args[node]:
                 if operand not in seen:
@@ -243,6 +252,7 @@ class Graph:
         return sorted(seen)
 
     def is_leaf(self, node: int) -> bool:
+        """Whether a node has no operands."""
         return self.op[node] in (VARIABLE, DATUM, CONSTANT, SEED)
 
 
@@ -264,10 +274,12 @@ class EvaluatedExpression:
 
     @property
     def value(self) -> float:
+        """The number that the expression has now."""
         return value(self.expression)
 
     @property
     def name(self) -> str:
+        """The expression as text."""
         return str(self.expression)
 
 

@@ -39,7 +39,10 @@ _known: dict[tuple[str | None, ...], Path | str] = {}
 def ldlt_library() -> Path:
     """The compiled library, with the entry points ma27id_, ma27ad_, ma27bd_, ma27cd_; tried once, and again if it has gone.
 
-    Raises MachineError without a compiler or a cache folder, and where what was compiled cannot be loaded here.
+    Raises
+    ------
+    MachineError
+        without a compiler or a cache folder, and where what was compiled cannot be loaded here
     """
     place = tuple(map(os.environ.get, _DECISIVE))
     known = _known.get(place)
@@ -89,7 +92,10 @@ def _tell(why: str) -> None:
 def linear_solver(asked: str = "") -> str:
     """What Ipopt factorises with: what is asked for, else what $TOUCHSTONE_LINEAR_SOLVER names, else `ldlt` where it can be had.
 
-    Raises MachineError for a name there is not, and where `ldlt` is insisted on and cannot be had.
+    Raises
+    ------
+    MachineError
+        for a name there is not, and where `ldlt` is insisted on and cannot be had
     """
     insisted = asked or os.environ.get("TOUCHSTONE_LINEAR_SOLVER", "")
     if insisted and insisted not in LINEAR_SOLVERS:

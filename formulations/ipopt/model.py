@@ -1,8 +1,6 @@
-"""Reading the model again: data, bounds, and whether the structure is still the one that was compiled.
+"""What is active on a Pyomo model, its data and bounds, and whether its structure is still the one that was compiled.
 
-What of a Pyomo model belongs where in the compiled problem.
-
-What is active on a model: its constraints and its objective, and a refusal for everything that would otherwise be dropped in silence.
+Everything that would otherwise be dropped in silence is refused, in a sentence that names it.
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ from formulations.ipopt.errors import MissingValueError, ModelRefusedError, Stru
 from formulations.ipopt.graph import EvaluatedExpression
 
 # A side of all constraints: the numbers by row, and (row, expression) of the bounds that are expressions of data.
-Deferred = tuple[np.ndarray, tuple[tuple[int, Any], ...]]
+_Deferred = tuple[np.ndarray, tuple[tuple[int, Any], ...]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,8 +35,8 @@ class Layout:
     expressions: tuple[Any, ...]
     objective: Any | None
     sense: int
-    lower: Deferred
-    upper: Deferred
+    lower: _Deferred
+    upper: _Deferred
     variables: tuple[Any, ...]
     data: tuple[Any, ...]
     named: tuple[tuple[Any, Any], ...]
@@ -69,7 +67,10 @@ _WHAT_TO_DO = {
 def refuse_unknown_components(model: Any, *, also: frozenset[type] = frozenset()) -> None:
     """Raise ModelRefusedError if the model holds an active component that is neither an equation, an objective nor data.
 
-    also: component types that the caller treats itself
+    Parameters
+    ----------
+    model : a Pyomo ConcreteModel or Block
+    also : component types that the caller treats itself
     """
     if not isinstance(model, BlockData):
         raise ModelRefusedError(f"expected a Pyomo ConcreteModel or Block, got {type(model).__name__}")
@@ -99,7 +100,7 @@ def active_constraints(model: Any) -> list[Any]:
 
 
 def active_objective(model: Any) -> Any | None:
-    """The one active objective; None for a feasibility problem."""
+    """The one active objective; None for a feasibility problem. Raises ModelRefusedError where several are active."""
     objectives = list(model.component_data_objects(Objective, active=True, descend_into=Block))
     if len(objectives) > 1:
         names = ", ".join(f"'{o.name}'" for o in objectives[:3])
@@ -119,7 +120,17 @@ def _can_vary(side: Any) -> bool:
 
 
 def sides_of(constraint: Any) -> tuple[Any, Any | None, Any, Any]:
-    """(body, body to subtract or None, lower, upper): lower <= body - subtracted <= upper; bounds are numbers, data expressions or None."""
+    """Body and bounds of a constraint: lower <= body - subtracted <= upper.
+
+    Returns
+    -------
+    (body, subtracted or None, lower, upper); bounds are numbers, data expressions or None
+
+    Raises
+    ------
+    ModelRefusedError
+        where a range has a variable bound, or there is no expression
+    """
     expression = constraint.expr
     kind = expression.__class__
     if kind is EqualityExpression or kind is InequalityExpression:
@@ -168,7 +179,21 @@ def check_structure(layout: Layout) -> None:
 
 
 def read_data(sources: tuple[Any, ...]) -> np.ndarray:
-    """(number of data,) current numbers."""
+    """Current numbers of the data.
+
+    Parameters
+    ----------
+    sources : Params, fixed variables and data expressions, by data number
+
+    Returns
+    -------
+    (data,) numbers [units of the data]
+
+    Raises
+    ------
+    MissingValueError
+        where one has no value, or not a number
+    """
     try:
         numbers = np.array([s.value for s in sources], dtype=float)
     except (TypeError, ValueError, ArithmeticError):
@@ -186,7 +211,12 @@ def _read_one(source: Any) -> float:
 
 
 def read_bounds(variables: tuple[Any, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """(lower (n,), upper (n,)), infinite where there is none."""
+    """Current bounds of the variables, infinite where there is none.
+
+    Returns
+    -------
+    lower (n,), upper (n,) [units of the variables]
+    """
     pairs = [v.bounds for v in variables]
     lower = np.array([-np.inf if low is None else low for low, _ in pairs], dtype=float)
     upper = np.array([np.inf if high is None else high for _, high in pairs], dtype=float)
@@ -194,6 +224,17 @@ def read_bounds(variables: tuple[Any, ...]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def read_constraint_bounds(layout: Layout) -> tuple[np.ndarray, np.ndarray]:
+    """Current bounds of all constraints of the layout.
+
+    Returns
+    -------
+    lower (constraints,), upper (constraints,), infinite where there is none [units of the constraints]
+
+    Raises
+    ------
+    MissingValueError
+        where a bound has no value, or is infinite on the wrong side
+    """
     known: dict[int, float] = {}
     sides = []
     for (numbers, later), unbounded in ((layout.lower, -np.inf), (layout.upper, np.inf)):

@@ -1,5 +1,7 @@
-"""Which Ipopt options may be set, with their types. A list, because some options end the process (a missing HSL library, Mehrotra's
-algorithm on a general problem) and a misspelt one must not be found out after an hour.
+"""Which Ipopt options may be set, with their types.
+
+A list, because some options end the process (a missing HSL library, Mehrotra's algorithm on a general problem) and a misspelt one must not be found
+out after an hour.
 """
 
 from __future__ import annotations

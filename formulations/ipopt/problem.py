@@ -2,13 +2,11 @@
 
     minimise f(x)   subject to   constraint_lower <= g(x) <= constraint_upper,   lower <= x <= upper
 
-A maximised objective is handed on as -f (`sense` is -1). Evaluations return NaN or inf where the model does: Ipopt
-answers with a shorter step.
+A maximised objective is handed on as -f (`sense` is -1). Evaluations return NaN or inf where the model does: Ipopt answers with a shorter step.
 
-The functions as cyipopt calls them: one evaluation a point, time counted, numbers that are not finite reported, no exception lost.
-
-cyipopt forgets what the Hessian raises: Ctrl-C there is swallowed and the solve runs on. So the first unexpected error of any callback is kept here,
-the solve is stopped at the next iteration, and `run` raises the error afterwards, as it was.
+`Evaluations` are the functions as cyipopt calls them: one evaluation a point, time counted. cyipopt forgets what the Hessian raises: Ctrl-C there is
+swallowed and the solve runs on. So the first unexpected error of any callback is kept, the solve is stopped at the next iteration, and `run` raises
+the error afterwards, as it was.
 """
 
 from __future__ import annotations
@@ -50,7 +48,10 @@ def _finite(values: Any, what: str) -> Any:
 
 
 class Evaluations:
-    """Caches values and first derivatives of the last point; `after` is asked after each iteration whether to go on."""
+    """Caches values and first derivatives of the last point; `after` is asked after each iteration whether to go on.
+
+    Each callback raises CyIpoptEvaluationError where a number is not finite: Ipopt then shortens its step.
+    """
 
     def __init__(self, problem: IpoptProblem, after: Callable[..., bool]) -> None:
         self._problem = problem
@@ -83,22 +84,27 @@ class Evaluations:
 
     @_keeping
     def objective(self, x: np.ndarray) -> float:
+        """The minimised objective at x (n,) [units of the objective]."""
         return _finite(self._values(x)[0], "the objective")
 
     @_keeping
     def constraints(self, x: np.ndarray) -> np.ndarray:
+        """Values (m,) of the constraints at x (n,) [units of the constraints]."""
         return _finite(self._values(x)[1], "a constraint")
 
     @_keeping
     def gradient(self, x: np.ndarray) -> np.ndarray:
+        """Gradient (n,) of the minimised objective at x (n,) [objective per variable]."""
         return _finite(self._derivatives(x)[0], "the gradient")
 
     @_keeping
     def jacobian(self, x: np.ndarray) -> np.ndarray:
+        """Entries (nonzeros,) of the Jacobian at x (n,) [constraint per variable]."""
         return _finite(self._derivatives(x)[1], "the Jacobian")
 
     @_keeping
     def hessian(self, x: np.ndarray, lagrange: np.ndarray, factor: float) -> np.ndarray:
+        """Entries (nonzeros,) of the Lagrangian's Hessian at x (n,), lagrange (m,) [objective per variable^2]."""
         begin = time.perf_counter()
         values = self._problem.hessian(x, lagrange, factor)
         self.calls["hessians"] += 1
@@ -116,7 +122,7 @@ class Evaluations:
 
 
 class IpoptProblem:
-    """n variables, m constraints. Made by `compile_model`; values are current as of the last `refresh()` (compiling does the first).
+    """A compiled model of n variables and m constraints, made by `compile_model`; values are current as of the last `refresh()` (compiling does the first).
 
     variables: Pyomo variables by column; equations: Pyomo constraints by row; trivial: constraints without a variable
     lower, upper: (n,) bounds; constraint_lower, constraint_upper: (m,)
@@ -172,8 +178,13 @@ class IpoptProblem:
     def refresh(self, *, check: bool = True) -> None:
         """Read Params, fixed values and bounds again.
 
-        Raises StructureChangedError if the structure is no longer the compiled one (a variable fixed or unfixed, a constraint or the
-        objective added, removed, rewritten or (de)activated, a named expression rewritten): then compile again.
+        Raises
+        ------
+        StructureChangedError
+            if the structure is no longer the compiled one (a variable fixed or unfixed, a constraint or the objective added, removed, rewritten or
+            (de)activated, a named expression rewritten): then compile again
+        MissingValueError
+            where a Param, a fixed variable or a bound has no value
         """
         if check:
             check_structure(self.layout)
@@ -201,7 +212,12 @@ class IpoptProblem:
             raise MissingValueError(f"'{where.name}' has a coefficient that is not a finite number: check its Params and fixed variables")
 
     def start(self) -> tuple[np.ndarray, int]:
-        """(x (n,), how many variables had no value): current values; one without a value starts at the point of its bounds nearest 0."""
+        """Current values of the variables; one without a value starts at the point of its bounds nearest 0.
+
+        Returns
+        -------
+        x (n,) [units of the variables], and how many variables had no value
+        """
         values = [v.value for v in self.variables]
         missing = [k for k, v in enumerate(values) if v is None]
         for k in missing:
@@ -209,7 +225,7 @@ class IpoptProblem:
         return np.array(values, dtype=float), len(missing)
 
     def trivial_violation(self) -> tuple[float, str]:
-        """(largest violation of a constraint without variables, its name); (0.0, "") where all hold."""
+        """Largest violation of a constraint without variables, and its name; (0.0, "") where all hold."""
         if not self.trivial:
             return 0.0, ""
         value, (low, high) = self._constants[self._unsent], self._trivial_bounds
@@ -220,7 +236,16 @@ class IpoptProblem:
     # -- functions, under the names cyipopt asks for -----------------------------------------------------------------------------------
 
     def rows_at(self, x: np.ndarray) -> np.ndarray:
-        """Values of all constraints of the layout and, last, of the minimised objective at x (n,)."""
+        """Values of all constraints of the layout and, last, of the minimised objective.
+
+        Parameters
+        ----------
+        x : (n,) point [units of the variables]
+
+        Returns
+        -------
+        (constraints + 1,) values [units of the rows]
+        """
         with np.errstate(all="ignore"):
             total = self._constants + np.bincount(self._entry_row, self._affine * x[self._entry_column], self._rows)
             if self._curved:
@@ -228,7 +253,16 @@ class IpoptProblem:
         return total
 
     def entries_at(self, x: np.ndarray) -> np.ndarray:
-        """All first derivatives at x, constraints first, then those of the objective."""
+        """All first derivatives, constraints first, then those of the objective.
+
+        Parameters
+        ----------
+        x : (n,) point [units of the variables]
+
+        Returns
+        -------
+        (entries,) derivatives [row per variable]
+        """
         if not self._curved:
             return self._affine
         with np.errstate(all="ignore"):
@@ -237,27 +271,59 @@ class IpoptProblem:
             )
 
     def objective(self, x: np.ndarray) -> float:
+        """The minimised objective at x (n,) [units of the objective]."""
         return float(self.rows_at(x)[-1])
 
     def constraints(self, x: np.ndarray) -> np.ndarray:
+        """Values (m,) of the constraints at x (n,) [units of the constraints]."""
         return self.rows_at(x)[self._sent]
 
     def gradient(self, x: np.ndarray) -> np.ndarray:
+        """Gradient (n,) of the minimised objective at x (n,) [objective per variable]."""
         return self.dense_gradient(self.entries_at(x))
 
     def dense_gradient(self, entries: np.ndarray) -> np.ndarray:
+        """Gradient (n,) of the minimised objective out of what `entries_at` gave (entries,) [objective per variable]."""
         dense = np.zeros(self.n)
         dense[self._entry_column[self._objective_start :]] = entries[self._objective_start :]
         return dense
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
+        """Entries (nonzeros,) of the Jacobian at x (n,), at the places of `jacobianstructure` [constraint per variable]."""
         return self.entries_at(x)[: self._objective_start]
 
+    def lagrangian_gradient(self, x: np.ndarray, lagrange: np.ndarray) -> np.ndarray:
+        """Gradient of f + lagrange' g: at a solution it is zl - zu.
+
+        Parameters
+        ----------
+        x : (n,) point [units of the variables]
+        lagrange : (m,) multipliers in Ipopt's signs [objective per constraint]
+
+        Returns
+        -------
+        (n,) gradient [objective per variable]
+        """
+        gradient, jacobian = self.split_entries(self.entries_at(x))
+        return gradient + np.bincount(self._jacobian_columns, jacobian * lagrange[self._jacobian_rows], self.n)
+
     def jacobianstructure(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows and columns (nonzeros,) of the Jacobian's entries [-]."""
         return self._jacobian_rows, self._jacobian_columns
 
     def hessian(self, x: np.ndarray, lagrange: np.ndarray, factor: float) -> np.ndarray:
-        """Lower triangle of factor * f'' + sum lagrange_i * g_i''."""
+        """Lower triangle of factor * f'' + sum lagrange_i * g_i''.
+
+        Parameters
+        ----------
+        x : (n,) point [units of the variables]
+        lagrange : (m,) multipliers in Ipopt's signs [objective per constraint]
+        factor : of the objective's own Hessian [-]
+
+        Returns
+        -------
+        (nonzeros,) entries at the places of `hessianstructure` [objective per variable^2]
+        """
         multipliers = np.zeros(self._rows)
         multipliers[self._sent] = lagrange
         multipliers[-1] = factor
@@ -268,6 +334,7 @@ class IpoptProblem:
             return np.bincount(self._curvature_place, values, minlength=len(self._hessian_rows))
 
     def hessianstructure(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows and columns (nonzeros,) of the Hessian's entries, rows >= columns [-]."""
         return self._hessian_rows, self._hessian_columns
 
     @property
@@ -276,9 +343,9 @@ class IpoptProblem:
         return max(1, len(self._jacobian_rows) + len(self._hessian_rows))
 
     def split_rows(self, rows: np.ndarray) -> tuple[float, np.ndarray]:
-        """(minimised objective, constraints (m,)) from `rows_at`."""
+        """The minimised objective, and the constraints (m,), out of what `rows_at` gave (constraints + 1,) [units of the rows]."""
         return float(rows[-1]), rows[self._sent]
 
     def split_entries(self, entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(gradient (n,), Jacobian values) from `entries_at`."""
+        """The gradient (n,), and the Jacobian's entries (nonzeros,), out of what `entries_at` gave (entries,) [row per variable]."""
         return self.dense_gradient(entries), entries[: self._objective_start]

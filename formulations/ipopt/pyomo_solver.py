@@ -19,15 +19,11 @@ Ipopt: L = sense*f + lagrange' g - zl' x + zu' x with zl, zu >= 0. Pyomo (as its
 model's objective when the constraint's bound grows by one, so that `min x, x >= 1` has dual +1; ipopt_zL_out and ipopt_zU_out likewise for
 the bounds of a variable, so zU is negative when minimising.
 
-IpoptResult -> Pyomo's SolverResults.
-
-The outward manners of a Pyomo solver object, shared by all that this package registers.
+`PyomoAnswer` and `PyomoPlugin` are the outward manners of a Pyomo solver, shared by all that are registered here:
 
 class Solver(PyomoPlugin):
     title = "name_in_the_factory"
-    def run(self, model, *, options, tee, timelimit, **keywords): -> (SolverResults, what was solved)
-    def load(self, model, solved): ...
-    def carry(self, results, solved): ...
+    def run(self, model, *, options, timelimit, warmstart): -> (SolverResults, PyomoAnswer)
 """
 
 from __future__ import annotations
@@ -37,7 +33,7 @@ import sys
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from time import perf_counter
 from types import MappingProxyType
 from typing import Any, Self
@@ -53,28 +49,9 @@ from pyomo.opt.results.solution import Solution, SolutionStatus
 
 from formulations.ipopt.compile import compile_model
 from formulations.ipopt.problem import IpoptProblem
-from formulations.ipopt.result import NOT_SENT, IpoptResult, load
+from formulations.ipopt.result import NOT_SENT, IpoptResult, write_point
 from formulations.ipopt.solve import Start, ipopt_version, repeats_constraints, solve
 from formulations.solution import Outcome
-
-
-def pyomo_duals(problem: IpoptProblem, result: IpoptResult) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(dual (m,), zL (n,), zU (n,)) in Pyomo's signs."""
-    return -problem.sense * result.lagrange, problem.sense * result.zl, -problem.sense * result.zu
-
-
-def fill_suffixes(problem: IpoptProblem, result: IpoptResult) -> None:
-    """Write multipliers into the import suffixes the model declares; a constraint without variables has none."""
-    dual, lower, upper = pyomo_duals(problem, result)
-    for name, components, values in (
-        ("dual", problem.equations, dual),
-        ("ipopt_zL_out", problem.variables, lower),
-        ("ipopt_zU_out", problem.variables, upper),
-    ):
-        suffix = problem.layout.model.component(name)
-        if isinstance(suffix, Suffix) and suffix.active and suffix.import_enabled():
-            suffix.clear()
-            suffix.update(zip(components, values.tolist(), strict=True))
 
 
 def dual_start(problem: IpoptProblem) -> Start | None:
@@ -109,8 +86,8 @@ def _exported(model: Any, name: str, components: tuple[Any, ...]) -> np.ndarray 
     return values
 
 
-# Outcome -> (status, termination condition); STALLED is refined below. "optimal" is what Pyomo's own ipopt reports for a KKT point.
-CONDITIONS = MappingProxyType({
+# Outcome -> (status, termination condition); STALLED is refined in `PyomoAnswer`. "optimal" is what Pyomo's own ipopt reports for a KKT point.
+_CONDITIONS = MappingProxyType({
     Outcome.SOLVED: (SolverStatus.ok, TerminationCondition.optimal),
     Outcome.ITERATION_LIMIT: (SolverStatus.warning, TerminationCondition.maxIterations),
     Outcome.TIME_LIMIT: (SolverStatus.warning, TerminationCondition.maxTimeLimit),
@@ -124,69 +101,106 @@ CONDITIONS = MappingProxyType({
     Outcome.FAILED: (SolverStatus.error, TerminationCondition.error),
 })  # fmt: skip
 
-_WITHOUT_POINT = frozenset({Outcome.EVALUATION_ERROR, Outcome.REFUSED, Outcome.CRASHED, Outcome.FAILED})
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PyomoAnswer:
+    """What a solver found, as Pyomo's results, suffixes and models take it.
 
-def has_point(result: IpoptResult) -> bool:
-    """Whether x is worth loading: Ipopt worked on it, and it is a point."""
-    if result.outcome in _WITHOUT_POINT or (result.status == NOT_SENT and not result.solved):
-        return False
-    return bool(np.all(np.isfinite(result.x)))
+    is_feasible: whether the point is known to satisfy the model; x (n,): values of `variables`, None for no point that is worth loading
+    multipliers: dual (m,) of `equations`, zL, zU (n,), in Pyomo's signs; None where there are none
+    """
 
+    outcome: Outcome
+    message: str
+    is_feasible: bool
+    sense: int
+    objective: float
+    has_objective: bool
+    equations: tuple[Any, ...]
+    variables: tuple[Any, ...]
+    x: np.ndarray | None
+    multipliers: tuple[np.ndarray, np.ndarray, np.ndarray] | None
+    iterations: int
+    wall: float
 
-def condition_of(result: IpoptResult) -> tuple[SolverStatus, TerminationCondition]:
-    """Pyomo's words for how the solve ended; a stalled solve is `feasible` only where the unscaled residuals say so."""
-    if result.outcome is Outcome.STALLED and result.residuals.feasible:
-        return SolverStatus.warning, TerminationCondition.feasible
-    return CONDITIONS[result.outcome]
+    @property
+    def condition(self) -> tuple[SolverStatus, TerminationCondition]:
+        """Pyomo's words for how the solve ended; a stalled solve is `feasible` only where its point is."""
+        if self.outcome is Outcome.STALLED and self.is_feasible:
+            return SolverStatus.warning, TerminationCondition.feasible
+        return _CONDITIONS[self.outcome]
 
-
-def solver_results(problem: IpoptProblem, result: IpoptResult) -> SolverResults:
-    results = SolverResults()
-    facts = results.problem
-    facts.name = problem.layout.model.name
-    facts.sense = ProblemSense.minimize if problem.sense == 1 else ProblemSense.maximize
-    facts.number_of_objectives = 0 if problem.layout.objective is None else 1
-    facts.number_of_constraints = problem.m
-    facts.number_of_variables = facts.number_of_continuous_variables = problem.n
-    facts.number_of_binary_variables = facts.number_of_integer_variables = 0
-    facts.number_of_nonzeros = len(problem.jacobianstructure()[0])
-    if result.residuals.feasible and np.isfinite(result.objective):  # a feasible point bounds the optimum from one side
-        if problem.sense == 1:
-            facts.upper_bound = result.objective
-        else:
-            facts.lower_bound = result.objective
-
-    told = results.solver
-    told.name = "touchstone_ipopt"
-    told.status, told.termination_condition = condition_of(result)
-    told.return_code = result.status
-    told.message = told.termination_message = result.message
-    told.wallclock_time = result.seconds.wall
-    told.user_time = result.seconds.cpu
-    told.statistics.black_box.number_of_iterations = result.iterations
-    told.statistics.black_box.number_of_function_evaluations = result.calls.get("values", 0)
-    told.statistics.black_box.number_of_gradient_evaluations = result.calls.get("derivatives", 0)
-    return results
-
-
-def with_solution(results: SolverResults, problem: IpoptProblem, result: IpoptResult) -> SolverResults:
-    """The same results carrying the point, for `model.solutions.load_from(results)`."""
-    if not has_point(result):
+    def results(self, solver: str, model: Any) -> SolverResults:
+        """Pyomo's report of the solve, without the point."""
+        results = SolverResults()
+        facts = results.problem
+        facts.name = model.name
+        facts.sense = ProblemSense.minimize if self.sense == 1 else ProblemSense.maximize
+        facts.number_of_objectives = int(self.has_objective)
+        facts.number_of_constraints = len(self.equations)
+        facts.number_of_variables = facts.number_of_continuous_variables = len(self.variables)
+        facts.number_of_binary_variables = facts.number_of_integer_variables = 0
+        if self.is_feasible and np.isfinite(self.objective):  # a feasible point bounds the optimum from one side
+            if self.sense == 1:
+                facts.upper_bound = self.objective
+            else:
+                facts.lower_bound = self.objective
+        report = results.solver
+        report.name = solver
+        report.status, report.termination_condition = self.condition
+        report.message = report.termination_message = self.message
+        report.wallclock_time = self.wall
+        report.statistics.black_box.number_of_iterations = self.iterations
         return results
-    symbols = SymbolMap()
-    labels = {"x": NumericLabeler("x"), "c": NumericLabeler("c")}
-    dual, lower, upper = pyomo_duals(problem, result)
-    solution = Solution()
-    solution.status = SolutionStatus.optimal if result.solved else SolutionStatus.unknown
-    for variable, value, zl, zu in zip(problem.variables, result.x.tolist(), lower.tolist(), upper.tolist(), strict=True):
-        entry = {"Value": value, "ipopt_zL_out": zl, "ipopt_zU_out": zu}
-        solution.variable[symbols.getSymbol(variable, labels["x"])] = entry
-    for constraint, multiplier in zip(problem.equations, dual.tolist(), strict=True):
-        solution.constraint[symbols.getSymbol(constraint, labels["c"])] = {"Dual": multiplier}
-    results.solution.insert(solution)
-    results._smap = symbols
-    return results
+
+    def load(self, model: Any) -> None:
+        """Write the point into the variables, and multipliers into the import suffixes that the model declares; suffixes without any are emptied."""
+        if self.x is None:
+            return
+        write_point(self.variables, self.x)
+        components = (("dual", self.equations), ("ipopt_zL_out", self.variables), ("ipopt_zU_out", self.variables))
+        for k, (name, owners) in enumerate(components):
+            suffix = model.component(name)
+            if isinstance(suffix, Suffix) and suffix.active and suffix.import_enabled():
+                suffix.clear()
+                if self.multipliers is not None:
+                    suffix.update(zip(owners, self.multipliers[k].tolist(), strict=True))
+
+    def carry(self, results: SolverResults) -> SolverResults:
+        """The same results with the point in them, for `model.solutions.load_from(results)`."""
+        if self.x is None:
+            return results
+        symbols, solution = SymbolMap(), Solution()
+        label, row_label = NumericLabeler("x"), NumericLabeler("c")
+        solution.status = SolutionStatus.optimal if self.outcome is Outcome.SOLVED else SolutionStatus.unknown
+        entries = [{"Value": value} for value in self.x.tolist()]
+        if self.multipliers is not None:
+            dual, lower, upper = (values.tolist() for values in self.multipliers)
+            for entry, zl, zu in zip(entries, lower, upper, strict=True):
+                entry |= {"ipopt_zL_out": zl, "ipopt_zU_out": zu}
+            for constraint, multiplier in zip(self.equations, dual, strict=True):
+                solution.constraint[symbols.getSymbol(constraint, row_label)] = {"Dual": multiplier}
+        for variable, entry in zip(self.variables, entries, strict=True):
+            solution.variable[symbols.getSymbol(variable, label)] = entry
+        results.solution.insert(solution)
+        results._smap = symbols
+        return results
+
+
+def pyomo_multipliers(sense: int, lagrange: np.ndarray, zl: np.ndarray, zu: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Multipliers in Pyomo's signs, from Ipopt's.
+
+    Parameters
+    ----------
+    sense : +1 to minimise, -1 to maximise
+    lagrange : (m,) of the constraints [objective per constraint]
+    zl, zu : (n,) of the bounds [objective per variable]
+
+    Returns
+    -------
+    dual (m,), zL (n,), zU (n,): the change of the model's objective when a bound grows by one
+    """
+    return -sense * lagrange, sense * zl, -sense * zu
 
 
 logger = logging.getLogger(__name__)
@@ -198,7 +212,7 @@ _WITHOUT_EFFECT = frozenset(
 
 
 class PyomoPlugin(ABC):
-    """`options` stays from solve to solve; `last_result` is what the last one found, in this package's own words."""
+    """What Pyomo asks of a solver; `options` stays from solve to solve, `last_result` is what the last one found, in this package's own words."""
 
     title: str
 
@@ -213,15 +227,19 @@ class PyomoPlugin(ABC):
     # -- what Pyomo asks of a solver ----------------------------------------------------------------------------------------------
 
     def available(self, exception_flag: bool = False) -> bool:
+        """True: importing the package needs Ipopt."""
         return True
 
     def license_is_valid(self) -> bool:
+        """True: no license is needed."""
         return True
 
     def warm_start_capable(self) -> bool:
+        """True: a solve starts from the model's values."""
         return True
 
     def has_capability(self, capability: str) -> bool:
+        """Whether models of this kind can be solved."""
         return capability in {"linear", "quadratic_objective", "quadratic_constraint"}
 
     def version(self) -> tuple[int, ...]:
@@ -233,6 +251,7 @@ class PyomoPlugin(ABC):
         self.options.update(_options_of_text(text))
 
     def reset(self) -> None:
+        """Forget the last result."""
         self.last_result = None
 
     def __enter__(self) -> Self:
@@ -255,10 +274,16 @@ class PyomoPlugin(ABC):
         options_string: str = "",
         **ignored: Any,
     ) -> SolverResults:
-        """Translate, solve and (by default) load. Raises ModelRefusedError for what cannot be treated, before anything runs.
+        """Translate, solve and (by default) load.
 
-        As with Pyomo's own solvers a result with a warning is loaded and logged, and a result that is an error raises ValueError
-        unless load_solutions is False. KeyboardInterrupt leaves the model as it was.
+        As with Pyomo's own solvers a result with a warning is loaded and logged. KeyboardInterrupt leaves the model as it was.
+
+        Raises
+        ------
+        ModelRefusedError
+            for what cannot be treated, before anything runs
+        ValueError
+            for a result that is an error, unless load_solutions is False
         """
         unknown = set(ignored) - _WITHOUT_EFFECT
         if unknown:
@@ -273,27 +298,19 @@ class PyomoPlugin(ABC):
         if tee:
             chosen.setdefault("print_level", 5)
         with capture_output(sys.stdout, capture_fd=True) if tee else nullcontext():
-            results, solved = self.run(model, options=chosen, timelimit=timelimit, warmstart=warmstart)
+            results, answer = self.run(model, options=chosen, timelimit=timelimit, warmstart=warmstart)
         if not load_solutions:
-            return self.carry(results, solved)
+            return answer.carry(results)
         if results.solver.status == SolverStatus.error:
             raise ValueError(f"{self.title} has no solution to load for '{model.name}': {results.solver.message}")
         if results.solver.status != SolverStatus.ok:
             logger.warning("'%s' ended with %s: %s", model.name, results.solver.termination_condition, results.solver.message)
-        self.load(model, solved)
+        answer.load(model)
         return results
 
     @abstractmethod
-    def run(self, model: Any, *, options: dict[str, Any], timelimit: float | None, warmstart: bool) -> tuple[SolverResults, Any]:
-        """Solve, keep `last_result`, and tell it in Pyomo's words. The model is only read."""
-
-    @abstractmethod
-    def load(self, model: Any, solved: Any) -> None:
-        """Write the point, where there is one, and its multipliers into the model."""
-
-    @abstractmethod
-    def carry(self, results: SolverResults, solved: Any) -> SolverResults:
-        """The same results with the point in them, for `model.solutions.load_from(results)`."""
+    def run(self, model: Any, *, options: dict[str, Any], timelimit: float | None, warmstart: bool) -> tuple[SolverResults, PyomoAnswer]:
+        """Solve, keep `last_result`, and say it in Pyomo's words. The model is only read."""
 
 
 def _options_of_text(text: str) -> dict[str, str]:
@@ -308,8 +325,6 @@ def _options_of_text(text: str) -> dict[str, str]:
 
 _AGAIN = "once more with perturb_always_cd='yes', because constraints may repeat each other"
 
-Solved = tuple[IpoptProblem, IpoptResult]
-
 
 @SolverFactory.register("touchstone_ipopt", doc="Ipopt through cyipopt, without AMPL executables")
 class TouchstoneIpopt(PyomoPlugin):
@@ -317,7 +332,8 @@ class TouchstoneIpopt(PyomoPlugin):
 
     title = "touchstone_ipopt"
 
-    def run(self, model: Any, *, options: dict[str, Any], timelimit: float | None, warmstart: bool) -> tuple[SolverResults, Solved]:
+    def run(self, model: Any, *, options: dict[str, Any], timelimit: float | None, warmstart: bool) -> tuple[SolverResults, PyomoAnswer]:
+        """Solve, and once more with `perturb_always_cd` where constraints may repeat each other."""
         problem = compile_model(model)
         primal_dual = warmstart or str(options.get("warm_start_init_point", "no")) == "yes"
         start = dual_start(problem) if primal_dual else None
@@ -329,12 +345,34 @@ class TouchstoneIpopt(PyomoPlugin):
             if again.outcome is Outcome.SOLVED:
                 result = replace(again, message=f"{again.message}; {_AGAIN}")
         self.last_result = result
-        return solver_results(problem, result), (problem, result)
+        answer = PyomoAnswer(
+            outcome=result.outcome,
+            message=result.message,
+            is_feasible=result.residuals.feasible,
+            sense=problem.sense,
+            objective=result.objective,
+            has_objective=problem.layout.objective is not None,
+            equations=problem.equations,
+            variables=problem.variables,
+            x=result.x if _has_point(result) else None,
+            multipliers=pyomo_multipliers(problem.sense, result.lagrange, result.zl, result.zu),
+            iterations=result.iterations,
+            wall=result.seconds.wall,
+        )
+        results = answer.results(self.title, model)
+        results.problem.number_of_nonzeros = len(problem.jacobianstructure()[0])
+        results.solver.return_code = result.status
+        results.solver.user_time = result.seconds.cpu
+        results.solver.statistics.black_box.number_of_function_evaluations = result.calls.get("values", 0)
+        results.solver.statistics.black_box.number_of_gradient_evaluations = result.calls.get("derivatives", 0)
+        return results, answer
 
-    def load(self, model: Any, solved: Solved) -> None:
-        if has_point(solved[1]):
-            load(*solved)
-            fill_suffixes(*solved)
 
-    def carry(self, results: SolverResults, solved: Solved) -> SolverResults:
-        return with_solution(results, *solved)
+_WITHOUT_POINT = frozenset({Outcome.EVALUATION_ERROR, Outcome.REFUSED, Outcome.CRASHED, Outcome.FAILED})
+
+
+def _has_point(result: IpoptResult) -> bool:
+    """Whether x is worth loading: Ipopt worked on it, and it is a point."""
+    if result.outcome in _WITHOUT_POINT or (result.status == NOT_SENT and not result.solved):
+        return False
+    return bool(np.all(np.isfinite(result.x)))

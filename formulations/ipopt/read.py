@@ -5,17 +5,15 @@
 gives the triplet (row, x[2], 3), the constant 4, and two terms: ("*", "p", 0) with weight 1 (its slope is data, so it is read again at each
 refresh) and ("sin", "*", 0, 1) with weight -1. Terms of one signature are collected in one `Bucket`.
 
-Which Pyomo classes mean which operation. Exact classes are looked up; a class met for the first time is asked what it is.
-
-Tokens of a term too long to be read as a tree: operands first, every shared subexpression once.
-
-Same alphabet as `TermReader`, with `"shared"` in front and `("ref", k)` for the k-th operation already written.
+A term too long to be read as a tree is read with operands first and every shared subexpression once: `"shared"` in front, and `("ref", k)` for the
+k-th operation already written. Pyomo's classes are looked up exactly; a class met for the first time is asked what it is.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 from pyomo.common.numeric_types import native_numeric_types, native_types
 from pyomo.core.base.expression import ExpressionData, ScalarExpression
@@ -28,120 +26,46 @@ from pyomo.core.expr.visitor import identify_variables
 from formulations.ipopt.errors import ModelRefusedError
 from formulations.ipopt.graph import UNARY, EvaluatedExpression, as_data
 
-NUMBER, LEAF, MONOMIAL, SUM, PRODUCT, DIVISION, NEGATION, POWER, FUNCTION, NAMED, OTHER = range(11)
+_NUMBER, _LEAF, _MONOMIAL, _SUM, _PRODUCT, _DIVISION, _NEGATION, _POWER, _FUNCTION, _NAMED, _OTHER = range(11)
 
-KIND: dict[type, int] = {
-    VarData: LEAF, ScalarVar: LEAF, ParamData: LEAF, ScalarParam: LEAF,
-    pe.MonomialTermExpression: MONOMIAL,
-    pe.SumExpression: SUM, pe.LinearExpression: SUM, pe.NPV_SumExpression: SUM,
-    pe.ProductExpression: PRODUCT, pe.NPV_ProductExpression: PRODUCT,
-    pe.DivisionExpression: DIVISION, pe.NPV_DivisionExpression: DIVISION,
-    pe.NegationExpression: NEGATION, pe.NPV_NegationExpression: NEGATION,
-    pe.PowExpression: POWER, pe.NPV_PowExpression: POWER,
-    pe.UnaryFunctionExpression: FUNCTION, pe.NPV_UnaryFunctionExpression: FUNCTION,
-    ExpressionData: NAMED, ScalarExpression: NAMED, ObjectiveData: NAMED, ScalarObjective: NAMED,
+_KIND: dict[type, int] = {
+    VarData: _LEAF, ScalarVar: _LEAF, ParamData: _LEAF, ScalarParam: _LEAF,
+    pe.MonomialTermExpression: _MONOMIAL,
+    pe.SumExpression: _SUM, pe.LinearExpression: _SUM, pe.NPV_SumExpression: _SUM,
+    pe.ProductExpression: _PRODUCT, pe.NPV_ProductExpression: _PRODUCT,
+    pe.DivisionExpression: _DIVISION, pe.NPV_DivisionExpression: _DIVISION,
+    pe.NegationExpression: _NEGATION, pe.NPV_NegationExpression: _NEGATION,
+    pe.PowExpression: _POWER, pe.NPV_PowExpression: _POWER,
+    pe.UnaryFunctionExpression: _FUNCTION, pe.NPV_UnaryFunctionExpression: _FUNCTION,
+    ExpressionData: _NAMED, ScalarExpression: _NAMED, ObjectiveData: _NAMED, ScalarObjective: _NAMED,
 }  # fmt: skip
 
 
-def is_data(node: Any) -> bool:
+def _is_data(node: Any) -> bool:
     return node.__class__ in native_types or not node.is_potentially_variable()
 
 
-def kind_of(node: Any) -> int:
+def _kind_of(node: Any) -> int:
     """The kind of an expression node or leaf."""
-    known = KIND.get(node.__class__)
-    return classify(node, node.__class__) if known is None else known
+    known = _KIND.get(node.__class__)
+    return _classify(node, node.__class__) if known is None else known
 
 
-def classify(node: Any, cls: type) -> int:
+def _classify(node: Any, cls: type) -> int:
     """The kind of a class that was not met before; remembered unless it depends on the object."""
     if cls in native_numeric_types:
-        KIND[cls] = NUMBER
-        return NUMBER
+        _KIND[cls] = _NUMBER
+        return _NUMBER
     if not hasattr(node, "is_numeric_type") or not node.is_numeric_type():
         raise ModelRefusedError(f"{str(node)!r} of type {cls.__name__} is not a number, a Param, a variable or a numeric expression")
     if node.is_variable_type() or node.is_parameter_type():
-        return LEAF
+        return _LEAF
     if node.is_named_expression_type():
-        return NAMED
-    return OTHER
+        return _NAMED
+    return _OTHER
 
 
-class Places(Protocol):
-    """Where leaves belong: what a `TermReader` knows of the model it reads."""
-
-    where: Any
-
-    def place(self, leaf: Any) -> int:
-        """Column of a free variable, or ~k for the k-th datum."""
-        ...
-
-    def open_named(self, named: Any) -> Any:
-        """What a named expression holds."""
-        ...
-
-
-def read_shared(reader: Places, root: Any) -> tuple[tuple, list[int], list[float], list[int]]:
-    tokens: list[Any] = ["shared"]
-    numbers: list[float] = []
-    params: list[int] = []
-    slot: dict[int, int] = {}
-    written: dict[int, int] = {}  # id(expression) -> number of the operation that computes it
-    operations = 0
-    stack: list[tuple[Any, Any]] = [(root, None)]
-    while stack:
-        node, operator = stack.pop()
-        if operator is not None:
-            tokens.append(operator)
-            written[id(node)] = operations
-            operations += 1
-            continue
-        code = kind_of(node)
-        if code == NAMED:
-            stack.append((reader.open_named(node), None))
-            continue
-        if code == NUMBER:
-            tokens.append(("c", 1.0) if node == 1 else "n")
-            if node != 1:
-                numbers.append(node)
-            continue
-        if code == LEAF:
-            where = reader.place(node)
-            if where >= 0:
-                tokens.append(slot.setdefault(where, len(slot)))
-            else:
-                tokens.append("p")
-                params.append(~where)
-            continue
-        if id(node) in written:
-            tokens.append(("ref", written[id(node)]))
-            continue
-        operands = list(node.args) if code != OTHER else []
-        if code == SUM:
-            operator = ("+", len(operands))
-        elif code in (PRODUCT, MONOMIAL):
-            operator = "*"
-        elif code == DIVISION:
-            operator = "/"
-        elif code == NEGATION:
-            operator = "neg"
-        elif code == POWER:
-            constant = operands[1].__class__ in native_numeric_types
-            operator = ("^", float(operands.pop())) if constant else "^"
-        elif code == FUNCTION and node.getname() in UNARY:
-            operator = node.getname()
-        else:
-            tokens.append("p")
-            params.append(~reader.place(as_data(node, reader.where)))
-            continue
-        stack.append((node, operator))
-        stack.extend((operand, None) for operand in reversed(operands))
-    return tuple(tokens), list(slot), numbers, params
-
-
-_SUMS = tuple(("+", n) for n in range(64))
 _ONE = ("c", 1.0)
-_SQUARE = ("^", 2.0)
 # A data factor is carried into a sum with more summands than this, so that p * (x1**2 + .. + x5000**2) is 5000 small terms, not a huge one.
 _WIDE_SUM = 16
 _SHORT_LOOK = 64
@@ -183,7 +107,7 @@ class TermReader:
     # -- leaves ---------------------------------------------------------------------------------------------------------------
 
     def place(self, leaf: Any) -> int:
-        """Column of a free variable, or ~k for the k-th datum."""
+        """Column of a free variable, or ~k for the k-th datum. Raises ModelRefusedError for a variable that is not continuous."""
         known = self._place.get(id(leaf))
         if known is not None:
             return known
@@ -213,9 +137,22 @@ class TermReader:
     # -- top level: a sum of terms ------------------------------------------------------------------------------------------------
 
     def read(self, row: int, expression: Any, sign: float, where: Any) -> None:
-        """Add sign * expression to a row; `where` is the component, for messages. constants[row] must exist."""
+        """Add sign * expression to a row; constants[row] must exist.
+
+        Parameters
+        ----------
+        row : number of the row
+        expression : a Pyomo expression, or a number
+        sign : what it is multiplied by
+        where : the component, for messages
+
+        Raises
+        ------
+        ModelRefusedError
+            for what is no smooth expression of continuous variables
+        """
         self.where = where
-        place, kind = self._place.get, KIND.get
+        place, kind = self._place.get, _KIND.get
         rows, columns, slopes = self.rows, self.columns, self.slopes
         met: set[int] = set()
         repeated = 0
@@ -224,8 +161,8 @@ class TermReader:
             node, weight, data = stack.pop()
             code = kind(node.__class__)
             if code is None:
-                code = kind_of(node)
-            if code == MONOMIAL and data is None:
+                code = _kind_of(node)
+            if code == _MONOMIAL and data is None:
                 factor, variable = node._args_ if node.__class__ is pe.MonomialTermExpression else node.args
                 if factor.__class__ in native_numeric_types:
                     column = place(id(variable))
@@ -237,7 +174,7 @@ class TermReader:
                         slopes.append(weight * factor)
                         continue
                 self._term(row, weight, node, None)
-            elif code == LEAF and data is None:
+            elif code == _LEAF and data is None:
                 column = place(id(node))
                 if column is None:
                     column = self.place(node)
@@ -247,7 +184,7 @@ class TermReader:
                     slopes.append(weight)
                 else:
                     self._term(row, weight, node, None)
-            elif code == SUM:
+            elif code == _SUM:
                 if repeated > _REPEATED:
                     self._term(row, weight, node, data)
                     continue
@@ -256,13 +193,13 @@ class TermReader:
                     repeated += len(children)
                 met.add(id(node))
                 stack.extend((child, weight, data) for child in reversed(children))
-            elif code == NUMBER and data is None:
+            elif code == _NUMBER and data is None:
                 self.constants[row] += weight * node
-            elif code == NEGATION:
+            elif code == _NEGATION:
                 stack.append((node.args[0], -weight, data))
-            elif code == NAMED:
+            elif code == _NAMED:
                 stack.append((self.open_named(node), weight, data))
-            elif code in (PRODUCT, DIVISION):
+            elif code in (_PRODUCT, _DIVISION):
                 self._factor(row, node, weight, data, stack)
             else:
                 self._term(row, weight, node, data)
@@ -279,6 +216,7 @@ class TermReader:
             self._term(row, weight, node, data)
 
     def open_named(self, named: Any) -> Any:
+        """What a named expression holds. Raises ModelRefusedError for an empty one."""
         inside = named.args[0]
         self.named[id(named)] = (named, inside)
         if inside is None:
@@ -301,7 +239,7 @@ class TermReader:
     # -- one term: tokens, operator first -----------------------------------------------------------------------------------------
 
     def _tokens(self, root: Any) -> tuple[tuple, list[int], list[float], list[int]]:
-        place, kind = self._place.get, KIND.get
+        place, kind = self._place.get, _KIND.get
         tokens: list[Any] = []
         numbers: list[float] = []
         params: list[int] = []
@@ -311,8 +249,8 @@ class TermReader:
             node = stack.pop()
             code = kind(node.__class__)
             if code is None:
-                code = kind_of(node)
-            if code == LEAF:
+                code = _kind_of(node)
+            if code == _LEAF:
                 where = place(id(node))
                 if where is None:
                     where = self.place(node)
@@ -321,64 +259,110 @@ class TermReader:
                 else:
                     tokens.append("p")
                     params.append(~where)
-            elif code == NUMBER:
+            elif code == _NUMBER:
                 if node == 1:
                     tokens.append(_ONE)
                 else:
                     tokens.append("n")
                     numbers.append(node)
-            elif code in (PRODUCT, MONOMIAL):
+            elif code in (_PRODUCT, _MONOMIAL):  # here too, because they are most of all: a tenth of the whole translation
                 tokens.append("*")
                 left, right = node.args
                 stack.append(right)
                 stack.append(left)
-            elif code == SUM:
-                count = node.nargs()
-                tokens.append(_SUMS[count] if count < 64 else ("+", count))
-                stack.extend(reversed(node.args))
-            elif code == POWER:
-                base, exponent = node.args
-                if exponent.__class__ in native_numeric_types:
-                    tokens.append(_SQUARE if exponent == 2 else ("^", float(exponent)))
-                else:
-                    tokens.append("^")
-                    stack.append(exponent)
-                stack.append(base)
-            elif code == NAMED:
+            elif code == _NAMED:
                 stack.append(self.open_named(node))
             else:
-                self._push(node, code, tokens, stack, params)
+                found = _operator(node, code)
+                if found is None:
+                    tokens.append("p")
+                    params.append(~self.place(as_data(node, self.where)))
+                else:
+                    tokens.append(found[0])
+                    stack.extend(reversed(found[1]))
             if len(tokens) > _LONG_TERM:
-                return read_shared(self, root)
+                return _read_shared(self, root)
         return tuple(tokens), list(slot), numbers, params
 
-    def _push(self, node: Any, code: int, tokens: list[Any], stack: list[Any], params: list[int]) -> None:
-        if code == NEGATION:
-            tokens.append("neg")
-            stack.append(node.args[0])
-        elif code == DIVISION:
-            tokens.append("/")
-            stack.extend(reversed(node.args))
-        elif code == FUNCTION and node.getname() in UNARY:
-            tokens.append(node.getname())
-            stack.append(node.args[0])
-        else:
+
+def _operator(node: Any, code: int) -> tuple[Any, Sequence[Any]] | None:
+    """Token and operands of an operation; None for one that the algebra does not have."""
+    if code in (_PRODUCT, _MONOMIAL):
+        return "*", node.args
+    if code == _SUM:
+        operands = node.args
+        return ("+", len(operands)), operands
+    if code == _POWER:
+        base, exponent = node.args
+        return (("^", float(exponent)), (base,)) if exponent.__class__ in native_numeric_types else ("^", (base, exponent))
+    if code == _DIVISION:
+        return "/", node.args
+    if code == _NEGATION:
+        return "neg", node.args
+    if code == _FUNCTION and node.getname() in UNARY:
+        return node.getname(), node.args
+    return None
+
+
+def _read_shared(reader: TermReader, root: Any) -> tuple[tuple, list[int], list[float], list[int]]:
+    """Tokens of a term too long to be read as a tree; as `TermReader._tokens`."""
+    tokens: list[Any] = ["shared"]
+    numbers: list[float] = []
+    params: list[int] = []
+    slot: dict[int, int] = {}
+    written: dict[int, int] = {}  # id(expression) -> number of the operation that computes it
+    operations = 0
+    stack: list[tuple[Any, Any]] = [(root, None)]
+    while stack:
+        node, operator = stack.pop()
+        if operator is not None:
+            tokens.append(operator)
+            written[id(node)] = operations
+            operations += 1
+            continue
+        code = _kind_of(node)
+        if code == _NAMED:
+            stack.append((reader.open_named(node), None))
+            continue
+        if code == _NUMBER:
+            tokens.append(("c", 1.0) if node == 1 else "n")
+            if node != 1:
+                numbers.append(node)
+            continue
+        if code == _LEAF:
+            where = reader.place(node)
+            if where >= 0:
+                tokens.append(slot.setdefault(where, len(slot)))
+            else:
+                tokens.append("p")
+                params.append(~where)
+            continue
+        if id(node) in written:
+            tokens.append(("ref", written[id(node)]))
+            continue
+        found = _operator(node, code)
+        if found is None:
             tokens.append("p")
-            params.append(~self.place(as_data(node, self.where)))
+            params.append(~reader.place(as_data(node, reader.where)))
+            continue
+        operator, operands = found
+        stack.append((node, operator))
+        stack.extend((operand, None) for operand in reversed(operands))
+    return tuple(tokens), list(slot), numbers, params
 
 
 def _data_factor(node: Any) -> tuple[Any, Any, bool]:
     """(rest, data, whether it divides) of a product or quotient; (node, None, False) if neither operand is data."""
     left, right = node.args
-    if kind_of(node) == DIVISION:
-        return (left, right, True) if is_data(right) else (node, None, False)
+    if _kind_of(node) == _DIVISION:
+        return (left, right, True) if _is_data(right) else (node, None, False)
     if left.__class__ in native_numeric_types:
         return right, left, False
     if right.__class__ in native_numeric_types:
         return left, right, False
-    if is_data(left):
+    if _is_data(left):
         return right, left, False
-    return (left, right, False) if is_data(right) else (node, None, False)
+    return (left, right, False) if _is_data(right) else (node, None, False)
 
 
 def _leads_to_wide_sum(node: Any) -> bool:
@@ -388,14 +372,14 @@ def _leads_to_wide_sum(node: Any) -> bool:
         if not stack:
             return False
         node = stack.pop()
-        code = kind_of(node)
-        if code == SUM:
+        code = _kind_of(node)
+        if code == _SUM:
             if node.nargs() > _WIDE_SUM:
                 return True
             stack.extend(node.args)
-        elif code in (NEGATION, NAMED):
+        elif code in (_NEGATION, _NAMED):
             stack.append(node.args[0])
-        elif code in (PRODUCT, DIVISION):
+        elif code in (_PRODUCT, _DIVISION):
             inside, factor, _ = _data_factor(node)
             if factor is not None:
                 stack.append(inside)

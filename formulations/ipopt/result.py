@@ -1,8 +1,8 @@
-"""What a solve hands back, frozen; and the explicit step that writes it into the Pyomo model.
+"""What a solve hands back, frozen, and the explicit step that writes it into the Pyomo model.
 
-Ipopt's return codes -> Outcome. One map; a code that is not in it is FAILED, never success.
-
-How far a point is from a KKT point of the model as it was written: no scaling, no relaxed bounds, nothing taken from Ipopt's report.
+`_STATUS` maps Ipopt's return codes to an Outcome; a code that is not in it is FAILED, never success.
+`residuals` says how far a point is from a KKT point of the model as it was written: no scaling, no relaxed bounds, nothing taken from Ipopt's
+report.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from pyomo.core.staleflag import StaleFlagManager
@@ -17,53 +18,32 @@ from pyomo.core.staleflag import StaleFlagManager
 from formulations.ipopt.problem import IpoptProblem
 from formulations.solution import Outcome
 
-# Ipopt's ApplicationReturnStatus (IpReturnCodes_inc.h), complete as of Ipopt 3.14.
-STATUS_NAMES = MappingProxyType({
-    0: "Solve_Succeeded",
-    1: "Solved_To_Acceptable_Level",
-    2: "Infeasible_Problem_Detected",
-    3: "Search_Direction_Becomes_Too_Small",
-    4: "Diverging_Iterates",
-    5: "User_Requested_Stop",
-    6: "Feasible_Point_Found",
-    -1: "Maximum_Iterations_Exceeded",
-    -2: "Restoration_Failed",
-    -3: "Error_In_Step_Computation",
-    -4: "Maximum_CpuTime_Exceeded",
-    -5: "Maximum_WallTime_Exceeded",
-    -10: "Not_Enough_Degrees_Of_Freedom",
-    -11: "Invalid_Problem_Definition",
-    -12: "Invalid_Option",
-    -13: "Invalid_Number_Detected",
-    -100: "Unrecoverable_Exception",
-    -101: "NonIpopt_Exception_Thrown",
-    -102: "Insufficient_Memory",
-    -199: "Internal_Error",
-})  # fmt: skip
-
-# SOLVED here is Ipopt's opinion; `solve` keeps it only if the unscaled residuals agree.
-STATUS_MAP = MappingProxyType({
-    0: Outcome.SOLVED,
-    1: Outcome.SOLVED,
-    2: Outcome.INFEASIBLE,
-    3: Outcome.STALLED,
-    4: Outcome.DIVERGED,
-    5: Outcome.INTERRUPTED,
-    6: Outcome.SOLVED,
-    -1: Outcome.ITERATION_LIMIT,
-    -2: Outcome.STALLED,
-    -3: Outcome.STALLED,
-    -4: Outcome.TIME_LIMIT,
-    -5: Outcome.TIME_LIMIT,
-    -10: Outcome.REFUSED,
-    -11: Outcome.REFUSED,
-    -12: Outcome.FAILED,
-    -13: Outcome.EVALUATION_ERROR,
-    -100: Outcome.FAILED,
-    -101: Outcome.FAILED,
-    -102: Outcome.CRASHED,
-    -199: Outcome.CRASHED,
-})  # fmt: skip
+# Ipopt's ApplicationReturnStatus (IpReturnCodes_inc.h), complete as of Ipopt 3.14. SOLVED here is Ipopt's opinion; `solve` keeps it only if the
+# unscaled residuals agree.
+_STATUS = {
+    0: ("Solve_Succeeded", Outcome.SOLVED),
+    1: ("Solved_To_Acceptable_Level", Outcome.SOLVED),
+    2: ("Infeasible_Problem_Detected", Outcome.INFEASIBLE),
+    3: ("Search_Direction_Becomes_Too_Small", Outcome.STALLED),
+    4: ("Diverging_Iterates", Outcome.DIVERGED),
+    5: ("User_Requested_Stop", Outcome.INTERRUPTED),
+    6: ("Feasible_Point_Found", Outcome.SOLVED),
+    -1: ("Maximum_Iterations_Exceeded", Outcome.ITERATION_LIMIT),
+    -2: ("Restoration_Failed", Outcome.STALLED),
+    -3: ("Error_In_Step_Computation", Outcome.STALLED),
+    -4: ("Maximum_CpuTime_Exceeded", Outcome.TIME_LIMIT),
+    -5: ("Maximum_WallTime_Exceeded", Outcome.TIME_LIMIT),
+    -10: ("Not_Enough_Degrees_Of_Freedom", Outcome.REFUSED),
+    -11: ("Invalid_Problem_Definition", Outcome.REFUSED),
+    -12: ("Invalid_Option", Outcome.FAILED),
+    -13: ("Invalid_Number_Detected", Outcome.EVALUATION_ERROR),
+    -100: ("Unrecoverable_Exception", Outcome.FAILED),
+    -101: ("NonIpopt_Exception_Thrown", Outcome.FAILED),
+    -102: ("Insufficient_Memory", Outcome.CRASHED),
+    -199: ("Internal_Error", Outcome.CRASHED),
+}
+STATUS_NAMES = MappingProxyType({code: name for code, (name, _) in _STATUS.items()})
+STATUS_MAP = MappingProxyType({code: outcome for code, (_, outcome) in _STATUS.items()})
 
 # The status of a problem that was decided without Ipopt: nothing to optimise, contradicting bounds, a false constraint of numbers.
 NOT_SENT = -1000
@@ -75,6 +55,7 @@ def outcome_of(status: int) -> Outcome:
 
 
 def name_of(status: int) -> str:
+    """Ipopt's name of a status."""
     return "decided without Ipopt" if status == NOT_SENT else STATUS_NAMES.get(status, f"unknown Ipopt status {status}")
 
 
@@ -105,10 +86,12 @@ class Residuals:
 
     @property
     def feasible(self) -> bool:
+        """Whether all constraints and bounds hold to `FEASIBILITY`."""
         return self.relative_violation <= FEASIBILITY
 
     @property
     def sentence(self) -> str:
+        """The three residuals in words."""
         return (
             f"constraint violation {self.constraint_violation:.2e}, dual infeasibility {self.dual_infeasibility:.2e}, "
             f"complementarity {self.complementarity:.2e} (unscaled)"
@@ -127,7 +110,15 @@ def _side(distance: np.ndarray, multiplier: np.ndarray, bound: np.ndarray) -> np
 
 
 def residuals(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray, zl: np.ndarray, zu: np.ndarray) -> Residuals:
-    """Residuals at x (n,) with multipliers lagrange (m,), zl, zu (n,) in Ipopt's signs (L = f + lagrange' g - zl' x + zu' x)."""
+    """Unscaled residuals of a point with multipliers in Ipopt's signs (L = f + lagrange' g - zl' x + zu' x).
+
+    Parameters
+    ----------
+    problem : the compiled model
+    x : (n,) point [units of the variables]
+    lagrange : (m,) multipliers of the constraints [objective per constraint]
+    zl, zu : (n,) multipliers of the bounds [objective per variable]
+    """
     objective, g = problem.split_rows(problem.rows_at(x))
     gradient, jacobian = problem.split_entries(problem.entries_at(x))
     rows, columns = problem.jacobianstructure()
@@ -232,12 +223,18 @@ class IpoptResult:
 
     @property
     def solved(self) -> bool:
+        """Whether the outcome is SOLVED."""
         return self.outcome is Outcome.SOLVED
 
 
 def load(problem: IpoptProblem, result: IpoptResult) -> None:
     """Write x into the model's variables (marking all others stale, as Pyomo's solvers do)."""
+    write_point(problem.variables, result.x)
+
+
+def write_point(variables: tuple[Any, ...], x: np.ndarray) -> None:
+    """Set variables to x (n,) [units of the variables], marking all others of the process stale, as Pyomo's solvers do."""
     StaleFlagManager.mark_all_as_stale()
-    for variable, number in zip(problem.variables, result.x.tolist(), strict=True):
+    for variable, number in zip(variables, x.tolist(), strict=True):
         variable.set_value(number, skip_validation=True)
     StaleFlagManager.mark_all_as_stale(delayed=True)

@@ -5,17 +5,12 @@
 have one signature: two variable slots, one Param slot. It is analysed once: the affine part goes to the sparse linear rows, what is
 left is differentiated exactly, and what depends on data alone is computed once per refresh.
 
-Graph -> numpy source -> function. One statement an operation, so that neither nesting nor recursion limits the size.
+A generated function is numpy source with one statement an operation, so that neither nesting nor recursion limits the size. It takes `x` (one row
+for each variable slot), `p` (one row for each hoisted data value) and writes `out`; every row is an array over the instances of the shape, so that a
+thousand equal terms cost as many numpy calls as one. `TermGroup` holds all terms of one shape in one model.
 
-A generated function takes `x` (one row for each variable slot), `p` (one row for each hoisted data value) and writes `out`; every row
-is an array over the instances of the shape, so that a thousand equal terms cost as many numpy calls as one.
-
-Hessians of large terms: a generated Hessian-vector product, multiplied by few directions.
-
-Columns of the Hessian that share no row are read off one product (Curtis, Powell and Reid, 1974): a sum of five thousand separate terms
-needs one direction, a dense Hessian as many as it has columns.
-
-All terms of one shape in one model: index arrays settled once, data re-read at each refresh, derivatives evaluated together.
+Hessians of large terms are a generated Hessian-vector product, multiplied by few directions: columns that share no row are read off one product
+(Curtis, Powell and Reid, 1974), so that a sum of five thousand separate terms needs one direction, a dense Hessian as many as it has columns.
 """
 
 from __future__ import annotations
@@ -54,7 +49,7 @@ def _sech2(z):
 
 
 def _falling_power(base, exponent, order):
-    """p (p-1) .. (p-order+1) base**(p-order), and 0 where the factor is 0 (so that x**p at x = 0 is right for p = 0, 1, 2, ..)."""
+    """Derivative of base**p of this order: p (p-1) .. (p-order+1) base**(p-order), and 0 where the factor is 0 (so that x**p at x = 0 is right for p = 0, 1, 2, ..)."""
     factor = np.ones_like(exponent)
     for k in range(int(order)):
         factor = factor * (exponent - k)
@@ -96,23 +91,8 @@ def _statement(graph: Graph, node: int, hoisted: Mapping[int, int], row: Mapping
 
 def hoist(graph: Graph, roots: Sequence[int]) -> list[int]:
     """Data nodes, structural constants apart, that the roots use directly: computed once per refresh and handed in as `p`."""
-    needed: set[int] = set()
-    seen = set(roots)
-    stack = list(roots)
-    while stack:
-        node = stack.pop()
-        if graph.op[node] == CONSTANT:
-            continue
-        if graph.is_data[node]:
-            needed.add(node)
-            continue
-        if graph.is_leaf(node):
-            continue
-        for operand in graph.args[node]:
-            if operand not in seen:
-                seen.add(operand)
-                stack.append(operand)
-    return sorted(needed)
+    found = graph.reachable(*roots, until=lambda node: graph.is_data[node])
+    return [node for node in found if graph.is_data[node] and graph.op[node] != CONSTANT]
 
 
 def generate(graph: Graph, outputs: Sequence[int], hoisted: Sequence[int], row: Mapping[int, int], name: str) -> Callable[..., None]:
@@ -121,24 +101,12 @@ def generate(graph: Graph, outputs: Sequence[int], hoisted: Sequence[int], row: 
     `hoisted` are the data nodes that p holds, in order; `row[i]` is the row of x (and of seed) that holds variable i.
     """
     slot = {node: k for k, node in enumerate(hoisted)}
-    order: list[int] = []
-    seen = set(outputs)
-    stack = list(seen)
-    while stack:
-        node = stack.pop()
-        if node in slot or graph.op[node] == CONSTANT:
-            continue
-        order.append(node)
-        if graph.is_leaf(node):
-            if graph.op[node] == DATUM:
-                raise ValueError(f"datum {graph.args[node][0]} is used by a generated function but was not hoisted")
-            continue
-        for operand in graph.args[node]:
-            if operand not in seen:
-                seen.add(operand)
-                stack.append(operand)
+    order = [n for n in graph.reachable(*outputs, until=slot.__contains__) if n not in slot and graph.op[n] != CONSTANT]
+    for node in order:
+        if graph.op[node] == DATUM:
+            raise ValueError(f"datum {graph.args[node][0]} is used by a generated function but was not hoisted")
     lines = [f"def {name}(x, p, out, seed=None):"]
-    lines += [f"    {_statement(graph, node, slot, row)}" for node in sorted(order)]
+    lines += [f"    {_statement(graph, node, slot, row)}" for node in order]
     lines += [f"    out[{k}] = {_name(graph, node, slot)}" for k, node in enumerate(outputs)]
     lines.append("    return")
     namespace = dict(_NAMESPACE)
@@ -152,7 +120,7 @@ _BLOCK = 8_000_000
 _DENSE_SHARE = 0.1
 
 
-def product_nodes(graph: Graph, slopes: dict[int, int]) -> dict[int, int]:
+def _product_nodes(graph: Graph, slopes: dict[int, int]) -> dict[int, int]:
     """{i: node of sum_j H[i, j] seed[j]}, by differentiating the directional derivative once more."""
     along = graph.zero
     for slot, slope in slopes.items():
@@ -161,7 +129,17 @@ def product_nodes(graph: Graph, slopes: dict[int, int]) -> dict[int, int]:
 
 
 def column_groups(pairs: np.ndarray, size: int) -> np.ndarray:
-    """(size,) group of each column, such that two columns of a group have no common row; pairs (2, entries) is one triangle."""
+    """Groups of the Hessian's columns, such that two columns of a group have no common row.
+
+    Parameters
+    ----------
+    pairs : (2, entries) rows and columns of one triangle [-]
+    size : number of columns
+
+    Returns
+    -------
+    (size,) group of each column [-]
+    """
     groups = np.arange(size)
     if pairs.shape[1] > _DENSE_SHARE * size * size:
         return groups
@@ -181,10 +159,13 @@ def column_groups(pairs: np.ndarray, size: int) -> np.ndarray:
     return groups
 
 
-def generate_by_products(
+def _generate_by_products(
     graph: Graph, products: dict[int, int], pairs: np.ndarray, hoisted: list[int], row: dict[int, int], operations: int
 ) -> Callable[..., None]:
-    """A function `(x, p, out)` that writes the Hessian entry of local pair pairs[:, k] to out[k]; `row` as in codegen."""
+    """A function `(x, p, out)` that writes the Hessian entry of local pair pairs[:, k] to out[k].
+
+    x (curved variables, instances) and out (entries, instances) as in `generate`; pairs (2, entries) [-].
+    """
     order = list(products)
     product = generate(graph, [products[i] for i in order], hoisted, row, "hessian_product")
     size = len(row)
@@ -197,6 +178,7 @@ def generate_by_products(
     starts = np.searchsorted(entry_group[by_group], np.arange(count + 1))
 
     def hessian(x: np.ndarray, p: list[np.ndarray], out: np.ndarray) -> None:
+        """Write the entries into out (entries, instances) [row per variable^2]."""
         instances = out.shape[1]
         block = max(1, min(count, _BLOCK // max(1, operations * instances)))
         for start in range(0, count, block):
@@ -213,9 +195,9 @@ def generate_by_products(
 
 # Above this product of variables and operations a symbolic Hessian would cost more source than it saves; the Hessian is then evaluated
 # through one generated Hessian-vector product. 20 000 operations compile in about 0.3 s.
-SYMBOLIC_HESSIAN_LIMIT = 20_000
+_SYMBOLIC_HESSIAN_LIMIT = 20_000
 # A process that builds new models for ever must not keep every shape it met; a scene needs about fifteen.
-CACHE_LIMIT = 20_000
+_CACHE_LIMIT = 20_000
 
 Signature = tuple[Hashable, ...]
 
@@ -239,6 +221,7 @@ class ExpressionShape:
 
     @property
     def prepared(self) -> int:
+        """Rows that `prepare` fills."""
         return 1 + len(self.linear) + self.hoisted
 
 
@@ -249,14 +232,14 @@ def shape_of(signature: Signature) -> ExpressionShape:
     """The compiled shape of a signature, from the process-wide cache when it was met before."""
     shape = _cache.get(signature)
     if shape is None:
-        if len(_cache) >= CACHE_LIMIT:
+        if len(_cache) >= _CACHE_LIMIT:
             del _cache[next(iter(_cache))]
-        shape = _cache[signature] = compile_shape(*parse(signature))
+        shape = _cache[signature] = _compile_shape(*parse(signature))
     return shape
 
 
 def parse(signature: Signature) -> tuple[Graph, int]:
-    """(graph, root) of a signature: operands first (`"shared"` as first token) or operator first (everything else)."""
+    """Graph and root of a signature: operands first (`"shared"` as first token) or operator first (everything else)."""
     graph = Graph()
     numbers = params = 0
     shared = signature[0] == "shared"
@@ -311,7 +294,7 @@ def _sum(graph: Graph, terms: list[int]) -> int:
     return total
 
 
-def compile_shape(graph: Graph, root: int) -> ExpressionShape:
+def _compile_shape(graph: Graph, root: int) -> ExpressionShape:
     split = split_linear(graph, root)
     slopes = gradient(graph, split.nonlinear)
     used = {graph.args[n][0] for n in graph.reachable(split.nonlinear) if graph.op[n] == "variable"}
@@ -322,9 +305,9 @@ def compile_shape(graph: Graph, root: int) -> ExpressionShape:
     operations = len(graph.reachable(*slope_nodes, split.nonlinear))
     entries: dict[tuple[int, int], int] = {}
     products: dict[int, int] = {}
-    directional = len(slopes) * operations > SYMBOLIC_HESSIAN_LIMIT
+    directional = len(slopes) * operations > _SYMBOLIC_HESSIAN_LIMIT
     if directional:
-        products = product_nodes(graph, slopes)
+        products = _product_nodes(graph, slopes)
         pairs = hessian_sparsity(graph, split.nonlinear)
     else:
         entries = _symbolic_hessian(graph, slopes)
@@ -332,11 +315,11 @@ def compile_shape(graph: Graph, root: int) -> ExpressionShape:
 
     hoisted = hoist(graph, [split.nonlinear, *slope_nodes, *products.values(), *entries.values()])
     linear = tuple(sorted(split.linear))
-    prepare = generate_prepare(graph, [split.constant, *(split.linear[s] for s in linear), *hoisted])
+    prepare = _generate_prepare(graph, [split.constant, *(split.linear[s] for s in linear), *hoisted])
     pairs = np.searchsorted(np.array(curved, dtype=np.intp), pairs)
     hessian = None
     if directional:
-        hessian = generate_by_products(graph, products, pairs, hoisted, local, operations)
+        hessian = _generate_by_products(graph, products, pairs, hoisted, local, operations)
     elif entries:
         hessian = generate(graph, list(entries.values()), hoisted, local, "hessian")
     return ExpressionShape(
@@ -352,13 +335,14 @@ def compile_shape(graph: Graph, root: int) -> ExpressionShape:
     )
 
 
-def generate_prepare(graph: Graph, outputs: list[int]) -> Callable[..., None]:
+def _generate_prepare(graph: Graph, outputs: list[int]) -> Callable[..., None]:
     """The once-per-refresh function: its `p` are the raw data slots of the shape."""
     data = [n for n in range(len(graph.op)) if graph.op[n] == "datum"]
     inner = generate(graph, outputs, data, {}, "prepare")
     indices = [graph.args[n][0] for n in data]
 
     def prepare(rows: np.ndarray, out: np.ndarray) -> None:
+        """Fill out (prepared, instances) from rows (data, instances) [units of the data]."""
         inner(None, [rows[i] for i in indices], out)
 
     return prepare
@@ -397,58 +381,85 @@ class TermGroup:
 
     @property
     def affine_entries(self) -> tuple[np.ndarray, np.ndarray]:
-        """(rows, columns) of the affine part, slot after slot; values in `affine_values` after a refresh."""
+        """Places of the affine part, slot after slot; values in `affine_values` after a refresh.
+
+        Returns
+        -------
+        rows, columns (linear slots * N,) [-]
+        """
         slots = list(self.shape.linear)
         return np.tile(self.rows, len(slots)), self.columns[slots].ravel()
 
     @property
     def slope_entries(self) -> tuple[np.ndarray, np.ndarray]:
-        """(rows, columns) of the nonlinear part's gradient entries."""
+        """Places of the nonlinear part's gradient entries.
+
+        Returns
+        -------
+        rows, columns (gradient slots * N,) [-]
+        """
         slots = list(self.shape.slope_slots)
         return np.tile(self.rows, len(slots)), self._curved[slots].ravel()
 
     @property
     def curvature_entries(self) -> tuple[np.ndarray, np.ndarray]:
-        """(larger column, smaller column) of each Hessian entry."""
+        """Places of the Hessian entries.
+
+        Returns
+        -------
+        larger column, smaller column (pairs * N,) [-]
+        """
         first, second = (self._curved[slots].ravel() for slots in self.shape.hessian_pairs)
         return np.maximum(first, second), np.minimum(first, second)
 
     # -- values -----------------------------------------------------------------------------------------------------------------
 
     def refresh(self, data: np.ndarray) -> None:
-        """Compute everything that depends on data alone; data: (number of data,)."""
+        """Compute everything that depends on data alone, from all data of the model (data,) [units of the data]."""
         rows = [*self._numbers, *data[self._params]]
         self.shape.prepare(rows, self._prepared)
         self._hoisted = list(self._prepared[1 + len(self.shape.linear) :])
 
     @property
     def constants(self) -> np.ndarray:
-        """(N,) weighted constant parts."""
+        """Weighted constant parts (N,) [units of the rows]."""
         return self.weights * self._prepared[0]
 
     @property
     def affine_values(self) -> np.ndarray:
+        """Weighted linear coefficients (linear slots * N,), in the order of `affine_entries` [row per variable]."""
         return (self.weights * self._prepared[1 : 1 + len(self.shape.linear)]).ravel()
 
     @property
     def is_curved(self) -> bool:
+        """Whether the terms have a nonlinear part."""
         return self.shape.value is not None
 
     def values(self, x: np.ndarray) -> np.ndarray:
-        """(N,) weighted values of the nonlinear parts at x (n,)."""
+        """Weighted values (N,) of the nonlinear parts at x (n,) [units of the rows]."""
         out = np.empty((1, len(self.rows)))
         self.shape.value(x[self._curved], self._hoisted, out)  # pyright: ignore[reportOptionalCall] - asked only where is_curved
         return self.weights * out[0]
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
-        """Weighted gradient entries, in the order of `slope_entries`."""
+        """Weighted gradient entries (gradient slots * N,) at x (n,), in the order of `slope_entries` [row per variable]."""
         out = np.empty((len(self.shape.slope_slots), len(self.rows)))
         if self.shape.slope is not None:
             self.shape.slope(x[self._curved], self._hoisted, out)
         return (self.weights * out).ravel()
 
     def curvatures(self, x: np.ndarray, multipliers: np.ndarray) -> np.ndarray:
-        """Hessian entries times weight times the multiplier of each term's row, in the order of `curvature_entries`."""
+        """Weighted Hessian entries times the multiplier of each term's row.
+
+        Parameters
+        ----------
+        x : (n,) point [units of the variables]
+        multipliers : (constraints + 1,) of all rows [objective per row]
+
+        Returns
+        -------
+        (pairs * N,) entries in the order of `curvature_entries` [objective per variable^2]
+        """
         out = np.empty((self.shape.hessian_pairs.shape[1], len(self.rows)))
         if self.shape.hessian is not None:
             self.shape.hessian(x[self._curved], self._hoisted, out)

@@ -1,8 +1,6 @@
-"""Solve a compiled problem, and judge the answer before believing it.
+"""Solve a compiled problem by one run of Ipopt, through cyipopt, and judge the answer before believing it.
 
-A start for Ipopt out of what the caller has: a point, perhaps multipliers, perhaps only some of them.
-
-One run of Ipopt, through cyipopt.
+A start is what the caller has: a point, perhaps multipliers, perhaps only some of them.
 """
 
 from __future__ import annotations
@@ -48,8 +46,8 @@ class Start:
     zu: np.ndarray | None = None
 
 
-def complete_start(problem: IpoptProblem, given: Start | None) -> tuple[Start, int]:
-    """(start with all multipliers or none, number of variables that had no value).
+def _complete_start(problem: IpoptProblem, given: Start | None) -> tuple[Start, int]:
+    """The start with all multipliers or none, and the number of variables that had no value.
 
     Missing lagrange are 0; missing zl and zu are what stationarity leaves to them. Raises ValueError for a wrong shape or a NaN.
     """
@@ -63,7 +61,7 @@ def complete_start(problem: IpoptProblem, given: Start | None) -> tuple[Start, i
     zl = None if given.zl is None else _checked("zl", given.zl, problem.n)
     zu = None if given.zu is None else _checked("zu", given.zu, problem.n)
     if zl is None or zu is None:
-        slope = np.nan_to_num(_lagrangian_slope(problem, x, lagrange), nan=0.0, posinf=0.0, neginf=0.0)
+        slope = np.nan_to_num(problem.lagrangian_gradient(x, lagrange), nan=0.0, posinf=0.0, neginf=0.0)
         if zl is None:
             zl = np.where(np.isfinite(problem.lower), np.maximum(slope, 0.0), 0.0)
         if zu is None:
@@ -80,13 +78,7 @@ def _checked(name: str, values: np.ndarray, size: int) -> np.ndarray:
     return array
 
 
-def _lagrangian_slope(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray) -> np.ndarray:
-    gradient, jacobian = problem.split_entries(problem.entries_at(x))
-    rows, columns = problem.jacobianstructure()
-    return gradient + np.bincount(columns, jacobian * lagrange[rows], problem.n)
-
-
-def warm_options(problem: IpoptProblem, start: Start) -> dict[str, str | int | float]:
+def _warm_options(problem: IpoptProblem, start: Start) -> dict[str, str | int | float]:
     """Options of a primal-dual start; the barrier parameter is the mean complementarity of what was given."""
     if start.lagrange is None or start.zl is None or start.zu is None:
         return {}
@@ -120,15 +112,25 @@ class IpoptExit:
 
 
 def ipopt_version() -> tuple[int, ...]:
+    """Version of the Ipopt that runs."""
     return tuple(int(part) for part in cyipopt.IPOPT_VERSION)
 
 
 def version() -> str:
+    """Versions of cyipopt and Ipopt in words."""
     return f"cyipopt {cyipopt.__version__}, Ipopt {'.'.join(str(part) for part in ipopt_version())}"
 
 
 def run(problem: IpoptProblem, functions: Evaluations, start: Start, options: Mapping[str, str | int | float]) -> IpoptExit:
-    """Raises UnknownOptionError for a value that Ipopt does not take, and what a callback raised, as it was."""
+    """One run of Ipopt, from a complete start.
+
+    Raises
+    ------
+    UnknownOptionError
+        for a value that Ipopt does not take
+    BaseException
+        what a callback raised, as it was
+    """
     nlp = cyipopt.Problem(
         n=problem.n,
         m=problem.m,
@@ -180,19 +182,31 @@ def solve(
 ) -> IpoptResult:
     """Minimise from `warm_start` (default: the current values of the model's variables); the model is left as it is.
 
-    options: Ipopt options by name; unknown ones raise UnknownOptionError before anything runs; one of MUMPS asks for MUMPS, unless linear_solver is given
-    warm_start: with multipliers (some or all), Ipopt starts primal-dual; `mu_init` defaults to the mean complementarity given
-    callback: called after each iteration; returning False stops (Outcome.INTERRUPTED), an exception propagates
-    time_limit: wall time [s], checked once an iteration
+    Parameters
+    ----------
+    problem : the compiled model
+    options : Ipopt options by name; one of MUMPS asks for MUMPS, unless linear_solver is given
+    warm_start : with multipliers (some or all), Ipopt starts primal-dual; `mu_init` defaults to the mean complementarity given
+    callback : called after each iteration; returning False stops (Outcome.INTERRUPTED), an exception propagates
+    time_limit : wall time [s], checked once an iteration
+
+    Raises
+    ------
+    UnknownOptionError
+        for an unknown option, before anything runs
+    ValueError
+        for a start of another shape or with numbers that are not finite, and for a time limit that is not positive
+    MachineError
+        where a linear solver is insisted on that cannot be had
     """
     asked = checked_options(options or {})
     factorised_by = linear_solver(_asked_for(asked))  # compiled at its first use, which no solve is to blame for
     begin, cpu = time.perf_counter(), time.process_time()
-    start, missing = complete_start(problem, warm_start)
+    start, missing = _complete_start(problem, warm_start)
     used: dict[str, str | int | float] = {
         **DEFAULTS,
         "linear_solver": factorised_by,
-        **warm_options(problem, start),
+        **_warm_options(problem, start),
         **asked,
     }
     if time_limit is not None:
@@ -321,20 +335,20 @@ def _undefined(problem: IpoptProblem, x: np.ndarray) -> str:
     if not np.all(np.isfinite(x)):
         name = problem.variables[int(np.flatnonzero(~np.isfinite(x))[0])].name
         return f"; variable '{name}' is no finite number there: give it one to start from"
-    lost = np.flatnonzero(~np.isfinite(problem.constraints(x)))
-    if lost.size:
-        more = f" and {lost.size - 1} more" if lost.size > 1 else ""
-        return (
-            f"; constraint '{problem.equations[lost[0]].name}'{more} has no finite value there: start where it has, or bound what it takes"
-        )
+    undefined = np.flatnonzero(~np.isfinite(problem.constraints(x)))
+    if undefined.size:
+        more = f" and {undefined.size - 1} more" if undefined.size > 1 else ""
+        return f"; constraint '{problem.equations[undefined[0]].name}'{more} has no finite value there: start where it has, or bound what it takes"
     if not np.isfinite(problem.objective(x)):
         return "; the objective has no finite value there: start where it has, or bound what it takes"
     return "; all functions have finite values there, so that one of their derivatives has none"
 
 
 def repeats_constraints(result: IpoptResult) -> bool:
-    """Whether Ipopt ended as where constraints repeat each other, and the option that copes with them was not set: with multipliers without end,
-    or by giving up the search for a feasible point at one."""
+    """Whether Ipopt ended as where constraints repeat each other, and the option that copes with them was not set.
+
+    That is with multipliers without end, or by giving up the search for a feasible point at one.
+    """
     if result.options.get("perturb_always_cd") == "yes":
         return False
     gave_up = result.status == _RESTORATION and result.residuals.constraint_violation <= FEASIBILITY

@@ -16,7 +16,7 @@ import numpy as np
 
 from formulations.ipopt import IpoptResult, Start
 from formulations.mpec.homotopy import WorkBudget
-from formulations.mpec.refine import lagrangian_slope, refined
+from formulations.mpec.refine import refined
 from formulations.mpec.settings import MpecSettings
 from formulations.mpec.workspace import Columns, Workspace
 from formulations.solution import Outcome
@@ -33,8 +33,11 @@ _CLAIMS_SUCCESS = (0, 1)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Branch:
-    """A solved branch. closed: (pairs,) True where v is held at 0, else w; x, lagrange refined; multiplier of the held side of each pair; slope (n,):
-    `bound_multipliers`."""
+    """A solved branch.
+
+    closed: (pairs,) True where v is held at 0, else w; x (n,), lagrange (m,) refined; biactive: (pairs,) both sides 0; multipliers: (pairs,) of the held
+    side of each pair; slope (n,): `_bound_multipliers`
+    """
 
     closed: np.ndarray
     result: IpoptResult
@@ -52,19 +55,27 @@ class Branch:
 
     @property
     def wanting(self) -> np.ndarray:
+        """Mask (pairs,) of biactive pairs that want their other branch [-]."""
         return self.biactive & (self.multipliers < -_WANTING)
 
 
 class Branching:
-    def __init__(self, work: Workspace, settings: MpecSettings, account: WorkBudget) -> None:
-        self._work, self._settings, self._account = work, settings, account
+    """The branches of one problem: each solved at most once from a point of the relaxation, and improved pair by pair."""
+
+    def __init__(self, work: Workspace, settings: MpecSettings, budget: WorkBudget) -> None:
+        self._work, self._settings, self._budget = work, settings, budget
         self._columns = work.branches
         self._known: dict[bytes, Branch | None] = {}
         self.last: IpoptResult | None = None
         self.unbounded = False  # whether some branch turned out to be
 
     def polish(self, x: np.ndarray) -> Branch | None:
-        """The best branch reached from a point of the relaxation; None if the branch read off has no solution."""
+        """The best branch reached from a point of the relaxation; None if the branch read off has no solution.
+
+        Parameters
+        ----------
+        x : (n,) point of the relaxation [units of the variables]
+        """
         point = self._work.branch_point(x)
         first, second = self._columns.pair_values(point)
         branch = self._solve(first < second, point)
@@ -75,7 +86,11 @@ class Branching:
     def search(self, branch: Branch, start: np.ndarray) -> Branch:
         """Local search beyond the nearest solution: decide one pair after the other otherwise, go where it is better, until no neighbour is.
 
-        start: where the user started, in the relaxation's columns; the branch found is solved from there too, since it may be curved.
+        Parameters
+        ----------
+        branch : where to begin
+        start : (n,) where the user started, in the relaxation's columns [units of the variables]; the branch found is solved from there too, since it may be
+            curved
         """
         if len(branch.closed) > self._settings.search:
             return branch
@@ -90,18 +105,24 @@ class Branching:
             branch = min(found, key=self._sense)
 
     def every_branch(self, starts: Sequence[np.ndarray]) -> tuple[Branch | None, Outcome]:
-        """(the best of all branches, improved; how it ended): for a few pairs of which no branch is known.
+        """The best of all branches, improved, and how it ended: for a few pairs of which no branch is known.
 
-        starts: in the columns of the problem without products. DIVERGED where a branch is; INFEASIBLE only where each is from every start.
+        Parameters
+        ----------
+        starts : points (n,) in the columns of the problem without products [units of the variables]
+
+        Returns
+        -------
+        branch or None, and outcome: DIVERGED where a branch is; INFEASIBLE only where each is from every start
         """
-        best, endings = None, set[Outcome]()
+        best, outcomes = None, set[Outcome]()
         for closed in itertools.product((True, False), repeat=len(self._columns.first)):
             for start in starts:
-                if self._account.is_over:
+                if self._budget.is_over:
                     return best, Outcome.TIME_LIMIT
                 branch = self._solve_anew(np.array(closed), start)
                 assert self.last is not None
-                endings.add(self.last.outcome)
+                outcomes.add(self.last.outcome)
                 if branch is not None:
                     best = branch if best is None or self._is_better(branch, best) else best
                     break
@@ -109,7 +130,7 @@ class Branching:
             return best, Outcome.DIVERGED
         if best is not None:
             return self._improve(best), Outcome.SOLVED
-        return None, Outcome.INFEASIBLE if endings == {Outcome.INFEASIBLE} else Outcome.STALLED
+        return None, Outcome.INFEASIBLE if outcomes == {Outcome.INFEASIBLE} else Outcome.STALLED
 
     # -- branches -----------------------------------------------------------------------------------------------------------------
 
@@ -125,7 +146,7 @@ class Branching:
         return None
 
     def _improve(self, branch: Branch) -> Branch:
-        while not branch.is_strong and not self._account.is_over:
+        while not branch.is_strong and not self._budget.is_over:
             better = self._best_neighbour(branch)
             if better is None:
                 return branch
@@ -150,7 +171,7 @@ class Branching:
 
     def _try(self, branch: Branch, switch: Any) -> Branch | None:
         """The branch with these pairs switched, if it is better."""
-        if self._account.is_over:
+        if self._budget.is_over:
             return None
         other = self._solve(_switched(branch.closed, switch), branch.x)
         return other if other is not None and self._is_better(other, branch) else None
@@ -182,11 +203,11 @@ class Branching:
             **self._settings.ipopt,
         }
         start = Start(x=np.clip(point, low, np.maximum(low, high)))
-        result = self._account.run(problem, options, start)
-        if not result.solved and result.status in _CLAIMS_SUCCESS and not self._account.is_over:
+        result = self._budget.run(problem, options, start)
+        if not result.solved and result.status in _CLAIMS_SUCCESS and not self._budget.is_over:
             # Rows that say the same twice (a pair stated twice, held on the same side): multipliers of 1e17 that cancel, and a point off the
             # solution. With the rows' block always regularised they stay finite.
-            again = self._account.run(problem, {"perturb_always_cd": "yes", **options}, start)
+            again = self._budget.run(problem, {"perturb_always_cd": "yes", **options}, start)
             result = again if again.solved else result
         self.last = result
         self.unbounded = self.unbounded or result.outcome is Outcome.DIVERGED
@@ -197,7 +218,7 @@ class Branching:
         better = refined(problem, result)
         x = better.x
         first, second = columns.pair_values(x)
-        slope = bound_multipliers(columns, x, better.lagrange)
+        slope = _bound_multipliers(columns, x, better.lagrange)
         return Branch(
             closed=closed.copy(),
             result=result,
@@ -210,10 +231,12 @@ class Branching:
         )
 
 
-def bound_multipliers(columns: Columns, x: np.ndarray, lagrange: np.ndarray) -> np.ndarray:
-    """What stationarity leaves to the bounds of each variable, zl - zu with the signs free (n,). Where v equals a variable u of the user both
-    hold the sum: they are one side of a pair."""
-    slope = lagrangian_slope(columns.problem, x, lagrange)
+def _bound_multipliers(columns: Columns, x: np.ndarray, lagrange: np.ndarray) -> np.ndarray:
+    """What stationarity leaves to the bounds of each variable (n,), zl - zu with the signs free.
+
+    Where v equals a variable u of the user both hold the sum: they are one side of a pair.
+    """
+    slope = columns.problem.lagrangian_gradient(x, lagrange)
     twins = columns.twin >= 0
     np.add.at(slope, columns.twin[twins], slope[columns.first[twins]])
     slope[columns.first[twins]] = slope[columns.twin[twins]]

@@ -39,7 +39,7 @@ class Step:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PathPoint:
-    """Where the path is after a step that can be believed."""
+    """Where the path is after a step that can be believed: x (n,), in the relaxation's columns."""
 
     eps: float
     x: np.ndarray
@@ -58,13 +58,16 @@ class WorkBudget:
 
     @property
     def remaining(self) -> float | None:
+        """Seconds left [s], at least a millisecond; None where there is no limit."""
         return None if self._deadline is None else max(1e-3, self._deadline - time.perf_counter())
 
     @property
     def is_over(self) -> bool:
+        """Whether the time is over."""
         return self._deadline is not None and time.perf_counter() >= self._deadline
 
     def run(self, problem: Any, options: dict[str, Any], start: Start) -> IpoptResult:
+        """Solve within the time that is left, and count the iterations."""
         result = solve(problem, options=options, warm_start=start, time_limit=self.remaining)
         self.iterations += result.iterations
         self.solves += 1
@@ -72,18 +75,25 @@ class WorkBudget:
 
 
 class Path:
-    """The steps of one strategy, taken one at a time by `points`. `gave_up`: it ended before its last eps, and `last_outcome`
-    tells why."""
+    """The steps of one strategy, taken one at a time by `points`.
 
-    def __init__(self, work: Workspace, strategy: Strategy, settings: MpecSettings, account: WorkBudget) -> None:
-        self._work, self._strategy, self._settings, self._account = work, strategy, settings, account
+    gave_up: it ended before its last eps, and `last_outcome` and `last_message` say why
+    """
+
+    def __init__(self, work: Workspace, strategy: Strategy, settings: MpecSettings, budget: WorkBudget) -> None:
+        self._work, self._strategy, self._settings, self._budget = work, strategy, settings, budget
         self.steps: list[Step] = []
         self.gave_up = False
         self.last_outcome = Outcome.SOLVED
         self.last_message = ""
 
     def points(self, start: np.ndarray) -> Iterator[PathPoint]:
-        """Points of smaller and smaller eps; ends at the last eps, at a limit, or where no shorter step helps either."""
+        """Points of smaller and smaller eps; ends at the last eps, at a limit, or where no shorter step helps either.
+
+        Parameters
+        ----------
+        start : (n,) point of the relaxation [units of the variables]
+        """
         settings, strategy = self._settings, self._strategy
         first = settings.eps_start or strategy.first
         last = min(settings.eps_end or strategy.last, first)
@@ -103,7 +113,7 @@ class Path:
             failures += 1
             self.gave_up = True
             self.last_outcome, self.last_message = result.outcome, result.message
-            if self._account.is_over or result.outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT) or failures > _FAILURES:
+            if self._budget.is_over or result.outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT) or failures > _FAILURES:
                 return
             if good is None:
                 eps *= _TIGHTER if result.outcome is Outcome.DIVERGED else _LOOSER
@@ -126,7 +136,7 @@ class Path:
             before = good.result
             begins = Start(x=before.x, lagrange=before.lagrange, zl=before.zl, zu=before.zu)
             options["mu_init"] = min(1e-4, max(1e-11, 1e-2 * eps))
-        result = self._account.run(self._work.relaxed.problem, {**options, **self._settings.ipopt}, begins)
+        result = self._budget.run(self._work.relaxed.problem, {**options, **self._settings.ipopt}, begins)
         self.steps.append(
             Step(
                 strategy=self._strategy.name,

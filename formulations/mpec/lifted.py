@@ -6,12 +6,9 @@ The shadow is a ConcreteModel of its own whose rows are the user's (by reference
 `mpec.simple_nonlinear`: each has `v`, its equation `ve`, and the product `ccon`: v w <= mpec_bound, a mutable Param. The user's model is
 read and never written, so there is nothing to undo after a failure or Ctrl-C.
 
-What a model's Complementarity components say, in words this solver works with.
-
-    complements(a, b):  both relations hold, and at least one of the inequalities holds as an equality.
-
-Pyomo accepts two finite bounds in all: one on each side (`SimpleCondition`, two expressions of which none is negative and one is zero), both on
-one side (`BoxCondition`: l <= body <= u complements a free expression that is >= 0 at l, <= 0 at u and 0 between), or an equality
+What a Complementarity says: complements(a, b), both relations hold, and at least one of the inequalities holds as an equality. Pyomo accepts two
+finite bounds in all: one on each side (`SimpleCondition`, two expressions of which none is negative and one is zero), both on one side
+(`BoxCondition`: l <= body <= u complements a free expression that is >= 0 at l, <= 0 at u and 0 between), or an equality
 (`EqualityCondition`: it always holds as an equality, hence nothing is left to choose; the other side holds as it is written).
 """
 
@@ -69,7 +66,7 @@ class EqualityCondition:
 Condition = SimpleCondition | BoxCondition | EqualityCondition
 
 
-def read_conditions(model: Any) -> list[Condition]:
+def _read_conditions(model: Any) -> list[Condition]:
     """Every active Complementarity of a model, in order of declaration; ModelRefusedError names one that cannot be understood."""
     return [_condition(data) for data in model.component_data_objects(Complementarity, active=True, descend_into=Block)]
 
@@ -173,6 +170,7 @@ class Lifted:
 
     @property
     def firsts(self) -> tuple[Any, ...]:
+        """The variables v of the pairs."""
         return tuple(pair.v for pair in self.pairs)
 
     def products(self, *, active: bool) -> None:
@@ -185,10 +183,18 @@ class Lifted:
 
 
 def lift(model: Any) -> Lifted:
-    """Read a model and build its shadow. Raises ModelRefusedError for what this solver cannot treat."""
+    """Read a model and build its shadow.
+
+    Raises
+    ------
+    ModelRefusedError
+        for what this solver cannot treat
+    MissingValueError
+        where a bound of a complementarity has no value
+    """
     refuse_unknown_components(model, also=frozenset({Complementarity}))
     with PauseGC():
-        conditions = read_conditions(model)
+        conditions = _read_conditions(model)
         shadow = pyo.ConcreteModel(name=model.name)
         rows = active_constraints(model)
         if rows:

@@ -34,8 +34,8 @@ class Refined:
 
 
 def refined(problem: IpoptProblem, result: IpoptResult) -> Refined:
-    """The best of the given point and two guesses of what is active. Bounds are those of the problem as it stands."""
-    best = Refined(x=result.x, lagrange=result.lagrange, error=kkt_error(problem, result.x, result.lagrange))
+    """The best of the given point and three guesses of what is active. Bounds are those of the problem as it stands."""
+    best = Refined(x=result.x, lagrange=result.lagrange, error=_kkt_error(problem, result.x, result.lagrange))
     limit = _SAME * max(1.0, abs(result.objective))
     for near, by_multiplier in ((1e-5, True), (1e-3, False), (1e-3, True)):
         candidate = _newton(problem, result, near, by_multiplier)
@@ -48,24 +48,24 @@ def refined(problem: IpoptProblem, result: IpoptResult) -> Refined:
     return best
 
 
-def lagrangian_slope(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray) -> np.ndarray:
-    """Gradient of f + lagrange' g at x (n,): at a solution it is zl - zu."""
-    rows, columns = problem.jacobianstructure()
-    return problem.gradient(x) + np.bincount(columns, problem.jacobian(x) * lagrange[rows], problem.n)
-
-
 def violation(problem: IpoptProblem, x: np.ndarray) -> float:
-    """Largest violation of a row or bound; inf where a row is not a number."""
+    """Largest violation of a row or bound; inf where a row is not a number.
+
+    Parameters
+    ----------
+    problem : the compiled problem
+    x : (n,) point [units of the variables]
+    """
     g = problem.constraints(x)
     sides = [problem.lower - x, x - problem.upper, problem.constraint_lower - g, g - problem.constraint_upper]
     worst = max((float(np.max(side)) for side in sides if side.size), default=0.0)
     return max(worst, 0.0) if np.isfinite(g).all() else float("inf")
 
 
-def kkt_error(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray) -> float:
+def _kkt_error(problem: IpoptProblem, x: np.ndarray, lagrange: np.ndarray) -> float:
     """Largest of: violation, slope of a free variable, slope or multiplier with the wrong sign. Slopes relative to the objective's."""
     low, high = problem.lower, problem.upper
-    slope = lagrangian_slope(problem, x, lagrange)
+    slope = problem.lagrangian_gradient(x, lagrange)
     wrong = np.abs(slope)
     at_low, at_high = x - low <= 1e-12, high - x <= 1e-12
     wrong[at_low] = np.maximum(-slope[at_low], 0.0)
@@ -88,6 +88,7 @@ def _newton(problem: IpoptProblem, result: IpoptResult, near: float, by_multipli
     low, high = problem.lower, problem.upper
 
     def active(gap: np.ndarray, multiplier: np.ndarray) -> np.ndarray:
+        """Mask (k,) of the limits at distance gap (k,) with multiplier (k,) that are active [-]."""
         return (gap <= near) & ((multiplier > gap) | (gap <= 1e-12)) if by_multiplier else gap <= near
 
     at_low = active(x - low, result.zl) | (low == high)
@@ -113,7 +114,7 @@ def _newton(problem: IpoptProblem, result: IpoptResult, near: float, by_multipli
         y[rows] = step[len(free) :]
         if np.max(np.abs(step[: len(free)]), initial=0.0) < 1e-15 * (1 + np.max(np.abs(x), initial=0.0)):
             break
-    return Refined(x=x, lagrange=y, error=kkt_error(problem, x, y))
+    return Refined(x=x, lagrange=y, error=_kkt_error(problem, x, y))
 
 
 def _step(problem: IpoptProblem, x: np.ndarray, y: np.ndarray, free: np.ndarray, rows: np.ndarray, target: np.ndarray) -> np.ndarray | None:

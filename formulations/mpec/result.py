@@ -1,24 +1,17 @@
-"""What a solve hands back, and the explicit step that writes it into the user's model.
-
-How a solve ended, in words: every claim is held against residuals first.
-
-What one strategy hands on to be judged.
-
-From columns of the shadow back to the user's variables, constraints and complementarities.
-"""
+"""What a solve hands back: a candidate's claim held against residuals first, its columns as the user's variables, rows and complementarities."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from pyomo.common.collections import ComponentMap
-from pyomo.core.staleflag import StaleFlagManager
 
+from formulations.ipopt.result import write_point
 from formulations.mpec.branching import Branch
 from formulations.mpec.certificate.certificate import Certificate, Multipliers
 from formulations.mpec.homotopy import PathPoint, Step, WorkBudget
@@ -31,31 +24,31 @@ from formulations.solution import Outcome
 
 def verdict(candidate: Candidate, residual: float, certificate: Certificate | None, settings: MpecSettings) -> tuple[Outcome, str]:
     """Outcome and sentence of a candidate that has a point."""
-    told = f"{candidate.strategy.name}: " + (
+    summary = f"{candidate.strategy.name}: " + (
         certificate.sentence if certificate else f"complementarity {residual:.1e}, no certificate asked for"
     )
     if candidate.branch is None and candidate.outcome is not Outcome.SOLVED:
-        return candidate.outcome, f"{candidate.message}; {told}"
+        return candidate.outcome, f"{candidate.message}; {summary}"
     if certificate is not None and certificate.lives_on_tolerance:
-        told = (
+        summary = (
             f"violated by {certificate.forced:.1e} if the pairs held exactly" if certificate.forced < math.inf else "unknown at exact pairs"
         )
-        return Outcome.STALLED, f"the point holds only because complementarity is not exact (constraints {told}); {certificate.sentence}"
+        return Outcome.STALLED, f"the point holds only because complementarity is not exact (constraints {summary}); {certificate.sentence}"
     if certificate is not None and not certificate.feasible:
         worst = f" (worst: {certificate.worst})" if certificate.worst else ""
-        return Outcome.STALLED, f"the point found is not feasible{worst}; {told}"
+        return Outcome.STALLED, f"the point found is not feasible{worst}; {summary}"
     if residual > settings.complementarity_tolerance:
-        return Outcome.STALLED, f"the pairs could not be decided; {told}"
+        return Outcome.STALLED, f"the pairs could not be decided; {summary}"
     if certificate is not None and certificate.b_stationary is False:
         if candidate.unbounded:
-            return Outcome.DIVERGED, f"a branch of the problem is unbounded, and a direction goes down towards it; {told}"
-        return Outcome.STALLED, f"the point is feasible, but a direction goes down; {told}"
-    return Outcome.SOLVED, told
+            return Outcome.DIVERGED, f"a branch of the problem is unbounded, and a direction goes down towards it; {summary}"
+        return Outcome.STALLED, f"the point is feasible, but a direction goes down; {summary}"
+    return Outcome.SOLVED, summary
 
 
-def outcome_without_point(outcome: Outcome, message: str, account: WorkBudget) -> tuple[Outcome, str]:
+def outcome_without_point(outcome: Outcome, message: str, budget: WorkBudget) -> tuple[Outcome, str]:
     """Outcome and sentence where no relaxation could be solved."""
-    if account.is_over:
+    if budget.is_over:
         return Outcome.TIME_LIMIT, f"the time limit was reached before any relaxation was solved; {message}"
     if outcome is Outcome.SOLVED:
         return Outcome.FAILED, "no relaxation was solved, for no known reason"
@@ -93,9 +86,12 @@ class PairState:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MpecResult:
-    """variables, x: the user's variables and their values; rows, lagrange: the user's constraints and their multipliers (Ipopt's signs),
-    zl, zu (n,): of bounds; all NaN where there are none. objective in the model's own sense. polished: every pair decided, and what
-    remained solved exactly; has_multipliers: false without polish, and where those of the branch do not belong to the point. steps: the path. residual: largest min of a pair. certificate: recomputed from the model (None if switched off).
+    """How a solve ended; objective in the model's own sense.
+
+    variables, x (n,): the user's variables and their values; rows, lagrange (m,): the user's constraints and their multipliers (Ipopt's signs); zl, zu
+    (n,): of bounds; all NaN where there are none
+    polished: every pair decided, and what remained solved exactly; has_multipliers: false without polish, and where those of the branch do not belong
+    to the point; residual: largest min of a pair; steps: the path; certificate: recomputed from the model (None if switched off)
     """
 
     outcome: Outcome
@@ -123,10 +119,12 @@ class MpecResult:
 
     @property
     def solved(self) -> bool:
+        """Whether the outcome is SOLVED."""
         return self.outcome is Outcome.SOLVED
 
     @property
     def has_point(self) -> bool:
+        """Whether x is a point worth loading."""
         return self.x.size == len(self.variables) and bool(np.all(np.isfinite(self.x))) and self.outcome.has_answer
 
 
@@ -137,10 +135,7 @@ def is_feasible(result: MpecResult) -> bool:
 
 def load(result: MpecResult) -> None:
     """Write x into the variables, marking all others stale as Pyomo's solvers do."""
-    StaleFlagManager.mark_all_as_stale()
-    for variable, number in zip(result.variables, result.x.tolist(), strict=True):
-        variable.set_value(number, skip_validation=True)
-    StaleFlagManager.mark_all_as_stale(delayed=True)
+    write_point(result.variables, result.x)
 
 
 def result_of(
@@ -150,10 +145,21 @@ def result_of(
     outcome: Outcome,
     message: str,
     settings: MpecSettings,
-    account: WorkBudget,
+    budget: WorkBudget,
     seconds: float,
 ) -> MpecResult:
-    """columns, x: where the point is; None if there is none."""
+    """The result of a candidate, by the user's variables and rows.
+
+    Parameters
+    ----------
+    candidate : what a strategy found
+    columns : the columns that x is in; None if there is no point
+    x : (n,) where the point is [units of the variables]; None if there is none
+    outcome, message : how it ended
+    settings : of the solve
+    budget : what was spent
+    seconds : wall time [s]
+    """
     work, branch = candidate.work, candidate.branch
     problem = (columns or work.branches).problem
     mine = _own(candidate)
@@ -188,16 +194,15 @@ def result_of(
         polished=branch is not None,
         has_multipliers=branch is not None,
         residual=float("nan"),
-        pairs=() if columns is None or x is None else pair_states(candidate, columns, x),
+        pairs=() if columns is None or x is None else _pair_states(candidate, columns, x),
         steps=candidate.steps,
-        iterations=account.iterations,
-        solves=account.solves,
+        iterations=budget.iterations,
+        solves=budget.solves,
         seconds=seconds,
         options=MappingProxyType({
+            **{item.name: getattr(settings, item.name) for item in fields(settings) if item.name != "ipopt"},
             "strategy": candidate.strategy.name, "eps_start": settings.eps_start or candidate.strategy.first,
-            "eps_end": settings.eps_end or candidate.strategy.last, "complementarity_tolerance": settings.complementarity_tolerance,
-            "polish": settings.polish, "certificate": settings.certificate, "max_biactive": settings.max_biactive, "search": settings.search,
-            "step_iterations": settings.step_iterations, **settings.ipopt,
+            "eps_end": settings.eps_end or candidate.strategy.last, **settings.ipopt,
         }),
     )  # fmt: skip
 
@@ -215,7 +220,7 @@ def without_multipliers(result: MpecResult) -> MpecResult:
     )
 
 
-def pair_states(candidate: Candidate, columns: Columns, x: np.ndarray) -> tuple[PairState, ...]:
+def _pair_states(candidate: Candidate, columns: Columns, x: np.ndarray) -> tuple[PairState, ...]:
     """One per pair of the shadow: a box has two."""
     lifted = candidate.lifted
     first, second = columns.pair_values(x)

@@ -11,8 +11,9 @@ from typing import Any
 
 from formulations.ipopt.errors import UnknownOptionError
 from formulations.ipopt.options import checked_options, known_options
+from formulations.mpec.strategies import STRATEGIES
 
-STRATEGY_NAMES = ("scholtes", "smoothing", "chks", "l1_penalty", "elastic", "direct")
+STRATEGY_NAMES = tuple(STRATEGIES)
 # The order of "auto". Measured on 87 MacMPEC problems (solved, at the published optimum without `search`, iterations) and on three_cart with
 # 500 steps (cost, iterations): smoothing 87, 81, 6573 and 490.600, 173; scholtes 87, 82, 6997 and 490.624, 815; direct 87, 82, 4478; chks
 # 85, 78, 6432; l1_penalty 86, 77, 5424; elastic 85, 78, 10350.
@@ -21,7 +22,9 @@ FALLBACKS = ("smoothing", "scholtes", "l1_penalty")
 
 @dataclass(frozen=True, kw_only=True)
 class MpecSettings:
-    """strategy: how pairs are made smooth; "auto" takes FALLBACKS in order until one succeeds (with at most `search` pairs, until two do)
+    """How an MPEC is solved.
+
+    strategy: how pairs are made smooth; "auto" takes FALLBACKS in order until one succeeds (with at most `search` pairs, until two do)
     eps_start, eps_end: where the relaxation starts and ends (None: the strategy's own)
     complementarity_tolerance: largest min(v, w) of a pair that counts as complementary without polish
     polish: decide every pair and solve what remains exactly; certificate: recompute residuals and stationarity from the model
@@ -44,6 +47,7 @@ class MpecSettings:
 
     @property
     def strategies(self) -> tuple[str, ...]:
+        """Names of the strategies to try, in order."""
         return FALLBACKS if self.strategy == "auto" else (self.strategy,)
 
 
@@ -51,7 +55,13 @@ _OWN = {item.name: item for item in fields(MpecSettings) if item.name != "ipopt"
 
 
 def read_settings(options: Mapping[str, Any]) -> MpecSettings:
-    """Split and check. Raises UnknownOptionError with what to write instead."""
+    """Split options into our own and Ipopt's, and check them.
+
+    Raises
+    ------
+    UnknownOptionError
+        for a name there is not, or a value that cannot be used, with what to write instead
+    """
     own = {name: value for name, value in options.items() if name in _OWN}
     ipopt = {name: value for name, value in options.items() if name not in _OWN and name != "solver"}
     for name in ipopt:

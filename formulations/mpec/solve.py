@@ -39,41 +39,54 @@ logger = logging.getLogger(__name__)
 # stationary and its objective is this near to the relaxation's, relative to max(1, |objective|).
 _EARLY_EPS, _NEAR = 1e-3, 1e-2
 # Multipliers with a larger residual (relative) are not handed out.
-WRONG_MULTIPLIERS = 1e-4
+_WRONG_MULTIPLIERS = 1e-4
 
 
 def solve_mpec(model: Any, settings: MpecSettings | None = None, *, time_limit: float | None = None) -> MpecResult:
     """Solve from the current values of the model's variables. The model is only read, also by the certificate.
 
-    Raises ModelRefusedError for what cannot be treated and MissingValueError for data without a value, before anything runs.
+    Parameters
+    ----------
+    model : a Pyomo model, with or without Complementarity
+    settings : strategy, tolerances, Ipopt's options
+    time_limit : wall time [s]
+
+    Raises
+    ------
+    ModelRefusedError
+        for what cannot be treated, before anything runs
+    MissingValueError
+        for data without a value, before anything runs
+    ValueError
+        for a time limit that is not positive
     """
     settings = settings or MpecSettings()
-    begin, account = time.perf_counter(), WorkBudget(time_limit)
+    begin, budget = time.perf_counter(), WorkBudget(time_limit)
     best: MpecResult | None = None
     steps: list[Step] = []
     solved_before = False
     for name in settings.strategies:
-        candidate = run_strategy(model, STRATEGIES[name], settings, account)
+        candidate = _run_strategy(model, STRATEGIES[name], settings, budget)
         steps += candidate.steps
-        result = judged(model, candidate, settings, account, begin)
+        result = _judged(model, candidate, settings, budget, begin)
         result = replace(result, steps=tuple(steps))
         logger.info("%s on '%s': %s", name, model.name, result.message)
         if best is None or _rank(result) < _rank(best):
             best = result
-        if account.is_over or result.outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT):
+        if budget.is_over or result.outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT):
             break
         if result.solved and (not candidate.lifted.pairs or len(candidate.lifted.pairs) > settings.search or solved_before):
             break  # a small problem is worth a second path: it costs little, and may end in a better solution
         solved_before = solved_before or result.solved
     assert best is not None  # there is always a strategy
-    return replace(best, steps=tuple(steps), iterations=account.iterations, solves=account.solves, seconds=time.perf_counter() - begin)
+    return replace(best, steps=tuple(steps), iterations=budget.iterations, solves=budget.solves, seconds=time.perf_counter() - begin)
 
 
-def run_strategy(model: Any, strategy: Strategy, settings: MpecSettings, account: WorkBudget) -> Candidate:
+def _run_strategy(model: Any, strategy: Strategy, settings: MpecSettings, budget: WorkBudget) -> Candidate:
     """One strategy from the model's values: its path, and the branch it leads to."""
     lifted = lift(model)
     work = Workspace(lifted, strategy)
-    path, branching = Path(work, strategy, settings, account), Branching(work, settings, account)
+    path, branching = Path(work, strategy, settings, budget), Branching(work, settings, budget)
     work.set(settings.eps_start or strategy.first)
     branch, last = None, None
     if not lifted.pairs:
@@ -98,7 +111,7 @@ def run_strategy(model: Any, strategy: Strategy, settings: MpecSettings, account
         branch = branching.search(branch, work.start())
     outcome, message = Outcome.SOLVED, ""
     if branch is None:
-        branch, outcome, message = _without_branch(work, branching, path, last, settings, account)
+        branch, outcome, message = _without_branch(work, branching, path, last, settings, budget)
     return Candidate(
         strategy=strategy, lifted=lifted, work=work, branch=branch, point=last, outcome=outcome, message=message, steps=tuple(path.steps),
         unbounded=branching.unbounded,
@@ -106,10 +119,10 @@ def run_strategy(model: Any, strategy: Strategy, settings: MpecSettings, account
 
 
 def _without_branch(
-    work: Workspace, branching: Branching, path: Path, last: PathPoint | None, settings: MpecSettings, account: WorkBudget
+    work: Workspace, branching: Branching, path: Path, last: PathPoint | None, settings: MpecSettings, budget: WorkBudget
 ) -> tuple[Branch | None, Outcome, str]:
     """What to make of a path that led to no branch: all branches are tried where there are few, else it is told why the path ended."""
-    if settings.polish and len(work.lifted.pairs) <= settings.max_biactive and not account.is_over:
+    if settings.polish and len(work.lifted.pairs) <= settings.max_biactive and not budget.is_over:
         starts = [work.branch_point(work.start())] if last is None else [work.branch_point(x) for x in (last.x, work.start())]
         branch, outcome = branching.every_branch(starts)
         if outcome is Outcome.INFEASIBLE:
@@ -117,7 +130,7 @@ def _without_branch(
             return None, outcome, f"{reason}each of the {2 ** len(work.lifted.pairs)} branches of the problem is infeasible (locally)"
         if outcome is Outcome.SOLVED:
             return branch, outcome, ""
-    if account.is_over:
+    if budget.is_over:
         return None, Outcome.TIME_LIMIT, "the time limit was reached before the last eps"
     if branching.unbounded:
         return None, Outcome.DIVERGED, "a branch of the problem is unbounded: its objective falls without end at feasible points"
@@ -128,11 +141,11 @@ def _without_branch(
     return None, Outcome.SOLVED, ""
 
 
-def judged(model: Any, candidate: Candidate, settings: MpecSettings, account: WorkBudget, begin: float) -> MpecResult:
+def _judged(model: Any, candidate: Candidate, settings: MpecSettings, budget: WorkBudget, begin: float) -> MpecResult:
     """The result of a candidate; nothing is `solved` without residuals and a certificate that say so."""
     if candidate.branch is None and candidate.point is None:
-        outcome, message = outcome_without_point(candidate.outcome, candidate.message, account)
-        return result_of(candidate, None, None, outcome, message, settings, account, time.perf_counter() - begin)
+        outcome, message = outcome_without_point(candidate.outcome, candidate.message, budget)
+        return result_of(candidate, None, None, outcome, message, settings, budget, time.perf_counter() - begin)
     branch, point = candidate.branch, candidate.point
     if branch is not None:
         columns, x = candidate.work.branches, branch.x
@@ -145,10 +158,10 @@ def judged(model: Any, candidate: Candidate, settings: MpecSettings, account: Wo
     if settings.certificate:
         with values_set(columns.problem.variables, x.tolist()):
             certificate = certify(model, multipliers_of(candidate) if with_multipliers else None)
-            if certificate.given_dual > WRONG_MULTIPLIERS:  # the branch has none where it is degenerate; the certificate looks for its own
+            if certificate.given_dual > _WRONG_MULTIPLIERS:  # the branch has none where it is degenerate; the certificate looks for its own
                 with_multipliers, certificate = False, certify(model)
     outcome, message = verdict(candidate, residual, certificate, settings)
-    result = result_of(candidate, columns, x, outcome, message, settings, account, time.perf_counter() - begin)
+    result = result_of(candidate, columns, x, outcome, message, settings, budget, time.perf_counter() - begin)
     return replace(result if with_multipliers else without_multipliers(result), residual=residual, certificate=certificate)
 
 

@@ -15,11 +15,13 @@ from formulations.mpec.lifted import Lifted
 
 
 class Strategy(ABC):
-    """name: as chosen by option; title: what it does, for people; first, last: where eps starts and ends unless the caller says otherwise;
-    warm_below: from which eps on a step starts from the multipliers of the step before."""
+    """A way to make all pairs smooth.
+
+    name: as chosen by option; first, last: where eps starts and ends unless the caller says otherwise; warm_below: from which eps on a step starts from
+    the multipliers of the step before
+    """
 
     name: str
-    title: str
     first: float = 1.0
     last: float = 1e-9
     warm_below: float = 1e-4
@@ -30,10 +32,10 @@ class Strategy(ABC):
 
     @abstractmethod
     def set(self, lifted: Lifted, eps: float) -> None:
-        """Move its mutable Param."""
+        """Move the mutable Param to this eps."""
 
 
-def replace_objective(shadow: Any, penalty: Any) -> None:
+def _replace_objective(shadow: Any, penalty: Any) -> None:
     """Add a penalty (to be kept small) to whatever the user's objective is."""
     given = shadow.component("user_objective")
     if given is None:
@@ -48,16 +50,17 @@ class Scholtes(Strategy):
     """v w <= eps (Scholtes): Pyomo's own `mpec.simple_nonlinear`, whose mutable bound goes to 0."""
 
     name = "scholtes"
-    title = "products at most eps, eps to 0"
 
     def attach(self, lifted: Lifted) -> None:
+        """Products at most `mpec_bound`."""
         lifted.products(active=True)
 
     def set(self, lifted: Lifted, eps: float) -> None:
+        """The bound is eps."""
         lifted.shadow.mpec_bound.value = eps
 
 
-class PathEquation(Strategy):
+class _PathEquation(Strategy):
     """v + w = sqrt(radicand): one equation a pair in place of its complementarity, with v w = eps at every point of the path, and v, w > 0."""
 
     last = 1e-10
@@ -68,6 +71,7 @@ class PathEquation(Strategy):
         """Of two expressions and the Param that goes to 0."""
 
     def attach(self, lifted: Lifted) -> None:
+        """One equation a pair instead of its product."""
         lifted.products(active=False)
         shadow = lifted.shadow
         shadow.smoothing = pyo.Param(mutable=True, initialize=self.first)
@@ -80,81 +84,77 @@ class PathEquation(Strategy):
         shadow.path_equation = pyo.Constraint(range(len(sides)), rule=equation)
 
     def set(self, lifted: Lifted, eps: float) -> None:
+        """The smoothing is eps."""
         lifted.shadow.smoothing.value = eps
 
 
-class Smoothing(PathEquation):
+class Smoothing(_PathEquation):
     """v + w = sqrt(v^2 + w^2 + 2 eps) (Fischer-Burmeister, smoothed by Kanzow)."""
 
     name = "smoothing"
-    title = "smoothed Fischer-Burmeister equations"
 
     @staticmethod
     def radicand(v: Any, w: Any, eps: Any) -> Any:
+        """Sum of squares and 2 eps."""
         return v**2 + w**2 + 2 * eps
 
 
-class Chks(PathEquation):
+class Chks(_PathEquation):
     """v + w = sqrt((v - w)^2 + 4 eps) (Chen, Harker, Kanzow, Smale): the same path as Fischer-Burmeister, by another equation."""
 
     name = "chks"
-    title = "Chen-Harker-Kanzow-Smale equations"
 
     @staticmethod
     def radicand(v: Any, w: Any, eps: Any) -> Any:
+        """Square of the difference and 4 eps."""
         return (v - w) ** 2 + 4 * eps
 
 
-class Elastic(Strategy):
+class _Penalty(Strategy):
+    """The objective and (1 / eps) times what is to vanish."""
+
+    last = 1e-8
+
+    def attach(self, lifted: Lifted) -> None:
+        """No products; a weighted penalty in the objective."""
+        lifted.products(active=False)
+        lifted.shadow.weight = pyo.Param(mutable=True, initialize=1.0)
+        self._penalise(lifted.shadow, list(zip(lifted.firsts, lifted.seconds, strict=True)))
+
+    @abstractmethod
+    def _penalise(self, shadow: Any, sides: list[tuple[Any, Any]]) -> None:
+        """Put the weighted penalty of the pairs with these sides into the objective."""
+
+    def set(self, lifted: Lifted, eps: float) -> None:
+        """The weight is 1 / eps."""
+        lifted.shadow.weight.value = 1.0 / eps
+
+
+class Elastic(_Penalty):
     """f + (1 / eps) t with v w <= t, t >= 0 (elastic mode): feasible wherever the constraints without products are."""
 
     name = "elastic"
-    title = "one elastic bound on all products, penalised"
-    last = 1e-8
 
-    def attach(self, lifted: Lifted) -> None:
-        lifted.products(active=False)
-        shadow = lifted.shadow
-        shadow.weight = pyo.Param(mutable=True, initialize=1.0)
+    def _penalise(self, shadow: Any, sides: list[tuple[Any, Any]]) -> None:
         shadow.elastic = pyo.Var(bounds=(0.0, None), initialize=1.0)
-        sides = list(zip(lifted.firsts, lifted.seconds, strict=True))
         shadow.elastic_product = pyo.Constraint(range(len(sides)), rule=lambda _, k: sides[k][0] * sides[k][1] <= shadow.elastic)
-        replace_objective(shadow, shadow.weight * shadow.elastic)
-
-    def set(self, lifted: Lifted, eps: float) -> None:
-        lifted.shadow.weight.value = 1.0 / eps
+        _replace_objective(shadow, shadow.weight * shadow.elastic)
 
 
-class L1Penalty(Strategy):
+class L1Penalty(_Penalty):
     """f + (1 / eps) sum v w: the products in the objective. Exact: a finite weight is enough where the solution is strongly stationary."""
 
     name = "l1_penalty"
-    title = "products as a penalty in the objective"
-    last = 1e-8
 
-    def attach(self, lifted: Lifted) -> None:
-        lifted.products(active=False)
-        shadow = lifted.shadow
-        shadow.weight = pyo.Param(mutable=True, initialize=1.0)
-        pairs = zip(lifted.firsts, lifted.seconds, strict=True)
-        replace_objective(shadow, sum((shadow.weight * first * second for first, second in pairs), start=0.0))
-
-    def set(self, lifted: Lifted, eps: float) -> None:
-        lifted.shadow.weight.value = 1.0 / eps
+    def _penalise(self, shadow: Any, sides: list[tuple[Any, Any]]) -> None:
+        _replace_objective(shadow, sum((shadow.weight * first * second for first, second in sides), start=0.0))
 
 
-class Direct(Strategy):
+class Direct(Scholtes):
     """v w <= 0 at once: what an NLP solver makes of the problem as it stands."""
 
     name = "direct"
-    title = "products at most 0, in one solve"
     first = last = 1e-8  # Ipopt's own tolerance: a bound of 0 would leave its iterates no interior at all
 
-    def attach(self, lifted: Lifted) -> None:
-        lifted.products(active=True)
 
-    def set(self, lifted: Lifted, eps: float) -> None:
-        lifted.shadow.mpec_bound.value = eps
-
-
-STRATEGIES: dict[str, Strategy] = {item.name: item for item in (Scholtes(), Smoothing(), Chks(), Elastic(), L1Penalty(), Direct())}
+STRATEGIES: dict[str, Strategy] = {item.name: item for item in (Scholtes(), Smoothing(), Chks(), L1Penalty(), Elastic(), Direct())}

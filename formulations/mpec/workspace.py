@@ -13,8 +13,10 @@ from formulations.mpec.strategies import Strategy
 
 
 class Columns:
-    """Where things are in a compiled problem: `first[k]`, `second[k]` are the columns of pair k; `twin[k]` that of the user's variable
-    which first[k] equals, or -1, and `twin_row[k]` the row that says so."""
+    """Where things are in a compiled problem.
+
+    first[k], second[k]: columns of pair k; twin[k]: the column of the user's variable which first[k] equals, or -1; twin_row[k]: the row that says so
+    """
 
     def __init__(self, problem: IpoptProblem, lifted: Lifted) -> None:
         self.problem = problem
@@ -26,12 +28,17 @@ class Columns:
         self.twin_row = np.array([row[id(pair.ve)] for pair in lifted.pairs], dtype=np.intp)
 
     def pair_values(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(v, w), each (number of pairs,)."""
+        """Both sides v, w (pairs,) of all pairs at x (n,) [units of the sides]."""
         return x[self.first], x[self.second]
 
 
 def natural_residual(first: np.ndarray, second: np.ndarray) -> float:
-    """max over pairs of |min(v, w)|, 0 without pairs."""
+    """Largest |min(v, w)| of a pair, 0 without pairs.
+
+    Parameters
+    ----------
+    first, second : (pairs,) values of the two sides [units of the sides]
+    """
     return float(np.max(np.abs(np.minimum(first, second)))) if first.size else 0.0
 
 
@@ -55,7 +62,17 @@ class Workspace:
         self.relaxed.problem.refresh(check=False)
 
     def start(self) -> np.ndarray:
-        """The user's values in the relaxation's columns; every slack at the value that its own equation asks for, at least its bound."""
+        """The user's values in the relaxation's columns; every slack at the value that its own equation asks for, at least its bound.
+
+        Returns
+        -------
+        (n,) point of the relaxation [units of the variables]
+
+        Raises
+        ------
+        MissingValueError
+            where a variable starts at a number that is not finite
+        """
         problem = self.relaxed.problem
         x, _ = problem.start()
         for k in np.flatnonzero(~np.isfinite(x)):
@@ -64,7 +81,7 @@ class Workspace:
         return x
 
     def branch_point(self, x: np.ndarray) -> np.ndarray:
-        """A point of the relaxation in the columns of the problem without products."""
+        """A point of the relaxation (n,) in the columns of the problem without products (columns,) [units of the variables]."""
         point = np.zeros(self.branches.problem.n)
         known = self._to_branch >= 0
         point[known] = x[self._to_branch[known]]
@@ -75,7 +92,16 @@ class Workspace:
 
 
 def settle(problem: IpoptProblem, x: np.ndarray, slacks: list[Any]) -> None:
-    """Give each slack the value that makes its defining row (an equality that no slack of a later pair enters) hold, within its bounds."""
+    """Give each slack the value that makes its defining row hold, within its bounds.
+
+    The row is an equality that no slack of a later pair enters.
+
+    Parameters
+    ----------
+    problem : the compiled problem
+    x : (n,) point, changed in place [units of the variables]
+    slacks : Pyomo variables
+    """
     place = {id(variable): column for column, variable in enumerate(problem.variables)}
     columns = np.array([place[id(s)] for s in slacks if id(s) in place], dtype=np.intp)
     if not columns.size:

@@ -3,7 +3,7 @@
     bounds = pair_bounds(scene, linear, ceiling=13.63)       # of all plans that cost at most the ceiling
 
 Three sources, each valid for every exact plan that costs at most the ceiling (infinite: for every exact plan):
-1. physics (`energy`), where the scene is of its form: a largest penetration, and how fast a gap can change;
+1. physics (`energy_bound`), where the scene is of its form: a largest penetration, and how fast a gap can change;
 2. reach, step by step: phi[t] depends on the forces before t alone, whose bounds are known by then;
 3. again, with all bounds at once, as long as that decides more.
 2 and 3 minimise and maximise phi[t] over the convex relaxation: two second-order cone programs a pair.
@@ -40,8 +40,10 @@ from models.scene import Scene
 
 @dataclass(frozen=True)
 class EnergyBound:
-    """Of all plans that cost at most the ceiling: speed (nq,): largest abs(v) [m/s]; penetration, approach (nc,): largest phi [m] and
-    abs(dphi/dt) [m/s]."""
+    """Bounds of all plans that cost at most the ceiling.
+
+    speed (nq,): largest abs(v) [m/s]; penetration, approach (nc,): largest phi [m] and abs(dphi/dt) [m/s]
+    """
 
     speed: np.ndarray
     penetration: np.ndarray
@@ -98,16 +100,17 @@ class PairBounds:
 
     @property
     def decided(self) -> np.ndarray:
-        """(steps, nc) pairs that can only be open, or only be closed."""
+        """Mask (steps, nc) of pairs that can only be open, or only be closed [-]."""
         return (self.upper <= 0.0) | (self.lower >= 0.0)
 
     @property
     def is_finite(self) -> bool:
+        """Whether each pair has a bound on both sides."""
         return bool(np.isfinite(self.lower).all() and np.isfinite(self.upper).all())
 
 
 def physical_bounds(scene: Scene, linear: LinearScene, ceiling: float) -> PairBounds:
-    """Source 1 alone; infinite where the scene is not of the form of `energy`."""
+    """Source 1 alone; infinite where the scene is not of the form of `energy_bound`."""
     T, nc = linear.steps, linear.contacts
     lower, upper = np.full((T, nc), -np.inf), np.full((T, nc), np.inf)
     start = linear.penetration(linear.start[None])[0, :nc]
@@ -123,14 +126,19 @@ def physical_bounds(scene: Scene, linear: LinearScene, ceiling: float) -> PairBo
     return PairBounds(lower=lower, upper=upper, ceiling=ceiling)
 
 
-def pair_bounds(
-    scene: Scene, linear: LinearScene, ceiling: float = np.inf, *, is_over: Callable[[], bool] = lambda: False, rounds: int = _ROUNDS
-) -> PairBounds:
-    """See the module docstring. is_over: whether to stop; bounds not reached by then are those of physics, or infinite."""
+def pair_bounds(scene: Scene, linear: LinearScene, ceiling: float = np.inf, *, is_over: Callable[[], bool] = lambda: False) -> PairBounds:
+    """Bounds of every pair, from all three sources of the module docstring.
+
+    Parameters
+    ----------
+    scene, linear : the scene, and its linear form
+    ceiling : the most that plans may cost
+    is_over : whether to stop; bounds not reached by then are those of physics, or infinite
+    """
     relaxation = Relaxation(linear)
     bounds = physical_bounds(scene, linear, ceiling)
     width = np.inf
-    for _ in range(1 + rounds):
+    for _ in range(1 + _ROUNDS):
         bounds = _swept(relaxation, bounds, is_over)
         if bounds.is_empty or is_over() or not bounds.is_finite:
             break

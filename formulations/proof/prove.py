@@ -3,7 +3,7 @@
     proof = prove(scene, incumbent=mpcc.trajectory, time_limit=200.0)
     proof.cost, proof.bound, proof.gap, proof.seconds, proof.nodes
 
-The plan is never SCIP's own: its contact modes are taken, the convex program with these modes is solved exactly (`windows.quadratic`), its
+The plan is never SCIP's own: its contact modes are taken, the convex program with these modes is solved exactly (`contact_modes.quadratic`), its
 inputs are rolled out through the true contact law, and its residuals recomputed. The bound is the least of SCIP's and of the ceiling under which
 the big-M hold. It is true up to floating point: Clarabel's bounds are lowered by 1e-6, SCIP works to its 1e-6 of feasibility and 1e-9 of
 optimality.
@@ -32,6 +32,7 @@ from typing import Any
 import clarabel
 import numpy as np
 import pyomo.environ as pyo
+from pyomo.contrib.solver.common.factory import SolverFactory
 
 from formulations.contact_modes.goal import correct_end
 from formulations.contact_modes.linear import linear_scene, why_not_linear
@@ -58,9 +59,14 @@ def missing_solver() -> str | None:
 
 
 def build_miqp(scene: Scene, bounds: PairBounds) -> pyo.ConcreteModel:
-    """See the module docstring. The objective is `variable_cost`, at least the cost and at most the ceiling of the bounds.
+    """The scene's exact problem as a mixed-integer quadratic program; see the module docstring.
 
-    Raises ModelError for bounds that are infinite: they are the big-M.
+    The objective is `variable_cost`, at least the cost and at most the ceiling of the bounds.
+
+    Raises
+    ------
+    ModelError
+        for bounds that are infinite: they are the big-M
     """
     if not bounds.is_finite:
         raise ModelError(
@@ -98,8 +104,8 @@ def _add_pairs(model: Any, scene: Scene, bounds: PairBounds) -> None:
 
 
 GAP = 1e-5  # relative, below which a plan counts as proved optimal: SCIP keeps the quadratic cost row to 1e-6 of its size
-CEILING = 1e-5  # relative: by so much plans may be dearer than the one known, so that rounding does not cut it off
-SCOUTING = 0.1  # part of the time given to SCIP for a first plan, where none is known
+_CEILING = 1e-5  # relative: by so much plans may be dearer than the one known, so that rounding does not cut it off
+_SCOUTING = 0.1  # part of the time given to SCIP for a first plan, where none is known
 EXACT = 1e-8  # largest residual [m, rad, N, ..] of a plan that counts
 
 
@@ -122,9 +128,12 @@ _OUTCOMES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Proof:
-    """plan, cost: the cheapest exact plan known (None: none); bound: no plan costs less (inf: there is none at all); gap: (cost - bound)/cost, None
-    without a plan; seconds: wall; cpu: CPU seconds; nodes: of SCIP's tree; binaries: pairs that bounds alone did not decide; solver: names and versions;
-    bounds: the big-M; trouble: what SCIP said where it broke off."""
+    """What is proved of a scene.
+
+    plan, cost: the cheapest exact plan known (None: none); bound: no plan costs less (inf: there is none at all); gap: (cost - bound)/cost, None without
+    a plan; seconds: wall; cpu: CPU seconds; nodes: of SCIP's tree; binaries: pairs that bounds alone did not decide; solver: names and versions; bounds:
+    the big-M; trouble: what SCIP said where it broke off
+    """
 
     status: ProofStatus
     plan: Trajectory | None
@@ -141,10 +150,12 @@ class Proof:
 
     @property
     def gap(self) -> float | None:
+        """Cost above the bound, relative to the cost; None without a plan."""
         return None if self.cost is None else max(0.0, (self.cost - self.bound) / max(abs(self.cost), 1e-12))
 
     @property
     def outcome(self) -> Outcome:
+        """The status as an outcome."""
         return _OUTCOMES[self.status]
 
     @property
@@ -163,14 +174,26 @@ class Proof:
 
     @property
     def sentence(self) -> str:
+        """Status, decisions, nodes and bound in words."""
         words = f"{self.status.value}{self.trouble} {self.pairs} contact decisions, {self.binaries} of them left open by bounds, {self.nodes} nodes"
         return f"{words}, bound {self.bound:.10g}." if np.isfinite(self.bound) else f"{words}."
 
 
 def prove(scene: Scene, *, incumbent: Trajectory | None = None, time_limit: float = 600.0) -> Proof:
-    """See the module docstring. incumbent: a plan whose modes are tried first; time_limit: wall seconds.
+    """The cheapest exact plan found, and a cost below which no plan exists; see the module docstring.
 
-    Raises SceneError for scenes that are not linear (`why_no_proof`), MachineError where SCIP is not installed.
+    Parameters
+    ----------
+    scene : a linear scene
+    incumbent : a plan whose modes are tried first
+    time_limit : wall time [s]
+
+    Raises
+    ------
+    SceneError
+        for scenes that are not linear (`why_no_proof`)
+    MachineError
+        where SCIP is not installed
     """
     reason = why_no_proof(scene)
     if reason is not None:
@@ -200,7 +223,7 @@ class _Prover:
         bounds = self._bounds()
         if np.isfinite(self._cost):
             return self._proof(bounds, self._branch(bounds, self._left))
-        bound = self._branch(bounds, SCOUTING * self._left)  # any plan will do: with its cost the bounds are much tighter
+        bound = self._branch(bounds, _SCOUTING * self._left)  # any plan will do: with its cost the bounds are much tighter
         if np.isfinite(self._cost) and bound < self._cost * (1.0 - GAP) and self._left > 0.0:
             bounds = self._bounds()
             bound = max(bound, self._branch(bounds, self._left))
@@ -213,14 +236,14 @@ class _Prover:
 
     @property
     def _ceiling(self) -> float:
-        return self._cost + CEILING * max(abs(self._cost), 1e-3) if np.isfinite(self._cost) else np.inf
+        return self._cost + _CEILING * max(abs(self._cost), 1e-3) if np.isfinite(self._cost) else np.inf
 
     def adopt(self, closed: np.ndarray) -> bool:
-        """Keep the optimum of these modes if it is exact and cheaper than what is known."""
+        """Keep the optimum of these modes, closed (steps, nc) [-], if it is exact and cheaper than what is known."""
         answer = self._modes.solve(closed)
         if answer is None:
             return False
-        plan = exact_plan(self._scene, answer.u)
+        plan = _exact_plan(self._scene, answer.u)
         if plan is None or not self._residuals.cost(plan) < self._cost:
             return False
         self._plan, self._cost = plan, self._residuals.cost(plan)
@@ -299,7 +322,7 @@ def why_no_proof(scene: Scene) -> str | None:
     )
 
 
-def exact_plan(scene: Scene, u: np.ndarray) -> Trajectory | None:
+def _exact_plan(scene: Scene, u: np.ndarray) -> Trajectory | None:
     """The rollout of these inputs through the true contact law, landed on the goal; None unless it is exact to `EXACT` by its own residuals."""
     rollout, u = correct_end(scene, load_kernel(scene), u)
     if rollout.diverged:
@@ -317,8 +340,6 @@ def is_exact(scene: Scene, plan: Trajectory) -> bool:
 
 def scip(model: Any, seconds: float) -> Any:
     """SCIP by Pyomo. Its log must be off: it deadlocks on 64 KB of it."""
-    from pyomo.contrib.solver.common.factory import SolverFactory
-
     options = {"display/verblevel": 0, "limits/time": max(seconds, 1e-3), "limits/gap": 0.01 * GAP}
     return SolverFactory("scip_direct").solve(
         model, load_solutions=False, raise_exception_on_nonoptimal_result=False, solver_options=options

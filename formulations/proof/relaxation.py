@@ -34,7 +34,7 @@ class RelaxationResult:
 
 
 class Relaxation:
-    """See the module docstring. lower, upper (steps, nc): bounds of phi [m]; row 0 belongs to the start and is not used."""
+    """The relaxation as matrices; its questions take bounds of phi [m], lower and upper (steps, nc), whose row 0 belongs to the start and is not used."""
 
     def __init__(self, linear: LinearScene) -> None:
         self._linear = linear
@@ -50,7 +50,12 @@ class Relaxation:
         self._always = self._bounds()
 
     def least_cost(self, lower: np.ndarray, upper: np.ndarray) -> RelaxationResult:
-        """A lower bound of the cost."""
+        """A lower bound of the cost.
+
+        Parameters
+        ----------
+        lower, upper : (steps, nc) bounds of the penetrations [m]
+        """
         factor, offset, linear_part, constant = self._cost
         quadratic = sp.triu(factor.T @ factor).tocsc()
         constant += 0.5 * float(offset @ offset)
@@ -60,7 +65,15 @@ class Relaxation:
     def least_penetration(
         self, t: int, contact: int, sign: float, lower: np.ndarray, upper: np.ndarray, ceiling: float
     ) -> RelaxationResult:
-        """A lower bound of sign * phi[t, contact], t >= 1, over all plans that cost at most `ceiling` (infinite: all plans)."""
+        """A lower bound of sign * phi[t, contact], t >= 1, over all plans that cost at most the ceiling.
+
+        Parameters
+        ----------
+        t, contact : the pair
+        sign : 1 or -1
+        lower, upper : (steps, nc) bounds of the penetrations [m]
+        ceiling : the most that plans may cost; infinite: all plans
+        """
         row = (t - 1) * self._linear.contacts + contact
         objective = sign * self._penetration[[row]].toarray().ravel()
         cones, rows = [], []
@@ -158,7 +171,14 @@ class Relaxation:
 
 
 def relaxed_bound(linear: LinearScene, lower: np.ndarray, upper: np.ndarray, ceiling: float = np.inf) -> float:
-    """No plan costs less than this, if `lower`, `upper` hold for all plans that cost at most `ceiling`."""
+    """A cost below which there is no plan.
+
+    Parameters
+    ----------
+    linear : the scene
+    lower, upper : (steps, nc) bounds of the penetrations of all plans that cost at most the ceiling [m]
+    ceiling : the most that plans may cost
+    """
     answer = Relaxation(linear).least_cost(lower, upper)
     return min(answer.bound, ceiling)
 

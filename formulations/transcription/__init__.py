@@ -7,6 +7,6 @@
 out, `residuals` how far a plan is from its equations.
 
 What a method in formulations/methods is put together from: `method` its options and the rules of a stage, `account` what a stage spends, `solving` the
-model loaded, solved with patience, read and checked, `feasibility` whether the goal can be reached at all, `homotopy` stages for ever smaller eps,
+model loaded, solved, read and checked, `feasibility` whether the goal can be reached at all, `homotopy` stages for ever smaller eps,
 `modes` what is left once contact modes are fixed.
 """

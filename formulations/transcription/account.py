@@ -50,6 +50,7 @@ class SolveBudget:
         return max(0, math.ceil((self.most_work - self.work) / problem.nonzeros)) if math.isfinite(self.most_work) else math.inf
 
     def add(self, result: IpoptResult, problem: IpoptProblem) -> None:
+        """Count one solve of a problem."""
         self.iterations += result.iterations
         self.work += result.iterations * problem.nonzeros
         self.solver = result.version
@@ -60,7 +61,7 @@ class SolveBudget:
                 self.history[name].append(getattr(line, name))
 
     def include(self, earlier: SolveBudget) -> None:
-        """What was spent before, in this account's time."""
+        """What was spent before, in this budget's time."""
         self.iterations += earlier.iterations
         self.work += earlier.work
         self.solver = self.solver or earlier.solver
@@ -69,6 +70,7 @@ class SolveBudget:
         self.history = {name: earlier.history[name] + values for name, values in self.history.items()}
 
     def seconds(self) -> Seconds:
+        """Seconds spent so far, by what for [s]."""
         return Seconds(
             build=self.build,
             translate=self.translate,

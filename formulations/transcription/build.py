@@ -11,7 +11,7 @@ What a block has, t in 0..T (`set_nodes`) or 0..T-1 (`set_steps`):
 | variable_q, variable_v | t in nodes, coordinate | positions [m, rad], velocities |
 | variable_u | t in steps, input | inputs within their bounds |
 | variable_lam | t in steps, contact | contact forces [N] at the start of the step |
-| variable_spring, variable_touch | t in steps, damped contact | k max(phi, 0) [N], and Kelvin-Voigt's switch; complementarity only (`damping`) |
+| variable_spring, variable_touch | t in steps, damped contact | k max(phi, 0) [N], and Kelvin-Voigt's switch; complementarity only |
 | variable_friction | t in steps, friction | friction forces [N], of the slip at the end of the step |
 | variable_slip | t in steps, friction, way | slip speeds forward and backward [m/s], complementarity only |
 | parameter_scene | parameter | the scene's parameters, mutable |
@@ -24,7 +24,7 @@ What a block has, t in 0..T (`set_nodes`) or 0..T-1 (`set_steps`):
 | constraint_position_step, constraint_velocity_step | t in steps, coordinate | semi-implicit Euler |
 | constraint_contact_softplus or complementarity_contact | t in steps, contact | the contact law |
 | complementarity_spring, complementarity_touch | t in steps, damped contact | what the two variables above are |
-| constraint_friction_regularised, or constraint_slip and complementarity_friction | t in steps, friction (, way) | the friction law (`friction`) |
+| constraint_friction_regularised, or constraint_slip and complementarity_friction | t in steps, friction (, way) | the friction law |
 | expression_cost, objective_cost | | sum of the running cost, and the final cost; the objective exists in `build_model` only |
 
 What the scene does not need is not there: no variable_u without inputs, no variable_lam without contacts, no
@@ -49,6 +49,7 @@ from formulations.transcription.contact import (
     add_springs,
     damped_softplus,
     relax,
+    rows_by_time,
 )
 from models.catalog import load_scene
 from models.contact_law import sharpness
@@ -69,12 +70,25 @@ def build_model(
 ) -> pyo.ConcreteModel:
     """A plain Pyomo model of the scene's task, at the first guess of the paper (start held, u = lam = 0).
 
-    scene: a Scene, its name, or the path of its file; contact: how contact is written; steps, step [s]: another grid than the task's.
-    eps: with SOFTPLUS needed, 0 < eps < 1. With COMPLEMENTARITY None leaves pyomo.mpec's `Complementarity` untransformed (for solvers and
-    transformations of your own); a number applies Pyomo's `mpec.simple_nonlinear` with that bound [N^2].
-    scheme: the time step, semi-implicit Euler or a collocation of higher order (`collocation` says what its block has); integrate_cost: with a
-    collocation, weigh the running cost of the stages as its quadrature does instead of summing that of the nodes.
+    Parameters
+    ----------
+    scene : a Scene, its name, or the path of its file
+    contact : how contact is written
+    eps : with SOFTPLUS needed, 0 < eps < 1; with COMPLEMENTARITY None leaves pyomo.mpec's `Complementarity` untransformed (for solvers and
+        transformations of your own), a number applies Pyomo's `mpec.simple_nonlinear` with that bound [N^2]
+    steps, step : another grid than the task's [s]
+    scheme : the time step, semi-implicit Euler or a collocation of higher order (`collocation` says what its block has)
+    integrate_cost : with a collocation, weigh the running cost of the stages as its quadrature does instead of summing that of the nodes
 
+    Raises
+    ------
+    ModelError
+        for a contact that is none, and a scene that has no collocation
+    SceneError
+        for a function that Pyomo does not have
+
+    Examples
+    --------
     >>> import pyomo.environ as pyo
     >>> from formulations import ContactFormulation, build_model, tighten
     >>> model = build_model("three_cart", contact=ContactFormulation.COMPLEMENTARITY, eps=1e-2, steps=50)
@@ -201,8 +215,8 @@ def _add_steps(block: Any, scene: Scene, contact: ContactFormulation, b: float |
     law = SceneExpressions(derive(scene))
     nq, h = scene.nq, block.parameter_step
     p = list(block.parameter_scene.values()) if scene.parameters else []
-    q, v = _rows(block.variable_q, scene.task.steps + 1), _rows(block.variable_v, scene.task.steps + 1)
-    u = _rows(block.variable_u, scene.task.steps) if scene.nu else [[]] * scene.task.steps
+    q, v = rows_by_time(block.variable_q, scene.task.steps + 1), rows_by_time(block.variable_v, scene.task.steps + 1)
+    u = rows_by_time(block.variable_u, scene.task.steps) if scene.nu else [[]] * scene.task.steps
     place = {name: index for index, name in enumerate(block.set_coordinates)}
     lam: list[list[Any]] = [[]] * scene.task.steps
     if scene.nc:
@@ -234,7 +248,7 @@ def _add_contact(
     q, v = states
     place = {name: index for index, name in enumerate(block.set_contacts)}
     block.variable_lam = pyo.Var(block.set_steps, block.set_contacts, initialize=0.0)
-    lam = _rows(block.variable_lam, scene.task.steps)
+    lam = rows_by_time(block.variable_lam, scene.task.steps)
     k = law.stiffness(p)
     phi = [law.penetration(q_now, p) for q_now in q[:-1]]
     if contact is ContactFormulation.SOFTPLUS:
@@ -258,11 +272,3 @@ def _add_contact(
 
         block.complementarity_contact = Complementarity(block.set_steps, block.set_contacts, rule=complementarity)
     return lam
-
-
-def _rows(variable: Any, count: int) -> list[list[Any]]:
-    """The variables of each time, in the scene's order."""
-    rows: list[list[Any]] = [[] for _ in range(count)]
-    for (t, _), data in variable.items():
-        rows[t].append(data)
-    return rows

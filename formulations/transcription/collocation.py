@@ -25,7 +25,7 @@ import pyomo.environ as pyo
 from pyomo.mpec import Complementarity
 
 from formulations.transcription import equations
-from formulations.transcription.contact import ContactFormulation, ModelError, SceneExpressions, settle_separation
+from formulations.transcription.contact import ContactFormulation, ModelError, SceneExpressions, rows_by_time, settle_separation
 from formulations.transcription.method import why_not_collocated
 from models.dynamics import derive
 from models.scene import Scene
@@ -35,7 +35,13 @@ from models.schemes import Scheme, Tableau, tableau
 def add_collocation(
     block: Any, scene: Scene, contact: ContactFormulation, b: float | None, scheme: Scheme, *, integrate_cost: bool = False
 ) -> None:
-    """Stages, dynamics, contact law and cost of a block that has its nodes, inputs and ends. Raises ModelError for a scene that has no collocation."""
+    """Stages, dynamics, contact law and cost of a block that has its nodes, inputs and ends.
+
+    Raises
+    ------
+    ModelError
+        for a scene that has no collocation
+    """
     reason = why_not_collocated(scene)
     if reason is not None:
         raise ModelError(f"scheme {scheme.value}: {reason}")
@@ -43,8 +49,8 @@ def add_collocation(
     block.scheme = scheme
     block.set_stages = pyo.RangeSet(1, table.stages)
     p = list(block.parameter_scene.values()) if scene.parameters else []
-    q, v = _nodes(block.variable_q, steps), _nodes(block.variable_v, steps)
-    u = _nodes(block.variable_u, steps - 1) if scene.nu else [[]] * steps
+    q, v = rows_by_time(block.variable_q, steps + 1), rows_by_time(block.variable_v, steps + 1)
+    u = rows_by_time(block.variable_u, steps) if scene.nu else [[]] * steps
     stage_q, stage_v = _add_stages(block, table, q, v)
     lam: list[list[list[Any]]] = [[[]] * table.stages] * steps
     if scene.nc:
@@ -59,13 +65,6 @@ def add_collocation(
     else:
         weighed = [law.running_cost(*arguments, p)[0] for arguments in zip(q[:-1], v[:-1], u, strict=True)]
     block.expression_cost = pyo.Expression(expr=equations.expression_cost([*weighed, *law.final_cost(q[-1], v[-1], p)]))
-
-
-def _nodes(variable: Any, last: int) -> list[list[Any]]:
-    rows: list[list[Any]] = [[] for _ in range(last + 1)]
-    for (t, _), data in variable.items():
-        rows[t].append(data)
-    return rows
 
 
 def _add_stages(block: Any, table: Tableau, q: list, v: list) -> tuple[list[list[list[Any]]], list[list[list[Any]]]]:
@@ -94,7 +93,7 @@ def _add_motion(block: Any, table: Tableau, law: SceneExpressions, nodes: tuple,
     force = [[law.force(stage_q[t][i], stage_v[t][i], u[t], lam[t][i], p) for i in range(table.stages)] for t in range(len(stage_q))]
 
     def gained(rows: list, now: list, t: int, i: int, weights: np.ndarray) -> list[Any]:
-        """sum_j D_ij (X_j - x[t]) of every coordinate."""
+        """The sum over j of D_ij (X_j - x[t]) of every coordinate (nq,), with weights D (stages, stages) [-]."""
         return [sum(float(weight) * (rows[t][j][c] - now[t][c]) for j, weight in enumerate(weights[i]) if weight != 0.0) for c in range(nq)]
 
     def position(_: Any, t: int, i: int, name: str) -> Any:
@@ -189,14 +188,14 @@ def settle_forces(block: Any) -> None:
 
 
 def forces_at_nodes(block: Any) -> np.ndarray:
-    """(steps, nc) contact forces at the start of each step [N], by the block's contact law."""
+    """Contact forces (steps, nc) at the start of each step [N], by the block's contact law."""
     if block.component("variable_lam") is None:
         return np.zeros((len(block.set_steps), 0))
     return _forces(block, _values(block.expression_penetration).reshape(len(block.set_steps), -1))
 
 
 def stage_penetration(block: Any) -> np.ndarray:
-    """(steps, s * nc) penetrations at the stages [m], those of the first stage first."""
+    """Penetrations (steps, s * nc) at the stages [m], those of the first stage first."""
     return _values(block.expression_stage_penetration).reshape(len(block.set_steps), -1)
 
 

@@ -58,7 +58,13 @@ Entries = Callable[..., Sequence[Any]]
 
 
 class SceneExpressions:
-    """The functions a transcription needs. Raises SceneError for a function that Pyomo does not have (erf, atan2 ..)."""
+    """The functions a transcription needs.
+
+    Raises
+    ------
+    SceneError
+        for a function that Pyomo does not have (erf, atan2 ..)
+    """
 
     def __init__(self, dynamics: Dynamics) -> None:
         d = dynamics
@@ -83,6 +89,14 @@ def _function(dynamics: Dynamics, what: str, expressions: list[sp.Expr], *groups
 _TRANSFORMATION = "mpec.simple_nonlinear"
 
 
+def rows_by_time(variable: Any, count: int) -> list[list[Any]]:
+    """The variables of each of `count` times, in the scene's order."""
+    rows: list[list[Any]] = [[] for _ in range(count)]
+    for (t, _), data in variable.items():
+        rows[t].append(data)
+    return rows
+
+
 class ContactFormulation(Enum):
     """SOFTPLUS: smooth force at a distance, eps in (0, 1). COMPLEMENTARITY: lam (lam - k phi) <= eps [N^2], eps = 0 is the true law."""
 
@@ -97,8 +111,12 @@ class ModelError(TouchstoneError):
 def relax(block: Any, eps: float) -> None:
     """Replace the complementarity of a built block by Pyomo's own relaxation lam * v <= mpec_bound, v = lam - k phi (mpec.simple_nonlinear).
 
-    In place, once: the transformation applied again would silently disconnect the first bound, hence a ModelError. To keep the
-    untransformed model, relax a clone: `relaxed = model.clone(); relax(relaxed, 1e-2)`.
+    In place, once. To keep the untransformed model, relax a clone: `relaxed = model.clone(); relax(relaxed, 1e-2)`.
+
+    Raises
+    ------
+    ModelError
+        where there is nothing to relax, and for a second time: the transformation would silently disconnect the first bound
     """
     if not _families(block):
         raise ModelError(
@@ -114,11 +132,14 @@ def relax(block: Any, eps: float) -> None:
 
 
 def settle_separation(block: Any) -> None:
-    """Give the separation force v = lam - k phi (friction: the reserve mu N - |f| either way) of each relaxed pair the value that its own
-    equation asks for (at least 0), and slip speeds and springs theirs."""
-    settle_slip(block)
-    settle_springs(block)
-    if not is_relaxed(block):
+    """Give every variable that a pair brings with it the value that its own equation asks for.
+
+    That is the separation force v = lam - k phi (friction: the reserve mu N - |f| either way) of each relaxed pair, at least 0, and slip speeds and
+    springs.
+    """
+    _settle_slip(block)
+    _settle_springs(block)
+    if not _is_relaxed(block):
         return
     for _, pair in pairs(block):
         pair.v.set_value(0.0, skip_validation=True)
@@ -126,7 +147,13 @@ def settle_separation(block: Any) -> None:
 
 
 def tighten(block: Any, eps: float) -> None:
-    """Set the relaxation of a built block: sharpness b = |ln eps| for softplus, the bound eps [N^2] for complementarity (0 allowed)."""
+    """Set the relaxation of a built block: sharpness b = |ln eps| for softplus, the bound eps [N^2] for complementarity (0 allowed).
+
+    Raises
+    ------
+    ModelError
+        where the block has no relaxation
+    """
     if hasattr(block, "parameter_sharpness"):
         block.parameter_sharpness.value = sharpness(eps, pyo.value(block.parameter_length))
     elif hasattr(block, "mpec_bound"):
@@ -136,14 +163,18 @@ def tighten(block: Any, eps: float) -> None:
 
 
 def pairs(block: Any) -> list[tuple[Any, Any]]:
-    """(variable, pair) of every complementarity, contacts, frictions, then springs and switches of damped contacts, each by step: (lam, its
-    pair), (slip one way, its pair)."""
+    """Variable and pair of every complementarity, each by step: (lam, its pair), (slip one way, its pair).
+
+    Contacts come first, then frictions, then springs and switches of damped contacts.
+    """
     return [item for family in _families(block) for item in zip(family[0].values(), family[1].values(), strict=True)]
 
 
 def sides(block: Any) -> list[tuple[Any, Any]]:
-    """The two variables of every pair of a relaxed block, of which one is zero, step by step as in `hold_modes`: (lam, lam - k phi) of
-    the contacts, then (slip forward, mu N + f), (slip backward, mu N - f) of the frictions, then the pairs of `damping`: springs, switches."""
+    """The two variables of every pair of a relaxed block, of which one is zero, step by step as in `hold_modes`.
+
+    (lam, lam - k phi) of the contacts, then (slip forward, mu N + f), (slip backward, mu N - f) of the frictions, then the pairs of springs and of switches.
+    """
     steps = len(block.set_steps)
     rows: list[list[tuple[Any, Any]]] = [[] for _ in range(steps)]
     for variables, components in _families(block):
@@ -164,12 +195,14 @@ def _families(block: Any) -> list[tuple[Any, Any]]:
 def hold_modes(block: Any, closed: np.ndarray) -> None:
     """Decide every pair of a relaxed block; the products are switched off.
 
-    closed (steps, nc + 2 nf + springs + switches) is True where a contact is closed (lam = k phi; else lam = 0), then, for each friction, where it may slip
-    forward against f = -mu N (else it does not), and where backward; then whether each damped contact touches, for its spring and for its
-    switch. What is left has no complementarity: for a linear scene without
-    friction a convex quadratic program.
+    What is left has no complementarity: for a linear scene without friction a convex quadratic program. Of a friction whose contact is open nothing is
+    decided, whatever `closed` says: it has no force, and slips as it will.
 
-    Of a friction whose contact is open nothing is decided, whatever `closed` says: it has no force, and slips as it will.
+    Parameters
+    ----------
+    block : a relaxed block
+    closed : (steps, nc + 2 nf + springs + switches) [-]: True where a contact is closed (lam = k phi; else lam = 0); then, for each friction, where it may
+        slip forward against f = -mu N (else it does not), and where backward; then whether each damped contact touches, for its spring and its switch
     """
     for _, pair in pairs(block):
         pair.ccon.deactivate()
@@ -179,7 +212,7 @@ def hold_modes(block: Any, closed: np.ndarray) -> None:
         separation.setlb(0.0)
         force.setub(None if is_closed else 0.0)
         separation.setub(0.0 if is_closed else None)
-    free_unpressed(block, couples, closed)
+    _free_unpressed(block, couples, closed)
 
 
 def release_modes(block: Any) -> None:
@@ -191,7 +224,7 @@ def release_modes(block: Any) -> None:
             side.setub(None)
 
 
-def is_relaxed(block: Any) -> bool:
+def _is_relaxed(block: Any) -> bool:
     """Whether the block's complementarity went through `relax`."""
     return hasattr(block, "mpec_bound")
 
@@ -216,7 +249,18 @@ def damped_softplus(scene: Scene, contact: int, phi: Any, rate: Any, k: Any, c: 
 def add_springs(
     block: Any, scene: Scene, law: SceneExpressions, phi: list[Any], q: list[Any], v: list[Any], parameters: list[Any]
 ) -> list[dict[int, Any]]:
-    """Variables and pairs of the damped contacts; phi: penetrations by step; returns the push of each damped contact, by step."""
+    """Variables and pairs of the damped contacts.
+
+    Parameters
+    ----------
+    phi : penetrations by step
+    q, v : rows of variables by node
+    parameters : of the scene
+
+    Returns
+    -------
+    the push of each damped contact, by step
+    """
     names = [scene.contacts[index].name for index in scene.damped]
     switched = [scene.contacts[index].name for index in scene.damped if scene.contacts[index].damping_law is DampingLaw.KELVIN_VOIGT]
     k, c = law.stiffness(parameters), law.damping(parameters)
@@ -258,7 +302,7 @@ def add_springs(
     return pushes
 
 
-def settle_springs(block: Any) -> None:
+def _settle_springs(block: Any) -> None:
     """Give the springs and switches of a block the values that their penetrations ask for."""
     if block.component("variable_spring") is None:
         return
@@ -275,18 +319,24 @@ FORWARD, BACKWARD = "forward", "backward"
 def add_friction(
     block: Any, scene: Scene, law: SceneExpressions, sharpness: float | None, plan: tuple[list, list, list], parameters: list[Any]
 ) -> list[list[Any]]:
-    """The friction forces and their law; plan: q, v (nodes) and lam (steps) as rows of variables; returns the variables f[t][friction].
+    """The friction forces and their law.
 
-    sharpness: b of the regularised law, or None for complementarity.
+    Parameters
+    ----------
+    sharpness : b of the regularised law, or None for complementarity
+    plan : q, v (nodes) and lam (steps) as rows of variables
+    parameters : of the scene
+
+    Returns
+    -------
+    the variables f[t][friction]
     """
     q, v, lam = plan
     names = [friction.name for friction in scene.frictions]
     block.set_frictions = pyo.Set(initialize=names)
     block.set_pressed = pyo.Set(initialize=[(item.name, item.contact) for item in scene.frictions if item.contact is not None], dimen=2)
     block.variable_friction = pyo.Var(block.set_steps, block.set_frictions, initialize=0.0)
-    force: list[list[Any]] = [[] for _ in range(scene.task.steps)]
-    for (t, _), data in block.variable_friction.items():
-        force[t].append(data)
+    force = rows_by_time(block.variable_friction, scene.task.steps)
     slip = [law.slip(q_now, v_next, parameters) for q_now, v_next in zip(q[:-1], v[1:], strict=True)]
     limit = [law.friction_limit(q_now, lam_now, parameters) for q_now, lam_now in zip(q[:-1], lam, strict=True)]
     place = {name: index for index, name in enumerate(names)}
@@ -320,7 +370,7 @@ def add_friction(
     return force
 
 
-def settle_slip(block: Any) -> None:
+def _settle_slip(block: Any) -> None:
     """Give the two slip speeds of each friction the values that their own equation asks for (one of them zero)."""
     if block.component("constraint_slip") is None:
         return
@@ -334,15 +384,14 @@ def settle_slip(block: Any) -> None:
 
 
 def pressed_columns(block: Any) -> list[tuple[int, int]]:
-    """For each friction pressed by a contact: the columns, as in `hold_modes`, of that contact and of its way forward (backward
-    is the next)."""
+    """For each friction pressed by a contact: the columns, as in `hold_modes`, of that contact and of its way forward (backward is the next)."""
     if block.component("set_pressed") is None:
         return []
     contacts, frictions = list(block.component("set_contacts") or ()), list(block.set_frictions)
     return [(contacts.index(contact), len(contacts) + 2 * frictions.index(friction)) for friction, contact in block.set_pressed]
 
 
-def free_unpressed(block: Any, couples: list[tuple[Any, Any]], closed: np.ndarray) -> None:
+def _free_unpressed(block: Any, couples: list[tuple[Any, Any]], closed: np.ndarray) -> None:
     """Bounds of frictions whose contact is open; couples: (slip, reserve) of all pairs and closed as in `hold_modes`.
 
     One equation for the force, mu N + f = 0 with N = 0, and one variable for the slip, of either sign. That mu N - f >= 0 then follows; kept as a

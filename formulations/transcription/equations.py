@@ -14,22 +14,22 @@ from pyomo.mpec import complements
 
 
 def constraint_start(state: Any, start: Any) -> Any:
-    """x[0] = start   [m, rad or m/s, rad/s]"""
+    """x[0] = start   [m, rad or m/s, rad/s]."""
     return state == start
 
 
 def constraint_goal(state: Any, goal: Any) -> Any:
-    """x[T] = goal   [m, rad or m/s, rad/s]"""
+    """x[T] = goal   [m, rad or m/s, rad/s]."""
     return state == goal
 
 
 def constraint_position_step(q_next: Any, q_now: Any, v_next: Any, h: Any) -> Any:
-    """q[t+1] = q[t] + h v[t+1]   [m, rad]"""
+    """q[t+1] = q[t] + h v[t+1]   [m, rad]."""
     return q_next == q_now + h * v_next
 
 
 def constraint_velocity_step(mass_row: Sequence[Any], v_next: Sequence[Any], v_now: Sequence[Any], force: Any, h: Any) -> Any:
-    """sum_j M_ij(q[t]) (v_j[t+1] - v_j[t]) = h (tau_i(q[t], v[t], u[t]) + (J(q[t])' lam[t])_i)   [N s, N m s]
+    """sum_j M_ij(q[t]) (v_j[t+1] - v_j[t]) = h (tau_i(q[t], v[t], u[t]) + (J(q[t])' lam[t])_i)   [N s, N m s].
 
     No mass matrix is ever inverted, and entries that are zero for the scene are left out.
     """
@@ -38,58 +38,58 @@ def constraint_velocity_step(mass_row: Sequence[Any], v_next: Sequence[Any], v_n
 
 
 def constraint_position_stage(gained: Any, v_stage: Any, h: Any) -> Any:
-    """sum_j D_ij (Q_j - q[t]) = h V_i   [m, rad],   D = A^-1 of the scheme's tableau"""
+    """sum_j D_ij (Q_j - q[t]) = h V_i   [m, rad],   D = A^-1 of the scheme's tableau."""
     return gained == h * v_stage
 
 
 def constraint_velocity_stage(mass_row: Sequence[Any], gained: Sequence[Any], force: Any, h: Any) -> Any:
-    """sum_k M_ik(Q_i) sum_j D_ij (V_j - v[t])_k = h (tau(Q_i, V_i, u[t]) + J(Q_i)' lam_i)   [N s, N m s]: no mass matrix is inverted here either"""
+    """sum_k M_ik(Q_i) sum_j D_ij (V_j - v[t])_k = h (tau(Q_i, V_i, u[t]) + J(Q_i)' lam_i)   [N s, N m s]: no mass matrix is inverted here either."""
     return sum(mass * change for mass, change in zip(mass_row, gained, strict=True) if not _is_zero(mass)) == h * force
 
 
 def constraint_step_end(x_next: Any, x_now: Any, gained: Any) -> Any:
-    """x[t+1] = x[t] + sum_i (b' A^-1)_i (X_i - x[t]): of the implicit midpoint 2 X - x[t]"""
+    """x[t+1] = x[t] + sum_i (b' A^-1)_i (X_i - x[t]): of the implicit midpoint 2 X - x[t]."""
     return x_next == x_now + gained
 
 
 def constraint_contact_softplus(lam: Any, phi: Any, k: Any, b: Any) -> Any:
-    """lam[t] = (k / b) log(1 + exp(b phi(q[t])))   [N],   b = |ln eps| / L   (paper, eq. 5, sign corrected)"""
+    """lam[t] = (k / b) log(1 + exp(b phi(q[t])))   [N],   b = |ln eps| / L   (paper, eq. 5, sign corrected)."""
     return lam == (k / b) * pyo.log(1 + pyo.exp(b * phi))
 
 
 def expression_kelvin_voigt_softplus(phi: Any, rate: Any, k: Any, c: Any, b: Any) -> Any:
-    """(k / b) log(1 + exp(b (phi + w c r / k))),  w = 1 / (1 + exp(-b phi))   [N]; r [m/s] the rate of phi, c [N s/m]"""
+    """(k / b) log(1 + exp(b (phi + w c r / k))),  w = 1 / (1 + exp(-b phi))   [N]; r [m/s] the rate of phi, c [N s/m]."""
     return (k / b) * pyo.log(1 + pyo.exp(b * (phi + c * rate / (k * (1 + pyo.exp(-b * phi))))))
 
 
 def expression_hunt_crossley_softplus(phi: Any, rate: Any, k: Any, c: Any, b: Any, length: float) -> Any:
-    """(k / b) log(1 + exp(b phi)) log(1 + exp(b L (1 + c r))) / log(1 + exp(b L))   [N]; r [m/s] the rate of phi, c [s/m]; L the scene's length [m]"""
+    """(k / b) log(1 + exp(b phi)) log(1 + exp(b L (1 + c r))) / log(1 + exp(b L))   [N]; r [m/s] the rate of phi, c [s/m]; L the scene's length [m]."""
     bl = b * length
     return (k / b) * pyo.log(1 + pyo.exp(b * phi)) * pyo.log(1 + pyo.exp(bl * (1 + c * rate))) / pyo.log(1 + pyo.exp(bl))
 
 
 def expression_kelvin_voigt(spring: Any, touch: Any, c: Any, rate: Any) -> Any:
-    """sigma + c w r   [N]: what a contact with Kelvin-Voigt damping pushes with"""
+    """Push sigma + c w r [N]: what a contact with Kelvin-Voigt damping pushes with."""
     return spring + c * touch * rate
 
 
 def expression_hunt_crossley(spring: Any, c: Any, rate: Any) -> Any:
-    """sigma (1 + c r)   [N]: what a contact with Hunt-Crossley damping pushes with"""
+    """Push sigma (1 + c r) [N]: what a contact with Hunt-Crossley damping pushes with."""
     return spring * (1 + c * rate)
 
 
 def complementarity_switch(spring: Any, touch: Any) -> Any:
-    """0 <= sigma [N]  complements  1 - w >= 0: a spring that is compressed touches"""
+    """0 <= sigma [N]  complements  1 - w >= 0: a spring that is compressed touches."""
     return complements(1 - touch >= 0, spring >= 0)
 
 
 def complementarity_touch(touch: Any, spring: Any, push: Any) -> Any:
-    """0 <= w  complements  sigma - k phi >= 0 [N]: what touches has no gap"""
+    """0 <= w  complements  sigma - k phi >= 0 [N]: what touches has no gap."""
     return complements(spring - push >= 0, touch >= 0)
 
 
 def complementarity_contact(lam: Any, push: Any) -> Any:
-    """0 <= lam[t]  complements  lam[t] - push >= 0   [N];  push = k phi(q[t]) without damping   (paper, eq. 7)
+    """0 <= lam[t]  complements  lam[t] - push >= 0   [N];  push = k phi(q[t]) without damping   (paper, eq. 7).
 
     The separation force lam - k phi comes first: Pyomo gives the first expression a variable of its own (`v`) and multiplies it
     with the second, so that the product is lam * v, of two variables. The other order would copy lam.
@@ -98,22 +98,22 @@ def complementarity_contact(lam: Any, push: Any) -> Any:
 
 
 def constraint_friction_regularised(f: Any, limit: Any, slip: Any, steepness: Any) -> Any:
-    """f[t] = -mu N tanh(steepness s(q[t], v[t+1]))   [N],   steepness = b / (2 nominal) [s/m]: a logistic function of the slip"""
+    """f[t] = -mu N tanh(steepness s(q[t], v[t+1]))   [N],   steepness = b / (2 nominal) [s/m]: a logistic function of the slip."""
     return f == -limit * pyo.tanh(steepness * slip)
 
 
 def constraint_slip(forward: Any, backward: Any, slip: Any) -> Any:
-    """forward - backward = s(q[t], v[t+1])   [m/s]"""
+    """Slip: forward - backward = s(q[t], v[t+1])   [m/s]."""
     return forward - backward == slip
 
 
 def complementarity_friction(way: Any, reserve: Any) -> Any:
-    """0 <= slip one way [m/s]  complements  mu N + f (or - f) >= 0 [N]: it slips only against all of mu N"""
+    """0 <= slip one way [m/s]  complements  mu N + f (or - f) >= 0 [N]: it slips only against all of mu N."""
     return complements(reserve >= 0, way >= 0)
 
 
 def expression_cost(costs: Sequence[Any]) -> Any:
-    """sum over t = 0..T-1 of the running cost, not weighted with h (paper: sum_t u1^2 + u3^2 [N^2]); then the final cost, if there is one"""
+    """Sum over t = 0..T-1 of the running cost, not weighted with h (paper: sum_t u1^2 + u3^2 [N^2]); then the final cost, if there is one."""
     return sum(costs)
 
 

@@ -1,19 +1,18 @@
-"""How near to its goal a scene comes at all: asked where Ipopt finds no plan, before the word `infeasible` is used.
+"""How near to its goal a scene comes at all, and how a solve that loses its goal is begun again.
+
+`nearest` is asked where Ipopt finds no plan, before the word `infeasible` is used:
 
     minimise  sum over the state of ((x_T - goal) / nominal)^2   subject to start, time step, contact and input bounds
 
 Every input within its bounds is a feasible point of this problem, so it needs no restoration, on which Ipopt can spend its whole time limit
 where complementarity meets a goal out of reach (three carts, inputs bounded by 0.3 N, T = 500: none after 1600 iterations, 0.42 m found here in
 280). Contact is softplus, sharpened in steps from a length as wide as the scene to one where the force at a distance no longer matters.
-
 The answer is local, like Ipopt's own; where it says that the goal can be reached, it has a plan to start from.
 
-
-A cold start of softplus contact that loses its way, and how it is begun again: with the goal let go first.
-
-The paper's first guess holds the start, and the goal is a constraint far from it. Where bodies can be driven past each other, the first steps do
-that, the contact no longer answers to any input, and the multipliers of the goal grow without bound: two fingers that lift a disc had none below
-1e10 after 90 iterations, and no plan after 3000. The same model with the goal as a penalty,
+`plan_with_goal_released` begins a cold start of softplus contact again, with the goal let go first. The paper's first guess holds the start, and the
+goal is a constraint far from it. Where bodies can be driven past each other, the first steps do that, the contact no longer answers to any input, and
+the multipliers of the goal grow without bound: two fingers that lift a disc had none below 1e10 after 90 iterations, and no plan after 3000. The same
+model with the goal as a penalty,
 
     cost + w sum over the state of ((x_T - goal) / nominal)^2,      w the cost of the first guess, at least 1, and heavier as needed
 
@@ -49,7 +48,7 @@ _FIRST, _FACTOR, _LAST = 3.0, 2.0, 384.0
 _OUT_OF_REACH = 1e-2
 _ITERATIONS = 300  # of one solve; 6 to 121 were needed
 # Consecutive restoration iterations after which a solve is stopped to ask here. Solves that found a plan spent at most 2.
-_PATIENCE = 100
+_MOST_RESTORATIONS = 100
 # Dual infeasibility past which a cold start is begun again. Of the scenes of the bank, those that were solved within 150 iterations stayed
 # below 5e10, those that took hundreds, or had no plan, went to 6e13 and beyond.
 _RUNAWAY = 1e12
@@ -59,7 +58,7 @@ _RELEASED_ITERATIONS = 300  # of a solve with the goal let go; 29 to 51 were nee
 _NEAR, _HEAVIER, _WEIGHTS = 0.1, 100.0, 3
 
 
-class Patience:
+class RestorationMonitor:
     """Ipopt callback: stops a solve that stays in restoration. `is_out`: it did."""
 
     def __init__(self) -> None:
@@ -67,12 +66,13 @@ class Patience:
         self._restoring = 0
 
     def __call__(self, line: Iteration) -> bool:
+        """Whether Ipopt shall go on."""
         self._restoring = self._restoring + 1 if line.restoration else 0
-        self.is_out = self._restoring >= _PATIENCE
+        self.is_out = self._restoring >= _MOST_RESTORATIONS
         return not self.is_out
 
 
-class Watch(Patience):
+class GoalMonitor(RestorationMonitor):
     """Ipopt callback: also stops a solve whose multipliers run away. `has_lost_goal`: that is why it was stopped."""
 
     def __init__(self) -> None:
@@ -80,11 +80,12 @@ class Watch(Patience):
         self.has_lost_goal = False
 
     def __call__(self, line: Iteration) -> bool:
+        """Whether Ipopt shall go on."""
         self.has_lost_goal = line.inf_du > _RUNAWAY
         return super().__call__(line) and not self.has_lost_goal
 
 
-def plan_with_goal_released(scene: Scene, eps: float, account: SolveBudget, options: Mapping[str, Any]) -> Trajectory | None:
+def plan_with_goal_released(scene: Scene, eps: float, budget: SolveBudget, options: Mapping[str, Any]) -> Trajectory | None:
     """The plan of the softplus model at eps with the goal as a penalty; None where that is not solved either."""
     model: Any = build_model(scene, ContactFormulation.SOFTPLUS, eps=eps)
     nominal = {coordinate.name: coordinate.nominal for coordinate in scene.coordinates}
@@ -94,11 +95,11 @@ def plan_with_goal_released(scene: Scene, eps: float, account: SolveBudget, opti
     model.objective_near = pyo.Objective(expr=model.expression_cost + model.parameter_weight * missed)
     bench = Workbench(model)
     for _ in range(_WEIGHTS):
-        most = min(options["max_iter"], account.iterations + _RELEASED_ITERATIONS)
-        result = bench.run(account, {**options, "max_iter": most})
+        most = min(options["max_iter"], budget.iterations + _RELEASED_ITERATIONS)
+        result = bench.run(budget, {**options, "max_iter": most})
         if result.outcome is not Outcome.SOLVED:
             return None
-        if pyo.value(missed) <= _NEAR or account.is_over:
+        if pyo.value(missed) <= _NEAR or budget.is_over:
             break
         model.parameter_weight.value *= _HEAVIER
     return read_plan(model)
@@ -119,11 +120,20 @@ class Nearest:
 
     @property
     def is_out_of_reach(self) -> bool:
+        """Whether the search converged and misses by more than solves that were cut off do."""
         return self.is_solved and self.miss > _OUT_OF_REACH
 
 
-def nearest(scene: Scene, account: SolveBudget, max_iterations: int, sharpest: float = math.inf) -> Nearest:
-    """See the module docstring. sharpest: b [1/m] of the last solve, where contact is not to be sharper than that."""
+def nearest(scene: Scene, budget: SolveBudget, max_iterations: int, sharpest: float = math.inf) -> Nearest:
+    """The plan that comes nearest to the goal, by softplus contact that is sharpened.
+
+    Parameters
+    ----------
+    scene : with a goal
+    budget : what the search may spend
+    max_iterations : of all solves in the budget
+    sharpest : b [1/m] of the last solve, where contact is not to be sharper than that
+    """
     model: Any = build_model(scene, ContactFormulation.SOFTPLUS, eps=0.5)
     _aim_at_goal(model, scene)
     problem = compile_model(model)
@@ -132,14 +142,14 @@ def nearest(scene: Scene, account: SolveBudget, max_iterations: int, sharpest: f
         if scene.nc:
             model.parameter_sharpness.value = b
             problem.refresh()
-        most = int(min(_ITERATIONS, max(0, max_iterations - account.iterations), account.iterations_left(problem)))
-        result = solve(problem, options={"max_iter": most}, time_limit=account.remaining)
-        account.add(result, problem)
+        most = int(min(_ITERATIONS, max(0, max_iterations - budget.iterations), budget.iterations_left(problem)))
+        result = solve(problem, options={"max_iter": most}, time_limit=budget.remaining)
+        budget.add(result, problem)
         is_solved = result.outcome is Outcome.SOLVED
         if not np.all(np.isfinite(result.x)):
             break
         load(problem, result)
-        if account.is_over:
+        if budget.is_over:
             is_solved = False
             break
     return _measured(scene, read_plan(model), is_solved)

@@ -39,8 +39,10 @@ class Failure:
 
 
 class Homotopy:
-    """One method's model on a scene. rules: what the method asks of a stage at an eps; counts_nonzeros: whether work is counted in nonzeros of the model
-    or in its unknowns."""
+    """One method's model on a scene.
+
+    rules: what the method asks of a stage at an eps; counts_nonzeros: whether work is counted in nonzeros of the model or in its unknowns
+    """
 
     def __init__(
         self,
@@ -69,20 +71,20 @@ class Homotopy:
         return Solution(method=self._method, outcome=outcome, message=message, options=asdict(self._options))
 
     @contextmanager
-    def stage(self, account: SolveBudget) -> Iterator[Stage]:
-        """A stage, whose solves are in the account when it ends."""
-        stage = Stage(self.solver, self.rules, self._options, account, self._counts_nonzeros)
+    def stage(self, budget: SolveBudget) -> Iterator[Stage]:
+        """A stage, whose solves are in the budget when it ends."""
+        stage = Stage(self.solver, self.rules, self._options, budget, self._counts_nonzeros)
         yield stage
         stage.settle()
 
-    def solution(self, account: SolveBudget, eps: float, start: Trajectory | None, result: IpoptResult) -> Solution:
+    def solution(self, budget: SolveBudget, eps: float, start: Trajectory | None, result: IpoptResult) -> Solution:
         """The plan that the model holds, checked by the rules of its eps; that there is none is remembered."""
         rules = self.rules(eps)
         found = self.solver.solution(
             self._method,
-            account,
+            budget,
             result,
-            lambda plan: residuals_at(self.solver, rules, plan, eps),
+            lambda plan: _residuals_at(self.solver, rules, plan, eps),
             plan_limits=rules.plan_limits,
             promises=rules.promises,
         )
@@ -92,30 +94,30 @@ class Homotopy:
 
 
 class Stage:
-    """The solves of one stage, each with an account of its own, because iterations are limited for each."""
+    """The solves of one stage, each with a budget of its own, because iterations are limited for each."""
 
     def __init__(
         self,
         solver: PlanSolver,
         rules: Callable[[float], StageRules],
         options: TranscriptionOptions,
-        account: SolveBudget,
+        budget: SolveBudget,
         counts_nonzeros: bool,
     ) -> None:
-        self._solver, self._rules, self._account, self._counts_nonzeros = solver, rules, account, counts_nonzeros
+        self._solver, self._rules, self._budget, self._counts_nonzeros = solver, rules, budget, counts_nonzeros
         self._most = options.max_iterations
-        self._accounts: list[SolveBudget] = []
+        self._budgets: list[SolveBudget] = []
         self._spent = 0
 
     @property
     def may_go_on(self) -> bool:
         """Whether time and iterations are left."""
-        return not self._account.is_over and self._spent < self._most
+        return not self._budget.is_over and self._spent < self._most
 
     def settle(self) -> None:
-        """All that was spent is told by the account of the stage."""
-        for own in reversed(self._accounts):
-            self._account.include(own)
+        """All that was spent counts in the budget of the stage."""
+        for own in reversed(self._budgets):
+            self._budget.include(own)
 
     def reach(self, eps: float, start: Trajectory | None) -> IpoptResult:
         """Solve at this eps from the start, which the model holds already; by half way where it is a plan of this session and leads to none."""
@@ -133,9 +135,9 @@ class Stage:
     def solve(self, eps: float, start: Trajectory | None, *, cold_work: Work | None = None) -> IpoptResult:
         """Solve once at this eps from the start, which the model holds already. cold_work: most of it without a plan, if not as in the rules."""
         rules = self._rules(eps)
-        size = self._solver.nonzeros(self._account) if self._counts_nonzeros else self._solver.unknowns
-        own = SolveBudget(self._account.remaining)
-        self._accounts.append(own)
+        size = self._solver.nonzeros(self._budget) if self._counts_nonzeros else self._solver.unknowns
+        own = SolveBudget(self._budget.remaining)
+        self._budgets.append(own)
         cold = self._limited({**rules.ipopt, **rules.cold}, cold_work or rules.cold_work, size)
         warm = self._limited({**rules.ipopt}, rules.warm_work, size)
         result = self._solver.solve_at(eps, start, own, rules, cold if start is None else warm, warm)
@@ -149,7 +151,7 @@ class Stage:
         except TrajectoryError:
             return None
         rules = self._rules(eps)
-        return None if beyond(rules.plan_limits, residuals_at(self._solver, rules, plan, eps)) else plan
+        return None if beyond(rules.plan_limits, _residuals_at(self._solver, rules, plan, eps)) else plan
 
     def _limited(self, options: dict[str, Any], work: Work | None, size: int) -> dict[str, Any]:
         """With no more iterations than the stage has left, and than the work allows."""
@@ -157,6 +159,6 @@ class Stage:
         return {**options, "max_iter": most if work is None else min(most, work.iterations(size))}
 
 
-def residuals_at(solver: PlanSolver, rules: StageRules, plan: Trajectory, eps: float) -> dict[str, float]:
+def _residuals_at(solver: PlanSolver, rules: StageRules, plan: Trajectory, eps: float) -> dict[str, float]:
     """Residuals of a plan by name, held against the contact law of the rules."""
     return solver.residuals.of(plan, rules.law, eps if rules.law is ForceLaw.SOFTPLUS else None)

@@ -24,6 +24,8 @@ def why_not_collocated(scene: Scene) -> str | None:
 
 @dataclass(frozen=True, kw_only=True)
 class TranscriptionOptions(Options):
+    """Options of every method that solves a plan's model by Ipopt."""
+
     tolerance: float = option(1e-8, "Ipopt's own stopping tolerance (tol)", lower=1e-12, upper=1e-2)
     max_iterations: int = option(3000, "most Ipopt iterations of a stage", lower=1, upper=10**9)
     plan_tolerance: float = option(
@@ -47,6 +49,8 @@ class TranscriptionOptions(Options):
 # iterations to the first relaxed plan of the three carts, 78 from a start well inside.
 @dataclass(frozen=True, kw_only=True)
 class BarrierOptions(TranscriptionOptions):
+    """Options of a complementarity model: further, how far inside its bounds Ipopt starts."""
+
     barrier_start: float = option(10.0, "Ipopt's mu_init of a start without a plan", lower=1e-9, upper=1e9)
     bound_push: float = option(1.0, "Ipopt's bound_push of a start without a plan", lower=1e-9, upper=1e9)
 
@@ -72,6 +76,7 @@ class Work:
     fewest: int
 
     def iterations(self, size: int) -> int:
+        """Most iterations of a model of this size."""
         return max(self.fewest, int(self.most / size))
 
 

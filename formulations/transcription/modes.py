@@ -34,37 +34,42 @@ class FixedModes:
         self._model, self._options, self._most_switches = model, {**options, **_NEAR}, most_switches
         self._bench = Workbench(model)
 
-    def solve(self, account: SolveBudget, closed: np.ndarray) -> IpoptResult:
-        """The last solved problem, its plan left in the model; closed (steps, nc + 2 nf + springs + switches) as in `hold_modes`."""
+    def solve(self, budget: SolveBudget, closed: np.ndarray) -> IpoptResult:
+        """The last solved problem, its plan left in the model.
+
+        Parameters
+        ----------
+        budget : what the stage may spend
+        closed : (steps, nc + 2 nf + springs + switches) as in `hold_modes` [-]
+        """
         hold_modes(self._model, closed)
-        best = self._run(account)
+        best = self._run(budget)
         for _ in range(self._most_switches):
-            if best.outcome is not Outcome.SOLVED or account.is_over:
+            if best.outcome is not Outcome.SOLVED or budget.is_over:
                 return best
-            switch = _cheaper_modes(self._bench.problem(account), best, self._model, closed)
+            switch = _cheaper_modes(self._bench.problem(budget), best, self._model, closed)
             if not switch.any():
                 return best
             plan, closed = read_plan(self._model), closed ^ switch
             hold_modes(self._model, closed)
-            again = self._run(account)
+            again = self._run(budget)
             if again.outcome is not Outcome.SOLVED or again.objective >= best.objective:
                 load_plan(self._model, plan)  # no gain beyond rounding: keep what was there
                 return best
             best = again
         return best
 
-    def _run(self, account: SolveBudget) -> IpoptResult:
-        most = min(self._options["max_iter"], account.iterations + _MODE_ITERATIONS)
-        return self._bench.run(account, {**self._options, "max_iter": most})
+    def _run(self, budget: SolveBudget) -> IpoptResult:
+        most = min(self._options["max_iter"], budget.iterations + _MODE_ITERATIONS)
+        return self._bench.run(budget, {**self._options, "max_iter": most})
 
 
 def _cheaper_modes(problem: IpoptProblem, result: IpoptResult, model: Any, closed: np.ndarray) -> np.ndarray:
-    """(steps, nc + 2 nf) pairs at lam = 0 = v that would lower the cost in the other mode: the force held at zero there has a negative multiplier."""
+    """Pairs (steps, nc + 2 nf) at lam = 0 = v that would lower the cost in the other mode: the force held at zero there has a negative multiplier."""
     place = {id(variable): column for column, variable in enumerate(problem.variables)}
     couples = sides(model)
     lam, separation = (np.array([place[id(couple[side])] for couple in couples]) for side in (0, 1))
-    rows, columns = problem.jacobianstructure()
-    slope = problem.gradient(result.x) + np.bincount(columns, problem.jacobian(result.x) * result.lagrange[rows], problem.n)
+    slope = problem.lagrangian_gradient(result.x, result.lagrange)
     undecided = np.maximum(result.x[lam], result.x[separation]) < _UNDECIDED
     held = np.where(closed.ravel(), separation, lam)
     switch = (undecided & (slope[held] < -_WANTING)).reshape(closed.shape)

@@ -43,7 +43,7 @@ class PlanResiduals:
         self._stiffness = np.array(d.stiffness.subs(scene.parameter_values), dtype=float).ravel()
 
     def separation(self, plan: Trajectory) -> np.ndarray:
-        """lam - k phi (steps, nc) [N], k phi with its damping: at least 0 under the true law, and 0 where a contact pushes."""
+        """Separation force lam - k phi (steps, nc) [N], k phi with its damping: at least 0 under the true law, and 0 where a contact pushes."""
         phi, damped = self._penetration(plan.q[:-1]), list(self._scene.damped)
         push = self._stiffness * phi
         if damped:
@@ -51,9 +51,14 @@ class PlanResiduals:
         return plan.lam[:, : self._scene.nc] - push
 
     def modes(self, plan: Trajectory) -> np.ndarray:
-        """(steps, nc + 2 nf + springs + switches) whether a contact is closed - its force is larger than its separation force - and, for each friction, whether
-        it slips forward and whether backward: its slip (in its nominal) is larger than what is left of its force (in mu N); then, for the
-        spring and for the switch of each damped contact, whether it touches."""
+        """The contact modes that a plan shows.
+
+        Returns
+        -------
+        (steps, nc + 2 nf + springs + switches) [-]: whether a contact is closed - its force is larger than its separation force - and, for each friction,
+        whether it slips forward and whether backward: its slip (in its nominal) is larger than what is left of its force (in mu N); then, for the spring and
+        for the switch of each damped contact, whether it touches
+        """
         closed = plan.lam[:, : self._scene.nc] > np.maximum(self.separation(plan), 0.0)
         slip, force, limit = self.friction(plan)
         scale = np.maximum(limit, np.finfo(float).tiny)
@@ -73,7 +78,7 @@ class PlanResiduals:
         return float(self._cost(plan.q[:-1], plan.v[:-1], plan.u).sum() + self._final_cost(plan.q[-1:], plan.v[-1:]).sum())
 
     def dynamics_defect(self, plan: Trajectory) -> float:
-        """Largest miss of the plan's own time step, in velocity or position; a collocation's is taken with the true contact law.
+        """Largest miss of the plan's own time step, in velocity [m/s, rad/s] or position [m, rad]; a collocation's is taken with the true contact law.
 
         A plan that declares no scheme is asked for the step of the transcription, semi-implicit Euler.
         """
@@ -86,7 +91,30 @@ class PlanResiduals:
         return max(_largest(np.diff(plan.v, axis=0) - h * acceleration), _largest(np.diff(plan.q, axis=0) - h * plan.v[1:]))
 
     def of(self, plan: Trajectory, law: ContactLaw = ContactLaw.RELU, eps: float | None = None) -> dict[str, float]:
-        """Largest absolute values by name; see `MEANING`."""
+        """Largest absolute values, held against a contact law.
+
+        Parameters
+        ----------
+        plan : on the scene's grid
+        law : RELU is the true one
+        eps : of the smoothed law
+
+        Returns
+        -------
+        by name, those that the scene and the law have
+
+        dynamics_defect : largest miss of the time step, in velocity [m/s, rad/s] or position [m, rad]
+        start_error, terminal_error : norm of x[0] - start; of x[T] - goal, over the components that are given
+        input_bound_excess : by how much an input leaves its bounds [N, N m]
+        velocity_bound_excess : by how much a velocity leaves its bounds at the start of a step
+        physics : sum over steps and contacts of abs(lam (lam - k phi)) [N^2], k phi with its damping (paper, eq. 10)
+        complementarity : largest abs(lam (lam - k phi)) [N^2]
+        force_sign : by how much lam or lam - k phi is negative [N]
+        contact_law : largest miss of the softplus law [N]
+        friction_cone : by how much a friction force exceeds mu N [N]
+        friction_law : largest mu N abs(s) + f s: what the friction dissipates less than maximal dissipation asks for [W]
+        regularised_friction : largest miss of the regularised friction law [N]
+        """
         scene = self._scene
         lower, upper = input_bounds(scene)
         found = {
@@ -138,29 +166,12 @@ class PlanResiduals:
         return {"friction_cone": cone, "regularised_friction": _largest(force + limit * np.tanh(steepness * slip))}
 
 
-MEANING = {
-    "dynamics_defect": "largest miss of the time step, in velocity [m/s, rad/s] or position [m, rad]",
-    "start_error": "norm of x[0] - start",
-    "terminal_error": "norm of x[T] - goal, over the components that are given",
-    "input_bound_excess": "by how much an input leaves its bounds [N, N m]",
-    "velocity_bound_excess": "by how much a velocity leaves its bounds at the start of a step",
-    "physics": "sum over steps and contacts of abs(lam (lam - k phi)) [N^2], k phi with its damping (paper, eq. 10)",
-    "complementarity": "largest abs(lam (lam - k phi)) [N^2]",
-    "force_sign": "by how much lam or lam - k phi is negative [N]",
-    "contact_law": "largest miss of the softplus law [N]",
-    "friction_cone": "by how much a friction force exceeds mu N [N]",
-    "friction_law": "largest mu N abs(s) + f s: what the friction dissipates less than maximal dissipation asks for [W]",
-    "regularised_friction": "largest miss of the regularised friction law [N]",
-    "switch_error": "bound of the velocity errors of steps in which a contact opens or closes, summed [m/s, rad/s]",
-    "discrete_terminal_error": "norm of x[T] - goal after the plan's inputs ran through its own time step with the true contact law",
-}
-
-
 def _function(scene: Scene, matrix: sp.Matrix, *groups: Sequence[sp.Symbol]) -> Callable[..., np.ndarray]:
     """f(*arrays (steps, size of the group)) -> (steps, number of entries), at the scene's parameter values."""
     evaluate = sp.lambdify([list(group) for group in groups], list(matrix.subs(scene.parameter_values)), modules="numpy", cse=True)
 
     def function(*arrays: np.ndarray) -> np.ndarray:
+        """Evaluate at arrays (steps, size of the group), giving (steps, entries) [units of the matrix]."""
         result = np.zeros((len(arrays[0]), len(matrix)))
         for column, values in enumerate(evaluate(*(array.T for array in arrays))):
             result[:, column] = values

@@ -1,11 +1,11 @@
-"""The model of one scene under one contact law: built once, loaded with a start, solved with patience, its plan read and checked.
+"""The model of one scene under one contact law: built once, loaded with a start, solved, its plan read and checked.
 
     solver = PlanSolver(scene, ContactFormulation.SOFTPLUS, options, clock)
-    account = solver.begin(1e-3, None, time_limit)                     # the model holds the first guess
-    result = solver.solve_at(1e-3, None, account, rules, options, from_plan)
-    solution = solver.solution(name, account, result, residuals_of, plan_limits=.., promises=..)
+    budget = solver.begin(1e-3, None, time_limit)                     # the model holds the first guess
+    result = solver.solve_at(1e-3, None, budget, rules, options, from_plan)
+    solution = solver.solution(name, budget, result, residuals_of, plan_limits=.., promises=..)
 
-Patience: a solve that leads nowhere is stopped, and what comes nearest to the goal is asked for (`feasibility`) before it is tried once more.
+A solve that leads nowhere is stopped, and what comes nearest to the goal is asked for (`feasibility`) before it is tried once more.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from formulations.method import Clock
 from formulations.solution import Outcome, Solution
 from formulations.transcription.build import build_model
 from formulations.transcription.contact import ContactFormulation, release_modes, tighten
-from formulations.transcription.feasibility import Nearest, Patience, Watch, nearest, plan_with_goal_released
+from formulations.transcription.feasibility import GoalMonitor, Nearest, RestorationMonitor, nearest, plan_with_goal_released
 from formulations.transcription.method import StageRules, TranscriptionOptions, ended
 from formulations.transcription.modes import FixedModes
 from formulations.transcription.residuals import PlanResiduals
@@ -65,15 +65,21 @@ class PlanSolver:
         return self._bench
 
     def begin(self, eps: float, start: Trajectory | None, time_limit: float) -> SolveBudget:
-        """A stage begins: its account, and the model with its start."""
-        account = SolveBudget(time_limit, self._clock.pay())
+        """A stage begins: its budget, and the model with its start."""
+        budget = SolveBudget(time_limit, self._clock.pay())
         begin = perf_counter()
         self.prepare(eps, start)
-        account.build += perf_counter() - begin
-        return account
+        budget.build += perf_counter() - begin
+        return budget
 
     def prepare(self, eps: float, start: Trajectory | None) -> None:
-        """Build the model at its first use, at this eps, and load the start. Raises TrajectoryError for a plan of another grid."""
+        """Build the model at its first use, at this eps, and load the start.
+
+        Raises
+        ------
+        TrajectoryError
+            for a plan of another grid
+        """
         if self._bench is None:
             self._bench = Workbench(build_model(self._scene, self._contact, eps=eps))
         self.load(start)
@@ -101,9 +107,9 @@ class PlanSolver:
         """The model without complementarity, of a translation of its own."""
         return FixedModes(self.bench.model, self._options.ipopt(), most_switches)
 
-    def nonzeros(self, account: SolveBudget) -> int:
+    def nonzeros(self, budget: SolveBudget) -> int:
         """Of the translated model."""
-        return self.bench.problem(account).nonzeros
+        return self.bench.problem(budget).nonzeros
 
     @property
     def unknowns(self) -> int:
@@ -113,7 +119,7 @@ class PlanSolver:
     # -- solving ------------------------------------------------------------------------------------------------------------------
 
     def solve_at(
-        self, eps: float, start: Trajectory | None, account: SolveBudget, rules: StageRules, options: IpoptOptions, from_plan: IpoptOptions
+        self, eps: float, start: Trajectory | None, budget: SolveBudget, rules: StageRules, options: IpoptOptions, from_plan: IpoptOptions
     ) -> IpoptResult:
         """Solve at this eps the model, which holds the start already; with the multipliers of the stage before where the rules say so.
 
@@ -124,10 +130,10 @@ class PlanSolver:
         known = self.solved_before(start) if start is not None and rules.takes_duals else None
         duals = None if known is None else primal_dual(known.result)
         release_at = eps if start is None and rules.may_release_goal else None
-        result = self.attempt(account, options, from_plan=from_plan, sharpest=rules.sharpest, start=duals, release_at=release_at)
-        if result.outcome is not Outcome.SOLVED and duals is not None and not account.is_over:
+        result = self.attempt(budget, options, from_plan=from_plan, sharpest=rules.sharpest, start=duals, release_at=release_at)
+        if result.outcome is not Outcome.SOLVED and duals is not None and not budget.is_over:
             self.load(start)  # multipliers of another eps can mislead: the plan alone, then
-            result = self.attempt(account, options, from_plan=from_plan, sharpest=rules.sharpest)
+            result = self.attempt(budget, options, from_plan=from_plan, sharpest=rules.sharpest)
         self.last = SolvedModel(eps, self.read(), result) if result.outcome is Outcome.SOLVED else None
         return result
 
@@ -139,13 +145,13 @@ class PlanSolver:
         same = all(np.array_equal(getattr(solved.plan, name), getattr(plan, name)) for name in ("q", "v", "u", "lam"))
         return solved if same else None
 
-    def run(self, account: SolveBudget, options: IpoptOptions, after: IpoptResult | None = None) -> IpoptResult:
+    def run(self, budget: SolveBudget, options: IpoptOptions, after: IpoptResult | None = None) -> IpoptResult:
         """Ipopt once, from what the model holds, or with all that it knew after another solve."""
-        return self.bench.run(account, options, None if after is None else primal_dual(after))
+        return self.bench.run(budget, options, None if after is None else primal_dual(after))
 
     def attempt(
         self,
-        account: SolveBudget,
+        budget: SolveBudget,
         options: IpoptOptions,
         *,
         from_plan: IpoptOptions,
@@ -159,19 +165,19 @@ class PlanSolver:
         from_plan: Ipopt's options where it goes on from a plan; sharpest: as in `StageRules`; share: part of the remaining time of each solve;
         release_at: eps of softplus contact at which the goal may be let go, None where it may not.
         """
-        patience = Patience() if release_at is None else Watch()
-        result = self.bench.run(account, options, start, share=share, callback=patience)
-        is_lost = isinstance(patience, Watch) and (patience.has_lost_goal or result.outcome is Outcome.INFEASIBLE)
-        if release_at is not None and is_lost and not account.is_over:
-            plan = plan_with_goal_released(self._scene, release_at, account, options)
+        monitor = RestorationMonitor() if release_at is None else GoalMonitor()
+        result = self.bench.run(budget, options, start, share=share, callback=monitor)
+        is_lost = isinstance(monitor, GoalMonitor) and (monitor.has_lost_goal or result.outcome is Outcome.INFEASIBLE)
+        if release_at is not None and is_lost and not budget.is_over:
+            plan = plan_with_goal_released(self._scene, release_at, budget, options)
             if plan is not None:
                 self.load(plan)
-                patience = Patience()
-                result = self.bench.run(account, options, share=share, callback=patience)
+                monitor = RestorationMonitor()
+                result = self.bench.run(budget, options, share=share, callback=monitor)
                 is_lost = False
-        if account.is_over or not (is_lost or patience.is_out or result.outcome is Outcome.INFEASIBLE):
+        if budget.is_over or not (is_lost or monitor.is_out or result.outcome is Outcome.INFEASIBLE):
             return result
-        found = self._nearest_plan(account, sharpest)
+        found = self._nearest_plan(budget, sharpest)
         if found.is_out_of_reach:
             message = f"{self._no_plan()}: the nearest that was found misses {found.words}."
             return replace(result, outcome=Outcome.INFEASIBLE, message=message)
@@ -180,10 +186,10 @@ class PlanSolver:
             options = {**options, **from_plan}
         elif is_lost:
             self.load(None)
-        elif not patience.is_out:
+        elif not monitor.is_out:
             shortfall = f"Ipopt ended where the constraints cannot be met any better, {result.residuals.constraint_violation:.3g} short"
             return replace(result, message=f"{self._no_plan()}: {shortfall}.")
-        again = self.bench.run(account, options, share=share)
+        again = self.bench.run(budget, options, share=share)
         if again.outcome is Outcome.INFEASIBLE and found.is_solved:
             message = (
                 f"{again.message}. The goal can be reached nearly (with softened contact: {found.words}), but no plan was found from there."
@@ -191,11 +197,11 @@ class PlanSolver:
             return replace(again, outcome=Outcome.STALLED, message=message)
         return again
 
-    def _nearest_plan(self, account: SolveBudget, sharpest: float) -> Nearest:
+    def _nearest_plan(self, budget: SolveBudget, sharpest: float) -> Nearest:
         """Searched once for each sharpness; searched again if it was cut off."""
         found = self._nearest.get(sharpest)
         if found is None or not found.is_solved:
-            found = self._nearest[sharpest] = nearest(self._scene, account, self._options.max_iterations, sharpest)
+            found = self._nearest[sharpest] = nearest(self._scene, budget, self._options.max_iterations, sharpest)
         return found
 
     def _no_plan(self) -> str:
@@ -207,7 +213,7 @@ class PlanSolver:
     def solution(
         self,
         method: str,
-        account: SolveBudget,
+        budget: SolveBudget,
         result: IpoptResult,
         residuals_of: Callable[[Trajectory], dict[str, float]],
         *,
@@ -239,12 +245,12 @@ class PlanSolver:
             message=message,
             trajectory=plan,
             cost=cost,
-            iterations=account.iterations,
-            seconds=account.seconds(),
+            iterations=budget.iterations,
+            seconds=budget.seconds(),
             residuals={name: value for name, value in residuals.items() if np.isfinite(value)},
             options=asdict(self._options),
-            solver=account.solver,
-            history={name: tuple(values) for name, values in account.history.items()},
+            solver=budget.solver,
+            history={name: tuple(values) for name, values in budget.history.items()},
             size=self.bench.size,
             paper_size=size_on_paper(self._scene, self._contact),
         )

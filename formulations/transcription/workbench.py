@@ -68,7 +68,10 @@ def release_goal(model: Any) -> list[tuple[Any, Any, str]]:
 def load_plan(block: Any, plan: Trajectory) -> None:
     """Write a plan into the variables of a block, as first guess. Its ends need not be those of the task.
 
-    Raises TrajectoryError unless the plan has the block's grid and numbers of columns.
+    Raises
+    ------
+    TrajectoryError
+        unless the plan has the block's grid and numbers of columns
     """
     steps, h = len(block.set_steps), pyo.value(block.parameter_step)
     grid = uniform_grid(h, steps)
@@ -128,12 +131,12 @@ def read_plan(block: Any) -> Trajectory:
 
 
 def read_values(variable: Any) -> np.ndarray:
-    """(n,) values of an indexed variable in its own order, NaN where there is none."""
+    """Values (n,) of an indexed variable in its own order, NaN where there is none [units of the variable]."""
     return np.array([np.nan if data.value is None else data.value for data in variable.values()], dtype=float)
 
 
 def write_values(variable: Any, values: np.ndarray) -> None:
-    """Set an indexed variable from an array in its own order; a value outside the bounds is a guess like any other."""
+    """Set an indexed variable from values (n,) in its own order [units of the variable]; one outside the bounds is a guess like any other."""
     for data, value in zip(variable.values(), np.asarray(values, dtype=float).ravel().tolist(), strict=True):
         data.set_value(value, skip_validation=True)
 
@@ -160,14 +163,14 @@ class Workbench:
         self.model = model
         self._problem: IpoptProblem | None = None
 
-    def problem(self, account: SolveBudget) -> IpoptProblem:
+    def problem(self, budget: SolveBudget) -> IpoptProblem:
         """The translation, current with the model's Params and bounds."""
         begin = perf_counter()
         if self._problem is None:
             self._problem = compile_model(self.model)
         else:
             self._problem.refresh()
-        account.translate += perf_counter() - begin
+        budget.translate += perf_counter() - begin
         return self._problem
 
     def read(self) -> Trajectory:
@@ -181,7 +184,7 @@ class Workbench:
 
     def run(
         self,
-        account: SolveBudget,
+        budget: SolveBudget,
         options: Mapping[str, Any],
         start: Start | None = None,
         *,
@@ -190,12 +193,18 @@ class Workbench:
     ) -> IpoptResult:
         """Solve from `start` (default: the values of the model's variables), and write the point where it ended into the model.
 
-        options: Ipopt's; max_iter counts for the whole stage. share: part of the remaining time this run may take.
+        Parameters
+        ----------
+        budget : of the stage
+        options : Ipopt's; max_iter counts for the whole stage
+        start : with multipliers, perhaps
+        share : part of the remaining time this run may take
+        callback : called after each iteration; False stops
         """
-        problem = self.problem(account)
-        left = {**options, "max_iter": int(max(0, min(options["max_iter"] - account.iterations, account.iterations_left(problem))))}
-        result = solve(problem, options=left, warm_start=start, callback=callback, time_limit=share * account.remaining)
-        account.add(result, problem)
+        problem = self.problem(budget)
+        left = {**options, "max_iter": int(max(0, min(options["max_iter"] - budget.iterations, budget.iterations_left(problem))))}
+        result = solve(problem, options=left, warm_start=start, callback=callback, time_limit=share * budget.remaining)
+        budget.add(result, problem)
         if np.all(np.isfinite(result.x)):
             load(problem, result)
         return result

@@ -5,6 +5,7 @@
 
 #include <stddef.h>
 #include <stdint.h>
+#include <stdlib.h>
 
 /* The elimination: fronts, children before parents. One block of integers, so that it can be kept where the caller keeps integers.
  * A front has its pivots first, then the rows it shares with its parent; of an entry (row >= column) the places in its front are told. */
@@ -29,8 +30,21 @@ struct memory {
     int count, failed;
 };
 
-void *take(struct memory *memory, size_t number, size_t bytes);
-void release(struct memory *memory);
+static inline void *take(struct memory *memory, size_t number, size_t bytes)
+{
+    void *block = memory->count < (int)(sizeof memory->blocks / sizeof *memory->blocks) ? calloc(number + 1, bytes) : NULL;
+    if (block)
+        memory->blocks[memory->count++] = block;
+    else
+        memory->failed = 1;
+    return block;
+}
+
+static inline void release(struct memory *memory)
+{
+    while (memory->count > 0)
+        free(memory->blocks[--memory->count]);
+}
 
 /* Neighbours of node i: adjacent[start[i]] .. of length[i]; both lists are used up. False without memory; `out` then is released all the same. */
 int order_nodes(int n, const int *weight, const int *start, int *length, int *adjacent, struct ordering *out);

@@ -1,6 +1,4 @@
-"""What is active at a point, within a tolerance: gradients and the signs that their multipliers may have.
-
-Classes of stationarity: which signs the multipliers of biactive pairs may have.
+"""What is active at a point, within a tolerance, and which signs its multipliers may have in each class of stationarity.
 
 On biactive pairs (G = 0 = H):  S: nu, mu >= 0;  M: nu, mu > 0 or nu mu = 0;  C: nu mu >= 0;  A: nu >= 0 or mu >= 0;  W: any.
 """
@@ -29,6 +27,7 @@ class Stationarity(Enum):
 
     @property
     def letter(self) -> str:
+        """S, M, C, A, W, or - for none."""
         return "-" if self is Stationarity.NONE else self.value[0]
 
 
@@ -56,7 +55,12 @@ def wrong_by(pair: tuple[float, float], choices: tuple[Signs, ...]) -> float:
 
 
 def limits(active: ActiveSet, signs: Sequence[Signs]) -> tuple[np.ndarray, np.ndarray]:
-    """(lowest, highest) multipliers of the columns of `active.matrix`, with these signs on the biactive pairs."""
+    """Limits of the multipliers of the columns of `active.matrix`, with these signs on the biactive pairs.
+
+    Returns
+    -------
+    lowest, highest (columns,), each 0 or infinite [objective per row]
+    """
     own = [(-np.inf if low is None else low, np.inf if high is None else high) for low, high in active.limits]
     own += [_LIMITS["*"]] * (len(active.first_only) + len(active.second_only))
     own += [_LIMITS[first] for first, _ in signs] + [_LIMITS[second] for _, second in signs]
@@ -65,7 +69,13 @@ def limits(active: ActiveSet, signs: Sequence[Signs]) -> tuple[np.ndarray, np.nd
 
 
 def pairs_of(active: ActiveSet, y: np.ndarray) -> list[tuple[float, float]]:
-    """(nu, mu) of the biactive pairs among the multipliers of the columns of `active.matrix`."""
+    """Multipliers nu, mu of the biactive pairs among those of all columns of `active.matrix`.
+
+    Parameters
+    ----------
+    active : what is active
+    y : (columns,) multipliers [objective per row]
+    """
     nu, mu = np.split(y[len(y) - 2 * len(active.both) :], 2)
     return list(zip(nu.tolist(), mu.tolist(), strict=True))
 
@@ -80,8 +90,12 @@ _SAME_SIDE = 1e-12
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ActiveSet:
-    """What is active within a tolerance: gradients of rows and bounds as columns (n, k) with the limits of their multipliers; the pairs
-    by which side is zero; scale: largest derivative of the objective, at least 1."""
+    """What is active within a tolerance.
+
+    gradient (n,): of the minimised objective; normals (n, k): gradients of rows and bounds as columns; limits: of their multipliers
+    first_only, second_only, both: pairs by which side is zero; first_normals, second_normals (n, pairs): gradients of the sides
+    scale: largest derivative of the objective, at least 1
+    """
 
     gradient: np.ndarray
     normals: sparse.csc_matrix
@@ -102,6 +116,7 @@ class ActiveSet:
 
 
 def active_set(local: LocalModel, tolerance: float) -> ActiveSet:
+    """The rows, bounds and sides of pairs within the tolerance of their limits."""
     n = len(local.variables)
     covered = _covered_bounds(local)
     everything = sparse.vstack([local.jacobian, sparse.identity(n, format="csr")], format="csr") if n else local.jacobian

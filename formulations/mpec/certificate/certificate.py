@@ -1,11 +1,11 @@
-"""certify(model): what can be said of the point that a Pyomo model's variables hold, whoever computed it.
+"""What can be said of the point that a Pyomo model's variables hold, whoever computed it.
 
 certificate = certify(model)
 certificate.holds                     # feasible, complementary, and no direction goes down to first order
 certificate.stationarity.letter       # S, M, C, A, W or -
 print(certificate.sentence)
 
-Would the constraints still hold if the complementarity held exactly?
+Beside residuals and class it says whether the constraints would still hold if the complementarity held exactly:
 
     x y >= 1,   0 <= x complementary to y >= 0        at   x = 5e-13, y = 2e12
 
@@ -44,7 +44,7 @@ _SOLVED = 1e-12
 _DENSE = 600
 
 
-def forced_violation(local: LocalModel, tolerance: float) -> float:
+def _forced_violation(local: LocalModel, tolerance: float) -> float:
     """Largest violation of a row or bound (relative to max(1, |bound|)), to first order, after the step that makes every pair exact.
 
     The shortest step is taken where it keeps the violation within the tolerance, else the best; inf if no small one makes the pairs exact.
@@ -56,6 +56,7 @@ def forced_violation(local: LocalModel, tolerance: float) -> float:
     scale = np.maximum(1.0, np.maximum(_finite(low), _finite(high)))
 
     def violation(now: np.ndarray) -> float:
+        """Largest relative violation where rows and bounds have the values now (rows,) [units of the rows]."""
         return float(np.max(np.maximum(np.maximum(low - now, now - high), 0.0) / scale, initial=0.0))
 
     rounding = _ROUNDING * (abs(matrix) @ np.abs(x) + np.abs(sides - matrix @ x))  # of its terms and its constant
@@ -88,8 +89,11 @@ def _mended(
     high: np.ndarray,
     scale: np.ndarray,
 ) -> float:
-    """min t: low - t scale <= moved + everything N z <= high + t scale, |shortest + N z| <= 1. N spans the steps that leave the sides where
-    they are: as equations of the program they would hold within its tolerance only, which is what is in question."""
+    """Least t: low - t scale <= moved + everything N z <= high + t scale, |shortest + N z| <= 1.
+
+    N spans the steps that leave the sides where they are: as equations of the program they would hold within its tolerance only, which is what is in
+    question.
+    """
     basis = null_space(scaled.toarray(), rcond=1e-12)
     free = everything @ basis
     below, above = np.isfinite(low), np.isfinite(high)
@@ -126,7 +130,7 @@ def _finite(bound: np.ndarray) -> np.ndarray:
 # derivative of the objective (at least 1). A point polished by this package has 1e-12 in the first two; a solver without polish about 1e-8.
 FEASIBILITY, COMPLEMENTARITY, STATIONARITY = 1e-6, 1e-6, 1e-5
 # A row, bound or side this near zero is active.
-ACTIVE = 1e-6
+_ACTIVE = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,11 +159,15 @@ class Multipliers:
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
-    """primal: largest violation of a row, a bound or a side of a pair [user's units]; complementarity: largest min(G, H); product: largest
-    |G H|; forced: what the constraints would be violated by (relative) if the pairs held exactly, to first order; dual: residual of the multipliers of the class (relative); given_dual: residual and wrong signs of the multipliers that came with the
-    point, NaN if none did; biactive: pairs with both sides zero; descent: steepest slope of a piece (0: B-stationary; NaN: not all pieces
-    were looked at); least: smallest multiplier of a biactive pair (NaN where others exist or none were found); unique: whether the multipliers are
-    the only ones (LICQ); worst: the name of the component with the largest violation.
+    """What can be said of a point.
+
+    primal: largest violation of a row, a bound or a side of a pair [user's units]; complementarity: largest min(G, H); product: largest |G H|
+    forced: what the constraints would be violated by (relative) if the pairs held exactly, to first order
+    dual: residual of the multipliers of the class (relative); given_dual: residual and wrong signs of the multipliers that came with the point, NaN if
+    none did
+    biactive: pairs with both sides zero; descent: steepest slope of a piece (0: B-stationary; NaN: not all pieces were looked at)
+    least: smallest multiplier of a biactive pair (NaN where others exist or none were found); unique: whether the multipliers are the only ones (LICQ)
+    worst: the name of the component with the largest violation
     """
 
     primal: float
@@ -208,6 +216,7 @@ class Certificate:
 
     @property
     def sentence(self) -> str:
+        """Residuals, class and B-stationarity in words."""
         b = {True: "B-stationary", False: f"not B-stationary (slope {self.descent:.1e})", None: "B-stationarity unknown"}[self.b_stationary]
         measured = f"primal {self.primal:.1e}, complementarity {self.complementarity:.1e}, dual {self.dual:.1e} (unscaled, recomputed from the model)"
         if not self._within:
@@ -225,10 +234,21 @@ class Certificate:
 def certify(model: Any, multipliers: Multipliers | None = None, *, tolerances: Tolerances = Tolerances()) -> Certificate:
     """Judge the current values of a model's variables. The model is only read.
 
-    multipliers: if given they are checked too. With more than ten biactive pairs B-stationarity is known only where it follows from class S.
+    With more than ten biactive pairs B-stationarity is known only where it follows from class S.
+
+    Parameters
+    ----------
+    model : a Pyomo model
+    multipliers : if given they are checked too
+    tolerances : up to which violation the point counts as feasible
+
+    Raises
+    ------
+    MissingValueError
+        where a component needs an Expression that is empty
     """
     with PauseGC():
-        local = read_local(model, ACTIVE)
+        local = read_local(model, _ACTIVE)
     rows = (*local.rows, *local.bounds)
     violations = [_violation(row) for row in rows]
     sides = [max(0.0, -min(pair.first, pair.second)) for pair in local.pairs]
@@ -238,16 +258,16 @@ def certify(model: Any, multipliers: Multipliers | None = None, *, tolerances: T
     )
     relative = _largest([*(v / _size(row) for v, row in zip(violations, rows, strict=True)), *sides])
     names = [*rows, *local.pairs]
-    active = active_set(local, ACTIVE)
+    active = active_set(local, _ACTIVE)
     stationarity, dual, descent, given, least, unique = Stationarity.NONE, math.nan, math.nan, math.nan, math.nan, False
     computable = _is_finite(local)
     if computable:
-        given = math.nan if multipliers is None else given_residual(local, active, multipliers)
-        told = Stationarity.NONE if multipliers is None or not given <= STATIONARITY else _given_class(local, active, multipliers)
-        if told is Stationarity.STRONG:
-            stationarity, dual, descent = told, given, 0.0
+        given = math.nan if multipliers is None else _given_residual(local, active, multipliers)
+        shown_class = Stationarity.NONE if multipliers is None or not given <= STATIONARITY else _given_class(local, active, multipliers)
+        if shown_class is Stationarity.STRONG:
+            stationarity, dual, descent = shown_class, given, 0.0
         else:
-            found = classify(active, STATIONARITY, told)
+            found = classify(active, STATIONARITY, shown_class)
             stationarity, dual, least, unique = found.kind, found.residual, found.least, found.unique
             # one wrong multiplier may show too gentle a slope where several together show a steep one
             shown = found.descent < -STATIONARITY
@@ -257,7 +277,7 @@ def certify(model: Any, multipliers: Multipliers | None = None, *, tolerances: T
         primal_relative=relative,
         complementarity=complementarity,
         product=_largest([abs(pair.first * pair.second) for pair in local.pairs]),
-        forced=forced_violation(local, FEASIBILITY) if computable else math.nan,
+        forced=_forced_violation(local, FEASIBILITY) if computable else math.nan,
         dual=dual,
         given_dual=given,
         pairs=len(local.pairs),
@@ -273,7 +293,7 @@ def certify(model: Any, multipliers: Multipliers | None = None, *, tolerances: T
     )
 
 
-def given_residual(local: LocalModel, active: ActiveSet, multipliers: Multipliers) -> float:
+def _given_residual(local: LocalModel, active: ActiveSet, multipliers: Multipliers) -> float:
     """Largest of: what the multipliers leave of the gradient; wrong signs; products of multiplier and distance. Relative to the scale."""
     none = (0.0, 0.0)
     y = np.array([
@@ -281,7 +301,7 @@ def given_residual(local: LocalModel, active: ActiveSet, multipliers: Multiplier
         for row in local.rows
     ])  # fmt: skip
     z = np.array([multipliers.bounds.get(row.source, 0.0) for row in local.bounds])
-    pairs = [pair_multipliers(pair, multipliers) for pair in local.pairs]
+    pairs = [_pair_multipliers(pair, multipliers) for pair in local.pairs]
     nu, mu = np.array([first for first, _ in pairs]), np.array([second for _, second in pairs])
     rest = local.gradient - z
     for matrix, vector in ((local.jacobian, y), (local.first_jacobian, nu), (local.second_jacobian, mu)):
@@ -297,14 +317,14 @@ def given_residual(local: LocalModel, active: ActiveSet, multipliers: Multiplier
     return _largest(wrong) / active.scale
 
 
-def pair_multipliers(pair: Pair, multipliers: Multipliers) -> tuple[float, float]:
+def _pair_multipliers(pair: Pair, multipliers: Multipliers) -> tuple[float, float]:
     """(nu, mu) of the two sides, in the signs of the pair."""
     given = multipliers.pairs.get(pair.source, (0.0, 0.0))
     return pair.first_flip * given[pair.arguments[0]], pair.second_flip * given[pair.arguments[1]]
 
 
 def _given_class(local: LocalModel, active: ActiveSet, multipliers: Multipliers) -> Stationarity:
-    return class_of([pair_multipliers(local.pairs[k], multipliers) for k in active.both], STATIONARITY * active.scale)
+    return class_of([_pair_multipliers(local.pairs[k], multipliers) for k in active.both], STATIONARITY * active.scale)
 
 
 def _violation(row: ConstraintRow) -> float:

@@ -1,6 +1,4 @@
-"""The model at its current values, to first order: values by `pyomo.value`; gradients of repeated shapes together, checked against Pyomo's own.
-
-Derivatives of many expressions at the current point: all terms of one shape together, and Pyomo's own differentiation to vouch for them.
+"""A model at its current values, to first order: values by `pyomo.value`; gradients of repeated shapes together, checked against Pyomo's own.
 
 A scene's model has thousands of rows and a few dozen shapes. The terms are read by the compiler of `formulations.ipopt`; what it does not know,
 what is rare and what is not finite here is differentiated by Pyomo, expression by expression. Of each shape some expressions are differentiated
@@ -55,7 +53,13 @@ class Gradients:
 
 
 def gradients_of(expressions: Sequence[Any], values: Sequence[float]) -> Gradients:
-    """Derivatives of Pyomo expressions by their free variables, at the variables' current values. values: of the expressions, by Pyomo."""
+    """Derivatives of Pyomo expressions by their free variables, at the variables' current values.
+
+    Parameters
+    ----------
+    expressions : Pyomo expressions
+    values : of the expressions, by Pyomo
+    """
     together = _Together(expressions)
     own = together.refused
     triplets = together.triplets()
@@ -111,7 +115,7 @@ def _nodes(expression: Any) -> Iterator[Any]:
             stack.extend(node.args)
 
 
-def empty_expression(expression: Any) -> str | None:
+def _empty_expression(expression: Any) -> str | None:
     """The name of an Expression without content that is part of an expression, None if there is none."""
     return next((node.name for node in _nodes(expression) if node.is_named_expression_type() and node.expr is None), None)
 
@@ -147,8 +151,11 @@ def _assembled(columns: _Columns, expressions: Sequence[Any], own: Sequence[int]
 
 
 class _Together:
-    """Expressions read into terms by shape. refused: (expressions,) those that Pyomo must differentiate; values: of all the others; compared:
-    whether Pyomo had derivatives of all that `agrees_with` asked for."""
+    """Expressions read into terms by shape.
+
+    refused: (expressions,) those that Pyomo must differentiate; values: of all the others; compared: whether Pyomo had derivatives of all that
+    `agrees_with` asked for
+    """
 
     def __init__(self, expressions: Sequence[Any]) -> None:
         reader = TermReader()
@@ -201,7 +208,15 @@ class _Together:
         return rows.astype(np.intp), columns.astype(np.intp), slopes
 
     def agrees_with(self, values: np.ndarray, triplets: _Triplets, expressions: Sequence[Any], own: np.ndarray) -> bool:
-        """Whether all values are Pyomo's, and the derivatives of some expressions of each shape, of some linear ones and of the last."""
+        """Whether all values are Pyomo's, and the derivatives of some expressions of each shape, of some linear ones and of the last.
+
+        Parameters
+        ----------
+        values : (expressions,) by Pyomo [units of the expressions]
+        triplets : rows, columns, derivatives (entries,) [expression per variable]
+        expressions : Pyomo expressions
+        own : (expressions,) mask of those that are not compared [-]
+        """
         with np.errstate(invalid="ignore"):
             differs = ~(np.abs(self.values - values) <= _ROUNDING * (1.0 + np.abs(values) + self._size))
         if np.any(differs & ~own):
@@ -247,8 +262,10 @@ class ConstraintRow:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pair:
-    """0 <= first, 0 <= second, complementary. A flip is -1 where a side is the negative of what the user wrote (upper bound);
-    arguments: which argument of `complements` each side is."""
+    """Two sides 0 <= first, 0 <= second, complementary.
+
+    A flip is -1 where a side is the negative of what the user wrote (upper bound); arguments: which argument of `complements` each side is
+    """
 
     source: Any
     first: float
@@ -260,8 +277,11 @@ class Pair:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LocalModel:
-    """objective and its gradient (n,) are those of the minimised objective. rows with jacobian (rows, n), then the variables' bounds;
-    pairs with gradients first_jacobian, second_jacobian (pairs, n), in the signs of `Pair`."""
+    """The model to first order at a point.
+
+    objective, gradient (n,): of the minimised objective; rows with jacobian (rows, n); bounds of the variables; pairs with gradients first_jacobian,
+    second_jacobian (pairs, n), in the signs of `Pair`
+    """
 
     variables: tuple[Any, ...]
     objective: float
@@ -301,7 +321,7 @@ def number_of(expression: Any) -> float:
 
 def _filled(source: Any, expression: Any, number: float) -> float:
     """The number. Raises MissingValueError where there is none because the expression holds one without content."""
-    name = empty_expression(expression) if math.isnan(number) else None
+    name = _empty_expression(expression) if math.isnan(number) else None
     if name is not None:
         raise MissingValueError(
             f"'{source.name}' needs the Expression '{name}', which is empty: give it a value, or deactivate '{source.name}'"
@@ -310,9 +330,17 @@ def _filled(source: Any, expression: Any, number: float) -> float:
 
 
 def read_local(model: Any, near: float) -> LocalModel:
-    """All active components at their current values. near: a box within this of a bound is a pair with that bound.
+    """All active components at their current values.
 
-    Raises MissingValueError where one of them needs an Expression that is empty.
+    Parameters
+    ----------
+    model : a Pyomo model
+    near : a box within this of a bound is a pair with that bound
+
+    Raises
+    ------
+    MissingValueError
+        where a component needs an Expression that is empty
     """
     rows: list[ConstraintRow] = []
     bodies: list[Any] = []

@@ -1,23 +1,22 @@
-"""Multipliers of a point by least squares: a sparse factorisation instead of linear programs.
+"""Multipliers of a point: by least squares, by projection onto a cone, by linear programs.
+
+Least squares: a sparse factorisation instead of linear programs.
 
     minimise |gradient - A y|^2   ->   [I  A; A' 0] (r, y) = (gradient, 0)
 
-If that matrix is regular, y is the only candidate: what its residual and signs say is the whole truth (class S and B-stationarity are then the same), and no linear program is needed.
+If that matrix is regular, y is the only candidate: what its residual and signs say is the whole truth (class S and B-stationarity are then the same).
 If it is singular there are many y, and the same with -eps I in its corner, repeated (proximal point method; Rockafellar, SIAM J. Control and
 Optimization 14, 1976), finds one that leaves as little. Where its signs are right, that is enough; where they are wrong, others may still be right.
 
-The questions of a certificate as linear programs (HiGHS), for where linear algebra (`decision`) leaves them open.
-
-Do multipliers with given signs leave at most a tolerance of the gradient? Both answers come with what proves them.
-
+`decide`: do multipliers with given signs leave at most a tolerance of the gradient? Both answers come with what proves them.
 Yes: multipliers y. No: a vector p with p' gradient > tolerance |p|_1 that all conditions allow (-p points down, and no y makes up for it):
 
     |p|_1 |gradient - A y|_max >= p' (gradient - A y) >= p' gradient - across |y|_1        across: by how much p breaks a condition, at most
 
-The projection of the gradient (`projection`) gives both. Where the largest component of its rest is above the tolerance and its p proves nothing
-yet, components are weighed by what was left of them (Lawson's way to the smallest largest residual: University of California, 1961).
+The projection of the gradient gives both. Where the largest component of its rest is above the tolerance and its p proves nothing yet, components are
+weighed by what was left of them (Lawson's way to the smallest largest residual: University of California, 1961).
 
-The gradient of the objective projected onto the cone that the active gradients span with the signs their multipliers may have.
+`project`: the gradient onto the cone that the active gradients span with the signs their multipliers may have.
 
     minimise |gradient - A y|^2   over the y with the right signs:   gradient = A y + rest
 
@@ -25,6 +24,8 @@ Either the rest vanishes, and y are multipliers; or -rest leaves every active co
 along it (Moreau's decomposition, the lemma of Farkas). Found by a primal-dual interior point method with predictor and corrector (Mehrotra, SIAM
 J. Optimization 2, 1992) on the sparse system [I A; A' -D]: some twenty factorisations, which are cheap where time couples neighbours only.
 Nothing rests on its having converged: whoever asks judges y and rest themselves.
+
+`multipliers_within`, `least_residual`, `steepest_direction`: linear programs (HiGHS), for what linear algebra leaves open.
 """
 
 from __future__ import annotations
@@ -45,9 +46,16 @@ _INFEASIBLE = 2  # HiGHS's status
 
 
 def multipliers_within(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndarray, high: np.ndarray, tolerance: float) -> Decision:
-    """Arguments as in `decision.decide`; undecided where the program fails.
+    """Multipliers that leave at most the tolerance, by a linear program; undecided where it fails.
 
     Tolerances on both sides of each row are a far easier program than the smallest residual (`least_residual`), whose variable is in all rows.
+
+    Parameters
+    ----------
+    matrix : (n, columns) active gradients [row per variable]
+    gradient : (n,) of the objective, divided by its scale [1 per variable]
+    low, high : (columns,) limits of the multipliers, each 0 or infinite
+    tolerance : largest component that may be left
     """
     columns = matrix.shape[1]
     if not all(matrix.shape):
@@ -68,7 +76,7 @@ def multipliers_within(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.
 
 
 def least_residual(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndarray, high: np.ndarray, tolerance: float) -> Decision:
-    """The smallest residual that there is: min t with -t <= gradient - matrix y <= t."""
+    """The smallest residual that there is: min t with -t <= gradient - matrix y <= t. Arguments as in `decide`: (n, columns), (n,), (columns,) [-]."""
     n, columns = matrix.shape
     if not n or not columns:
         residual = float(np.max(np.abs(gradient), initial=0.0))
@@ -85,8 +93,17 @@ def least_residual(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndar
 
 
 def steepest_direction(active: ActiveSet, first_held: np.ndarray, second_held: np.ndarray) -> tuple[float, np.ndarray | None]:
-    """min gradient' d over |d| <= 1, relative to the scale: of the biactive pairs the held sides (masks) stay 0, the other sides do not go below
-    0. NaN if the program, which has d = 0, fails."""
+    """Least gradient' d over |d| <= 1, relative to the scale.
+
+    Parameters
+    ----------
+    active : what is active
+    first_held, second_held : (biactive pairs,) masks of sides that stay 0; the other sides do not go below 0 [-]
+
+    Returns
+    -------
+    slope, and d (n,); NaN and None if the program, which has d = 0, fails
+    """
     n = len(active.gradient)
     if n == 0:
         return 0.0, None
@@ -120,8 +137,11 @@ _DECISION_ROUNDS, _LIGHTEST = 6, 1e-6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Decision:
-    """exists: None where it is not decided. residual: largest component that the best multipliers found leave, total: the sum of all; y
-    (columns,): these multipliers. polar (n,): proves that there are none; slope: of the gradient along -polar, of largest component 1."""
+    """Whether multipliers exist.
+
+    exists: None where it is not decided; residual: largest component that the best multipliers found leave, total: the sum of all; y (columns,): these
+    multipliers; polar (n,): proves that there are none; slope: of the gradient along -polar, of largest component 1
+    """
 
     exists: bool | None
     residual: float
@@ -132,7 +152,15 @@ class Decision:
 
 
 def decide(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndarray, high: np.ndarray, tolerance: float) -> Decision:
-    """matrix (n, columns): active gradients; low, high (columns,): limits of their multipliers, each 0 or infinite."""
+    """Whether multipliers with these limits leave at most the tolerance of the gradient.
+
+    Parameters
+    ----------
+    matrix : (n, columns) active gradients [row per variable]
+    gradient : (n,) of the objective, divided by its scale [1 per variable]
+    low, high : (columns,) limits of the multipliers, each 0 or infinite
+    tolerance : largest component that may be left
+    """
     weights = np.ones(len(gradient))
     best = Decision(exists=None, residual=np.inf, y=np.zeros(matrix.shape[1]))
     for _ in range(_DECISION_ROUNDS):
@@ -155,7 +183,15 @@ def decide(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndarray, hig
 
 
 def excludes(gradient: np.ndarray, polar: np.ndarray, across: float, tolerance: float) -> bool:
-    """Whether a vector that breaks conditions by at most `across` proves that no multipliers leave as little as the tolerance."""
+    """Whether a vector proves that no multipliers leave as little as the tolerance.
+
+    Parameters
+    ----------
+    gradient : (n,) of the objective, divided by its scale [1 per variable]
+    polar : (n,) the vector [-]
+    across : by how much it breaks a condition, at most
+    tolerance : largest component that may be left
+    """
     enough = float(polar @ gradient) > tolerance * float(np.sum(np.abs(polar))) + _LARGEST * across
     return enough and across <= _ACROSS * float(np.max(np.abs(polar)))
 
@@ -174,8 +210,12 @@ _ROUNDING = 1e-14
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Projection:
-    """y (columns,) with the right signs, and rest (n,) = gradient - A y: of what was found, that whose largest component is smallest. polar (n,):
-    of what was found, the rest that is nearest to leaving every condition on its good side; across: by how much it puts one on its bad side, at most."""
+    """A point of the cone that the columns span.
+
+    y (columns,) with the right signs, and rest (n,) = gradient - A y: of what was found, that whose largest component is smallest
+    polar (n,): of what was found, the rest that is nearest to leaving every condition on its good side; across: by how much it puts one on its bad
+    side, at most
+    """
 
     y: np.ndarray
     rest: np.ndarray
@@ -184,7 +224,14 @@ class Projection:
 
 
 def project(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndarray, high: np.ndarray) -> Projection | None:
-    """low, high (columns,): limits of y, each 0 or infinite. None where a factorisation fails."""
+    """The gradient projected onto the cone of the columns with the right signs; None where a factorisation fails.
+
+    Parameters
+    ----------
+    matrix : (n, columns) active gradients [row per variable]
+    gradient : (n,) of the objective [objective per variable]
+    low, high : (columns,) limits of y, each 0 or infinite
+    """
     chosen = np.flatnonzero((low < 0.0) | (high > 0.0))
     free, falling = (low[chosen] < 0.0) & (high[chosen] > 0.0), high[chosen] <= 0.0
     part = (matrix[:, chosen] @ sparse.diags(np.where(falling, -1.0, 1.0))).tocsc()
@@ -197,7 +244,7 @@ def project(matrix: sparse.csc_matrix, gradient: np.ndarray, low: np.ndarray, hi
         if found is None:
             return None
         candidates, used = [found[0] / length], found[1]
-    exact = proximal_least_squares(part[:, used], gradient)
+    exact = _proximal_least_squares(part[:, used], gradient)
     if exact is not None:
         candidates.append(np.zeros(columns))
         candidates[-1][used] = exact
@@ -271,7 +318,7 @@ def _settled(
     """Least squares with the signed columns that count and all others, and which these are; None where that is not the projection."""
     used = np.ones(matrix.shape[1], dtype=bool)
     used[signed] = counts
-    part = proximal_least_squares(matrix[:, used], gradient)
+    part = _proximal_least_squares(matrix[:, used], gradient)
     if part is None:
         return None
     y = np.zeros(len(used))
@@ -317,14 +364,25 @@ class LeastSquares:
     _solve: Callable[[np.ndarray], np.ndarray]
 
     def leaving(self, column: int) -> np.ndarray:
-        """(n,) the shortest direction in which the condition of this column rises by one and all others stay: the objective changes by y[column]."""
+        """The shortest direction in which the condition of this column rises by one and all others stay: the objective changes by y[column].
+
+        Returns
+        -------
+        (n,) direction [units of the variables]
+        """
         right = np.zeros(len(self.rest) + len(self.y))
         right[len(self.rest) + column] = 1.0
         return self._solve(right)[: len(self.rest)]
 
 
 def least_squares(matrix: sparse.csc_matrix, gradient: np.ndarray) -> LeastSquares | None:
-    """matrix (n, columns): active gradients. None where they are not linearly independent (then there may be many y, or it is not known)."""
+    """Multipliers by least squares; None where the columns are not linearly independent (then there may be many y, or it is not known).
+
+    Parameters
+    ----------
+    matrix : (n, columns) active gradients [row per variable]
+    gradient : (n,) of the objective [objective per variable]
+    """
     n, columns = matrix.shape
     if columns > n:
         return None
@@ -349,8 +407,11 @@ def least_squares(matrix: sparse.csc_matrix, gradient: np.ndarray) -> LeastSquar
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SignedMultipliers:
-    """y (columns,) within its limits, and what it leaves (n,); least (n,): what the best without limits leave; across: the largest product of a
-    column with `least`, 0 but for rounding."""
+    """Multipliers within limits.
+
+    y (columns,), and what it leaves (n,); least (n,): what the best without limits leave; across: the largest product of a column with `least`, 0 but
+    for rounding
+    """
 
     y: np.ndarray
     rest: np.ndarray
@@ -364,9 +425,16 @@ def signed_least_squares(
     """Multipliers within limits (which hold 0) that leave at most the tolerance in each component, if that is found; else those found last.
 
     The columns may depend on each other. None where there is no column, or the factorisation fails.
+
+    Parameters
+    ----------
+    matrix : (n, columns) active gradients [row per variable]
+    gradient : (n,) of the objective [objective per variable]
+    low, high : (columns,) limits of the multipliers
+    tolerance : largest component that may be left
     """
     columns = matrix.shape[1]
-    y = proximal_least_squares(matrix, gradient)
+    y = _proximal_least_squares(matrix, gradient)
     if y is None:
         return None
     least = gradient - matrix @ y
@@ -376,7 +444,7 @@ def signed_least_squares(
         if np.max(np.abs(gradient - matrix @ held), initial=0.0) <= tolerance or not np.any(wrong):
             break
         chosen = np.flatnonzero((held != 0.0) & ~wrong)
-        part = proximal_least_squares(matrix[:, chosen], gradient)
+        part = _proximal_least_squares(matrix[:, chosen], gradient)
         if part is None:
             break
         y = np.zeros(columns)
@@ -386,7 +454,7 @@ def signed_least_squares(
     return SignedMultipliers(y=held, rest=gradient - matrix @ held, least=least, across=across)
 
 
-def proximal_least_squares(matrix: sparse.csc_matrix, gradient: np.ndarray) -> np.ndarray | None:
+def _proximal_least_squares(matrix: sparse.csc_matrix, gradient: np.ndarray) -> np.ndarray | None:
     """(columns,) least squares by the proximal point method; None if the factorisation fails."""
     n, columns = matrix.shape
     if not columns:
@@ -410,6 +478,6 @@ def proximal_least_squares(matrix: sparse.csc_matrix, gradient: np.ndarray) -> n
 
 
 def column_lengths(matrix: sparse.csc_matrix) -> np.ndarray:
-    """(columns,) 2-norms; 1 for a column of zeros."""
+    """Lengths (columns,) of the columns of a matrix (n, columns), in the 2-norm; 1 for a column of zeros [units of the entries]."""
     length = np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=0)).ravel())
     return np.where(length == 0.0, 1.0, length)

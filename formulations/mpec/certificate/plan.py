@@ -19,7 +19,7 @@ from formulations.transcription.workbench import load_plan, move_ball, open_goal
 from models.scene import Scene
 from models.trajectory import Trajectory
 
-# An exact plan has 1e-13 in both (mpcc) or 1e-9 (Ipopt with fixed modes); a force that is off by 1e-6 N, or a window by one step, has more.
+# An exact plan has 1e-13 in both (mpcc) or 1e-9 (Ipopt with fixed modes); a force that is off by 1e-6 N, or a contact that opens one step later, has more.
 PLAN_TOLERANCES = Tolerances(feasibility=1e-8, complementarity=1e-7)
 
 
@@ -31,7 +31,7 @@ class PlanJudge:
         self._models: dict[bool, Any] = {}
 
     def certify(self, plan: Trajectory, *, goal_tolerance: float = 0.0) -> Certificate:
-        """See `certify_plan`."""
+        """Judge one plan, as `certify_plan`."""
         is_ball = goal_tolerance > 0.0
         if is_ball not in self._models:
             self._models[is_ball] = build_model(self._scene)
@@ -43,16 +43,27 @@ class PlanJudge:
 
 
 def certify_plan(scene: Scene | str, plan: Trajectory, *, goal_tolerance: float = 0.0) -> Certificate:
-    """Judge a plan as a solution of the scene's exact problem. Raises TrajectoryError where it does not fit the scene.
+    """Judge a plan as a solution of the scene's exact problem.
 
-    goal_tolerance: norm of (q, v)[T] - goal within which the plan may end; then the problem is the one with that ball for a goal.
+    Parameters
+    ----------
+    scene : a scene, or its name
+    plan : on the scene's grid
+    goal_tolerance : norm of (q, v)[T] - goal within which the plan may end; then the problem is the one with that ball for a goal
+
+    Raises
+    ------
+    TrajectoryError
+        where the plan does not fit the scene
     """
     return PlanJudge(scene).certify(plan, goal_tolerance=goal_tolerance)
 
 
 def certify_solution(scene: Scene, solution: Solution) -> Solution:
-    """The same solution with its certificate, and those of its front; unchanged if it has no plan, or has its certificate already. A ball around
-    the goal is read off its options."""
+    """The same solution with its certificate, and those of its front; unchanged if it has no plan, or has its certificate already.
+
+    A ball around the goal is read off its options.
+    """
     return _certified(PlanJudge(scene), solution)
 
 

@@ -1,17 +1,14 @@
-"""Multipliers of a point of an MPEC, and the strongest class that they show.
-
-By least squares where the active gradients are independent (one candidate) or the signs come out right; else by projection onto the cone of the
-active gradients, sign pattern by sign pattern, and by linear programs (HiGHS) for what that leaves open.
+"""The strongest class of stationarity that the multipliers of a point show, and whether a direction goes down.
 
     gradient f = sum y gradient g + z + sum nu gradient G + sum mu gradient H,    nu = 0 where G > 0, mu = 0 where H > 0
 
-B-stationary (`pieces`): no piece of the linearised problem - every biactive pair decided - has a direction with gradient f' d < 0.
+Multipliers are found by least squares where the active gradients are independent (one candidate) or the signs come out right; else by projection onto
+the cone of the active gradients, sign pattern by sign pattern, and by linear programs for what that leaves open.
 
-Is there a piece of the linearised problem - every biactive pair decided - in which a direction goes down?
-
-Where programs are small all pieces are looked at, for the steepest slope. Where they are large a tree of decisions is searched: a pair that is not decided yet
-asks only that neither side goes below 0, which holds in both its pieces. If no direction goes down there, none does in any piece below; if one does
-and happens to leave one side of each pair at 0, it lies in a piece; else the pair that both sides of leave is decided.
+B-stationary: no piece of the linearised problem - every biactive pair decided - has a direction with gradient f' d < 0. Where programs are small all
+pieces are looked at, for the steepest slope. Where they are large a tree of decisions is searched: a pair that is not decided yet asks only that
+neither side goes below 0, which holds in both its pieces. If no direction goes down there, none does in any piece below; if one does and happens to
+leave one side of each pair at 0, it lies in a piece; else the pair that both sides of leave is decided.
 """
 
 from __future__ import annotations
@@ -54,8 +51,18 @@ def affordable(active: ActiveSet, choices: int) -> int:
 
 
 def steepest_piece(active: ActiveSet, tolerance: float) -> tuple[float, np.ndarray | None]:
-    """(smallest gradient' d found over |d| <= 1 and all pieces, relative to the scale; d): B-stationary where it is 0. NaN if there are too
-    many pieces to look at all of them, or a program failed, and those looked at have no descent beyond the tolerance."""
+    """The steepest slope over all pieces: B-stationary where it is 0.
+
+    Parameters
+    ----------
+    active : what is active
+    tolerance : slopes of less do not count
+
+    Returns
+    -------
+    smallest gradient' d found over |d| <= 1, relative to the scale, and d (n,) [units of the variables]; NaN if there are too many pieces to look at all of
+    them, or a program failed, and those looked at have no descent beyond the tolerance
+    """
     if len(active.gradient) <= _SMALL and 2 ** len(active.both) <= _MOST:
         return _every_piece(active)
     stack, complete = [np.full(len(active.both), _UNDECIDED)], True
@@ -111,9 +118,12 @@ def _same_sides(active: ActiveSet) -> list[bool]:
 
 @dataclass(frozen=True, kw_only=True)
 class StationarityVerdict:
-    """kind: the strongest class whose multipliers exist; residual: what they leave of the gradient, or their largest wrong sign (relative);
-    least: the smallest multiplier of a biactive pair (0 without pairs, NaN unless it is the only one possible); unique: whether there are
-    no other multipliers; descent: slope of a direction that goes down, relative (0: there is none; NaN: not known)."""
+    """What the multipliers of a point say.
+
+    kind: the strongest class whose multipliers exist; residual: what they leave of the gradient, or their largest wrong sign (relative)
+    least: the smallest multiplier of a biactive pair (0 without pairs, NaN unless it is the only one possible); unique: whether there are no other
+    multipliers; descent: slope of a direction that goes down, relative (0: there is none; NaN: not known)
+    """
 
     kind: Stationarity
     residual: float
@@ -123,10 +133,16 @@ class StationarityVerdict:
 
 
 def classify(active: ActiveSet, tolerance: float, given: Stationarity = Stationarity.NONE) -> StationarityVerdict:
-    """The strongest class whose multipliers exist. given: a class whose multipliers are known to exist.
+    """The strongest class whose multipliers exist.
 
-    Where there is only one candidate it decides; elsewhere classes with too many sign patterns to try are told only where `given` or the multipliers
-    found tell them.
+    Where there is only one candidate it decides; elsewhere classes with too many sign patterns to try are known only where `given` or the multipliers
+    found show them.
+
+    Parameters
+    ----------
+    active : what is active
+    tolerance : largest component that multipliers may leave
+    given : a class whose multipliers are known to exist
     """
     return _only_candidate(active, tolerance) or _one_of_many(active, tolerance) or _by_signs(active, tolerance, given)
 
@@ -206,7 +222,9 @@ def _by_signs(active: ActiveSet, tolerance: float, given: Stationarity) -> Stati
 
 def _pattern(active: ActiveSet, kind: Stationarity, tolerance: float, known: dict[tuple[Signs, ...], Decision]) -> float | None:
     """Residual of multipliers with the signs of a class, if there are some: pair after pair is decided, the one that is most wrong first.
-    known: what was decided for other classes."""
+
+    known: what was decided for other classes
+    """
     choices = CHOICES[kind]
     stack: list[tuple[Signs, ...]] = [(choices[0] if len(choices) == 1 else ANY,) * len(active.both)]
     for _ in range(affordable(active, len(choices))):

@@ -14,13 +14,7 @@ from formulations.ipopt import STATUS_MAP, STATUS_NAMES, Start, compile_model, o
 from formulations.ipopt.problem import Evaluations
 from formulations.ipopt.solve import IpoptExit
 from formulations.solution import Outcome
-
-
-def quadratic(**keywords):
-    m = pyo.ConcreteModel()
-    m.x = pyo.Var([1, 2], initialize=0.5, **keywords)
-    m.cost = pyo.Objective(expr=(m.x[1] - 1) ** 2 + (m.x[2] - 2) ** 2)
-    return m
+from tests.formulations.ipopt.problems import quadratic, three_carts
 
 
 def test_every_status_of_ipopt_has_a_name_and_an_outcome():
@@ -51,7 +45,7 @@ def test_iteration_limit():
     assert solve(compile_model(m), options={"max_iter": 1}).outcome is Outcome.ITERATION_LIMIT
 
 
-def test_time_limit(three_carts):
+def test_time_limit():
     import time
 
     problem = compile_model(three_carts(60))
@@ -79,9 +73,9 @@ def test_an_exception_in_the_callback_propagates_and_the_model_stays(error):
     m = quadratic()
 
     def fail(line):
-        raise error
+        raise error("from the callback")
 
-    with pytest.raises(error):
+    with pytest.raises(error, match="from the callback"):
         solve(compile_model(m), callback=fail)
     assert m.x[1].value == 0.5
 

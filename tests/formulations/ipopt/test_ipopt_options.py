@@ -5,18 +5,11 @@ from __future__ import annotations
 import pathlib
 
 import numpy as np
-import pyomo.environ as pyo
 import pytest
 
 from formulations.ipopt import Start, UnknownOptionError, compile_model, known_options, solve
 from formulations.solution import Outcome
-
-
-def quadratic(**keywords):
-    m = pyo.ConcreteModel()
-    m.x = pyo.Var([1, 2], initialize=0.5, **keywords)
-    m.cost = pyo.Objective(expr=(m.x[1] - 1) ** 2 + (m.x[2] - 2) ** 2)
-    return m
+from tests.formulations.ipopt.problems import quadratic
 
 
 @pytest.mark.parametrize(

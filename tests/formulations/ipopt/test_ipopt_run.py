@@ -9,9 +9,7 @@ import pyomo.environ as pyo
 import pytest
 
 from formulations.ipopt import Start, compile_model, solve
-from formulations.ipopt.errors import UnknownOptionError
 from formulations.ipopt.linear_solver import LINEAR_SOLVERS
-from formulations.solution import Outcome
 
 
 def rosenbrock() -> pyo.ConcreteModel:
@@ -22,14 +20,6 @@ def rosenbrock() -> pyo.ConcreteModel:
     return m
 
 
-def test_a_primal_dual_warm_start_saves_iterations():
-    problem = compile_model(rosenbrock())
-    cold = solve(problem)
-    warm = solve(problem, warm_start=Start(x=cold.x, lagrange=cold.lagrange, zl=cold.zl, zu=cold.zu))
-    assert warm.outcome is Outcome.SOLVED
-    assert warm.iterations < cold.iterations / 2
-
-
 def test_the_start_is_not_written_over():
     problem = compile_model(rosenbrock())
     start = Start(x=np.array([0.5, 0.5]), lagrange=np.zeros(1), zl=np.ones(2), zu=np.ones(2))
@@ -37,21 +27,6 @@ def test_the_start_is_not_written_over():
     assert start.x.tolist() == [0.5, 0.5]
     assert start.zl is not None
     assert start.zl.tolist() == [1.0, 1.0]
-
-
-def test_a_callback_stops():
-    result = solve(compile_model(rosenbrock()), callback=lambda line: line.iteration < 3)
-    assert result.outcome is Outcome.INTERRUPTED
-    assert result.iterations == 3
-
-
-@pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError, RuntimeError])
-def test_an_exception_of_the_callback_arrives_as_it_was(error: type[BaseException]):
-    def callback(line):
-        raise error("from the callback")
-
-    with pytest.raises(error, match="from the callback"):
-        solve(compile_model(rosenbrock()), callback=callback)
 
 
 @pytest.mark.parametrize("name", ["rows_at", "entries_at", "hessian"])
@@ -69,31 +44,6 @@ def test_an_exception_of_a_function_arrives_as_it_was(monkeypatch, name: str):
     monkeypatch.setattr(problem, name, broken)
     with pytest.raises(KeyboardInterrupt, match="in the middle"):
         solve(problem)
-
-
-def test_time_runs_out():
-    result = solve(compile_model(rosenbrock()), time_limit=1e-9)
-    assert result.outcome is Outcome.TIME_LIMIT
-
-
-def test_the_step_is_cut_where_a_function_is_not_finite():
-    m = pyo.ConcreteModel()
-    m.x = pyo.Var(initialize=10.0)
-    m.o = pyo.Objective(expr=m.x - 2 * pyo.log(m.x))  # a full Newton step from 10 leads to x < 0
-    result = solve(compile_model(m))
-    assert result.outcome is Outcome.SOLVED
-    assert result.x[0] == pytest.approx(2.0, rel=1e-6)
-
-
-def test_an_infeasible_problem_is_told():
-    m = rosenbrock()
-    m.d = pyo.Constraint(expr=m.x[1] ** 2 + m.x[2] ** 2 >= 20)
-    assert solve(compile_model(m)).outcome is Outcome.INFEASIBLE
-
-
-def test_an_impossible_value_is_refused():
-    with pytest.raises(UnknownOptionError, match="'tol'"):
-        solve(compile_model(rosenbrock()), options={"tol": -1.0})
 
 
 @pytest.mark.parametrize("linear_solver", LINEAR_SOLVERS)

@@ -10,10 +10,11 @@ import pytest
 
 from formulations.ipopt import Start, compile_model, load, solve
 from formulations.solution import Outcome
+from tests.formulations.ipopt.problems import quadratic, three_carts
 
 
 @pytest.mark.parametrize(("eps", "cost"), [(1e-3, 197.86), (1e-5, 261.23)])
-def test_three_carts_reach_the_known_costs(three_carts, eps, cost):
+def test_three_carts_reach_the_known_costs(eps, cost):
     problem = compile_model(three_carts(500, eps))
     result = solve(problem)
     assert result.outcome is Outcome.SOLVED
@@ -21,7 +22,7 @@ def test_three_carts_reach_the_known_costs(three_carts, eps, cost):
     assert result.residuals.constraint_violation < 1e-10
 
 
-def test_the_same_problem_follows_its_param(three_carts):
+def test_the_same_problem_follows_its_param():
     model = three_carts(100, 1e-2)
     problem = compile_model(model)
     first = solve(problem)
@@ -33,7 +34,7 @@ def test_the_same_problem_follows_its_param(three_carts):
     assert abs(followed.objective - first.objective) > 1.0
 
 
-def test_the_same_start_gives_the_same_bits(three_carts):
+def test_the_same_start_gives_the_same_bits():
     problem = compile_model(three_carts(60))
     first, second = solve(problem), solve(problem)
     assert np.array_equal(first.x, second.x)
@@ -41,7 +42,7 @@ def test_the_same_start_gives_the_same_bits(three_carts):
 
 
 @pytest.mark.slow
-def test_a_primal_dual_start_at_the_solution_ends_at_once(three_carts):
+def test_a_primal_dual_start_at_the_solution_ends_at_once():
     problem = compile_model(three_carts(100))
     cold = solve(problem)
     warm = solve(problem, warm_start=Start(x=cold.x, lagrange=cold.lagrange, zl=cold.zl, zu=cold.zu))
@@ -49,13 +50,6 @@ def test_a_primal_dual_start_at_the_solution_ends_at_once(three_carts):
     assert warm.objective == pytest.approx(cold.objective, rel=1e-9)
     partly = solve(problem, warm_start=Start(x=cold.x, lagrange=cold.lagrange))
     assert partly.iterations <= 3
-
-
-def quadratic(**keywords):
-    m = pyo.ConcreteModel()
-    m.x = pyo.Var([1, 2], initialize=0.5, **keywords)
-    m.cost = pyo.Objective(expr=(m.x[1] - 1) ** 2 + (m.x[2] - 2) ** 2)
-    return m
 
 
 def test_solve_leaves_the_model_and_load_writes_it():

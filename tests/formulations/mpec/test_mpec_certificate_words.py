@@ -7,15 +7,13 @@ import pytest
 from pyomo.mpec import Complementarity, complements
 
 from formulations.mpec import certify
+from tests.formulations.mpec.nearest import nearest
 
 
 def at(x: float | None, y: float | None) -> str:
     """Of min (x - 1)^2 + (y - 2)^2, where x and y complement each other and x <= 3."""
-    m = pyo.ConcreteModel()
-    m.x, m.y = pyo.Var(initialize=x), pyo.Var(initialize=y)
+    m = nearest(x, y)
     m.least = pyo.Constraint(expr=m.x <= 3)
-    m.cost = pyo.Objective(expr=(m.x - 1) ** 2 + (m.y - 2) ** 2)
-    m.pair = Complementarity(expr=complements(m.x >= 0, m.y >= 0))
     return certify(m).sentence
 
 

@@ -20,6 +20,7 @@ from formulations.mpec.lifted import lift
 from formulations.mpec.strategies import STRATEGIES
 from formulations.mpec.workspace import Workspace
 from formulations.solution import Outcome
+from tests.formulations.mpec.nearest import solver
 
 
 def two(cost, bounds=(0.0, None), start=1.0) -> pyo.ConcreteModel:
@@ -41,12 +42,6 @@ def picture(model) -> tuple[str, list]:
     stream = io.StringIO()
     model.pprint(ostream=stream)
     return stream.getvalue(), [(id(c), c.ctype) for c in model.component_objects(descend_into=True)]
-
-
-def solver(**options):
-    made = pyo.SolverFactory("mpec_ipopt")
-    made.options.update(options)
-    return made
 
 
 # -- the model is left as it was ---------------------------------------------------------------------------------------------------------

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
 import io
-import sys
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,31 +12,20 @@ import pytest
 from hypothesis import given, note, settings
 
 from formulations.solution import Outcome
+from tests.formulations.mpec.fuzz import enumeration, generator
 
-
-def _judge() -> Any:
-    spec = importlib.util.spec_from_file_location("mpec_fuzz_enumeration", Path(__file__).parent / "fuzz" / "enumeration.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-ENUMERATION = _judge()
 _CONVEX = 52  # a seed of a convex problem with few branches
 
 
-KINDS = ENUMERATION.generator.KINDS
-FAULTS = (*ENUMERATION.WRONG, "refused")
+KINDS = generator.KINDS
+FAULTS = (*enumeration.WRONG, "refused")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(26, 26 + len(KINDS)), ids=lambda seed: f"{KINDS[seed % len(KINDS)]}-{seed}")
 def test_nothing_wrong_is_claimed_of_a_problem_of_each_kind(seed):
     """Beside those of hypothesis, which prefers plain numbers: of defects planted in the solver, each of the two tests found some that the other missed."""
-    verdict = ENUMERATION.judge(ENUMERATION.generator.random_mpec(seed))
+    verdict = enumeration.judge(generator.random_mpec(seed))
     assert verdict.agreement not in FAULTS, verdict
 
 
@@ -49,12 +35,12 @@ def test_nothing_wrong_is_claimed_and_little_left_open():
     answers: Counter[str] = Counter()
 
     @settings(max_examples=len(KINDS))
-    @given(ENUMERATION.generator.drawn_mpec())
+    @given(generator.drawn_mpec())
     def nothing_wrong_is_claimed(problem):
         shown = io.StringIO()
         problem.model.pprint(shown)
         note(shown.getvalue())
-        verdict = ENUMERATION.judge(problem)
+        verdict = enumeration.judge(problem)
         answers[verdict.agreement] += 1
         assert verdict.agreement not in FAULTS, verdict
 
@@ -65,21 +51,21 @@ def test_nothing_wrong_is_claimed_and_little_left_open():
 
 def test_a_pair_stated_twice():
     """Both copies held on the same side are dependent rows: Ipopt's multipliers of 1e17 once ended 2e-4 above the optimum, undecided."""
-    problem = ENUMERATION.generator.random_mpec(7)
+    problem = generator.random_mpec(7)
     assert problem.conditions[-1] is problem.conditions[0]
-    assert ENUMERATION.judge(problem).agreement == "same"
+    assert enumeration.judge(problem).agreement == "same"
 
 
 def _claiming(change: Any, monkeypatch: pytest.MonkeyPatch) -> str:
     """What the judge says of a convex problem whose result was changed."""
-    honest = ENUMERATION.solve_mpec
-    monkeypatch.setattr(ENUMERATION, "solve_mpec", lambda model: change(honest(model)))
-    return ENUMERATION.judge(ENUMERATION.generator.random_mpec(_CONVEX)).agreement
+    honest = enumeration.solve_mpec
+    monkeypatch.setattr(enumeration, "solve_mpec", lambda model: change(honest(model)))
+    return enumeration.judge(generator.random_mpec(_CONVEX)).agreement
 
 
 @pytest.mark.slow
 def test_the_judge_sees_a_point_off_its_rows(monkeypatch):
-    assert ENUMERATION.judge(ENUMERATION.generator.random_mpec(_CONVEX)).agreement == "same"
+    assert enumeration.judge(generator.random_mpec(_CONVEX)).agreement == "same"
     assert _claiming(lambda result: replace(result, x=result.x + 1e-3), monkeypatch) == "wrong optimal"
 
 

@@ -12,14 +12,11 @@ pack-comp, pack-rig, qpec-100 and 200, ralphmod, siouxfls, tap-09, tap-15, Traff
 
 from __future__ import annotations
 
-import importlib.util
-from collections.abc import Callable
-from pathlib import Path
-
 import pyomo.environ as pyo
 import pytest
 
 from formulations.mpec import MpecSettings, Stationarity, load, solve_mpec
+from tests.formulations.mpec.macmpec import bard, bilevel, equilibria, floudas, scholtes, toy
 
 _RELATIVE = 1e-5  # published figures have six digits
 
@@ -31,19 +28,8 @@ MISPRINTS = {
 }
 
 
-def _problems() -> list[tuple[str, Callable[[], pyo.ConcreteModel], float]]:
-    found = []
-    for path in sorted((Path(__file__).parent / "macmpec").glob("*.py")):
-        spec = importlib.util.spec_from_file_location(f"macmpec_{path.stem}", path)
-        assert spec is not None
-        assert spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-        found += [(builder.__name__, builder, optimum) for builder, optimum, _ in module.PROBLEMS]
-    return found
-
-
-PROBLEMS = _problems()
+FILES = (bard, bilevel, equilibria, floudas, scholtes, toy)
+PROBLEMS = [(builder.__name__, builder, optimum) for file in FILES for builder, optimum, _ in file.PROBLEMS]
 
 
 def test_there_are_at_least_forty():

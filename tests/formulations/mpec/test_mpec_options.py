@@ -4,25 +4,10 @@ from __future__ import annotations
 
 import pyomo.environ as pyo
 import pytest
-from pyomo.mpec import Complementarity, complements
 
 from formulations.ipopt import UnknownOptionError
 from formulations.mpec import MpecIpopt, read_settings, solve_mpec
-
-
-def nearest_corner() -> pyo.ConcreteModel:
-    """The point of the two half-axes that is nearest to (1, 2)."""
-    m = pyo.ConcreteModel()
-    m.x, m.y = pyo.Var(initialize=1.0), pyo.Var(initialize=1.0)
-    m.cost = pyo.Objective(expr=(m.x - 1) ** 2 + (m.y - 2) ** 2)
-    m.pair = Complementarity(expr=complements(m.x >= 0, m.y >= 0))
-    return m
-
-
-def solver(**options):
-    made = pyo.SolverFactory("mpec_ipopt")
-    made.options.update(options)
-    return made
+from tests.formulations.mpec.nearest import nearest, solver
 
 
 @pytest.mark.parametrize(
@@ -42,7 +27,7 @@ def solver(**options):
 )
 def test_wrong_options_are_named(options, words):
     with pytest.raises(UnknownOptionError) as caught:
-        solver(**options).solve(nearest_corner())
+        solver(**options).solve(nearest())
     for word in words:
         assert word in str(caught.value)
 
@@ -50,7 +35,7 @@ def test_wrong_options_are_named(options, words):
 def test_options_reach_ipopt_and_the_record():
     settings = read_settings({"strategy": "scholtes", "max_iter": 77, "polish": "no"})
     assert settings.ipopt == {"max_iter": 77}
-    result = solve_mpec(nearest_corner(), settings)
+    result = solve_mpec(nearest(), settings)
     assert result.options["max_iter"] == 77
     assert not result.polished
     assert result.residual < 1e-6
@@ -58,14 +43,14 @@ def test_options_reach_ipopt_and_the_record():
 
 def test_unknown_keywords_are_refused():
     with pytest.raises(TypeError, match="nonsense"):
-        solver().solve(nearest_corner(), nonsense=1)
+        solver().solve(nearest(), nonsense=1)
     with pytest.raises(TypeError, match="nonsense"):
         MpecIpopt(nonsense=1)
 
 
 @pytest.mark.parametrize("plugin", ["mpec_ipopt", "touchstone_ipopt"])
 def test_arguments_of_another_kind_are_refused_in_a_sentence(plugin):
-    m = nearest_corner()
+    m = nearest()
     m.pair.deactivate()
     for timelimit in ("10", True, 0.0, float("nan")):
         with pytest.raises(ValueError, match="timelimit is a positive number of seconds"):

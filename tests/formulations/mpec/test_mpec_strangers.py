@@ -8,18 +8,7 @@ from pyomo.mpec import Complementarity, ComplementarityList, complements
 
 from formulations.ipopt import MissingValueError, ModelRefusedError, UnknownOptionError
 from formulations.mpec import certify
-
-
-def nearest() -> pyo.ConcreteModel:
-    m = pyo.ConcreteModel(name="nearest")
-    m.x, m.y = pyo.Var(initialize=1.0), pyo.Var(initialize=1.0)
-    m.cost = pyo.Objective(expr=(m.x - 1) ** 2 + (m.y - 2) ** 2)
-    m.pair = Complementarity(expr=complements(m.x >= 0, m.y >= 0))
-    return m
-
-
-def solver():
-    return pyo.SolverFactory("mpec_ipopt")
+from tests.formulations.mpec.nearest import nearest, solver
 
 
 def test_an_instance_of_an_abstract_model():
@@ -98,13 +87,6 @@ def test_options_in_one_string_and_its_misspellings():
         solver().solve(nearest(), options={"max_itr": 3})
 
 
-def test_tee_shows_ipopt_and_nothing_is_shown_without(capfd):
-    solver().solve(nearest())
-    assert capfd.readouterr().out == ""
-    solver().solve(nearest(), tee=True)
-    assert "iter" in capfd.readouterr().out
-
-
 def test_special_ordered_sets_are_refused():
     m = nearest()
     m.z = pyo.Var([1, 2], bounds=(0, 1))
@@ -124,16 +106,3 @@ def test_the_start_is_taken_and_one_that_is_not_a_number_is_named():
     m.x.set_value(float("nan"), skip_validation=True)
     with pytest.raises(MissingValueError, match="'x'"):
         solver().solve(m, warmstart=True)
-
-
-def test_a_callback_that_is_interrupted_leaves_the_values(monkeypatch):
-    m = nearest()
-
-    def interrupt(self, x):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("formulations.ipopt.problem.IpoptProblem.gradient", interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        solver().solve(m)
-    assert (m.x.value, m.y.value) == (1.0, 1.0)
-    assert m.pair.ctype is Complementarity

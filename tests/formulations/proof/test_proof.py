@@ -27,7 +27,7 @@ from models.codegen.kernel import load_kernel
 from models.errors import MachineError, SceneError
 from models.scene import Scene
 from models.scene.scene import goal_limits
-from models.trajectory import Trajectory, uniform_grid
+from tests.formulations.transcription.rollouts import rolled_out
 
 PENDULUM = load_scene("wall_pendulum")
 CARTS = load_scene("three_cart")
@@ -45,11 +45,6 @@ def cheapest_of_all_modes(scene: Scene) -> float:
         answer = problem.solve(np.vstack([np.zeros((1, nc), dtype=bool), np.reshape(modes, (T - 1, nc))]), below=best)
         best = best if answer is None else min(best, answer.cost)
     return best
-
-
-def rolled(scene: Scene, u: np.ndarray) -> Trajectory:
-    rollout = load_kernel(scene).rollout(np.array(scene.task.start), u, scene.task.step)
-    return Trajectory(t=uniform_grid(scene.task.step, scene.task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
 
 
 @pytest.mark.slow
@@ -111,7 +106,7 @@ AWAY = PENDULUM.with_task(running_cost=(_theta - 1) ** 2 + (_omega + 2) ** 2 + (
 def test_no_exact_plan_leaves_the_bounds(scene: Scene):
     """Random inputs: whatever costs no more than the ceiling keeps every bound, else the big-M would cut it off."""
     linear, random = linear_scene(scene), np.random.default_rng(0)
-    plans = [rolled(scene, random.uniform(-1.5, 1.5, 1) + random.uniform(-0.7, 0.7, (20, 1))) for _ in range(300)]
+    plans = [rolled_out(scene, random.uniform(-1.5, 1.5, 1) + random.uniform(-0.7, 0.7, (20, 1))) for _ in range(300)]
     costs = [load_kernel(scene).cost(plan.q, plan.v, plan.u) for plan in plans]
     ceiling = float(np.median(costs))
     bounds = pair_bounds(scene, linear, ceiling)
@@ -130,7 +125,7 @@ def test_cheap_plans_have_little_energy():
     random = np.random.default_rng(1)
     for _ in range(40):
         close = CARTS.with_task(start=(2.0, 2.0 + random.uniform(0.45, 0.6), 3.1, *random.uniform(-0.5, 0.5, 3)))
-        plan = rolled(close, random.uniform(-10, 10, (1, 2)) * np.sin(random.uniform(0, 0.1, (1, 2)) * np.arange(500)[:, None]))
+        plan = rolled_out(close, random.uniform(-10, 10, (1, 2)) * np.sin(random.uniform(0, 0.1, (1, 2)) * np.arange(500)[:, None]))
         found = energy_bound(close, float((plan.u**2).sum()))
         assert found is not None
         phi = load_kernel(close).penetration(plan.q)
@@ -171,7 +166,7 @@ def test_the_bound_of_a_mode_sequence_is_its_optimum():
 
 @pytest.mark.slow
 def test_a_plan_that_cheats_does_not_count():
-    honest = rolled(SHORT, np.zeros((9, 1)))
+    honest = rolled_out(SHORT, np.zeros((9, 1)))
     assert is_exact(SHORT, honest)
     for name, change in (("lam", 1e-4), ("v", 1e-6), ("q", 1e-6), ("u", 1e-3)):
         array = np.array(getattr(honest, name))
@@ -207,7 +202,7 @@ def test_a_proof_that_is_cut_off_by_time_is_none():
 @pytest.mark.parametrize("seconds", [1e-3, 0.03, 0.3, 1.0, 3.0])
 def test_no_bound_is_above_the_optimum_whenever_it_is_cut_off(seconds: float):
     known = PENDULUM.answers[0].value
-    proof = prove(PENDULUM, incumbent=rolled(PENDULUM, np.zeros((20, 1))), time_limit=seconds)
+    proof = prove(PENDULUM, incumbent=rolled_out(PENDULUM, np.zeros((20, 1))), time_limit=seconds)
     assert proof.bound <= known * (1.0 + 1e-9)
     assert proof.cost is None or proof.cost >= known * (1.0 - 1e-9)
     proved = proof.cost is not None and proof.cost <= known * (1.0 + 2 * GAP)
@@ -254,6 +249,6 @@ def test_refusals(monkeypatch):
 def test_less_than_a_second_is_time_too(monkeypatch: pytest.MonkeyPatch):
     """With a clock that stands still what is left is what was given: SCIP is asked, and gives a bound of its own."""
     monkeypatch.setattr(sys.modules[prove.__module__], "perf_counter", lambda: 0.0)
-    proof = prove(LONG, incumbent=rolled(LONG, np.zeros((LONG.task.steps, LONG.nu))), time_limit=0.9)
+    proof = prove(LONG, incumbent=rolled_out(LONG, np.zeros((LONG.task.steps, LONG.nu))), time_limit=0.9)
     assert proof.status is ProofStatus.BOUND
     assert 0.0 < proof.bound < np.inf

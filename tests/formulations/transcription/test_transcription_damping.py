@@ -20,7 +20,8 @@ from models.fmu.coupled.parts import split
 from models.scene import Coordinate, Input, Parameter, Scene, Task
 from models.scene.contacts import Contact, DampingLaw
 from models.scene.scene import goal_limits
-from models.trajectory import Trajectory, uniform_grid
+from models.trajectory import Trajectory
+from tests.formulations.transcription.rollouts import rolled_out
 
 x, y, vx, vy, push = sp.symbols("x y vx vy push", real=True)
 k, c = sp.symbols("k c", positive=True)
@@ -65,8 +66,7 @@ def rollout(scene: Scene, law: ForceLaw, eps: float | None) -> Trajectory:
     """Pushes, and pulls back so fast that the contact is released while it touches."""
     u = np.full((scene.task.steps, scene.nu), 30.0)
     u[18:] = -60.0
-    found = load_kernel(scene).rollout(np.array(scene.task.start), u, scene.task.step, law, eps)
-    return Trajectory(t=uniform_grid(scene.task.step, scene.task.steps), q=found.q, v=found.v, u=u, lam=found.lam)
+    return rolled_out(scene, u, law, eps)
 
 
 def violation(model: pyo.ConcreteModel) -> float:

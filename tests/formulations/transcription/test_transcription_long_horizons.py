@@ -8,8 +8,7 @@ from formulations.pipelines import load_method
 from formulations.solution import Outcome
 from formulations.transcription.solving import PlanSolver
 from models.catalog import load_scene
-from models.codegen.kernel import load_kernel
-from models.trajectory import Trajectory, uniform_grid
+from tests.formulations.transcription.rollouts import rolled_out
 
 EPS = 1e-2
 
@@ -21,9 +20,7 @@ def solved(scene, start):
 
 def pushed(scene):
     """A motion under a constant push: a start that is no answer."""
-    u = np.full((scene.task.steps, scene.nu), 0.5)
-    motion = load_kernel(scene).rollout(np.array(scene.task.start), u, scene.task.step)
-    return Trajectory(t=uniform_grid(scene.task.step, scene.task.steps), q=motion.q, v=motion.v, u=u, lam=motion.lam)
+    return rolled_out(scene, np.full((scene.task.steps, scene.nu), 0.5))
 
 
 @pytest.mark.parametrize("warm", [False, True])
@@ -34,9 +31,9 @@ def test_the_same_plan_by_way_of_coarser_grids(monkeypatch, warm):
     grids = []
     of_class = PlanSolver.attempt
 
-    def attempt(self, account, *arguments, **options):
+    def attempt(self, budget, *arguments, **options):
         grids.append(self._scene.task.steps)
-        return of_class(self, account, *arguments, **options)
+        return of_class(self, budget, *arguments, **options)
 
     monkeypatch.setattr(PlanSolver, "attempt", attempt)
     monkeypatch.setattr(relaxed_lcp, "_LONG", 12)

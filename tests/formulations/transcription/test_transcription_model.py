@@ -24,7 +24,7 @@ from models.contact_law import ContactLaw as ForceLaw
 from models.contact_law import RelaxationError
 from models.errors import SceneError
 from models.scene import Scene
-from models.trajectory import Trajectory, uniform_grid
+from tests.formulations.transcription.rollouts import rolled_out
 
 TEST_SCENES = Path(__file__).parents[2] / "scenes"
 # A residual is a difference of numbers of this size: what rounding leaves, with two digits to spare.
@@ -59,11 +59,6 @@ def probe_inputs(scene: Scene) -> dict[str, np.ndarray]:
     }
 
 
-def rollout_plan(scene: Scene, u: np.ndarray, law: ForceLaw, eps: float | None) -> Trajectory:
-    rollout = load_kernel(scene).rollout(np.array(scene.task.start), u, scene.task.step, law, eps)
-    return Trajectory(t=uniform_grid(scene.task.step, scene.task.steps), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
-
-
 def largest_violation(model: pyo.ConcreteModel) -> float:
     """Of all active constraints and bounds but those of the goal."""
     worst = 0.0
@@ -83,7 +78,7 @@ def test_rollout_satisfies_the_model(name: str) -> None:
     for law, eps in ((ContactFormulation.SOFTPLUS, 1e-3), (ContactFormulation.COMPLEMENTARITY, 0.0)):
         model = build_model(scene, law, eps=eps)
         for label, u in probe_inputs(scene).items():
-            plan = rollout_plan(scene, u, ForceLaw.SOFTPLUS if law is ContactFormulation.SOFTPLUS else ForceLaw.RELU, eps or None)
+            plan = rolled_out(scene, u, ForceLaw.SOFTPLUS if law is ContactFormulation.SOFTPLUS else ForceLaw.RELU, eps or None)
             load_plan(model, plan)
             scale = max(1.0, float(np.abs(plan.lam).max(initial=0.0)), float(np.abs(plan.v).max()))
             assert largest_violation(model) <= ROUNDING * scale**2, (law, label)
@@ -98,7 +93,7 @@ def test_probe_rollouts_see_contact() -> None:
     """Else the test above would hold for a model without any contact law."""
     for name in ("three_cart", "bouncing_mass", "two_body_collision", "two_link_arm"):
         scene = in_contact(scene_of(name))
-        lam = rollout_plan(scene, np.zeros((40, scene.nu)), ForceLaw.RELU, None).lam
+        lam = rolled_out(scene, np.zeros((40, scene.nu)), ForceLaw.RELU, None).lam
         assert (lam > 0).any(), name
         assert (lam == 0).any(), name
 
@@ -106,7 +101,7 @@ def test_probe_rollouts_see_contact() -> None:
 def test_a_wrong_step_is_seen() -> None:
     scene = in_contact(scene_of("three_cart"))
     model = build_model(scene, ContactFormulation.COMPLEMENTARITY, eps=0.0)
-    load_plan(model, rollout_plan(scene, np.ones((40, 2)), ForceLaw.RELU, None))
+    load_plan(model, rolled_out(scene, np.ones((40, 2)), ForceLaw.RELU, None))
     model.variable_v[20, "q2"].value += 1e-6
     assert largest_violation(model) >= 1e-9
 

@@ -14,14 +14,13 @@ from formulations.methods import relaxed_lcp, softplus_dc
 from formulations.pipelines import load_method
 from formulations.solution import Outcome
 from formulations.transcription.contact import tighten
-from formulations.transcription.feasibility import Watch, plan_with_goal_released
+from formulations.transcription.feasibility import GoalMonitor, plan_with_goal_released
 from formulations.transcription.method import Work
 from formulations.transcription.residuals import PlanResiduals
 from formulations.transcription.workbench import SolveBudget, Workbench
 from models.catalog import load_scene
-from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw as ForceLaw
-from models.trajectory import Trajectory, uniform_grid
+from tests.formulations.transcription.rollouts import rolled_out
 
 EPS = 1e-3
 
@@ -32,25 +31,25 @@ def line(inf_du: float) -> Iteration:
 
 
 def test_multipliers_that_run_away_stop_a_cold_start():
-    watch = Watch()
-    assert watch(line(1e9))
-    assert not watch.has_lost_goal
-    assert not watch(line(1e13))
-    assert watch.has_lost_goal
+    monitor = GoalMonitor()
+    assert monitor(line(1e9))
+    assert not monitor.has_lost_goal
+    assert not monitor(line(1e13))
+    assert monitor.has_lost_goal
 
 
 @pytest.mark.slow
 def test_a_goal_that_is_let_go_is_still_drawn_to():
     """Three carts, whose cost says nothing of the goal: the plan keeps its dynamics, and ends near the goal but not on it."""
     scene = load_scene("three_cart")
-    account = SolveBudget(60.0)
-    plan = plan_with_goal_released(scene, EPS, account, {"max_iter": 200})
+    budget = SolveBudget(60.0)
+    plan = plan_with_goal_released(scene, EPS, budget, {"max_iter": 200})
     assert plan is not None
     found = PlanResiduals(scene).of(plan, ForceLaw.SOFTPLUS, EPS)
     assert found["dynamics_defect"] < 1e-8
     assert found["contact_law"] < 1e-6
     assert 1e-3 < found["terminal_error"] < 0.35
-    assert account.iterations > 0
+    assert budget.iterations > 0
 
 
 def test_a_cold_start_called_infeasible_is_begun_again_with_the_goal_let_go(monkeypatch):
@@ -159,9 +158,7 @@ def test_one_eps_is_one_law_everywhere(length: float):
     """Softplus contact and regularised friction of two fingers: the compiled motion meets the equations of numpy and of Pyomo."""
     scene = replace(load_scene("two_finger_lift"), length=length).with_task(steps=6)
     u = np.random.default_rng(3).uniform(-0.2, 0.2, size=(6, scene.nu))
-    start, h = np.array(scene.task.start), scene.task.step
-    rolled = load_kernel(scene).rollout(start, u, h, ForceLaw.SOFTPLUS, EPS)
-    plan = Trajectory(t=uniform_grid(h, 6), q=rolled.q, v=rolled.v, u=u, lam=rolled.lam)
+    plan = rolled_out(scene, u, ForceLaw.SOFTPLUS, EPS)
     found = PlanResiduals(scene).of(plan, ForceLaw.SOFTPLUS, EPS)
     assert found["contact_law"] < 1e-12
     assert found["regularised_friction"] < 1e-12

@@ -9,18 +9,16 @@ from formulations import ContactFormulation, PlanResiduals, build_model, load_pl
 from formulations.transcription.contact import hold_modes, release_modes
 from formulations.transcription.workbench import load_first_guess
 from models.catalog import load_scene
-from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw as ForceLaw
 from models.errors import TrajectoryError
-from models.trajectory import Trajectory, uniform_grid
+from models.trajectory import Trajectory
+from tests.formulations.transcription.rollouts import rolled_out
 
 SCENE = load_scene("three_cart").with_task(start=(2.0, 2.48, 3.0, 0.3, 0.0, -0.2), steps=40)
 
 
 def plan_of(law: ForceLaw = ForceLaw.RELU, eps: float | None = None) -> Trajectory:
-    u = np.random.default_rng(3).normal(size=(40, 2))
-    rollout = load_kernel(SCENE).rollout(np.array(SCENE.task.start), u, 0.01, law, eps)
-    return Trajectory(t=uniform_grid(0.01, 40), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+    return rolled_out(SCENE, np.random.default_rng(3).normal(size=(40, 2)), law, eps)
 
 
 def changed(plan: Trajectory, field: str, where: tuple[int, int], by: float) -> Trajectory:
@@ -63,8 +61,7 @@ def test_residuals_of_a_mass_matrix_that_depends_on_q() -> None:
         steps=30, start=(0.9, -0.1, -1.5, 0.2)
     )
     u = np.random.default_rng(5).normal(size=(30, 2))
-    rollout = load_kernel(arm).rollout(np.array(arm.task.start), u, 0.01)
-    plan = Trajectory(t=uniform_grid(0.01, 30), q=rollout.q, v=rollout.v, u=u, lam=rollout.lam)
+    plan = rolled_out(arm, u)
     residuals = PlanResiduals(arm).of(plan)
     assert residuals["dynamics_defect"] < 1e-12
     assert residuals["complementarity"] < 1e-9  # lam up to 1e2 N times the rounding of k phi

@@ -10,7 +10,7 @@ import pytest
 from formulations.ipopt import Iteration
 from formulations.pipelines import load_method
 from formulations.solution import Outcome, Solution
-from formulations.transcription.feasibility import Patience, nearest
+from formulations.transcription.feasibility import RestorationMonitor, nearest
 from formulations.transcription.workbench import SolveBudget, Workbench
 from models.catalog import load_scene
 from models.scene import Scene
@@ -114,15 +114,15 @@ def test_a_stubborn_infeasible_of_a_goal_within_reach_is_a_stall(method: str, mo
     assert "can be reached" in solution.message
 
 
-def test_patience_counts_consecutive_restoration() -> None:
+def test_restoration_monitor_counts_consecutive_restoration() -> None:
     def line(restoration: bool) -> Iteration:
         numbers = dict.fromkeys(("objective", "inf_pr", "inf_du", "mu", "step", "regularization", "alpha_du", "alpha_pr"), 0.0)
         return Iteration(iteration=0, restoration=restoration, trials=1, **numbers)
 
-    patience = Patience()
-    assert all(patience(line(True)) for _ in range(99))
-    assert patience(line(False))
-    assert all(patience(line(True)) for _ in range(99))
-    assert not patience.is_out
-    assert not patience(line(True))
-    assert patience.is_out
+    monitor = RestorationMonitor()
+    assert all(monitor(line(True)) for _ in range(99))
+    assert monitor(line(False))
+    assert all(monitor(line(True)) for _ in range(99))
+    assert not monitor.is_out
+    assert not monitor(line(True))
+    assert monitor.is_out

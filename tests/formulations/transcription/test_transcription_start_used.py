@@ -12,9 +12,9 @@ from formulations.pipelines import load_method
 from formulations.solution import Outcome
 from formulations.transcription.solving import PlanSolver
 from models.catalog import load_scene
-from models.codegen.kernel import load_kernel
 from models.errors import TrajectoryError
 from models.trajectory import Trajectory, uniform_grid
+from tests.formulations.transcription.rollouts import rolled_out
 
 STEPS, STEP = 40, 0.1
 SCENE = load_scene("three_cart").with_task(steps=STEPS, step=STEP)
@@ -65,15 +65,13 @@ def test_a_plan_of_another_grid_is_refused_before_it_is_looked_at(cold):
 def test_a_plan_that_leads_nowhere_with_ipopts_own_barrier_is_tried_once_more_from_inside_its_bounds(monkeypatch):
     """A nonlinear scene's attack goes by way of looser bounds, the first of them from the plan: cut off here after so many iterations that it cannot be done."""
     scene = load_scene("acrobot_limits").with_task(steps=100, step=0.01)
-    task = scene.task
-    motion = load_kernel(scene).rollout(np.array(task.start), np.zeros((task.steps, scene.nu)), task.step)
-    plan = Trajectory(t=uniform_grid(task.step, task.steps), q=motion.q, v=motion.v, u=np.zeros((task.steps, scene.nu)), lam=motion.lam)
+    plan = rolled_out(scene, np.zeros((100, scene.nu)))
     asked: list[tuple[int, float, float]] = []
 
-    def attempt(self, account, options, own=PlanSolver.attempt, **named):
-        begun = account.iterations
-        result = own(self, account, options, **named)
-        asked.append((options["max_iter"] - begun, options.get("bound_push", -1.0), account.iterations - begun))
+    def attempt(self, budget, options, own=PlanSolver.attempt, **named):
+        begun = budget.iterations
+        result = own(self, budget, options, **named)
+        asked.append((options["max_iter"] - begun, options.get("bound_push", -1.0), budget.iterations - begun))
         return result
 
     monkeypatch.setattr(strict_lcp, "_FROM_PLAN", 3)

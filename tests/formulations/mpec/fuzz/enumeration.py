@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
 import itertools
 import math
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,13 +15,6 @@ from formulations.ipopt import compile_model, solve
 from formulations.ipopt.errors import ModelRefusedError
 from formulations.mpec import load, solve_mpec
 from formulations.solution import Outcome
-
-_spec = importlib.util.spec_from_file_location("mpec_fuzz_generator", Path(__file__).with_name("generator.py"))
-if _spec is None or _spec.loader is None:
-    raise ImportError("generator.py")
-generator: Any = importlib.util.module_from_spec(_spec)
-sys.modules[_spec.name] = generator  # dataclasses look their module up
-_spec.loader.exec_module(generator)
 
 # A point belongs to the model where no row, bound or condition is violated by more, relative to max(1, |limit|); two objectives are the same
 # within _SAME; an objective this low, in the sense of minimising, at a feasible point is none of a bounded problem of this generator.

@@ -1,11 +1,10 @@
-"""The model that the tests of the bridge share."""
+"""Models that the tests of the bridge share."""
 
 from __future__ import annotations
 
 import math
 
 import pyomo.environ as pyo
-import pytest
 
 
 def three_carts(steps: int = 500, eps: float = 1e-3) -> pyo.ConcreteModel:
@@ -48,6 +47,9 @@ def three_carts(steps: int = 500, eps: float = 1e-3) -> pyo.ConcreteModel:
     return m
 
 
-@pytest.fixture(name="three_carts")
-def _three_carts():
-    return three_carts
+def quadratic(**keywords) -> pyo.ConcreteModel:
+    """The distance to (1, 2), squared. keywords: of the variables."""
+    m = pyo.ConcreteModel()
+    m.x = pyo.Var([1, 2], initialize=0.5, **keywords)
+    m.cost = pyo.Objective(expr=(m.x[1] - 1) ** 2 + (m.x[2] - 2) ** 2)
+    return m
