@@ -35,7 +35,7 @@ from models.scene import Scene
 _HEAD = """\
 /* Factorises the symmetric positive definite M = L L' in place (lower triangle), then solves M x = b in place; entries that are zero for
  * every q are left out. Returns 1 if M is not positive definite, else 0. */
-SCENE_FUNCTION int scene_solve(double M[NQ][NQ], double *b)
+SCENE_INLINE int scene_solve(double M[NQ][NQ], double *b)
 {
 """
 
@@ -208,6 +208,9 @@ def _head(scene: Scene, defaults: bool) -> str:
         "#define SCENE_UNUSED",
         "#endif",
         "#define SCENE_FUNCTION static inline SCENE_UNUSED",
+        "#ifndef SCENE_INLINE",
+        "#define SCENE_INLINE SCENE_FUNCTION",
+        "#endif",
         "",
     ]
     if scene.nf:
@@ -322,7 +325,8 @@ def _factorised_acceleration(x: SceneVectors) -> list[str]:
     return [
         cholesky_function(d.mass_matrix),
         c_function("void", "scene_mass", (x.q, x.p), "M", sp.Matrix(list(mass))),
-        c_function("void", "scene_force", x.arguments, "f", force),
+        # As scene_solve, what an FMU has inlined in its accelerations (fmu/shell/model.h), which share their sines.
+        c_function("void", "scene_force", x.arguments, "f", force).replace("SCENE_FUNCTION", "SCENE_INLINE", 1),
         forward_function("void scene_force_jvp", (*x.arguments, a, *map(tangent, moving)), "d_f", residual, moving),
         backward_function("void scene_force_vjp", (*x.arguments, a, w), residual, w, moving),
         _SOLVES,

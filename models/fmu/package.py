@@ -79,7 +79,7 @@ def fmu_texts(scene: Scene, standard: Standard) -> dict[str, str]:
     if scene.nf:
         sources["friction.h"] = friction_source()
     else:
-        del sources["friction_modes.h"]  # friction_values.h alone says that there is none
+        del sources["friction_modes.h"]
     if scene.damped:
         sources["damping.h"] = damping_source()
     else:

@@ -128,7 +128,7 @@ def test_a_sparse_factorisation_solves_what_a_dense_one_does(seed: int, tmp_path
     n = 6
     factor = np.tril(rng.normal(size=(n, n)) * (rng.random((n, n)) < 0.4)) + 2 * np.eye(n)
     mass, b = factor @ factor.T, rng.normal(size=n)
-    head = '#include <math.h>\n#define NQ 6\n#define SCENE_FUNCTION __attribute__((visibility("default")))\n'
+    head = '#include <math.h>\n#define NQ 6\n#define SCENE_INLINE __attribute__((visibility("default")))\n'
     library = tmp_path / "solve.so"
     compile_shared(find_compiler(), {"solve.c": head + cholesky_function(sp.Matrix(mass))}, library)
     solve = ctypes.CDLL(str(library)).scene_solve
