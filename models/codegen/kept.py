@@ -21,7 +21,7 @@ _MODELS = Path(__file__).parents[1]
 # Whatever decides the text beside the scene's own equations.
 _GENERATORS = ("codegen/*.py", "contact*.py", "dynamics.py", "fmu/sensitivity.py", "fmu/structure.py", "fmu/variables.py")
 # And of a text that is computed from its values.
-_COMPUTED = ("fmu/experiment.py", "fmu/reference.py", "scene*.py")
+_COMPUTED = ("fmu/description.py", "fmu/reference.py", "scene/*.py")
 # And of an FMU: all but the scenes, whose text is in the key.
 _ALL = ("*.py", "codegen/*.*", "fmu/**/*.*")
 _LIBRARIES = ("numpy", "scipy")

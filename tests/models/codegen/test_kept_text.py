@@ -82,6 +82,11 @@ def test_other_equations_are_written_anew(change):
     assert asked(change(scene))
 
 
+def test_every_pattern_of_generators_finds_files():
+    for pattern in (*kept._GENERATORS, *kept._COMPUTED, *kept._ALL):
+        assert list(kept._MODELS.glob(pattern)), pattern
+
+
 def test_other_generators_write_anew(monkeypatch):
     scene = load_scene("three_cart")
     asked(scene)
