@@ -133,7 +133,7 @@ class Kernel:
         self._p_of_step: dict[float, np.ndarray] = {}
 
     def parameters_of(self, step: float) -> np.ndarray:
-        """(np,) `parameters` for time steps of `step` seconds, which is the relaxation time of a scene without inertia (models.quasi_static)."""
+        """(np,) `parameters` for time steps of `step` seconds, which is the relaxation time of a scene without inertia (models.scene.quasi_static)."""
         index = self.scene.relaxation_index
         if index is None or self._p[index] == step:
             return self._p
@@ -414,7 +414,7 @@ class Steps:
 
     def _head(self, n: int, step: float, law: ContactLaw, eps: float | None) -> tuple[int, float, int, int, float]:
         if self._tau is not None:
-            self._p[self._tau] = step  # models.quasi_static
+            self._p[self._tau] = step  # models.scene.quasi_static
         return (
             n,
             step,

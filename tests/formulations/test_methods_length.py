@@ -26,7 +26,7 @@ from models.contact_law import ContactLaw as ForceLaw
 from models.scene import Coordinate, Input, Parameter, Scene, Task
 from models.scene.contacts import Contact, DampingLaw
 from models.scene.goal import goal_state
-from models.scene.scene import goal_limits
+from models.scene.parts import goal_limits
 from models.trajectory import Trajectory, uniform_grid
 
 SIZE, EPS = 0.1, 1e-3

@@ -14,7 +14,7 @@ from models.errors import SceneError, UnknownNameError
 from models.scene import Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
 from models.scene.checks import check_expressions
 from models.scene.contacts import Friction
-from models.scene.scene import goal_limits
+from models.scene.parts import goal_limits
 from models.scene.units import base_exponents
 
 x, vx, u = sp.symbols("x vx u", real=True)

@@ -15,7 +15,7 @@ from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw
 from models.scene import Contact, Coordinate, Input, Scene, Task
-from models.scene.scene import goal_limits
+from models.scene.parts import goal_limits
 
 SCENES = Path(__file__).parents[2] / "scenes"
 SCENE = load_scene("three_cart")

@@ -23,8 +23,8 @@ from models.contact_law import ContactLaw
 from models.errors import SceneError
 from models.fmu import build_fmu
 from models.fmu.variables import variable_table
-from models.quasi_static import LAG
 from models.scene import Parameter, Scene
+from models.scene.quasi_static import LAG
 from models.scenes.push_box import mean_distance
 from models.stability import step_stability
 from models.trajectory import Trajectory
