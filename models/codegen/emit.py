@@ -106,7 +106,7 @@ def for_scene(scene: Scene, text: str) -> str:
 
 
 def penetration_rate(x: SceneVectors) -> sp.Matrix:
-    """d phi / dt (nc, 1) along the velocities v [m/s]."""
+    """Rates of penetration d phi/dt (nc, 1) along the velocities v [m/s]."""
     return -x.local(x.dynamics.gap_jacobian) * x.v.column
 
 

@@ -28,10 +28,24 @@ _LIBRARIES = ("numpy", "scipy")
 
 
 def kept_text(scene: Scene, name: str, make: Callable[[], str], *, whole: bool = False) -> str:
-    """The text `name` of a scene: read from the cache folder, or made and kept there. It must depend on nothing but the scene's equations;
-    whole: on nothing but the scene.
+    """The text `name` of a scene: read from the cache folder, or made and kept there.
 
-    Raises what `make` raises, and MachineError for a cache folder that cannot be written.
+    Parameters
+    ----------
+    make
+        Makes the text; it must depend on nothing but the scene's equations.
+    whole
+        Whether it may depend on all of the scene.
+
+    Returns
+    -------
+    str
+        The text.
+
+    Raises
+    ------
+    MachineError
+        For a cache folder that cannot be written; and what `make` raises.
     """
 
     def write(path: Path) -> None:

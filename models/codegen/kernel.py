@@ -81,6 +81,7 @@ class Rollout:
 
     @property
     def diverged(self) -> bool:
+        """Whether a state stopped being finite before the last step."""
         return self.finite_steps < len(self.lam)
 
 
@@ -133,7 +134,18 @@ class Kernel:
         self._p_of_step: dict[float, np.ndarray] = {}
 
     def parameters_of(self, step: float) -> np.ndarray:
-        """(np,) `parameters` for time steps of `step` seconds, which is the relaxation time of a scene without inertia (models.scene.quasi_static)."""
+        """`parameters` for time steps of that length, which is the relaxation time of a scene without inertia (models.scene.quasi_static).
+
+        Parameters
+        ----------
+        step
+            Length of a step [s].
+
+        Returns
+        -------
+        np.ndarray
+            Values (np,), each in its own unit [SI]; kept as long as the kernel, for callers that hold its address.
+        """
         index = self.scene.relaxation_index
         if index is None or self._p[index] == step:
             return self._p
@@ -144,7 +156,7 @@ class Kernel:
 
     @property
     def parameters(self) -> np.ndarray:
-        """(np,) parameter values of the scene, as the C functions read them."""
+        """Parameter values (np,) of the scene, each in its own unit [SI], as the C functions read them."""
         return self._p
 
     def bound_functions(self) -> BoundFunctions:
@@ -157,14 +169,30 @@ class Kernel:
         return BatchFunctions(self._library.kernel_rollouts, self._library.kernel_adjoints, head)
 
     def penetration(self, q: np.ndarray) -> np.ndarray:
-        """phi (n, nc) [m] at positions q (n, nq)."""
+        """Penetration of each contact, positive in contact.
+
+        Parameters
+        ----------
+        q
+            Positions (n, nq) [m, rad].
+
+        Returns
+        -------
+        np.ndarray
+            phi (n, nc) [m].
+
+        Raises
+        ------
+        KernelError
+            Where an array has another shape.
+        """
         q = self._array("q", q, self.scene.nq)
         phi = np.empty((len(q), self.scene.nc))
         self._library.kernel_penetration(len(q), _at(self._p), _at(q), _at(phi))
         return phi
 
     def stiffness(self) -> np.ndarray:
-        """k (nc,) [N/m]."""
+        """Stiffness k (nc,) of each contact [N/m]."""
         k = np.empty(self.scene.nc)
         self._library.kernel_stiffness(_at(self._p), _at(k))
         return k
@@ -172,7 +200,29 @@ class Kernel:
     def contact_force(
         self, q: np.ndarray, law: ContactLaw = ContactLaw.RELU, eps: float | None = None, *, v: np.ndarray | None = None
     ) -> np.ndarray:
-        """lam (n, nc) [N] at positions q (n, nq) and, for damped contacts, velocities v (n, nq); None is at rest."""
+        """Contact forces under a law.
+
+        Parameters
+        ----------
+        q
+            Positions (n, nq) [m, rad].
+        law, eps
+            The contact law, and the relaxation of a softplus [-].
+        v
+            Velocities (n, nq) [m/s, rad/s], which damped contacts depend on; None is at rest.
+
+        Returns
+        -------
+        np.ndarray
+            lam (n, nc) [N].
+
+        Raises
+        ------
+        KernelError
+            Where an array has another shape.
+        RelaxationError
+            Unless 0 < eps < 1, of a relaxed law.
+        """
         q = self._array("q", q, self.scene.nq)
         lam = np.empty((len(q), self.scene.nc))
         head = (len(q), _at(self._p), law.value, _b(law, eps, self.scene.length), _at(q))
@@ -184,7 +234,25 @@ class Kernel:
         return lam
 
     def contact_push(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """(n, nc) [N] what the true contact force is the positive part of, at positions and velocities (n, nq): k phi without damping."""
+        """What the true contact force is the positive part of: k phi without damping.
+
+        Parameters
+        ----------
+        q
+            Positions (n, nq) [m, rad].
+        v
+            Velocities (n, nq) [m/s, rad/s].
+
+        Returns
+        -------
+        np.ndarray
+            Pushes (n, nc) [N].
+
+        Raises
+        ------
+        KernelError
+            Where an array has another shape.
+        """
         q, v = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq)
         if not self.scene.damped:
             return self.stiffness() * self.penetration(q)
@@ -193,7 +261,25 @@ class Kernel:
         return push
 
     def slip(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """s (n, nf) [m/s] at positions and velocities (n, nq)."""
+        """Slip speed of each friction.
+
+        Parameters
+        ----------
+        q
+            Positions (n, nq) [m, rad].
+        v
+            Velocities (n, nq) [m/s, rad/s].
+
+        Returns
+        -------
+        np.ndarray
+            s (n, nf) [m/s].
+
+        Raises
+        ------
+        KernelError
+            Where an array has another shape.
+        """
         q, v = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq)
         slip = np.empty((len(q), self.scene.nf))
         if self.scene.nf:
@@ -201,7 +287,25 @@ class Kernel:
         return slip
 
     def friction_limit(self, q: np.ndarray, lam: np.ndarray) -> np.ndarray:
-        """mu N (n, nf) [N], the largest friction force, at positions (n, nq) and forces lam (n, nc+nf)."""
+        """The largest friction forces, mu N.
+
+        Parameters
+        ----------
+        q
+            Positions (n, nq) [m, rad].
+        lam
+            Contact, then friction forces (n, nc+nf) [N].
+
+        Returns
+        -------
+        np.ndarray
+            Limits (n, nf) [N].
+
+        Raises
+        ------
+        KernelError
+            Where an array has another shape.
+        """
         q = self._array("q", q, self.scene.nq)
         lam, limit = self._array("lam", lam, self.scene.nl, len(q)), np.empty((len(q), self.scene.nf))
         if self.scene.nf:
@@ -209,7 +313,29 @@ class Kernel:
         return limit
 
     def acceleration(self, q: np.ndarray, v: np.ndarray, u: np.ndarray, lam: np.ndarray) -> np.ndarray:
-        """dv/dt (n, nq) of M dv/dt = tau(q, v, u) + J' lam + S' f, row by row, lam (n, nc+nf) with f behind. Raises KernelError where M is not positive definite."""
+        """Accelerations dv/dt of M dv/dt = tau(q, v, u) + J' lam + S' f, row by row.
+
+        Parameters
+        ----------
+        q
+            Positions (n, nq) [m, rad].
+        v
+            Velocities (n, nq) [m/s, rad/s].
+        u
+            Inputs (n, nu) [N, N m].
+        lam
+            Contact, then friction forces (n, nc+nf) [N].
+
+        Returns
+        -------
+        np.ndarray
+            Accelerations (n, nq) [m/s^2, rad/s^2].
+
+        Raises
+        ------
+        KernelError
+            Where M is not positive definite, or an array has another shape.
+        """
         q, v = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq)
         u, lam = self._array("u", u, self.scene.nu, len(q)), self._array("lam", lam, self.scene.nl, len(q))
         a = np.empty((len(q), self.scene.nq))
@@ -221,7 +347,31 @@ class Kernel:
     def rollout(
         self, start: np.ndarray, u: np.ndarray, step: float, law: ContactLaw = ContactLaw.RELU, eps: float | None = None
     ) -> Rollout:
-        """Simulate from start (2*nq,) with inputs u (steps, nu), held over each step of `step` seconds."""
+        """Simulate with inputs that are held over each step.
+
+        Parameters
+        ----------
+        start
+            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
+        u
+            Inputs (steps, nu) [N, N m].
+        step
+            Length of a step [s].
+        law, eps
+            The contact law, and the relaxation of a softplus [-].
+
+        Returns
+        -------
+        Rollout
+            The motion and its forces; NaN behind a divergence.
+
+        Raises
+        ------
+        KernelError
+            Where an array has another shape.
+        RelaxationError
+            Unless 0 < eps < 1, of a relaxed law.
+        """
         u = self._array("u", u, self.scene.nu)
         start = self._array("start", np.atleast_2d(start), 2 * self.scene.nq)
         steps = len(u)
@@ -236,8 +386,29 @@ class Kernel:
         return Rollout(q=q, v=v, lam=lam, finite_steps=done, step=step, law=law, eps=eps)
 
     def rollouts(self, start: np.ndarray, u: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
-        """Forces lam (rows, steps, nc+nf) and last states (rows, 2*nq) from each start (rows, 2*nq) with inputs u (rows, steps, nu), under the true law;
-        a row that diverges is NaN from there on."""
+        """Simulate several motions under the true contact law; a row that diverges is NaN from there on.
+
+        Parameters
+        ----------
+        start
+            States (rows, 2*nq): positions [m, rad], then velocities [m/s, rad/s].
+        u
+            Inputs (rows, steps, nu) [N, N m].
+        step
+            Length of a step [s].
+
+        Returns
+        -------
+        lam
+            Forces (rows, steps, nc+nf) [N].
+        ends
+            Last states (rows, 2*nq).
+
+        Raises
+        ------
+        KernelError
+            Where an array has another shape.
+        """
         rows, steps, _ = u.shape
         start, u = self._array("start", start, 2 * self.scene.nq, rows), np.ascontiguousarray(u, dtype=np.float64)
         q, v = (np.empty((rows, steps + 1, self.scene.nq)) for _ in range(2))
@@ -256,9 +427,35 @@ class Kernel:
         cost_bar: float = 0.0,
         end_bar: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Gradients (u_bar (steps, nu), start_bar (2*nq,)) of a loss whose derivatives are q_bar, v_bar (steps+1, nq), lam_bar
-        (steps, nc+nf), cost_bar (with respect to the cost) and end_bar (2*nq,) (to the last positions and velocities, beside q_bar and v_bar);
-        None where it does not depend on them."""
+        """Gradients of a loss along a rollout, from its derivatives by what the rollout gave; None where it does not depend on that.
+
+        Parameters
+        ----------
+        rollout
+            The rollout, whose step and law are taken.
+        u
+            Its inputs (steps, nu) [N, N m].
+        q_bar, v_bar
+            Derivatives (steps+1, nq) by positions and velocities [1/m, s/m and so on, per unit of the loss].
+        lam_bar
+            Derivatives (steps, nc+nf) by forces [1/N].
+        cost_bar
+            Derivative by the cost of the task [-].
+        end_bar
+            Derivatives (2*nq,) by the last state, beside q_bar and v_bar.
+
+        Returns
+        -------
+        u_bar
+            Gradient (steps, nu) by the inputs.
+        start_bar
+            Gradient (2*nq,) by the start.
+
+        Raises
+        ------
+        KernelError
+            Where M is not positive definite along the rollout, or an array has another shape.
+        """
         u = self._array("u", u, self.scene.nu, len(rollout.lam))
         given = (
             ("q_bar", q_bar, rollout.q.shape),
@@ -277,7 +474,25 @@ class Kernel:
         return u_bar, start_bar
 
     def acceleration_jvp(self, point: tuple[np.ndarray, ...], tangent: tuple[np.ndarray, ...]) -> np.ndarray:
-        """Directional derivative (nq,) of the acceleration at point (q, v, u, lam) in direction (dq, dv, du, dlam)."""
+        """Directional derivative of the acceleration.
+
+        Parameters
+        ----------
+        point
+            q, v (nq,), u (nu,), lam (nc+nf,), where it is taken [m, m/s, N, N].
+        tangent
+            dq, dv, du, dlam of the same shapes.
+
+        Returns
+        -------
+        np.ndarray
+            Derivative (nq,) of the acceleration [m/s^2, rad/s^2].
+
+        Raises
+        ------
+        KernelError
+            Where an array has another shape.
+        """
         sizes = (self.scene.nq, self.scene.nq, self.scene.nu, self.scene.nl)
         arrays = [self._array("point", np.atleast_2d(part), size) for part, size in zip((*point, *tangent), sizes * 2, strict=True)]
         result = np.empty(self.scene.nq)
@@ -285,21 +500,77 @@ class Kernel:
         return result
 
     def energy(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Kinetic and potential energy (n,) [J], without the energy stored in contacts."""
+        """Kinetic and potential energy, without what contacts store.
+
+        Parameters
+        ----------
+        q
+            Positions (n, nq) [m, rad].
+        v
+            Velocities (n, nq) [m/s, rad/s].
+
+        Returns
+        -------
+        kinetic, potential
+            Energies (n,) [J].
+
+        Raises
+        ------
+        KernelError
+            Where an array has another shape.
+        """
         q, v = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq)
         energy = np.empty((len(q), 2))
         self._library.kernel_energy(len(q), _at(self._p), _at(q), _at(v), _at(energy))
         return energy[:, 0], energy[:, 1]
 
     def power(self, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Power of the inputs and dissipated power (n,) [W]."""
+        """Power of the inputs, and dissipated power.
+
+        Parameters
+        ----------
+        q
+            Positions (n, nq) [m, rad].
+        v
+            Velocities (n, nq) [m/s, rad/s].
+        u
+            Inputs (n, nu) [N, N m].
+
+        Returns
+        -------
+        inputs, dissipated
+            Powers (n,) [W].
+
+        Raises
+        ------
+        KernelError
+            Where an array has another shape.
+        """
         q, v, u = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq), self._array("u", u, self.scene.nu)
         power = np.empty((len(q), 2))
         self._library.kernel_power(len(q), _at(self._p), _at(q), _at(v), _at(u), _at(power))
         return power[:, 0], power[:, 1]
 
     def cost(self, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> float:
-        """Sum of the running cost over the steps, and the cost of the last state; q, v (steps+1, nq), u (steps, nu)."""
+        """Sum of the running cost over the steps, and the cost of the last state.
+
+        Parameters
+        ----------
+        q, v
+            Positions and velocities (steps+1, nq) [m, rad, m/s, rad/s].
+        u
+            Inputs (steps, nu) [N, N m].
+
+        Returns
+        -------
+        float
+            The cost, in the unit that the task weighs with [-].
+
+        Raises
+        ------
+        KernelError
+            Where an array has another shape.
+        """
         u = self._array("u", u, self.scene.nu)
         q, v = self._array("q", q, self.scene.nq, len(u) + 1), self._array("v", v, self.scene.nq, len(u) + 1)
         return float(self._library.kernel_cost(len(u), _at(self._p), _at(q), _at(v), _at(u)))
@@ -347,6 +618,7 @@ class Followed:
 
     @property
     def diverged(self) -> bool:
+        """Whether a state stopped being finite before the last step."""
         return self.finite_steps < len(self.u)
 
 
@@ -376,7 +648,31 @@ class Steps:
     def linearise(
         self, x: np.ndarray, u: np.ndarray, step: float, law: ContactLaw = ContactLaw.RELU, eps: float | None = None
     ) -> Linearised | None:
-        """One step of `step` seconds from each row of x (n, 2*nq) with u (n, nu), and its derivatives; None if one is not finite."""
+        """One step from each state, and its derivatives.
+
+        Parameters
+        ----------
+        x
+            States (n, 2*nq): positions [m, rad], then velocities [m/s, rad/s].
+        u
+            Inputs (n, nu) [N, N m].
+        step
+            Length of the step [s].
+        law, eps
+            The contact law, and the relaxation of a softplus [-].
+
+        Returns
+        -------
+        Linearised | None
+            None where one of the steps is not finite.
+
+        Raises
+        ------
+        KernelError
+            Where an array has another shape.
+        RelaxationError
+            Unless 0 < eps < 1, of a relaxed law.
+        """
         scene, n = self.scene, len(u)
         x, u = self._array("x", x, (n, 2 * scene.nq)), self._array("u", u, (n, scene.nu))
         after, lam = np.empty_like(x), np.empty((n, scene.nl))
@@ -396,9 +692,36 @@ class Steps:
         eps: float | None = None,
         jump: np.ndarray | None = None,
     ) -> Followed:
-        """Run from start (2*nq,) with feedback around x_plan (steps, 2*nq), u_plan (steps, nu): gain (steps, nu, 2*nq).
+        """Run with feedback u = u_plan + gain (x_plan - x), within the bounds of the inputs; rows after a divergence are NaN.
 
-        jump (steps, 2*nq): added to the state after each step, None for a motion without jumps. Rows after a divergence are NaN.
+        Parameters
+        ----------
+        start
+            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
+        x_plan
+            States (steps, 2*nq) of the plan.
+        u_plan
+            Inputs (steps, nu) of the plan [N, N m].
+        gain
+            Gains (steps, nu, 2*nq) [N/m, N s/m and so on].
+        step
+            Length of a step [s].
+        law, eps
+            The contact law, and the relaxation of a softplus [-].
+        jump
+            Added to the state after each step (steps, 2*nq); None for a motion without jumps.
+
+        Returns
+        -------
+        Followed
+            The motion, its inputs and forces.
+
+        Raises
+        ------
+        KernelError
+            Where an array has another shape.
+        RelaxationError
+            Unless 0 < eps < 1, of a relaxed law.
         """
         scene, n = self.scene, len(u_plan)
         x_plan, u_plan = self._array("x_plan", x_plan, (n, 2 * scene.nq)), self._array("u_plan", u_plan, (n, scene.nu))

@@ -37,6 +37,7 @@ class Operations:
 
     @property
     def total(self) -> int:
+        """The operations of all kinds."""
         return sum(astuple(self))
 
 

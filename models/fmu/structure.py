@@ -109,8 +109,10 @@ def _of_expressions(d: Dynamics, expressions: Iterable[sp.Expr]) -> dict[sp.Symb
 
 
 def _seen_to_vary(slopes: Mapping[sp.Symbol, sp.Expr], parameters: set[sp.Symbol]) -> set[sp.Symbol]:
-    """Those whose slope has clearly different values at two points that differ in more than parameters: a proof without any expansion,
-    which takes minutes for the energies of several bodies. What is not seen here may vary all the same."""
+    """Those whose slope has clearly different values at two points that differ in more than parameters.
+
+    That proves it without any expansion, which takes minutes for the energies of several bodies. What is not seen here may vary all the same.
+    """
     symbols = sorted(set().union(*(slope.free_symbols for slope in slopes.values())), key=str)
     points = []
     for place in range(2):

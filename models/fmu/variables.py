@@ -86,18 +86,22 @@ class Variable:
 
     @property
     def causality(self) -> str:
+        """FMI's causality: input, output, parameter .."""
         return _ROLES.get(self.kind, _OUTPUT)[0]
 
     @property
     def variability(self) -> str:
+        """FMI's variability: continuous, fixed, tunable .."""
         return _ROLES.get(self.kind, _OUTPUT)[1]
 
     @property
     def initial(self) -> str | None:
+        """FMI's attribute `initial`; None where it has none."""
         return _ROLES.get(self.kind, _OUTPUT)[2]
 
     @property
     def is_enumeration(self) -> bool:
+        """Whether it is an enumeration instead of a real number."""
         return self.kind is VariableKind.INTEGRATOR
 
 

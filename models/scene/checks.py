@@ -1,5 +1,7 @@
-"""That the physics of a scene is possible, by computer algebra: when it is loaded, and before anything is derived from it. What needs none is checked when
-a scene is created (models.scene.scene)."""
+"""The physics of a scene is possible: checked by computer algebra when it is loaded, and before anything is derived from it.
+
+What needs no computer algebra is checked when a scene is created (models.scene.scene).
+"""
 
 from __future__ import annotations
 

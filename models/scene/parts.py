@@ -93,8 +93,10 @@ class Answer:
 
 @dataclass(frozen=True, kw_only=True)
 class Shape:
-    """How a body is drawn: `kind` "box", "disc", "line" or "wall"; `x`, `y` its centre and `angle`, as expressions in q [m, rad];
-    `size`: (width, height), (radius,), or (length,) [m]."""
+    """How a body is drawn: its centre and angle as expressions in q [m, rad].
+
+    kind: "box", "disc", "line" or "wall"; size: (width, height), (radius,), or (length,) [m].
+    """
 
     name: str
     kind: str
@@ -143,6 +145,7 @@ class Parameter:
 
     @property
     def name(self) -> str:
+        """That of its symbol."""
         return self.symbol.name
 
 
@@ -174,18 +177,22 @@ class Coordinate:
 
     @property
     def has_velocity_bounds(self) -> bool:
+        """Whether its velocity has a finite bound."""
         return math.isfinite(self.velocity_lower) or math.isfinite(self.velocity_upper)
 
     @property
     def name(self) -> str:
+        """That of its symbol."""
         return self.symbol.name
 
     @property
     def velocity_name(self) -> str:
+        """That of its velocity's symbol."""
         return self.velocity.name
 
     @property
     def velocity_unit(self) -> str:
+        """Its unit a second."""
         return f"{self.unit}/s"
 
 
@@ -208,6 +215,7 @@ class Input:
 
     @property
     def name(self) -> str:
+        """That of its symbol."""
         return self.symbol.name
 
 

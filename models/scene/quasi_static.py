@@ -28,7 +28,25 @@ LAG = 2e-5
 
 
 def relaxation_parameter(scene: str, symbol: object, value: float) -> Parameter:
-    """tau as the models of the scene of that name have it, of `value` seconds: the task's step, or the lag of a scene that is judged."""
+    """The relaxation time tau of the scene of that name, as its models have it.
+
+    Parameters
+    ----------
+    symbol
+        What the scene gives as its relaxation_time.
+    value
+        The task's step, or the lag of a scene that is judged [s].
+
+    Returns
+    -------
+    Parameter
+        tau.
+
+    Raises
+    ------
+    SceneError
+        Unless symbol is a SymPy Symbol.
+    """
     if not isinstance(symbol, sp.Symbol):
         raise SceneError(f"scene {scene}: relaxation_time must be a SymPy Symbol, not {type(symbol).__name__}.")
     return Parameter(

@@ -122,18 +122,22 @@ class Scene:
 
     @property
     def nq(self) -> int:
+        """The number of coordinates."""
         return len(self.coordinates)
 
     @property
     def nu(self) -> int:
+        """The number of inputs."""
         return len(self.inputs)
 
     @property
     def nc(self) -> int:
+        """The number of contacts."""
         return len(self.contacts)
 
     @property
     def nf(self) -> int:
+        """The number of frictions."""
         return len(self.frictions)
 
     @property
@@ -158,6 +162,7 @@ class Scene:
 
     @property
     def parameter_values(self) -> dict[sp.Symbol, float]:
+        """Values of the parameters, by symbol."""
         return {parameter.symbol: parameter.value for parameter in self.parameters}
 
     def limit(self, metric: str) -> Limit | None:
@@ -170,7 +175,7 @@ class Scene:
         return tuple(float(contact.depth.subs(self.parameter_values).evalf()) for contact in self.contacts)
 
     def with_parameters(self, **values: float) -> Scene:
-        """This scene with other parameter values, e.g. `scene.with_parameters(k=300.0)`. Raises SceneError for unknown names."""
+        """The scene with other parameter values, e.g. `scene.with_parameters(k=300.0)`. Raises SceneError for unknown names."""
         known = [parameter.name for parameter in self.parameters]
         for name in values:
             if name not in known:
@@ -181,12 +186,14 @@ class Scene:
         return replace(self, parameters=parameters)
 
     def with_task(self, **changes: Any) -> Scene:
-        """This scene with another task, e.g. `scene.with_task(steps=1000, step=0.005)`."""
+        """The scene with another task, e.g. `scene.with_task(steps=1000, step=0.005)`."""
         return replace(self, task=replace(self.task, **changes))
 
     def continuous(self, lag: float | None = None) -> Scene:
-        """This scene as it is judged, in continuous time: without inertia but for a `lag` (LAG of models.scene.quasi_static unless given [s]); itself where it has
-        inertia, or is that already."""
+        """The scene as it is judged, in continuous time; itself where it has inertia, or is that already.
+
+        lag: the relaxation time of a scene without inertia [s]; None: LAG of models.scene.quasi_static.
+        """
         if self.relaxation_time is None or (self.lag is not None and lag is None):
             return self
         return replace(self, lag=LAG if lag is None else lag)

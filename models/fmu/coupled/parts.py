@@ -63,6 +63,7 @@ class Parts:
 
 
 def force_name(contact: Contact, coordinate: Coordinate) -> str:
+    """The generalised force of a contact on a coordinate, as `lam_left_q1`."""
     return f"{contact.force_name}_{coordinate.name}"
 
 
