@@ -1,4 +1,4 @@
-"""Scene -> `scene_model.h`: static inline C functions, common subexpressions eliminated, names kept.
+"""Scene -> `scene_model.h`: static inline C functions, common subexpressions eliminated, names as the scene has them.
 
 The text depends on the scene alone (no date, no random names), so that equal scenes give equal bytes. What the scene
 does not need is not written: a constant mass matrix is inverted here, symbolically, and only a scene whose mass matrix
@@ -27,7 +27,7 @@ import sympy as sp
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
 from models.codegen.c_function import SceneVectors, Vector, backward_function, c_function, forward_function, tangent
-from models.codegen.kept import kept_text
+from models.codegen.text_cache import cached_text
 from models.dynamics import derive
 from models.errors import SceneError
 from models.scene import Scene
@@ -186,8 +186,8 @@ def emit_model(scene: Scene, *, defaults: bool = True) -> str:
 
 
 def model_source(scene: Scene) -> str:
-    """`emit_model` without default values, kept between processes."""
-    return kept_text(scene, "scene_model.h", lambda: emit_model(scene, defaults=False))
+    """`emit_model` without default values, cached between processes."""
+    return cached_text(scene, "scene_model.h", lambda: emit_model(scene, defaults=False))
 
 
 def _head(scene: Scene, defaults: bool) -> str:

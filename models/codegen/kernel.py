@@ -678,7 +678,7 @@ class Steps:
         after, lam = np.empty_like(x), np.empty((n, scene.nl))
         by_x, by_u = np.empty((n, 2 * scene.nq, 2 * scene.nq)), np.empty((n, 2 * scene.nq, scene.nu))
         arrays = (x, u, after, lam, by_x, by_u)
-        done = self._library.kernel_linearise(*self._head(n, step, law, eps), *(array.ctypes.data for array in arrays))
+        done = self._library.kernel_linearise(*self._head(n, step, law, eps), *(_at(array) for array in arrays))
         return Linearised(next=after, lam=lam, A=by_x, B=by_u) if done == n else None
 
     def follow(
@@ -730,21 +730,15 @@ class Steps:
         x, u, lam = np.full((n + 1, 2 * scene.nq), np.nan), np.full((n, scene.nu), np.nan), np.full((n, scene.nl), np.nan)
         given = (start, x_plan, u_plan, gain, self._lower, self._upper)
         done = self._library.kernel_feedback_rollout(
-            *self._head(n, step, law, eps), *(array.ctypes.data for array in given), None if jump is None else jump.ctypes.data,
-            *(array.ctypes.data for array in (x, u, lam)),
+            *self._head(n, step, law, eps), *(_at(array) for array in given), None if jump is None else _at(jump),
+            *(_at(array) for array in (x, u, lam)),
         )  # fmt: skip
         return Followed(x=x, u=u, lam=lam, finite_steps=done)
 
     def _head(self, n: int, step: float, law: ContactLaw, eps: float | None) -> tuple[int, float, int, int, float]:
         if self._tau is not None:
             self._p[self._tau] = step  # models.scene.quasi_static
-        return (
-            n,
-            step,
-            self._p.ctypes.data,
-            law.value,
-            0.0 if law is ContactLaw.RELU else sharpness(eps if eps is not None else 0.0, self.scene.length),
-        )
+        return (n, step, _at(self._p), law.value, _b(law, eps, self.scene.length))
 
     def _array(self, name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
         array = np.ascontiguousarray(value, dtype=np.float64)

@@ -12,7 +12,7 @@ from enum import Enum
 
 import sympy as sp
 
-from models.codegen.kept import kept_text
+from models.codegen.text_cache import cached_text
 from models.dynamics import Dynamics, derive
 from models.fmu.variables import Variable, VariableKind, variable_table
 from models.scene import Scene
@@ -32,10 +32,10 @@ class Dependency(Enum):
 def dependencies(scene: Scene) -> dict[str, dict[str, Dependency]]:
     """Of each calculated variable and each state: the knowns it depends on (states, inputs, parameters), in table order.
 
-    Differentiating the energies of a large scene for it takes seconds: it is kept, as the generated C is.
+    Differentiating the energies of a large scene for it takes seconds: it is cached, as the generated C is.
     """
-    kept = json.loads(kept_text(scene, "structure.json", lambda: _as_text(derived_dependencies(scene))))
-    return {name: {known: Dependency(kind) for known, kind in knowns.items()} for name, knowns in kept.items()}
+    found = json.loads(cached_text(scene, "structure.json", lambda: _as_text(derived_dependencies(scene))))
+    return {name: {known: Dependency(kind) for known, kind in knowns.items()} for name, knowns in found.items()}
 
 
 def _as_text(found: dict[str, dict[str, Dependency]]) -> str:

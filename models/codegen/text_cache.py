@@ -1,7 +1,7 @@
-"""Generated text, kept between processes: deriving and printing the equations of a large scene takes seconds, reading them back none.
+"""Generated text, cached between processes: deriving and printing the equations of a large scene takes seconds, reading them back none.
 
-kept_text(scene, "scene_model.h", lambda: emit_model(scene, defaults=False))
-kept_text(scene, "reference.csv", lambda: motion_as_text(scene), whole=True)      # of the values and the task, too
+cached_text(scene, "scene_model.h", lambda: emit_model(scene, defaults=False))
+cached_text(scene, "reference.csv", lambda: motion_as_text(scene), whole=True)      # of the values and the task, too
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ _ALL = ("*.py", "codegen/*.*", "fmu/**/*.*")
 _LIBRARIES = ("numpy", "scipy")
 
 
-def kept_text(scene: Scene, name: str, make: Callable[[], str], *, whole: bool = False) -> str:
-    """The text `name` of a scene: read from the cache folder, or made and kept there.
+def cached_text(scene: Scene, name: str, make: Callable[[], str], *, whole: bool = False) -> str:
+    """The text `name` of a scene: read from the cache folder, or made and stored there.
 
     Parameters
     ----------
