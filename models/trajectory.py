@@ -193,22 +193,20 @@ class Trajectory:
         return bool(np.allclose(np.diff(self.t), (self.t[-1] - self.t[0]) / self.steps, rtol=1e-9, atol=0.0))
 
 
-def uniform_grid(step: float, steps: int, start: float = 0.0) -> np.ndarray:
-    """Times start + n*step, never a running sum.
+def uniform_grid(step: float, steps: int) -> np.ndarray:
+    """Times n*step from 0, never a running sum.
 
     Parameters
     ----------
     step
         Distance of two times [s].
-    start
-        The first time [s].
 
     Returns
     -------
     np.ndarray
         (steps + 1,) [s].
     """
-    return start + step * np.arange(steps + 1)
+    return step * np.arange(steps + 1)
 
 
 def column_names(scene: Scene) -> dict[str, tuple[str, ...]]:

@@ -7,14 +7,6 @@
 
 Semi-implicit Euler with the paper's indices: lam[t] = L(phi(q[t])), v[t+1] = v[t] + h a[t], q[t+1] = q[t] + h v[t+1];
 friction forces belong to the slip at the end of the step (friction.h) and stand behind the contact forces in lam.
-
-The time steps of a scene one by one: linearised at states of their own, or run one after the other with feedback.
-
-    steps = load_steps(scene)
-    steps.linearise(x, u, step=0.01)              # x (n, 2*nq), u (n, nu) -> next, lam, A (n, 2*nq, 2*nq), B (n, 2*nq, nu)
-    steps.follow(start, x_plan, u_plan, gain, step=0.01)     # u = clip(u_plan + gain (x - x_plan), lower, upper)
-
-The steps are those of `models.codegen.kernel`, bit for bit; the derivatives come from its adjoint. State x = (q, v), positions first.
 """
 
 from __future__ import annotations
@@ -165,7 +157,7 @@ class Kernel:
 
     def batch_functions(self, steps: int, step: float, law: ContactLaw, eps: float | None) -> BatchFunctions:
         """The C functions for several plans in one call (formulations.shooting.rollout)."""
-        head = (steps, step, _at(self.parameters_of(step)), law.value, _b(law, eps, self.scene.length))
+        head = (steps, step, address(self.parameters_of(step)), law.value, law_sharpness(law, eps, self.scene.length))
         return BatchFunctions(self._library.kernel_rollouts, self._library.kernel_adjoints, head)
 
     def penetration(self, q: np.ndarray) -> np.ndarray:
@@ -188,13 +180,13 @@ class Kernel:
         """
         q = self._array("q", q, self.scene.nq)
         phi = np.empty((len(q), self.scene.nc))
-        self._library.kernel_penetration(len(q), _at(self._p), _at(q), _at(phi))
+        self._library.kernel_penetration(len(q), address(self._p), address(q), address(phi))
         return phi
 
     def stiffness(self) -> np.ndarray:
         """Stiffness k (nc,) of each contact [N/m]."""
         k = np.empty(self.scene.nc)
-        self._library.kernel_stiffness(_at(self._p), _at(k))
+        self._library.kernel_stiffness(address(self._p), address(k))
         return k
 
     def contact_force(
@@ -225,12 +217,12 @@ class Kernel:
         """
         q = self._array("q", q, self.scene.nq)
         lam = np.empty((len(q), self.scene.nc))
-        head = (len(q), _at(self._p), law.value, _b(law, eps, self.scene.length), _at(q))
+        head = (len(q), address(self._p), law.value, law_sharpness(law, eps, self.scene.length), address(q))
         if self.scene.damped:
             v = self._array("v", np.zeros_like(q) if v is None else v, self.scene.nq, len(q))
-            self._library.kernel_damped_contact_force(*head, _at(v), _at(lam))
+            self._library.kernel_damped_contact_force(*head, address(v), address(lam))
         else:
-            self._library.kernel_contact_force(*head, _at(lam))
+            self._library.kernel_contact_force(*head, address(lam))
         return lam
 
     def contact_push(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -257,7 +249,7 @@ class Kernel:
         if not self.scene.damped:
             return self.stiffness() * self.penetration(q)
         push = np.empty((len(q), self.scene.nc))
-        self._library.kernel_contact_push(len(q), _at(self._p), _at(q), _at(v), _at(push))
+        self._library.kernel_contact_push(len(q), address(self._p), address(q), address(v), address(push))
         return push
 
     def slip(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -283,7 +275,7 @@ class Kernel:
         q, v = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq)
         slip = np.empty((len(q), self.scene.nf))
         if self.scene.nf:
-            self._library.kernel_slip(len(q), _at(self._p), _at(q), _at(v), _at(slip))
+            self._library.kernel_slip(len(q), address(self._p), address(q), address(v), address(slip))
         return slip
 
     def friction_limit(self, q: np.ndarray, lam: np.ndarray) -> np.ndarray:
@@ -309,7 +301,7 @@ class Kernel:
         q = self._array("q", q, self.scene.nq)
         lam, limit = self._array("lam", lam, self.scene.nl, len(q)), np.empty((len(q), self.scene.nf))
         if self.scene.nf:
-            self._library.kernel_friction_limit(len(q), _at(self._p), _at(q), _at(lam), _at(limit))
+            self._library.kernel_friction_limit(len(q), address(self._p), address(q), address(lam), address(limit))
         return limit
 
     def acceleration(self, q: np.ndarray, v: np.ndarray, u: np.ndarray, lam: np.ndarray) -> np.ndarray:
@@ -339,7 +331,7 @@ class Kernel:
         q, v = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq)
         u, lam = self._array("u", u, self.scene.nu, len(q)), self._array("lam", lam, self.scene.nl, len(q))
         a = np.empty((len(q), self.scene.nq))
-        done = self._library.kernel_acceleration(len(q), _at(self._p), _at(q), _at(v), _at(u), _at(lam), _at(a))
+        done = self._library.kernel_acceleration(len(q), address(self._p), address(q), address(v), address(u), address(lam), address(a))
         if done < len(q):
             raise KernelError(f"scene {self.scene.name}: the mass matrix is not positive definite at q = {q[done].tolist()}.")
         return a
@@ -378,7 +370,7 @@ class Kernel:
         q, v = np.empty((steps + 1, self.scene.nq)), np.empty((steps + 1, self.scene.nq))
         lam = np.empty((steps, self.scene.nl))
         done = self._library.kernel_rollout(
-            steps, step, _at(self.parameters_of(step)), law.value, _b(law, eps, self.scene.length), _at(start), _at(u), _at(q), _at(v), _at(lam)
+            steps, step, address(self.parameters_of(step)), law.value, law_sharpness(law, eps, self.scene.length), address(start), address(u), address(q), address(v), address(lam)
         )  # fmt: skip
         if done < steps:
             q[done + 1 :] = v[done + 1 :] = np.nan
@@ -414,7 +406,7 @@ class Kernel:
         q, v = (np.empty((rows, steps + 1, self.scene.nq)) for _ in range(2))
         lam, costs, ends = np.empty((rows, steps, self.scene.nl)), np.empty(rows), np.empty((rows, 2 * self.scene.nq))
         functions = self.batch_functions(steps, step, ContactLaw.RELU, None)
-        functions.rollouts(rows, *functions.head, *(_at(array) for array in (start, u, q, v, lam, costs, ends)))
+        functions.rollouts(rows, *functions.head, *(address(array) for array in (start, u, q, v, lam, costs, ends)))
         return lam, ends
 
     def adjoint(
@@ -466,8 +458,8 @@ class Kernel:
         bars = [None if bar is None else self._array(name, bar, columns, rows) for name, bar, (rows, columns) in given]
         u_bar, start_bar = np.empty_like(u), np.empty(2 * self.scene.nq)
         failed = self._library.kernel_adjoint(
-            len(u), rollout.step, _at(self.parameters_of(rollout.step)), rollout.law.value, _b(rollout.law, rollout.eps, self.scene.length), _at(rollout.q), _at(rollout.v),
-            _at(rollout.lam), _at(u), *(None if bar is None else _at(bar) for bar in bars), cost_bar, _at(u_bar), _at(start_bar),
+            len(u), rollout.step, address(self.parameters_of(rollout.step)), rollout.law.value, law_sharpness(rollout.law, rollout.eps, self.scene.length), address(rollout.q), address(rollout.v),
+            address(rollout.lam), address(u), *(None if bar is None else address(bar) for bar in bars), cost_bar, address(u_bar), address(start_bar),
         )  # fmt: skip
         if failed:
             raise KernelError(f"scene {self.scene.name}: the mass matrix is not positive definite along the rollout.")
@@ -496,7 +488,7 @@ class Kernel:
         sizes = (self.scene.nq, self.scene.nq, self.scene.nu, self.scene.nl)
         arrays = [self._array("point", np.atleast_2d(part), size) for part, size in zip((*point, *tangent), sizes * 2, strict=True)]
         result = np.empty(self.scene.nq)
-        self._library.kernel_acceleration_jvp(_at(self._p), *(_at(array) for array in arrays), _at(result))
+        self._library.kernel_acceleration_jvp(address(self._p), *(address(array) for array in arrays), address(result))
         return result
 
     def energy(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -521,7 +513,7 @@ class Kernel:
         """
         q, v = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq)
         energy = np.empty((len(q), 2))
-        self._library.kernel_energy(len(q), _at(self._p), _at(q), _at(v), _at(energy))
+        self._library.kernel_energy(len(q), address(self._p), address(q), address(v), address(energy))
         return energy[:, 0], energy[:, 1]
 
     def power(self, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -548,7 +540,7 @@ class Kernel:
         """
         q, v, u = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq), self._array("u", u, self.scene.nu)
         power = np.empty((len(q), 2))
-        self._library.kernel_power(len(q), _at(self._p), _at(q), _at(v), _at(u), _at(power))
+        self._library.kernel_power(len(q), address(self._p), address(q), address(v), address(u), address(power))
         return power[:, 0], power[:, 1]
 
     def cost(self, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> float:
@@ -573,7 +565,7 @@ class Kernel:
         """
         u = self._array("u", u, self.scene.nu)
         q, v = self._array("q", q, self.scene.nq, len(u) + 1), self._array("v", v, self.scene.nq, len(u) + 1)
-        return float(self._library.kernel_cost(len(u), _at(self._p), _at(q), _at(v), _at(u)))
+        return float(self._library.kernel_cost(len(u), address(self._p), address(q), address(v), address(u)))
 
     def _array(self, name: str, value: np.ndarray, columns: int, rows: int | None = None) -> np.ndarray:
         array = np.ascontiguousarray(value, dtype=np.float64)
@@ -583,165 +575,11 @@ class Kernel:
         return array
 
 
-def _at(array: np.ndarray) -> int:
-    """Address of the first entry."""
+def address(array: np.ndarray) -> int:
+    """Address of the first entry of an array of any shape (n, ..) and unit, as the C functions take it."""
     return array.ctypes.data
 
 
-def _b(law: ContactLaw, eps: float | None, length: float) -> float:
+def law_sharpness(law: ContactLaw, eps: float | None, length: float) -> float:
+    """Sharpness [1/m] of a relaxed law, as the C functions take it; 0 of the true one. Raises RelaxationError unless 0 < eps < 1."""
     return 0.0 if law is ContactLaw.RELU else sharpness(eps if eps is not None else 0.0, length)
-
-
-_FOLDER = Path(__file__).parent
-_POINTER = ctypes.c_void_p
-_HEAD = [ctypes.c_int, ctypes.c_double, _POINTER, ctypes.c_int, ctypes.c_double]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Linearised:
-    """n steps. next (n, 2*nq): where each ends; lam (n, nc+nf) [N]; A (n, 2*nq, 2*nq) = d next/d x; B (n, 2*nq, nu) = d next/d u."""
-
-    next: np.ndarray
-    lam: np.ndarray
-    A: np.ndarray
-    B: np.ndarray
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Followed:
-    """x (steps+1, 2*nq), u (steps, nu) within the scene's bounds, lam (steps, nc+nf) [N]; finite_steps: how many stayed finite."""
-
-    x: np.ndarray
-    u: np.ndarray
-    lam: np.ndarray
-    finite_steps: int
-
-    @property
-    def diverged(self) -> bool:
-        """Whether a state stopped being finite before the last step."""
-        return self.finite_steps < len(self.u)
-
-
-def load_steps(scene: Scene) -> Steps:
-    """Compile (or find in the cache) the single steps of a scene. Raises MachineError without a compiler."""
-    compiler, sources = find_compiler(), kernel_sources(scene)
-    sources["rollout.h"] = sources.pop("rollout.c")  # included by steps.c, not compiled beside it
-    sources["steps.c"] = (_FOLDER / "steps.c").read_text(encoding="utf-8")
-    key = "\n".join([compiler.describe(), " ".join(FLAGS), *(f"{name}\n{text}" for name, text in sorted(sources.items()))])
-    return Steps(scene, cached(key, ".so", lambda path: compile_shared(compiler, sources, path)))
-
-
-class Steps:
-    """See the module docstring. All arrays are float64; shapes that do not fit raise KernelError."""
-
-    def __init__(self, scene: Scene, library: Path) -> None:
-        self.scene = scene
-        self._library = ctypes.CDLL(str(library))
-        for name, arguments in (("linearise", 6), ("feedback_rollout", 10)):
-            function = getattr(self._library, f"kernel_{name}")
-            function.restype, function.argtypes = ctypes.c_int, [*_HEAD, *[_POINTER] * arguments]
-        self._p = np.array([parameter.value for parameter in scene.parameters] or [0.0])
-        self._tau = scene.relaxation_index
-        self._lower = np.array([item.lower for item in scene.inputs] or [0.0])
-        self._upper = np.array([item.upper for item in scene.inputs] or [0.0])
-
-    def linearise(
-        self, x: np.ndarray, u: np.ndarray, step: float, law: ContactLaw = ContactLaw.RELU, eps: float | None = None
-    ) -> Linearised | None:
-        """One step from each state, and its derivatives.
-
-        Parameters
-        ----------
-        x
-            States (n, 2*nq): positions [m, rad], then velocities [m/s, rad/s].
-        u
-            Inputs (n, nu) [N, N m].
-        step
-            Length of the step [s].
-        law, eps
-            The contact law, and the relaxation of a softplus [-].
-
-        Returns
-        -------
-        Linearised | None
-            None where one of the steps is not finite.
-
-        Raises
-        ------
-        KernelError
-            Where an array has another shape.
-        RelaxationError
-            Unless 0 < eps < 1, of a relaxed law.
-        """
-        scene, n = self.scene, len(u)
-        x, u = self._array("x", x, (n, 2 * scene.nq)), self._array("u", u, (n, scene.nu))
-        after, lam = np.empty_like(x), np.empty((n, scene.nl))
-        by_x, by_u = np.empty((n, 2 * scene.nq, 2 * scene.nq)), np.empty((n, 2 * scene.nq, scene.nu))
-        arrays = (x, u, after, lam, by_x, by_u)
-        done = self._library.kernel_linearise(*self._head(n, step, law, eps), *(_at(array) for array in arrays))
-        return Linearised(next=after, lam=lam, A=by_x, B=by_u) if done == n else None
-
-    def follow(
-        self,
-        start: np.ndarray,
-        x_plan: np.ndarray,
-        u_plan: np.ndarray,
-        gain: np.ndarray,
-        step: float,
-        law: ContactLaw = ContactLaw.RELU,
-        eps: float | None = None,
-        jump: np.ndarray | None = None,
-    ) -> Followed:
-        """Run with feedback u = u_plan + gain (x_plan - x), within the bounds of the inputs; rows after a divergence are NaN.
-
-        Parameters
-        ----------
-        start
-            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
-        x_plan
-            States (steps, 2*nq) of the plan.
-        u_plan
-            Inputs (steps, nu) of the plan [N, N m].
-        gain
-            Gains (steps, nu, 2*nq) [N/m, N s/m and so on].
-        step
-            Length of a step [s].
-        law, eps
-            The contact law, and the relaxation of a softplus [-].
-        jump
-            Added to the state after each step (steps, 2*nq); None for a motion without jumps.
-
-        Returns
-        -------
-        Followed
-            The motion, its inputs and forces.
-
-        Raises
-        ------
-        KernelError
-            Where an array has another shape.
-        RelaxationError
-            Unless 0 < eps < 1, of a relaxed law.
-        """
-        scene, n = self.scene, len(u_plan)
-        x_plan, u_plan = self._array("x_plan", x_plan, (n, 2 * scene.nq)), self._array("u_plan", u_plan, (n, scene.nu))
-        gain, start = self._array("gain", gain, (n, scene.nu, 2 * scene.nq)), self._array("start", start, (2 * scene.nq,))
-        jump = None if jump is None else self._array("jump", jump, (n, 2 * scene.nq))
-        x, u, lam = np.full((n + 1, 2 * scene.nq), np.nan), np.full((n, scene.nu), np.nan), np.full((n, scene.nl), np.nan)
-        given = (start, x_plan, u_plan, gain, self._lower, self._upper)
-        done = self._library.kernel_feedback_rollout(
-            *self._head(n, step, law, eps), *(_at(array) for array in given), None if jump is None else _at(jump),
-            *(_at(array) for array in (x, u, lam)),
-        )  # fmt: skip
-        return Followed(x=x, u=u, lam=lam, finite_steps=done)
-
-    def _head(self, n: int, step: float, law: ContactLaw, eps: float | None) -> tuple[int, float, int, int, float]:
-        if self._tau is not None:
-            self._p[self._tau] = step  # models.scene.quasi_static
-        return (n, step, _at(self._p), law.value, _b(law, eps, self.scene.length))
-
-    def _array(self, name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-        array = np.ascontiguousarray(value, dtype=np.float64)
-        if array.shape != shape:
-            raise KernelError(f"scene {self.scene.name}: {name} has shape {array.shape}, but {shape} is needed.")
-        return array

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from models.catalog import load_scene, scene_names
-from models.codegen.kernel import KernelError, Steps, load_kernel, load_steps
+from models.codegen.kernel import KernelError, load_kernel
+from models.codegen.steps import Steps, load_steps
 from models.contact_law import ContactLaw
 from models.scene import Scene
 

@@ -18,7 +18,8 @@ from scipy.integrate import solve_ivp
 from formulations.transcription.build import build_model
 from formulations.transcription.contact import ContactFormulation as ExactLaw
 from models.catalog import load_scene
-from models.codegen.kernel import load_kernel, load_steps
+from models.codegen.kernel import load_kernel
+from models.codegen.steps import load_steps
 from models.contact_law import ContactLaw
 from models.errors import SceneError
 from models.fmu import build_fmu
