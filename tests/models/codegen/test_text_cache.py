@@ -24,7 +24,7 @@ def own_cache(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["three_cart", "transport", "cart_pole_walls", "damped_collision", "bouncing_mass"])
-def test_what_is_kept_is_what_would_be_written(name: str):
+def test_cached_text_equals_emitted_text(name: str):
     scene = load_scene(name)
     for source, emit in ((model_source, lambda scene: emit_model(scene, defaults=False)), (sensitivity_source, emit_sensitivity)):
         anew = emit(scene)
