@@ -32,7 +32,7 @@ from formulations.pipelines import load_method
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.scene import Contact, Coordinate, Input, Parameter, Scene, Task
-from models.scene.scene import goal_limits
+from models.scene.parts import goal_limits
 
 _COLUMNS = ("outcome", "cost", "cost_h", "complementarity", "terminal", "class", "tried", "cpu")
 

@@ -28,7 +28,7 @@ from formulations.solution import Solution
 from models.codegen.kernel import load_kernel
 from models.fmu import build_fmu
 from models.scene import Scene
-from models.scene.scene import goal_limits
+from models.scene.parts import goal_limits
 from models.scenes.two_discs import MASS, RIGID_OPTIMUM, RIGID_OPTIMUM_WALL, two_discs
 from models.schemes import Scheme
 from models.trajectory import Trajectory, uniform_grid

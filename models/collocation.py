@@ -25,9 +25,30 @@ _DIFFERENCE = 1e-7
 def advance(
     kernel: Kernel, scheme: Scheme, q: np.ndarray, v: np.ndarray, u: np.ndarray, h: np.ndarray | float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The states (n, nq), (n, nq) one step of h [s] (a number, or (n,)) after q, v (n, nq) with inputs u (n, nu); NaN where there is no solution.
+    """The states one collocation step later, under the true contact law.
 
-    Raises KernelError for a scene with friction, which no collocation here knows.
+    Parameters
+    ----------
+    scheme
+        The scheme, whose stages are solved for.
+    q
+        Positions (n, nq) [m, rad].
+    v
+        Velocities (n, nq) [m/s, rad/s].
+    u
+        Inputs (n, nu) [N, N m].
+    h
+        Length of the step [s]: a number, or (n,).
+
+    Returns
+    -------
+    q, v
+        Positions and velocities (n, nq); NaN where there is no solution.
+
+    Raises
+    ------
+    KernelError
+        For a scene with friction, which no collocation here knows.
     """
     scene = kernel.scene
     if scene.nf:
@@ -79,7 +100,29 @@ def _newton(residual, a: np.ndarray) -> np.ndarray:
 
 
 def rollout(kernel: Kernel, scheme: Scheme, start: np.ndarray, u: np.ndarray, h: np.ndarray | float) -> tuple[np.ndarray, np.ndarray, int]:
-    """q, v (steps + 1, nq) from start (2*nq,) with inputs u (steps, nu), and the number of steps made before a state was not finite."""
+    """Collocation steps one after the other, under the true contact law.
+
+    Parameters
+    ----------
+    start
+        State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
+    u
+        Inputs (steps, nu) [N, N m].
+    h
+        Lengths of the steps [s]: a number, or (steps,).
+
+    Returns
+    -------
+    q, v
+        Positions and velocities (steps + 1, nq).
+    made
+        The number of steps made before a state was not finite.
+
+    Raises
+    ------
+    KernelError
+        For a scene with friction.
+    """
     nq, steps = kernel.scene.nq, len(u)
     q, v = np.full((steps + 1, nq), np.nan), np.full((steps + 1, nq), np.nan)
     q[0], v[0] = start[:nq], start[nq:]
@@ -93,8 +136,25 @@ def rollout(kernel: Kernel, scheme: Scheme, start: np.ndarray, u: np.ndarray, h:
 
 
 def defect(kernel: Kernel, plan: Trajectory) -> np.ndarray:
-    """(2 nq,) largest miss of a plan in its own collocation step, contact forces by the true law [m, rad, or per second]; infinite where a step has
-    no solution."""
+    """How far a plan misses its own collocation steps at most, with contact forces by the true law.
+
+    Parameters
+    ----------
+    plan
+        A plan that declares a scheme.
+
+    Returns
+    -------
+    np.ndarray
+        Largest misses (2*nq,): positions [m, rad], velocities [m/s, rad/s]; infinite where a step has no solution.
+
+    Raises
+    ------
+    ValueError
+        For a plan that declares no scheme.
+    KernelError
+        For a scene with friction.
+    """
     if plan.scheme is None:
         raise ValueError("a plan that declares no scheme has no defect.")
     q, v = advance(kernel, plan.scheme, plan.q[:-1], plan.v[:-1], plan.u, np.diff(plan.t))
@@ -133,6 +193,24 @@ def switch_error(kernel: Kernel, plan: Trajectory) -> float:
 
 
 def penetration_rates(kernel: Kernel, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """(n, nc) phi' = d phi/dq v, by a central difference along v."""
+    """Rates of penetration phi' = d phi/dq v, by a central difference along v.
+
+    Parameters
+    ----------
+    q
+        Positions (n, nq) [m, rad].
+    v
+        Velocities (n, nq) [m/s, rad/s].
+
+    Returns
+    -------
+    np.ndarray
+        phi' (n, nc) [m/s].
+
+    Raises
+    ------
+    KernelError
+        Where an array has another shape.
+    """
     reach = 1e-6 / (1.0 + np.abs(v).max(axis=1, keepdims=True))
     return (kernel.penetration(q + reach * v) - kernel.penetration(q - reach * v)) / (2.0 * reach)

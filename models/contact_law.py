@@ -23,12 +23,14 @@ class RelaxationError(TouchstoneError):
 
 
 class ContactLaw(Enum):
+    """The true law, or the relaxed one; the value is the C code's."""
+
     RELU = 0
     SOFTPLUS = 1
 
 
 def sharpness(eps: float, length: float = 1.0) -> float:
-    """b = |ln eps| / length [1/m] of the softplus law. Raises RelaxationError unless 0 < eps < 1."""
+    """Sharpness b = |ln eps| / length [1/m] of the softplus law. Raises RelaxationError unless 0 < eps < 1."""
     if isinstance(eps, bool) or not isinstance(eps, (int, float)) or not 0.0 < eps < 1.0:
         raise RelaxationError(f"softplus contact: eps is {eps!r}, but must be a number with 0 < eps < 1 (the law's sharpness is |ln eps|).")
     return abs(math.log(eps)) / length
@@ -41,7 +43,29 @@ def contact_force(
     eps: float | None = None,
     length: float = 1.0,
 ) -> np.ndarray:
-    """lam [N] at penetrations phi [m], element by element; length [m]: the scene's."""
+    """Contact forces, element by element (paper, eq. 3 and 5).
+
+    Parameters
+    ----------
+    phi
+        Penetrations (any,) [m].
+    stiffness
+        k [N/m], a number or of the shape of phi.
+    law, eps
+        The law, and the relaxation of a softplus [-].
+    length
+        The scene's length, which eps is counted in [m].
+
+    Returns
+    -------
+    np.ndarray
+        lam, of the shape of phi [N].
+
+    Raises
+    ------
+    RelaxationError
+        Unless 0 < eps < 1, of a relaxed law.
+    """
     phi = np.asarray(phi, dtype=float)
     if law is ContactLaw.RELU:
         return stiffness * np.maximum(phi, 0.0)

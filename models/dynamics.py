@@ -96,6 +96,7 @@ class Dynamics:
 
     @property
     def absent(self) -> tuple[str, ...]:
+        """What this scene does not need, in words."""
         return self.structure.absent
 
     @cached_property
@@ -114,13 +115,23 @@ class Dynamics:
 
     @cached_property
     def parameter_values(self) -> np.ndarray:
-        """(np,) default parameter values, in the order of `p`."""
+        """Default parameter values (np,), in the order of `p`, each in its own unit [SI]."""
         return np.array([parameter.value for parameter in self.scene.parameters], dtype=float)
 
     def function(self, expressions: sp.Matrix | Sequence[sp.Expr], *groups: Sequence[sp.Symbol]) -> Callable[..., np.ndarray]:
-        """A numpy function of vectors: `f = d.function(d.tau, d.q, d.v, d.u); f(q, v, u)` -> array shaped like the matrix.
+        """A numpy function of vectors: `f = d.function(d.tau, d.q, d.v, d.u); f(q, v, u)`.
 
-        Parameters have their default values. Scalars in, scalars out: meant for tests and probes, not for inner loops.
+        Parameters
+        ----------
+        expressions
+            A matrix, or a column of expressions; parameters have their default values.
+        groups
+            The symbols of each argument.
+
+        Returns
+        -------
+        Callable
+            Arrays (len(group),) to an array shaped like the matrix, in SI units [SI]; for tests and probes, not for inner loops.
         """
         matrix = sp.Matrix(expressions).subs(self.scene.parameter_values)
         compiled = sp.lambdify([list(group) for group in groups], matrix, modules="numpy", cse=True)
@@ -129,8 +140,13 @@ class Dynamics:
 
 
 def derive(scene: Scene) -> Dynamics:
-    """The equations of motion of a scene (kept with the scene object, so that they are derived once). Raises SceneError where its physics is
-    impossible."""
+    """The equations of motion of a scene; kept with the scene object, so that they are derived once.
+
+    Raises
+    ------
+    SceneError
+        Where its physics is impossible.
+    """
     cached = _DERIVED.get(scene)
     if cached is None:
         check_expressions(scene)
@@ -195,7 +211,7 @@ def _build(scene: Scene) -> Dynamics:
 
 
 def _push(contact: Contact, rate: sp.Expr) -> sp.Expr:
-    """k phi, k phi + c phi' or k phi (1 + d phi')."""
+    """What a contact pushes with: k phi, k phi + c phi' or k phi (1 + d phi')."""
     spring = contact.stiffness * contact.penetration
     if not contact.is_damped:
         return spring

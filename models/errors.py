@@ -20,6 +20,6 @@ class UnknownNameError(TouchstoneError):
 
 
 class MachineError(TouchstoneError):
-    """This machine cannot do what was asked (no compiler, no write permission); says how to get it."""
+    """What was asked cannot be done on this machine (no compiler, no write permission); says how to get it."""
 
     exit_code = 3

@@ -16,10 +16,21 @@ from models.scene import Scene
 
 
 def pose_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
-    """Columns `pose_x_<n>`, `pose_y_<n>` [m] and `pose_angle_<n>` [rad] of the scene's n-th shape, from 1, at positions q (n, nq).
+    """Where each shape is drawn: columns `pose_x_<n>`, `pose_y_<n>` [m] and `pose_angle_<n>` [rad] of the n-th shape, from 1.
 
-    Numbers, because a shape may have any name, and NetCDF does not allow all of them; the name stands in the description. What never changes, as a
-    floor's place, is told once, along a dimension of its own: more than half of these columns do not.
+    Numbers, because a shape may have any name, and NetCDF does not allow all of them; the name stands in the description.
+
+    Parameters
+    ----------
+    q
+        Positions (n, nq) [m, rad].
+    dimension
+        Along which the columns lie.
+
+    Returns
+    -------
+    list[Column]
+        Three columns a shape (n,); of what never changes one value, along a dimension of its own: more than half of them.
     """
     expressions = [sp.sympify(value) for shape in scene.shapes for value in (shape.x, shape.y, shape.angle)]
     named = [
@@ -35,13 +46,39 @@ def pose_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
 
 
 def gap_columns(scene: Scene, q: np.ndarray, dimension: str) -> list[Column]:
-    """The gap -phi(q) [m] of every contact, negative in contact, at positions q (n, nq)."""
+    """The gap -phi(q) [m] of every contact, negative in contact.
+
+    Parameters
+    ----------
+    q
+        Positions (n, nq) [m, rad].
+    dimension
+        Along which the columns lie.
+
+    Returns
+    -------
+    list[Column]
+        A column (n,) a contact.
+    """
     named = [(item.gap_name, "m", f"gap, negative in contact, {item.description or item.name}") for item in scene.contacts]
     return _columns(named, -evaluate(scene, list(derive(scene).penetration), q), dimension)
 
 
 def evaluate(scene: Scene, expressions: list[sp.Expr], q: np.ndarray) -> np.ndarray:
-    """(n, len(expressions)) values of expressions in the coordinates at positions q (n, nq); constants are repeated."""
+    """Values of expressions in the coordinates; constants are repeated.
+
+    Parameters
+    ----------
+    expressions
+        In coordinates and parameters.
+    q
+        Positions (n, nq) [m, rad].
+
+    Returns
+    -------
+    np.ndarray
+        (n, len(expressions)), in the units of the expressions [SI].
+    """
     if not expressions:
         return np.zeros((len(q), 0))
     symbols = [coordinate.symbol for coordinate in scene.coordinates]

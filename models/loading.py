@@ -30,6 +30,7 @@ class Afresh(importlib.machinery.SourceFileLoader):
     """Reads the file itself, never kept bytecode: that of a file written twice within a second, to the same length, is taken for its own."""
 
     def get_code(self, fullname: str) -> CodeType:
+        """The code of the file as it is now."""
         path = self.get_filename(fullname)
         return self.source_to_code(self.get_data(path), path)
 

@@ -108,7 +108,27 @@ def read_columns(path: Path) -> tuple[dict[str, Column], dict[str, str | int | f
 
 
 def numbers(path: Path, columns: Mapping[str, Column], name: str, unit: str, size: int | None = None) -> np.ndarray:
-    """The values (n,) of one column, checked. Raises TrajectoryError if it is missing, in another unit, no numbers or of another length."""
+    """The values of one column, checked.
+
+    Parameters
+    ----------
+    columns
+        Of the file `path`.
+    unit
+        The unit that the column must have, such as [m].
+    size
+        How many values it must have; None: any number.
+
+    Returns
+    -------
+    np.ndarray
+        Values (n,).
+
+    Raises
+    ------
+    TrajectoryError
+        If it is missing, in another unit, no numbers or of another length.
+    """
     if name not in columns:
         raise TrajectoryError(f"file {path}: the column {name!r} is missing; it has {', '.join(columns) or 'none'}.")
     column = columns[name]

@@ -87,7 +87,23 @@ class PlanTable:
             raise TrajectoryError(f"{self.where}: the column {name!r} is in {given!r}, but {unit!r} is expected; convert it.")
 
     def column(self, name: str, last_is_open: bool) -> np.ndarray:
-        """The numbers of a column; without the last row where it may be empty (it begins no step)."""
+        """The numbers of a column.
+
+        Parameters
+        ----------
+        last_is_open
+            Whether the last row may be empty, because it begins no step; it is then left out.
+
+        Returns
+        -------
+        np.ndarray
+            (rows,) or (rows - 1,), in the unit of its head [SI].
+
+        Raises
+        ------
+        TrajectoryError
+            For a cell that is no finite number.
+        """
         index = self.names.index(name)
         values = []
         for place, (number, row) in enumerate(self._rows, start=1):
@@ -103,8 +119,10 @@ class PlanTable:
 
 
 def _name_and_unit(cell: str) -> tuple[str, str | None]:
-    """Of a column's head: `q1 [m]`, but q[1] is a name, as FMUs number them. Names are in Unicode's composed form: an umlaut may be written in two
-    ways that look the same."""
+    """Name and unit of a column's head: `q1 [m]`, but q[1] is a name, as FMUs number them.
+
+    Names are in Unicode's composed form: an umlaut may be written in two ways that look the same.
+    """
     split = re.fullmatch(r"(.*?)(\s*)\[([^\[\]]*)\]", cell)
     if split is None or (not split.group(2) and re.fullmatch(r"\d+(\s*,\s*\d+)*", split.group(3))):
         return unicodedata.normalize("NFC", cell), None
@@ -135,8 +153,10 @@ def _rows(path: Path) -> tuple[list[tuple[int, list[str]]], dict[str, str]]:
 
 
 def _declarations(path: Path, comments: list[tuple[int, str]]) -> dict[str, str]:
-    """`# key: value` of the keys that are known; what declares a known value under nearly such a key, or without a mark, is a mistake, and any other
-    comment is a comment."""
+    """What comments `# key: value` declare, of the keys that are known.
+
+    A known value under nearly such a key, or without a mark, is a mistake; any other comment is a comment.
+    """
     declared: dict[str, str] = {}
     for number, line in comments:
         match = re.fullmatch(r"#+\s*([A-Za-z_]+)(\s*[:=]\s*|\s+)(.*?)", line)
@@ -170,9 +190,24 @@ def _cells(path: Path, number: int, line: str, mark: str) -> list[str]:
 
 
 def real_numbers(what: str, values: Any) -> np.ndarray:
-    """A copy as floats that changes no number: of booleans, integers and reals, or of objects and text that are such, where None and pandas' NA are NaN.
+    """A copy as floats that changes no number.
 
-    Raises TrajectoryError for anything that only looks like numbers: complex ones, masked ones, dates and durations.
+    Parameters
+    ----------
+    what
+        What they are, for messages.
+    values
+        Booleans, integers, reals, or objects and text that are such; None and pandas' NA are NaN.
+
+    Returns
+    -------
+    np.ndarray
+        Of the shape (any,) and unit of what was given [SI].
+
+    Raises
+    ------
+    TrajectoryError
+        For anything that only looks like numbers: complex ones, masked ones, dates and durations.
     """
     try:
         given = np.asanyarray(values)
@@ -232,7 +267,23 @@ class ArrayTable:
         """Arrays say no units."""
 
     def column(self, name: str, last_is_open: bool) -> np.ndarray:
-        """As of a `PlanTable`."""
+        """The numbers of a column, as of a `PlanTable`.
+
+        Parameters
+        ----------
+        last_is_open
+            Whether the last number may be missing; it is then left out.
+
+        Returns
+        -------
+        np.ndarray
+            (rows,) or (rows - 1,) [SI].
+
+        Raises
+        ------
+        TrajectoryError
+            For another length, or what is not finite.
+        """
         values = self._columns[name]
         expected = self.rows - 1 if last_is_open else self.rows
         if len(values) not in (expected, self.rows):

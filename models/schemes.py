@@ -50,10 +50,12 @@ class Tableau:
 
     @property
     def stages(self) -> int:
+        """The number of stages s."""
         return len(self.c)
 
     @property
     def is_stiffly_accurate(self) -> bool:
+        """Whether the last stage is the next node."""
         return bool(self.c[-1] == 1.0)
 
 

@@ -36,9 +36,12 @@ _NEWTON_STEPS, _CLOSED = 50, 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class StepStability:
-    """step [s]; radius: spectral radius of the step's Jacobian, of the set of contacts where it exceeds the motion's own growth most;
+    """Whether a time step is stable while contacts are closed, and the largest that is.
+
+    step [s]; radius: spectral radius of the step's Jacobian, of the set of contacts where it exceeds the motion's own growth most;
     contacts: that set, by name; growth: rate at which the motion itself grows there [1/s], 0 if it does not; largest_step: below it the step is
-    stable with every set [s], infinite if there is no limit."""
+    stable with every set [s], infinite if there is no limit.
+    """
 
     scene: str
     step: float
@@ -49,6 +52,7 @@ class StepStability:
 
     @property
     def is_stable(self) -> bool:
+        """Whether the step is below the largest stable one."""
         return self.step < self.largest_step
 
     @property
@@ -73,7 +77,18 @@ class _Linear:
     has_inertia: bool
 
     def step_matrix(self, h: float) -> np.ndarray:
-        """(2*nq, 2*nq) of v' = v + h a, q' = q + h v'."""
+        """The matrix of a time step v' = v + h a, q' = q + h v'.
+
+        Parameters
+        ----------
+        h
+            Length of the step [s].
+
+        Returns
+        -------
+        np.ndarray
+            (2*nq, 2*nq).
+        """
         identity = np.eye(len(self.G))
         vq, vv = (h * self.G, identity + h * self.D) if self.has_inertia else (self.G, self.D)
         return np.block([[identity + h * vq, h * vv], [vq, vv]])
@@ -96,12 +111,48 @@ class _Linear:
 
 
 def spectral_radius(matrix: np.ndarray) -> float:
-    """Largest magnitude of an eigenvalue."""
+    """Largest magnitude of an eigenvalue; 0 of an empty matrix.
+
+    Parameters
+    ----------
+    matrix
+        (n, n), of a map from a state to a state [-].
+
+    Returns
+    -------
+    float
+        The radius [-].
+
+    Raises
+    ------
+    LinAlgError
+        For a matrix that is not finite.
+    """
     return float(np.abs(np.linalg.eigvals(matrix)).max(initial=0.0))
 
 
 def step_jacobian(kernel: Kernel, state: np.ndarray, u: np.ndarray, step: float) -> np.ndarray:
-    """(2*nq, 2*nq) derivative of the state after one compiled step of `step` seconds with respect to the state (2*nq,) before it; u (nu,)."""
+    """Derivative of the state after one compiled step by the state before it.
+
+    Parameters
+    ----------
+    state
+        (2*nq,) positions [m, rad], then velocities [m/s, rad/s].
+    u
+        Inputs (nu,) [N, N m].
+    step
+        Length of the step [s].
+
+    Returns
+    -------
+    np.ndarray
+        (2*nq, 2*nq).
+
+    Raises
+    ------
+    KernelError
+        Where the mass matrix is not positive definite.
+    """
     nq = kernel.scene.nq
     rollout = kernel.rollout(state, np.atleast_2d(u), step)
     rows = []

@@ -128,16 +128,17 @@ class Trajectory:
 
     @property
     def steps(self) -> int:
+        """The number of steps, one less than the nodes."""
         return self.t.size - 1
 
     @property
     def start(self) -> np.ndarray:
-        """(2*nq,) state at the first node."""
+        """State (2*nq,) at the first node: positions [m, rad], then velocities [m/s, rad/s]."""
         return np.concatenate([self.q[0], self.v[0]])
 
     @property
     def end(self) -> np.ndarray:
-        """(2*nq,) state at the last node."""
+        """State (2*nq,) at the last node: positions [m, rad], then velocities [m/s, rad/s]."""
         return np.concatenate([self.q[-1], self.v[-1]])
 
     def check_fits(self, scene: Scene) -> None:
@@ -173,7 +174,18 @@ class Trajectory:
         return "q" not in self.missing
 
     def with_inputs_in(self, scale: np.ndarray, offset: np.ndarray) -> Trajectory:
-        """The same plan with inputs scale * u + offset, (nu,) each: in the units of an FMU that has others."""
+        """The plan with inputs scale * u + offset: in the units of an FMU that has others.
+
+        Parameters
+        ----------
+        scale, offset
+            (nu,) each; the scale in units of the FMU per unit of the scene [-], the offset in those of the FMU.
+
+        Returns
+        -------
+        Trajectory
+            The same plan otherwise.
+        """
         return replace(self, u=scale * self.u + offset, u_end=None if self.u_end is None else scale * self.u_end + offset)
 
     def has_uniform_grid(self) -> bool:
@@ -181,9 +193,20 @@ class Trajectory:
         return bool(np.allclose(np.diff(self.t), (self.t[-1] - self.t[0]) / self.steps, rtol=1e-9, atol=0.0))
 
 
-def uniform_grid(step: float, steps: int, start: float = 0.0) -> np.ndarray:
-    """(steps + 1,) times start + n*step, never a running sum."""
-    return start + step * np.arange(steps + 1)
+def uniform_grid(step: float, steps: int) -> np.ndarray:
+    """Times n*step from 0, never a running sum.
+
+    Parameters
+    ----------
+    step
+        Distance of two times [s].
+
+    Returns
+    -------
+    np.ndarray
+        (steps + 1,) [s].
+    """
+    return step * np.arange(steps + 1)
 
 
 def column_names(scene: Scene) -> dict[str, tuple[str, ...]]:
@@ -226,14 +249,27 @@ def write_csv(path: Path, trajectory: Trajectory, scene: Scene) -> None:
 
 
 def read_csv(path: Path, scene: Scene, hold: Hold | str | None = None, scheme: Scheme | str | None = None) -> Trajectory:
-    """Read a plan written by anybody: cells apart by comma, semicolon (then 0,5 is a number too) or tab; lines with # are comments, of which
-    `# scheme: ..` and `# hold: ..` declare. hold, scheme: the same as arguments; None: as declared, else zero and none.
+    """Read a plan written by anybody.
 
-    A column may say its unit, `q1 [m]`, which must then be the scene's. `t` and the inputs are needed; positions, velocities, contact forces and
-    friction forces may be absent, each group whole, and the plan says so in `missing`. Then positions stand still at the task's start, forces are
-    0, velocities backward differences with the task's velocities at the start if the plan starts at the task's positions. A plan of inputs alone
-    whose last row has inputs, and which would last as long as the task with one more step, gets that step.
-    Raises TrajectoryError naming the file, the line and the column.
+    Cells are apart by comma, semicolon (then 0,5 is a number too) or tab; lines with # are comments. A column may say its unit, `q1 [m]`, which must
+    then be the scene's. `t` and the inputs are needed; positions, velocities, contact forces and friction forces may be absent, each group whole. Then
+    positions stand still at the task's start, forces are 0, velocities backward differences with the task's velocities at the start if the plan starts
+    at the task's positions. A plan of inputs alone whose last row has inputs, and which would last as long as the task with one more step, gets that step.
+
+    Parameters
+    ----------
+    hold, scheme
+        The same as a comment `# hold: ..` or `# scheme: ..` declares; None: as declared, else zero and none.
+
+    Returns
+    -------
+    Trajectory
+        The plan; its `missing` names the groups of columns that the file lacks.
+
+    Raises
+    ------
+    TrajectoryError
+        Naming the file, the line and the column.
     """
     table = PlanTable(path)
     table.check_form()
@@ -307,10 +343,30 @@ def missing_groups(table: PlanTable | ArrayTable, groups: Mapping[str, Sequence[
 def times_and_inputs(
     table: PlanTable | ArrayTable, time: str, columns: Sequence[str], hold: Hold, asked: tuple[float, float] | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """t (nodes,), u (steps, nu) and u_end (nu,) or None, from the time column and those of the inputs.
+    """Times and inputs of a table.
 
-    asked: how long the task is, and how near to that is as long [s]; a plan of inputs alone whose last row has inputs, and which is as long only with
-    one more step, gets that step. None: nothing is added. Raises TrajectoryError.
+    A plan of inputs alone whose last row has inputs, and which is as long as the task only with one more step, gets that step.
+
+    Parameters
+    ----------
+    time, columns
+        Names of the columns.
+    asked
+        How long the task is, and how near to that is as long [s]; None: no step is added.
+
+    Returns
+    -------
+    t
+        (nodes,) [s].
+    u
+        (steps, nu), in the units of the columns.
+    u_end
+        (nu,) at the last node, or None.
+
+    Raises
+    ------
+    TrajectoryError
+        For a cell that is no finite number.
     """
     t = table.column(time, last_is_open=False)
     ends = bool(columns) and all(table.has_last(name) for name in columns)

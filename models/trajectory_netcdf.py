@@ -46,8 +46,20 @@ def _gain_columns(scene: Scene) -> list[tuple[str, str]]:
 
 
 def write_netcdf(path: Path, trajectory: Trajectory, scene: Scene, gains: np.ndarray | None = None) -> None:
-    """Write a plan, and its tracking gains (steps, nu, 2*nq). Raises TrajectoryError if they do not fit the scene, MachineError if the file cannot
-    be written."""
+    """Write a plan, and its tracking gains.
+
+    Parameters
+    ----------
+    gains
+        K (steps, nu, 2*nq) of u = u_plan + K (x_plan - x) [N/m, N s/m and so on]; None: no gains.
+
+    Raises
+    ------
+    TrajectoryError
+        If they do not fit the scene.
+    MachineError
+        If the file cannot be written.
+    """
     trajectory.check_fits(scene)
     columns = [Column(name="t", dimension="node", values=trajectory.t, unit="s", description="time")]
     for field, group in _columns(scene).items():
@@ -78,7 +90,18 @@ def write_netcdf(path: Path, trajectory: Trajectory, scene: Scene, gains: np.nda
 
 
 def read_gains(path: Path, scene: Scene) -> np.ndarray | None:
-    """Tracking gains (steps, nu, 2*nq) of a plan's file; None if it has none. Raises TrajectoryError naming the file and the column."""
+    """Tracking gains of a plan's file.
+
+    Returns
+    -------
+    np.ndarray | None
+        K (steps, nu, 2*nq) [N/m, N s/m and so on]; None if it has none.
+
+    Raises
+    ------
+    TrajectoryError
+        Naming the file and the column.
+    """
     columns, _ = read_columns(path)
     names = _gain_columns(scene)
     if not any(name in columns for name, _ in names):

@@ -14,7 +14,8 @@ from formulations.multiple_shooting.solver import MultipleShootingOptions, Solve
 from formulations.shooting.growth import measure_growth
 from formulations.shooting.stage import arrived, first_inputs, plan_residuals, stage_seconds
 from formulations.solution import Solution
-from models.codegen.kernel import load_kernel, load_steps
+from models.codegen.kernel import load_kernel
+from models.codegen.steps import load_steps
 from models.contact_law import ContactLaw
 from models.scene import Scene
 from models.schemes import Scheme

@@ -33,7 +33,7 @@ from formulations.multiple_shooting.costs import Costs, GoalTerm
 from formulations.solution import Outcome
 from models.codegen.cache import cached
 from models.codegen.compiler import FLAGS, compile_shared, find_compiler
-from models.codegen.kernel import Linearised, Steps
+from models.codegen.steps import Linearised, Steps
 from models.contact_law import ContactLaw
 
 _SOURCE = Path(__file__).with_name("riccati.c")

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.codegen.kernel import Steps
+from models.codegen.steps import Steps
 from models.contact_law import ContactLaw
 
 # A factor below this costs two digits at most: no shooting method fails of it.

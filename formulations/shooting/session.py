@@ -18,7 +18,8 @@ from formulations.shooting.options import DescentOptions, LbfgsOptions
 from formulations.shooting.quasi_newton import minimise as quasi_newton
 from formulations.shooting.stage import arrived, given_inputs, plan_residuals, stage_seconds
 from formulations.solution import Outcome, Solution
-from models.codegen.kernel import load_kernel, load_steps
+from models.codegen.kernel import load_kernel
+from models.codegen.steps import load_steps
 from models.contact_law import ContactLaw
 from models.scene import Scene
 from models.trajectory import Trajectory

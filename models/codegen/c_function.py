@@ -42,6 +42,8 @@ class SceneVectors:
 
     @classmethod
     def of(cls, d: Dynamics) -> SceneVectors:
+        """The vectors of a scene's equations, with its names."""
+
         def vector(name: str, symbols: Sequence[sp.Symbol]) -> Vector:
             return Vector.of(name, [symbol.name for symbol in symbols])
 
@@ -199,6 +201,7 @@ class Vector:
 
     @classmethod
     def of(cls, name: str, entries: Sequence[str]) -> Vector:
+        """A vector of real symbols `<name>_<entry>`."""
         return cls(name, tuple(entries), tuple(sp.Symbol(f"{name}_{entry}", real=True) for entry in entries))
 
     def like(self, name: str) -> Vector:
@@ -207,6 +210,7 @@ class Vector:
 
     @property
     def column(self) -> sp.Matrix:
+        """Its symbols as a column (n, 1)."""
         return sp.Matrix(len(self.symbols), 1, list(self.symbols))
 
 

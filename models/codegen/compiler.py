@@ -30,6 +30,7 @@ class Compiler:
     version: str
 
     def describe(self) -> str:
+        """What of it decides the compiled bytes: its version."""
         return self.version
 
 

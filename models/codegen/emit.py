@@ -1,4 +1,4 @@
-"""Scene -> `scene_model.h`: static inline C functions, common subexpressions eliminated, names kept.
+"""Scene -> `scene_model.h`: static inline C functions, common subexpressions eliminated, names as the scene has them.
 
 The text depends on the scene alone (no date, no random names), so that equal scenes give equal bytes. What the scene
 does not need is not written: a constant mass matrix is inverted here, symbolically, and only a scene whose mass matrix
@@ -27,7 +27,7 @@ import sympy as sp
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 
 from models.codegen.c_function import SceneVectors, Vector, backward_function, c_function, forward_function, tangent
-from models.codegen.kept import kept_text
+from models.codegen.text_cache import cached_text
 from models.dynamics import derive
 from models.errors import SceneError
 from models.scene import Scene
@@ -35,7 +35,7 @@ from models.scene import Scene
 _HEAD = """\
 /* Factorises the symmetric positive definite M = L L' in place (lower triangle), then solves M x = b in place; entries that are zero for
  * every q are left out. Returns 1 if M is not positive definite, else 0. */
-SCENE_FUNCTION int scene_solve(double M[NQ][NQ], double *b)
+SCENE_INLINE int scene_solve(double M[NQ][NQ], double *b)
 {
 """
 
@@ -106,7 +106,7 @@ def for_scene(scene: Scene, text: str) -> str:
 
 
 def penetration_rate(x: SceneVectors) -> sp.Matrix:
-    """d phi / dt (nc, 1) along the velocities v [m/s]."""
+    """Rates of penetration d phi/dt (nc, 1) along the velocities v [m/s]."""
     return -x.local(x.dynamics.gap_jacobian) * x.v.column
 
 
@@ -186,8 +186,8 @@ def emit_model(scene: Scene, *, defaults: bool = True) -> str:
 
 
 def model_source(scene: Scene) -> str:
-    """`emit_model` without default values, kept between processes."""
-    return kept_text(scene, "scene_model.h", lambda: emit_model(scene, defaults=False))
+    """`emit_model` without default values, cached between processes."""
+    return cached_text(scene, "scene_model.h", lambda: emit_model(scene, defaults=False))
 
 
 def _head(scene: Scene, defaults: bool) -> str:
@@ -208,6 +208,9 @@ def _head(scene: Scene, defaults: bool) -> str:
         "#define SCENE_UNUSED",
         "#endif",
         "#define SCENE_FUNCTION static inline SCENE_UNUSED",
+        "#ifndef SCENE_INLINE",
+        "#define SCENE_INLINE SCENE_FUNCTION",
+        "#endif",
         "",
     ]
     if scene.nf:
@@ -322,7 +325,8 @@ def _factorised_acceleration(x: SceneVectors) -> list[str]:
     return [
         cholesky_function(d.mass_matrix),
         c_function("void", "scene_mass", (x.q, x.p), "M", sp.Matrix(list(mass))),
-        c_function("void", "scene_force", x.arguments, "f", force),
+        # As scene_solve, what an FMU has inlined in its accelerations (fmu/shell/model.h), which share their sines.
+        c_function("void", "scene_force", x.arguments, "f", force).replace("SCENE_FUNCTION", "SCENE_INLINE", 1),
         forward_function("void scene_force_jvp", (*x.arguments, a, *map(tangent, moving)), "d_f", residual, moving),
         backward_function("void scene_force_vjp", (*x.arguments, a, w), residual, w, moving),
         _SOLVES,

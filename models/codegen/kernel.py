@@ -7,14 +7,6 @@
 
 Semi-implicit Euler with the paper's indices: lam[t] = L(phi(q[t])), v[t+1] = v[t] + h a[t], q[t+1] = q[t] + h v[t+1];
 friction forces belong to the slip at the end of the step (friction.h) and stand behind the contact forces in lam.
-
-The time steps of a scene one by one: linearised at states of their own, or run one after the other with feedback.
-
-    steps = load_steps(scene)
-    steps.linearise(x, u, step=0.01)              # x (n, 2*nq), u (n, nu) -> next, lam, A (n, 2*nq, 2*nq), B (n, 2*nq, nu)
-    steps.follow(start, x_plan, u_plan, gain, step=0.01)     # u = clip(u_plan + gain (x - x_plan), lower, upper)
-
-The steps are those of `models.codegen.kernel`, bit for bit; the derivatives come from its adjoint. State x = (q, v), positions first.
 """
 
 from __future__ import annotations
@@ -81,6 +73,7 @@ class Rollout:
 
     @property
     def diverged(self) -> bool:
+        """Whether a state stopped being finite before the last step."""
         return self.finite_steps < len(self.lam)
 
 
@@ -133,7 +126,18 @@ class Kernel:
         self._p_of_step: dict[float, np.ndarray] = {}
 
     def parameters_of(self, step: float) -> np.ndarray:
-        """(np,) `parameters` for time steps of `step` seconds, which is the relaxation time of a scene without inertia (models.quasi_static)."""
+        """`parameters` for time steps of that length, which is the relaxation time of a scene without inertia (models.scene.quasi_static).
+
+        Parameters
+        ----------
+        step
+            Length of a step [s].
+
+        Returns
+        -------
+        np.ndarray
+            Values (np,), each in its own unit [SI]; kept as long as the kernel, for callers that hold its address.
+        """
         index = self.scene.relaxation_index
         if index is None or self._p[index] == step:
             return self._p
@@ -144,7 +148,7 @@ class Kernel:
 
     @property
     def parameters(self) -> np.ndarray:
-        """(np,) parameter values of the scene, as the C functions read them."""
+        """Parameter values (np,) of the scene, each in its own unit [SI], as the C functions read them."""
         return self._p
 
     def bound_functions(self) -> BoundFunctions:
@@ -153,67 +157,181 @@ class Kernel:
 
     def batch_functions(self, steps: int, step: float, law: ContactLaw, eps: float | None) -> BatchFunctions:
         """The C functions for several plans in one call (formulations.shooting.rollout)."""
-        head = (steps, step, _at(self.parameters_of(step)), law.value, _b(law, eps, self.scene.length))
+        head = (steps, step, address(self.parameters_of(step)), law.value, law_sharpness(law, eps, self.scene.length))
         return BatchFunctions(self._library.kernel_rollouts, self._library.kernel_adjoints, head)
 
     def penetration(self, q: np.ndarray) -> np.ndarray:
-        """phi (n, nc) [m] at positions q (n, nq)."""
+        """Penetration of each contact, positive in contact.
+
+        Parameters
+        ----------
+        q
+            Positions (n, nq) [m, rad].
+
+        Returns
+        -------
+        np.ndarray
+            phi (n, nc) [m].
+
+        Raises
+        ------
+        KernelError
+            Where an array has another shape.
+        """
         q = self._array("q", q, self.scene.nq)
         phi = np.empty((len(q), self.scene.nc))
-        self._library.kernel_penetration(len(q), _at(self._p), _at(q), _at(phi))
+        self._library.kernel_penetration(len(q), address(self._p), address(q), address(phi))
         return phi
 
     def stiffness(self) -> np.ndarray:
-        """k (nc,) [N/m]."""
+        """Stiffness k (nc,) of each contact [N/m]."""
         k = np.empty(self.scene.nc)
-        self._library.kernel_stiffness(_at(self._p), _at(k))
+        self._library.kernel_stiffness(address(self._p), address(k))
         return k
 
     def contact_force(
         self, q: np.ndarray, law: ContactLaw = ContactLaw.RELU, eps: float | None = None, *, v: np.ndarray | None = None
     ) -> np.ndarray:
-        """lam (n, nc) [N] at positions q (n, nq) and, for damped contacts, velocities v (n, nq); None is at rest."""
+        """Contact forces under a law.
+
+        Parameters
+        ----------
+        q
+            Positions (n, nq) [m, rad].
+        law, eps
+            The contact law, and the relaxation of a softplus [-].
+        v
+            Velocities (n, nq) [m/s, rad/s], which damped contacts depend on; None is at rest.
+
+        Returns
+        -------
+        np.ndarray
+            lam (n, nc) [N].
+
+        Raises
+        ------
+        KernelError
+            Where an array has another shape.
+        RelaxationError
+            Unless 0 < eps < 1, of a relaxed law.
+        """
         q = self._array("q", q, self.scene.nq)
         lam = np.empty((len(q), self.scene.nc))
-        head = (len(q), _at(self._p), law.value, _b(law, eps, self.scene.length), _at(q))
+        head = (len(q), address(self._p), law.value, law_sharpness(law, eps, self.scene.length), address(q))
         if self.scene.damped:
             v = self._array("v", np.zeros_like(q) if v is None else v, self.scene.nq, len(q))
-            self._library.kernel_damped_contact_force(*head, _at(v), _at(lam))
+            self._library.kernel_damped_contact_force(*head, address(v), address(lam))
         else:
-            self._library.kernel_contact_force(*head, _at(lam))
+            self._library.kernel_contact_force(*head, address(lam))
         return lam
 
     def contact_push(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """(n, nc) [N] what the true contact force is the positive part of, at positions and velocities (n, nq): k phi without damping."""
+        """What the true contact force is the positive part of: k phi without damping.
+
+        Parameters
+        ----------
+        q
+            Positions (n, nq) [m, rad].
+        v
+            Velocities (n, nq) [m/s, rad/s].
+
+        Returns
+        -------
+        np.ndarray
+            Pushes (n, nc) [N].
+
+        Raises
+        ------
+        KernelError
+            Where an array has another shape.
+        """
         q, v = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq)
         if not self.scene.damped:
             return self.stiffness() * self.penetration(q)
         push = np.empty((len(q), self.scene.nc))
-        self._library.kernel_contact_push(len(q), _at(self._p), _at(q), _at(v), _at(push))
+        self._library.kernel_contact_push(len(q), address(self._p), address(q), address(v), address(push))
         return push
 
     def slip(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """s (n, nf) [m/s] at positions and velocities (n, nq)."""
+        """Slip speed of each friction.
+
+        Parameters
+        ----------
+        q
+            Positions (n, nq) [m, rad].
+        v
+            Velocities (n, nq) [m/s, rad/s].
+
+        Returns
+        -------
+        np.ndarray
+            s (n, nf) [m/s].
+
+        Raises
+        ------
+        KernelError
+            Where an array has another shape.
+        """
         q, v = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq)
         slip = np.empty((len(q), self.scene.nf))
         if self.scene.nf:
-            self._library.kernel_slip(len(q), _at(self._p), _at(q), _at(v), _at(slip))
+            self._library.kernel_slip(len(q), address(self._p), address(q), address(v), address(slip))
         return slip
 
     def friction_limit(self, q: np.ndarray, lam: np.ndarray) -> np.ndarray:
-        """mu N (n, nf) [N], the largest friction force, at positions (n, nq) and forces lam (n, nc+nf)."""
+        """The largest friction forces, mu N.
+
+        Parameters
+        ----------
+        q
+            Positions (n, nq) [m, rad].
+        lam
+            Contact, then friction forces (n, nc+nf) [N].
+
+        Returns
+        -------
+        np.ndarray
+            Limits (n, nf) [N].
+
+        Raises
+        ------
+        KernelError
+            Where an array has another shape.
+        """
         q = self._array("q", q, self.scene.nq)
         lam, limit = self._array("lam", lam, self.scene.nl, len(q)), np.empty((len(q), self.scene.nf))
         if self.scene.nf:
-            self._library.kernel_friction_limit(len(q), _at(self._p), _at(q), _at(lam), _at(limit))
+            self._library.kernel_friction_limit(len(q), address(self._p), address(q), address(lam), address(limit))
         return limit
 
     def acceleration(self, q: np.ndarray, v: np.ndarray, u: np.ndarray, lam: np.ndarray) -> np.ndarray:
-        """dv/dt (n, nq) of M dv/dt = tau(q, v, u) + J' lam + S' f, row by row, lam (n, nc+nf) with f behind. Raises KernelError where M is not positive definite."""
+        """Accelerations dv/dt of M dv/dt = tau(q, v, u) + J' lam + S' f, row by row.
+
+        Parameters
+        ----------
+        q
+            Positions (n, nq) [m, rad].
+        v
+            Velocities (n, nq) [m/s, rad/s].
+        u
+            Inputs (n, nu) [N, N m].
+        lam
+            Contact, then friction forces (n, nc+nf) [N].
+
+        Returns
+        -------
+        np.ndarray
+            Accelerations (n, nq) [m/s^2, rad/s^2].
+
+        Raises
+        ------
+        KernelError
+            Where M is not positive definite, or an array has another shape.
+        """
         q, v = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq)
         u, lam = self._array("u", u, self.scene.nu, len(q)), self._array("lam", lam, self.scene.nl, len(q))
         a = np.empty((len(q), self.scene.nq))
-        done = self._library.kernel_acceleration(len(q), _at(self._p), _at(q), _at(v), _at(u), _at(lam), _at(a))
+        done = self._library.kernel_acceleration(len(q), address(self._p), address(q), address(v), address(u), address(lam), address(a))
         if done < len(q):
             raise KernelError(f"scene {self.scene.name}: the mass matrix is not positive definite at q = {q[done].tolist()}.")
         return a
@@ -221,14 +339,38 @@ class Kernel:
     def rollout(
         self, start: np.ndarray, u: np.ndarray, step: float, law: ContactLaw = ContactLaw.RELU, eps: float | None = None
     ) -> Rollout:
-        """Simulate from start (2*nq,) with inputs u (steps, nu), held over each step of `step` seconds."""
+        """Simulate with inputs that are held over each step.
+
+        Parameters
+        ----------
+        start
+            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
+        u
+            Inputs (steps, nu) [N, N m].
+        step
+            Length of a step [s].
+        law, eps
+            The contact law, and the relaxation of a softplus [-].
+
+        Returns
+        -------
+        Rollout
+            The motion and its forces; NaN behind a divergence.
+
+        Raises
+        ------
+        KernelError
+            Where an array has another shape.
+        RelaxationError
+            Unless 0 < eps < 1, of a relaxed law.
+        """
         u = self._array("u", u, self.scene.nu)
         start = self._array("start", np.atleast_2d(start), 2 * self.scene.nq)
         steps = len(u)
         q, v = np.empty((steps + 1, self.scene.nq)), np.empty((steps + 1, self.scene.nq))
         lam = np.empty((steps, self.scene.nl))
         done = self._library.kernel_rollout(
-            steps, step, _at(self.parameters_of(step)), law.value, _b(law, eps, self.scene.length), _at(start), _at(u), _at(q), _at(v), _at(lam)
+            steps, step, address(self.parameters_of(step)), law.value, law_sharpness(law, eps, self.scene.length), address(start), address(u), address(q), address(v), address(lam)
         )  # fmt: skip
         if done < steps:
             q[done + 1 :] = v[done + 1 :] = np.nan
@@ -236,14 +378,35 @@ class Kernel:
         return Rollout(q=q, v=v, lam=lam, finite_steps=done, step=step, law=law, eps=eps)
 
     def rollouts(self, start: np.ndarray, u: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
-        """Forces lam (rows, steps, nc+nf) and last states (rows, 2*nq) from each start (rows, 2*nq) with inputs u (rows, steps, nu), under the true law;
-        a row that diverges is NaN from there on."""
+        """Simulate several motions under the true contact law; a row that diverges is NaN from there on.
+
+        Parameters
+        ----------
+        start
+            States (rows, 2*nq): positions [m, rad], then velocities [m/s, rad/s].
+        u
+            Inputs (rows, steps, nu) [N, N m].
+        step
+            Length of a step [s].
+
+        Returns
+        -------
+        lam
+            Forces (rows, steps, nc+nf) [N].
+        ends
+            Last states (rows, 2*nq).
+
+        Raises
+        ------
+        KernelError
+            Where an array has another shape.
+        """
         rows, steps, _ = u.shape
         start, u = self._array("start", start, 2 * self.scene.nq, rows), np.ascontiguousarray(u, dtype=np.float64)
         q, v = (np.empty((rows, steps + 1, self.scene.nq)) for _ in range(2))
         lam, costs, ends = np.empty((rows, steps, self.scene.nl)), np.empty(rows), np.empty((rows, 2 * self.scene.nq))
         functions = self.batch_functions(steps, step, ContactLaw.RELU, None)
-        functions.rollouts(rows, *functions.head, *(_at(array) for array in (start, u, q, v, lam, costs, ends)))
+        functions.rollouts(rows, *functions.head, *(address(array) for array in (start, u, q, v, lam, costs, ends)))
         return lam, ends
 
     def adjoint(
@@ -256,9 +419,35 @@ class Kernel:
         cost_bar: float = 0.0,
         end_bar: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Gradients (u_bar (steps, nu), start_bar (2*nq,)) of a loss whose derivatives are q_bar, v_bar (steps+1, nq), lam_bar
-        (steps, nc+nf), cost_bar (with respect to the cost) and end_bar (2*nq,) (to the last positions and velocities, beside q_bar and v_bar);
-        None where it does not depend on them."""
+        """Gradients of a loss along a rollout, from its derivatives by what the rollout gave; None where it does not depend on that.
+
+        Parameters
+        ----------
+        rollout
+            The rollout, whose step and law are taken.
+        u
+            Its inputs (steps, nu) [N, N m].
+        q_bar, v_bar
+            Derivatives (steps+1, nq) by positions and velocities [1/m, s/m and so on, per unit of the loss].
+        lam_bar
+            Derivatives (steps, nc+nf) by forces [1/N].
+        cost_bar
+            Derivative by the cost of the task [-].
+        end_bar
+            Derivatives (2*nq,) by the last state, beside q_bar and v_bar.
+
+        Returns
+        -------
+        u_bar
+            Gradient (steps, nu) by the inputs.
+        start_bar
+            Gradient (2*nq,) by the start.
+
+        Raises
+        ------
+        KernelError
+            Where M is not positive definite along the rollout, or an array has another shape.
+        """
         u = self._array("u", u, self.scene.nu, len(rollout.lam))
         given = (
             ("q_bar", q_bar, rollout.q.shape),
@@ -269,40 +458,114 @@ class Kernel:
         bars = [None if bar is None else self._array(name, bar, columns, rows) for name, bar, (rows, columns) in given]
         u_bar, start_bar = np.empty_like(u), np.empty(2 * self.scene.nq)
         failed = self._library.kernel_adjoint(
-            len(u), rollout.step, _at(self.parameters_of(rollout.step)), rollout.law.value, _b(rollout.law, rollout.eps, self.scene.length), _at(rollout.q), _at(rollout.v),
-            _at(rollout.lam), _at(u), *(None if bar is None else _at(bar) for bar in bars), cost_bar, _at(u_bar), _at(start_bar),
+            len(u), rollout.step, address(self.parameters_of(rollout.step)), rollout.law.value, law_sharpness(rollout.law, rollout.eps, self.scene.length), address(rollout.q), address(rollout.v),
+            address(rollout.lam), address(u), *(None if bar is None else address(bar) for bar in bars), cost_bar, address(u_bar), address(start_bar),
         )  # fmt: skip
         if failed:
             raise KernelError(f"scene {self.scene.name}: the mass matrix is not positive definite along the rollout.")
         return u_bar, start_bar
 
     def acceleration_jvp(self, point: tuple[np.ndarray, ...], tangent: tuple[np.ndarray, ...]) -> np.ndarray:
-        """Directional derivative (nq,) of the acceleration at point (q, v, u, lam) in direction (dq, dv, du, dlam)."""
+        """Directional derivative of the acceleration.
+
+        Parameters
+        ----------
+        point
+            q, v (nq,), u (nu,), lam (nc+nf,), where it is taken [m, m/s, N, N].
+        tangent
+            dq, dv, du, dlam of the same shapes.
+
+        Returns
+        -------
+        np.ndarray
+            Derivative (nq,) of the acceleration [m/s^2, rad/s^2].
+
+        Raises
+        ------
+        KernelError
+            Where an array has another shape.
+        """
         sizes = (self.scene.nq, self.scene.nq, self.scene.nu, self.scene.nl)
         arrays = [self._array("point", np.atleast_2d(part), size) for part, size in zip((*point, *tangent), sizes * 2, strict=True)]
         result = np.empty(self.scene.nq)
-        self._library.kernel_acceleration_jvp(_at(self._p), *(_at(array) for array in arrays), _at(result))
+        self._library.kernel_acceleration_jvp(address(self._p), *(address(array) for array in arrays), address(result))
         return result
 
     def energy(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Kinetic and potential energy (n,) [J], without the energy stored in contacts."""
+        """Kinetic and potential energy, without what contacts store.
+
+        Parameters
+        ----------
+        q
+            Positions (n, nq) [m, rad].
+        v
+            Velocities (n, nq) [m/s, rad/s].
+
+        Returns
+        -------
+        kinetic, potential
+            Energies (n,) [J].
+
+        Raises
+        ------
+        KernelError
+            Where an array has another shape.
+        """
         q, v = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq)
         energy = np.empty((len(q), 2))
-        self._library.kernel_energy(len(q), _at(self._p), _at(q), _at(v), _at(energy))
+        self._library.kernel_energy(len(q), address(self._p), address(q), address(v), address(energy))
         return energy[:, 0], energy[:, 1]
 
     def power(self, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Power of the inputs and dissipated power (n,) [W]."""
+        """Power of the inputs, and dissipated power.
+
+        Parameters
+        ----------
+        q
+            Positions (n, nq) [m, rad].
+        v
+            Velocities (n, nq) [m/s, rad/s].
+        u
+            Inputs (n, nu) [N, N m].
+
+        Returns
+        -------
+        inputs, dissipated
+            Powers (n,) [W].
+
+        Raises
+        ------
+        KernelError
+            Where an array has another shape.
+        """
         q, v, u = self._array("q", q, self.scene.nq), self._array("v", v, self.scene.nq), self._array("u", u, self.scene.nu)
         power = np.empty((len(q), 2))
-        self._library.kernel_power(len(q), _at(self._p), _at(q), _at(v), _at(u), _at(power))
+        self._library.kernel_power(len(q), address(self._p), address(q), address(v), address(u), address(power))
         return power[:, 0], power[:, 1]
 
     def cost(self, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> float:
-        """Sum of the running cost over the steps, and the cost of the last state; q, v (steps+1, nq), u (steps, nu)."""
+        """Sum of the running cost over the steps, and the cost of the last state.
+
+        Parameters
+        ----------
+        q, v
+            Positions and velocities (steps+1, nq) [m, rad, m/s, rad/s].
+        u
+            Inputs (steps, nu) [N, N m].
+
+        Returns
+        -------
+        float
+            The cost, in the unit that the task weighs with [-].
+
+        Raises
+        ------
+        KernelError
+            Where an array has another shape.
+        """
         u = self._array("u", u, self.scene.nu)
         q, v = self._array("q", q, self.scene.nq, len(u) + 1), self._array("v", v, self.scene.nq, len(u) + 1)
-        return float(self._library.kernel_cost(len(u), _at(self._p), _at(q), _at(v), _at(u)))
+        return float(self._library.kernel_cost(len(u), address(self._p), address(q), address(v), address(u)))
 
     def _array(self, name: str, value: np.ndarray, columns: int, rows: int | None = None) -> np.ndarray:
         array = np.ascontiguousarray(value, dtype=np.float64)
@@ -312,119 +575,11 @@ class Kernel:
         return array
 
 
-def _at(array: np.ndarray) -> int:
-    """Address of the first entry."""
+def address(array: np.ndarray) -> int:
+    """Address of the first entry of an array of any shape (n, ..) and unit, as the C functions take it."""
     return array.ctypes.data
 
 
-def _b(law: ContactLaw, eps: float | None, length: float) -> float:
+def law_sharpness(law: ContactLaw, eps: float | None, length: float) -> float:
+    """Sharpness [1/m] of a relaxed law, as the C functions take it; 0 of the true one. Raises RelaxationError unless 0 < eps < 1."""
     return 0.0 if law is ContactLaw.RELU else sharpness(eps if eps is not None else 0.0, length)
-
-
-_FOLDER = Path(__file__).parent
-_POINTER = ctypes.c_void_p
-_HEAD = [ctypes.c_int, ctypes.c_double, _POINTER, ctypes.c_int, ctypes.c_double]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Linearised:
-    """n steps. next (n, 2*nq): where each ends; lam (n, nc+nf) [N]; A (n, 2*nq, 2*nq) = d next/d x; B (n, 2*nq, nu) = d next/d u."""
-
-    next: np.ndarray
-    lam: np.ndarray
-    A: np.ndarray
-    B: np.ndarray
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Followed:
-    """x (steps+1, 2*nq), u (steps, nu) within the scene's bounds, lam (steps, nc+nf) [N]; finite_steps: how many stayed finite."""
-
-    x: np.ndarray
-    u: np.ndarray
-    lam: np.ndarray
-    finite_steps: int
-
-    @property
-    def diverged(self) -> bool:
-        return self.finite_steps < len(self.u)
-
-
-def load_steps(scene: Scene) -> Steps:
-    """Compile (or find in the cache) the single steps of a scene. Raises MachineError without a compiler."""
-    compiler, sources = find_compiler(), kernel_sources(scene)
-    sources["rollout.h"] = sources.pop("rollout.c")  # included by steps.c, not compiled beside it
-    sources["steps.c"] = (_FOLDER / "steps.c").read_text(encoding="utf-8")
-    key = "\n".join([compiler.describe(), " ".join(FLAGS), *(f"{name}\n{text}" for name, text in sorted(sources.items()))])
-    return Steps(scene, cached(key, ".so", lambda path: compile_shared(compiler, sources, path)))
-
-
-class Steps:
-    """See the module docstring. All arrays are float64; shapes that do not fit raise KernelError."""
-
-    def __init__(self, scene: Scene, library: Path) -> None:
-        self.scene = scene
-        self._library = ctypes.CDLL(str(library))
-        for name, arguments in (("linearise", 6), ("feedback_rollout", 10)):
-            function = getattr(self._library, f"kernel_{name}")
-            function.restype, function.argtypes = ctypes.c_int, [*_HEAD, *[_POINTER] * arguments]
-        self._p = np.array([parameter.value for parameter in scene.parameters] or [0.0])
-        self._tau = scene.relaxation_index
-        self._lower = np.array([item.lower for item in scene.inputs] or [0.0])
-        self._upper = np.array([item.upper for item in scene.inputs] or [0.0])
-
-    def linearise(
-        self, x: np.ndarray, u: np.ndarray, step: float, law: ContactLaw = ContactLaw.RELU, eps: float | None = None
-    ) -> Linearised | None:
-        """One step of `step` seconds from each row of x (n, 2*nq) with u (n, nu), and its derivatives; None if one is not finite."""
-        scene, n = self.scene, len(u)
-        x, u = self._array("x", x, (n, 2 * scene.nq)), self._array("u", u, (n, scene.nu))
-        after, lam = np.empty_like(x), np.empty((n, scene.nl))
-        by_x, by_u = np.empty((n, 2 * scene.nq, 2 * scene.nq)), np.empty((n, 2 * scene.nq, scene.nu))
-        arrays = (x, u, after, lam, by_x, by_u)
-        done = self._library.kernel_linearise(*self._head(n, step, law, eps), *(array.ctypes.data for array in arrays))
-        return Linearised(next=after, lam=lam, A=by_x, B=by_u) if done == n else None
-
-    def follow(
-        self,
-        start: np.ndarray,
-        x_plan: np.ndarray,
-        u_plan: np.ndarray,
-        gain: np.ndarray,
-        step: float,
-        law: ContactLaw = ContactLaw.RELU,
-        eps: float | None = None,
-        jump: np.ndarray | None = None,
-    ) -> Followed:
-        """Run from start (2*nq,) with feedback around x_plan (steps, 2*nq), u_plan (steps, nu): gain (steps, nu, 2*nq).
-
-        jump (steps, 2*nq): added to the state after each step, None for a motion without jumps. Rows after a divergence are NaN.
-        """
-        scene, n = self.scene, len(u_plan)
-        x_plan, u_plan = self._array("x_plan", x_plan, (n, 2 * scene.nq)), self._array("u_plan", u_plan, (n, scene.nu))
-        gain, start = self._array("gain", gain, (n, scene.nu, 2 * scene.nq)), self._array("start", start, (2 * scene.nq,))
-        jump = None if jump is None else self._array("jump", jump, (n, 2 * scene.nq))
-        x, u, lam = np.full((n + 1, 2 * scene.nq), np.nan), np.full((n, scene.nu), np.nan), np.full((n, scene.nl), np.nan)
-        given = (start, x_plan, u_plan, gain, self._lower, self._upper)
-        done = self._library.kernel_feedback_rollout(
-            *self._head(n, step, law, eps), *(array.ctypes.data for array in given), None if jump is None else jump.ctypes.data,
-            *(array.ctypes.data for array in (x, u, lam)),
-        )  # fmt: skip
-        return Followed(x=x, u=u, lam=lam, finite_steps=done)
-
-    def _head(self, n: int, step: float, law: ContactLaw, eps: float | None) -> tuple[int, float, int, int, float]:
-        if self._tau is not None:
-            self._p[self._tau] = step  # models.quasi_static
-        return (
-            n,
-            step,
-            self._p.ctypes.data,
-            law.value,
-            0.0 if law is ContactLaw.RELU else sharpness(eps if eps is not None else 0.0, self.scene.length),
-        )
-
-    def _array(self, name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-        array = np.ascontiguousarray(value, dtype=np.float64)
-        if array.shape != shape:
-            raise KernelError(f"scene {self.scene.name}: {name} has shape {array.shape}, but {shape} is needed.")
-        return array

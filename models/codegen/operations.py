@@ -15,7 +15,7 @@ from dataclasses import astuple, dataclass
 from models.codegen.emit import model_source
 from models.scene import Scene
 
-_FUNCTION = re.compile(r"^SCENE_FUNCTION \w+ (\w+)\([^)]*\)\n\{\n(.*?)^\}$", re.MULTILINE | re.DOTALL)
+_FUNCTION = re.compile(r"^SCENE_(?:FUNCTION|INLINE) \w+ (\w+)\([^)]*\)\n\{\n(.*?)^\}$", re.MULTILINE | re.DOTALL)
 _TOKEN = re.compile(
     r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[A-Za-z_]\w*)(?P<call>\s*\()?|(?P<sign>[-+*/()\[\],]))"
 )
@@ -37,6 +37,7 @@ class Operations:
 
     @property
     def total(self) -> int:
+        """The operations of all kinds."""
         return sum(astuple(self))
 
 

@@ -5,9 +5,9 @@
     path = build_fmu(scene, platforms=["win64"])    binaries of other platforms, by the cross-compiler
     names = variable_names(scene)                   names.q, names.v, names.u, names.lam, names.gap, ...
 
-`shell/` is the C that all scenes share. model.h, equations.h and integrator.h know no FMI; instance.h, access.h, saved_state.h,
-exchange.h and stepping.h are what every version of FMI does, whatever it calls it; fmi2_*.c and fmi3_*.c only give these the
-names and types of their standard.
+`shell/` is the C that all scenes share. model.h, equations.h, friction_modes.h, damping_modes.h and integrator.h know no FMI; instance.h,
+access.h, exchange.h and stepping.h are what every version of FMI does, whatever it calls it; fmi2.c and fmi3.c only give these the names and
+types of their standard.
 """
 
 from models.fmu.package import build_fmu

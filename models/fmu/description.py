@@ -1,14 +1,11 @@
 """Scene -> the generated texts of its FMU: C configuration, modelDescription.xml, build description, documentation.
 
-The output depends on the scene alone: no date but SOURCE_DATE_EPOCH's, and a GUID that is a hash of everything else.
+The output depends on the scene and the version of FMI alone: no date but SOURCE_DATE_EPOCH's, and a GUID that is a hash of everything else.
 
-The versions of FMI that are offered, and the headers of the standard.
-
-Reference results inside the FMU by the layered standard FMI-LS-REF: an experiment, its inputs, and the true motion.
-
-The inputs push and pull so that contacts close and open; they are constant between knots, at which the CSV has the time
-twice. The results are those of `reference.py`, not of the FMU. They are kept: to integrate two fingers takes several CPU s, and FMUs of every
-version and platform have the same. Where the motion cannot be followed within the budget there are none, and the description says why.
+Reference results are inside by the layered standard FMI-LS-REF: an experiment, its inputs, and the true motion. The inputs push and pull so that
+contacts close and open; they are constant between knots, at which the CSV has the time twice. The results are those of `reference.py`, not of the
+FMU. They are cached: to integrate two fingers takes several CPU s, and FMUs of every version and platform have the same. Where the motion cannot be
+followed within the budget there are none, and the description says why.
 """
 
 from __future__ import annotations
@@ -23,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from models.codegen.kept import kept_text
+from models.codegen.text_cache import cached_text
 from models.dynamics import derive
 from models.errors import MachineError, SceneError, TouchstoneError, UnknownNameError
 from models.fmu.reference import Equations, MotionError, Piece, true_motion_and_method
@@ -95,11 +92,11 @@ def experiment_texts(scene: Scene, results: bool = True) -> dict[str, str]:
     stride = -(-scene.task.steps // _ROWS)
     step, count = scene.task.step * stride, scene.task.steps // stride
     pieces = _pieces(scene, step, count)
-    kept = _UNWANTED
+    text = _UNWANTED
     if results:
-        kept = kept_text(scene, "reference.csv", lambda: _results(scene, pieces, np.arange(count + 1) * step), whole=True)
+        text = cached_text(scene, "reference.csv", lambda: _results(scene, pieces, np.arange(count + 1) * step), whole=True)
     # The first line says how the results came about, or why there are none.
-    told, _, csv = kept.partition("\n")
+    summary, _, csv = text.partition("\n")
     texts = {
         "fmi-ls-manifest.xml": render("fmi-ls-manifest.xml.j2", scene=scene, results=csv),
         "validation.exp": render("experiment.xml.j2", scene=scene, stop=step * count, step=step, accuracy=ACCURACY, results=csv),
@@ -109,7 +106,7 @@ def experiment_texts(scene: Scene, results: bool = True) -> dict[str, str]:
     if scene.inputs:
         texts["validation_inputs.csv"] = _inputs(scene, pieces)
     files = {f"{FOLDER}/{name}": text for name, text in texts.items()}
-    page = render("fmi-ls-ref.html.j2", scene=scene, accuracy=ACCURACY, folder=FOLDER, results=csv, told=told)
+    page = render("fmi-ls-ref.html.j2", scene=scene, accuracy=ACCURACY, folder=FOLDER, results=csv, summary=summary)
     return files | {"documentation/fmi-ls-ref.html": page}
 
 
@@ -150,8 +147,8 @@ def _results(scene: Scene, pieces: Sequence[Piece], times: np.ndarray) -> str:
     for t, x, u in zip(times, states, held, strict=True):
         values = equations.outputs(x, u) | dict(zip(names, x, strict=True))
         rows.append((t, *(values[name] for name in outputs)))
-    told = f"{method.words} integrated the equations with a relative tolerance of {method.tolerance:.0e}"
-    return f"{told}\n{_csv(['time', *outputs], rows)}"
+    summary = f"{method.words} integrated the equations with a relative tolerance of {method.tolerance:.0e}"
+    return f"{summary}\n{_csv(['time', *outputs], rows)}"
 
 
 def _csv(header: Sequence[str], rows: Iterable[Sequence[float]]) -> str:

@@ -1,11 +1,9 @@
-"""Scene -> FMU file: the sources are put together, compiled, packed and kept by content.
+"""Scene -> FMU file: the sources are put together, compiled, packed and cached by content.
 
     build_fmu(scene)                                                     ->  .../a1b2....three_cart.fmu
     build_fmu(scene, version="3.0", platforms=("x86_64-linux", "win64"))
 
-Equal scenes give equal bytes: fixed time stamps, sorted names, no path of this machine inside.
-
-Files of text and bytes -> a zip that has the same bytes wherever and whenever it is made.
+Equal scenes give equal bytes wherever and whenever they are built: fixed time stamps, sorted names, no path of this machine inside.
 """
 
 from __future__ import annotations
@@ -19,7 +17,7 @@ from pathlib import Path
 from models.codegen.cache import cached
 from models.codegen.compiler import Compiler, compile_shared
 from models.codegen.emit import damping_source, for_scene, friction_source, model_source
-from models.codegen.kept import generators
+from models.codegen.text_cache import generators
 from models.fmu.description import Standard, describe, experiment_texts, find_standard, model_identifier, source_epoch, standard_headers
 from models.fmu.platforms import Platform, find_platforms, platform_compiler
 from models.fmu.rendering import render
@@ -63,9 +61,7 @@ def build_fmu(scene: Scene, version: str = "2.0", platforms: Sequence[str] = (),
     def build(path: Path) -> None:
         files = fmu_texts(scene, standard)
         content = {name: text.encode() for name, text in (files | experiment_texts(scene, results)).items()}
-        pack(
-            path, content | _icons(standard) | _binaries(files, standard, identifier, compilers, path.parent), first="modelDescription.xml"
-        )
+        pack(path, content | icons(standard) | binaries(files, standard, identifier, compilers, path.parent), first="modelDescription.xml")
 
     return cached("\n".join(made_by), f".{identifier}.fmu", build)
 
@@ -79,7 +75,7 @@ def fmu_texts(scene: Scene, standard: Standard) -> dict[str, str]:
     if scene.nf:
         sources["friction.h"] = friction_source()
     else:
-        del sources["friction_modes.h"]  # friction_values.h alone says that there is none
+        del sources["friction_modes.h"]
     if scene.damped:
         sources["damping.h"] = damping_source()
     else:
@@ -101,22 +97,22 @@ def _belongs(path: Path, standard: Standard) -> bool:
     return path.suffix in (".c", ".h") and (not path.name.startswith("fmi") or path.name.startswith(standard.prefix))
 
 
-def _icons(standard: Standard) -> dict[str, bytes]:
+def icons(standard: Standard) -> dict[str, bytes]:
     """The icon, drawn and as pixels; FMI 2.0 has a place of its own for it."""
     pixels, drawing = ((_ICON / name).read_bytes() for name in ("icon.png", "icon.svg"))
-    icons = {"terminalsAndIcons/icon.png": pixels, "terminalsAndIcons/icon.svg": drawing}
-    return icons | ({"model.png": pixels} if standard.version == "2.0" else {})
+    files = {"terminalsAndIcons/icon.png": pixels, "terminalsAndIcons/icon.svg": drawing}
+    return files | ({"model.png": pixels} if standard.version == "2.0" else {})
 
 
-def _binaries(
+def binaries(
     files: Mapping[str, str], standard: Standard, identifier: str, compilers: Mapping[Platform, Compiler], place: Path
 ) -> dict[str, bytes]:
-    """Compiled in a folder below `place`, which goes with it if we are killed."""
+    """The FMU's libraries, by their paths inside, compiled in a folder below `place`, which goes with it if we are killed."""
     sources = {name.removeprefix("sources/"): text for name, text in files.items() if name.startswith("sources/")}
-    binaries = {}
+    libraries = {}
     with tempfile.TemporaryDirectory(prefix="touchstone-fmu-", dir=place) as temporary:
         for platform, compiler in compilers.items():
             library = Path(temporary) / f"{platform.name}{platform.suffix}"
             compile_shared(compiler, sources, library, include_dirs=[Path(standard.header_folder)], flags=platform.flags)
-            binaries[f"binaries/{platform.folder(standard)}/{identifier}{platform.suffix}"] = library.read_bytes()
-    return binaries
+            libraries[f"binaries/{platform.folder(standard)}/{identifier}{platform.suffix}"] = library.read_bytes()
+    return libraries

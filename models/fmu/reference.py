@@ -91,13 +91,50 @@ class Equations:
         }
 
     def penetration(self, x: np.ndarray) -> np.ndarray:
+        """Penetrations of all contacts.
+
+        Parameters
+        ----------
+        x
+            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
+
+        Returns
+        -------
+        np.ndarray
+            phi (nc,) [m].
+        """
         return self._phi(x[: self.n]).ravel()
 
     def slip(self, x: np.ndarray) -> np.ndarray:
+        """Slip speeds of all frictions.
+
+        Parameters
+        ----------
+        x
+            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
+
+        Returns
+        -------
+        np.ndarray
+            s (nf,) [m/s].
+        """
         return self._slip(x[: self.n], x[self.n :]).ravel()
 
     def modes(self, x: np.ndarray, u: np.ndarray) -> Modes:
-        """Each contact is closed or not, on its boundary: whether it is closing; each friction slips one way or sticks."""
+        """The modes of all contacts and frictions: on its boundary a contact is closed if it is closing; a friction slips one way or sticks.
+
+        Parameters
+        ----------
+        x
+            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
+        u
+            Inputs (nu,) [N, N m].
+
+        Returns
+        -------
+        Modes
+            Of contacts (nc,) and frictions (nf,).
+        """
         closed = self.closed(x, u)
         pushes = self.pushes(x, u, closed)
         slip = self.slip(x)
@@ -115,7 +152,20 @@ class Equations:
         return Modes(closed, pushes, np.where(decided, np.where(slip >= 0, 1, -1), 0))
 
     def closed(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """(nc,) by penetration; on its boundary by the direction of motion, or of the acceleration of a body at rest there."""
+        """Which contacts are closed: by penetration; on its boundary by the direction of motion, or of the acceleration of a body at rest there.
+
+        Parameters
+        ----------
+        x
+            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
+        u
+            Inputs (nu,) [N, N m].
+
+        Returns
+        -------
+        np.ndarray
+            (nc,) bool.
+        """
         phi = self.penetration(x)
         if not phi.size:
             return phi > 0
@@ -128,7 +178,22 @@ class Equations:
         return (phi > self._band) | (at_boundary & (rate > 0))
 
     def pushes(self, x: np.ndarray, u: np.ndarray, closed: np.ndarray) -> np.ndarray:
-        """(nc,) closed contacts whose force would not pull; where it is nothing, those whose force grows."""
+        """Closed contacts whose force would not pull; where it is nothing, those whose force grows.
+
+        Parameters
+        ----------
+        x
+            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
+        u
+            Inputs (nu,) [N, N m].
+        closed
+            Which contacts are closed (nc,).
+
+        Returns
+        -------
+        np.ndarray
+            (nc,) bool.
+        """
         result = closed.copy()
         for row, contact in enumerate(self.scene.damped):
             share = self.share_pressing(x, row)
@@ -139,21 +204,82 @@ class Equations:
         return result
 
     def share_pressing(self, x: np.ndarray, row: int) -> float:
-        """What damped contact `row` would push with if it is closed, as the FMU gives it."""
+        """What a damped contact would push with if it is closed, as the FMU gives it.
+
+        Parameters
+        ----------
+        x
+            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
+        row
+            Its place among the damped contacts.
+
+        Returns
+        -------
+        float
+            The push as a share of a typical one [-].
+        """
         return float(self._share(x[: self.n], x[self.n :])[row, 0])
 
     def limit(self, x: np.ndarray, pushes: np.ndarray) -> np.ndarray:
-        """mu N (nf,) [N]."""
+        """The largest friction forces, mu N.
+
+        Parameters
+        ----------
+        x
+            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
+        pushes
+            Which contacts push (nc,).
+
+        Returns
+        -------
+        np.ndarray
+            Limits (nf,) [N].
+        """
         return self._limit(x[: self.n], self.contact_force(x, pushes)).ravel()
 
     def contact_force(self, x: np.ndarray, pushes: np.ndarray) -> np.ndarray:
-        """(nc,) [N]: k phi, with damping more or less, in contacts that push and nothing in others."""
+        """Contact forces: k phi, with damping more or less, in contacts that push and nothing in others.
+
+        Parameters
+        ----------
+        x
+            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
+        pushes
+            Which contacts push (nc,).
+
+        Returns
+        -------
+        np.ndarray
+            lam (nc,) [N].
+        """
         push, damped = self.stiffness * self.penetration(x), list(self.scene.damped)
         push[damped] = self._push(x[: self.n], x[self.n :]).ravel()[damped]
         return np.where(pushes, push, 0.0)
 
     def motion(self, x: np.ndarray, u: np.ndarray, modes: Modes) -> tuple[np.ndarray, np.ndarray]:
-        """Accelerations (nq,) and friction forces (nf,): M a - S' f = forces, and S a = -dS/dt v where it sticks."""
+        """Accelerations and friction forces: M a - S' f = forces, and S a = -dS/dt v where it sticks.
+
+        Parameters
+        ----------
+        x
+            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
+        u
+            Inputs (nu,) [N, N m].
+        modes
+            Which contacts are closed and push, and which way frictions slip.
+
+        Returns
+        -------
+        a
+            Accelerations (nq,) [m/s^2, rad/s^2].
+        f
+            Friction forces (nf,) [N].
+
+        Raises
+        ------
+        LinAlgError
+            Where the mass matrix is singular.
+        """
         q, v = x[: self.n], x[self.n :]
         lam = self.contact_force(x, modes.pushes)
         friction = -modes.slips * self.limit(x, modes.pushes)
@@ -167,22 +293,84 @@ class Equations:
         return solution[: self.n], friction
 
     def rate(self, x: np.ndarray, u: np.ndarray, modes: Modes) -> np.ndarray:
-        """dx/dt (2*nq,) in the given modes."""
+        """The derivative dx/dt of the state in the given modes.
+
+        Parameters
+        ----------
+        x
+            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
+        u
+            Inputs (nu,) [N, N m].
+        modes
+            Which contacts are closed and push, and which way frictions slip.
+
+        Returns
+        -------
+        np.ndarray
+            Velocities, then accelerations (2*nq,) [m/s, rad/s, m/s^2, rad/s^2].
+        """
         return np.concatenate([x[self.n :], self.motion(x, u, modes)[0]])
 
     def reserve(self, x: np.ndarray, u: np.ndarray, modes: Modes, index: int) -> float:
-        """What is left until friction `index` leaves its mode: slip [m/s] or force [N]."""
+        """What is left until a friction leaves its mode.
+
+        Parameters
+        ----------
+        x
+            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
+        u
+            Inputs (nu,) [N, N m].
+        modes
+            Which contacts are closed and push, and which way frictions slip.
+        index
+            Its place among the frictions.
+
+        Returns
+        -------
+        float
+            Slip [m/s] where it slips, force [N] where it sticks.
+        """
         if modes.slips[index]:
             return float(modes.slips[index] * self.slip(x)[index])
         return float(self.limit(x, modes.pushes)[index] * (1 + _BOUNDARY) - abs(self.motion(x, u, modes)[1][index]))
 
     def share(self, x: np.ndarray, u: np.ndarray, modes: Modes, index: int) -> float:
-        """The reserve over the nominal slip or friction force, as the FMU gives it."""
+        """The reserve over the nominal slip or friction force, as the FMU gives it.
+
+        Parameters
+        ----------
+        x
+            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
+        u
+            Inputs (nu,) [N, N m].
+        modes
+            Which contacts are closed and push, and which way frictions slip.
+        index
+            Its place among the frictions.
+
+        Returns
+        -------
+        float
+            The share [-].
+        """
         nominal = self.scene.frictions[index].nominal if modes.slips[index] else friction_nominals(self.scene)[index]
         return self.reserve(x, u, modes, index) / nominal
 
     def outputs(self, x: np.ndarray, u: np.ndarray) -> dict[str, float]:
-        """What the FMU gives besides positions and velocities, by the FMU's names."""
+        """What the FMU gives besides positions and velocities, by the FMU's names.
+
+        Parameters
+        ----------
+        x
+            State (2*nq,): positions [m, rad], then velocities [m/s, rad/s].
+        u
+            Inputs (nu,) [N, N m].
+
+        Returns
+        -------
+        dict[str, float]
+            Forces [N], gaps [m], slips [m/s], energies [J], powers [W], shares [-].
+        """
         phi, modes = self.penetration(x), self.modes(x, u)
         spring = self.stiffness * np.maximum(phi, 0.0)
         lam = np.maximum(self.contact_force(x, phi > 0), 0.0)
@@ -213,12 +401,50 @@ def pressing_shares(d: Dynamics) -> sp.Matrix:
 
 
 def true_motion(equations: Equations, pieces: Sequence[Piece], times: np.ndarray) -> np.ndarray:
-    """(len(times), 2*nq) states at `times`, from the task's start. Raises MotionError if it cannot be followed."""
+    """States of the true motion from the task's start.
+
+    Parameters
+    ----------
+    pieces
+        Inputs that are constant piece by piece.
+    times
+        When (n,) [s].
+
+    Returns
+    -------
+    np.ndarray
+        States (n, 2*nq): positions [m, rad], then velocities [m/s, rad/s].
+
+    Raises
+    ------
+    MotionError
+        If it cannot be followed within the budget.
+    """
     return true_motion_and_method(equations, pieces, times)[0]
 
 
 def true_motion_and_method(equations: Equations, pieces: Sequence[Piece], times: np.ndarray) -> tuple[np.ndarray, ReferenceIntegrator]:
-    """The same, and the method that came to the end."""
+    """The same as `true_motion`, and the method that came to the end.
+
+    Parameters
+    ----------
+    pieces
+        Inputs that are constant piece by piece.
+    times
+        When (n,) [s].
+
+    Returns
+    -------
+    states
+        (n, 2*nq), positions [m, rad], then velocities [m/s, rad/s].
+    method
+        The integrator.
+
+    Raises
+    ------
+    MotionError
+        If neither method can follow it within the budget.
+    """
     # Without inertia velocities settle within the lag, which explicit steps would have to follow all the way.
     if equations.scene.lag is None:
         with contextlib.suppress(MotionError):

@@ -19,7 +19,7 @@ import sympy as sp
 
 from models.codegen.c_function import SceneVectors, Vector, backward_function, forward_function, tangent
 from models.codegen.emit import penetration_rate, slip_rate
-from models.codegen.kept import kept_text
+from models.codegen.text_cache import cached_text
 from models.dynamics import derive
 from models.scene import Scene
 
@@ -72,8 +72,8 @@ def emit_sensitivity(scene: Scene) -> str:
 
 
 def sensitivity_source(scene: Scene) -> str:
-    """`emit_sensitivity`, kept between processes."""
-    return kept_text(scene, "scene_sensitivity.h", lambda: emit_sensitivity(scene))
+    """`emit_sensitivity`, cached between processes."""
+    return cached_text(scene, "scene_sensitivity.h", lambda: emit_sensitivity(scene))
 
 
 def _parameter_functions(x: SceneVectors) -> list[str]:

@@ -12,7 +12,7 @@ from enum import Enum
 
 import sympy as sp
 
-from models.codegen.kept import kept_text
+from models.codegen.text_cache import cached_text
 from models.dynamics import Dynamics, derive
 from models.fmu.variables import Variable, VariableKind, variable_table
 from models.scene import Scene
@@ -32,10 +32,10 @@ class Dependency(Enum):
 def dependencies(scene: Scene) -> dict[str, dict[str, Dependency]]:
     """Of each calculated variable and each state: the knowns it depends on (states, inputs, parameters), in table order.
 
-    Differentiating the energies of a large scene for it takes seconds: it is kept, as the generated C is.
+    Differentiating the energies of a large scene for it takes seconds: it is cached, as the generated C is.
     """
-    kept = json.loads(kept_text(scene, "structure.json", lambda: _as_text(derived_dependencies(scene))))
-    return {name: {known: Dependency(kind) for known, kind in knowns.items()} for name, knowns in kept.items()}
+    found = json.loads(cached_text(scene, "structure.json", lambda: _as_text(derived_dependencies(scene))))
+    return {name: {known: Dependency(kind) for known, kind in knowns.items()} for name, knowns in found.items()}
 
 
 def _as_text(found: dict[str, dict[str, Dependency]]) -> str:
@@ -109,8 +109,10 @@ def _of_expressions(d: Dynamics, expressions: Iterable[sp.Expr]) -> dict[sp.Symb
 
 
 def _seen_to_vary(slopes: Mapping[sp.Symbol, sp.Expr], parameters: set[sp.Symbol]) -> set[sp.Symbol]:
-    """Those whose slope has clearly different values at two points that differ in more than parameters: a proof without any expansion,
-    which takes minutes for the energies of several bodies. What is not seen here may vary all the same."""
+    """Those whose slope has clearly different values at two points that differ in more than parameters.
+
+    That proves it without any expansion, which takes minutes for the energies of several bodies. What is not seen here may vary all the same.
+    """
     symbols = sorted(set().union(*(slope.free_symbols for slope in slopes.values())), key=str)
     points = []
     for place in range(2):

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -17,7 +18,7 @@ import sympy as sp
 
 from models.dynamics import derive
 from models.errors import SceneError
-from models.scene import Scene
+from models.scene import Parameter, Scene
 
 # The methods of Co-Simulation: name and meaning, numbered from 1 as in `shell/model.h`; the last is the default.
 INTEGRATORS = (
@@ -86,18 +87,22 @@ class Variable:
 
     @property
     def causality(self) -> str:
+        """FMI's causality: input, output, parameter .."""
         return _ROLES.get(self.kind, _OUTPUT)[0]
 
     @property
     def variability(self) -> str:
+        """FMI's variability: continuous, fixed, tunable .."""
         return _ROLES.get(self.kind, _OUTPUT)[1]
 
     @property
     def initial(self) -> str | None:
+        """FMI's attribute `initial`; None where it has none."""
         return _ROLES.get(self.kind, _OUTPUT)[2]
 
     @property
     def is_enumeration(self) -> bool:
+        """Whether it is an enumeration instead of a real number."""
         return self.kind is VariableKind.INTEGRATOR
 
 
@@ -177,7 +182,8 @@ def variable_table(scene: Scene) -> tuple[Variable, ...]:
         *_frictions(scene),
         *_pressing(scene),
         *_energies(scene),
-        *_parameters(scene),
+        *parameter_variables(scene.parameters),
+        *_settings(scene),
     )
     for name, count in Counter(variable.name for variable in table).items():
         if count > 1:
@@ -339,8 +345,9 @@ def _energies(scene: Scene) -> list[Variable]:
     return [Variable(name=name, kind=kind, unit=unit, description=text) for name, kind, unit, text, present in rows if present]
 
 
-def _parameters(scene: Scene) -> list[Variable]:
-    physical = [
+def parameter_variables(parameters: Sequence[Parameter]) -> list[Variable]:
+    """The physical parameters as variables, in their order."""
+    return [
         Variable(
             name=parameter.name,
             kind=VariableKind.PARAMETER,
@@ -351,8 +358,12 @@ def _parameters(scene: Scene) -> list[Variable]:
             upper=parameter.upper,
             description=parameter.description or f"parameter {parameter.name}",
         )
-        for index, parameter in enumerate(scene.parameters)
+        for index, parameter in enumerate(parameters)
     ]
+
+
+def _settings(scene: Scene) -> list[Variable]:
+    """How Co-Simulation integrates."""
     step = Variable(
         name="internal_step",
         kind=VariableKind.INTERNAL_STEP,
@@ -370,4 +381,4 @@ def _parameters(scene: Scene) -> list[Variable]:
         upper=float(len(INTEGRATORS)),
         description="method of Co-Simulation",
     )
-    return [*physical, step, integrator]
+    return [step, integrator]

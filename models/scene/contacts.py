@@ -91,18 +91,22 @@ class Contact:
 
     @property
     def is_damped(self) -> bool:
+        """Whether it has a coefficient of damping other than 0."""
         return self.damping != 0
 
     @property
     def pressing_name(self) -> str:
+        """Name of the FMU's variable that tells whether it presses."""
         return f"pressing_{self.name}"
 
     @property
     def force_name(self) -> str:
+        """Name of its force, as in the columns of a plan."""
         return f"lam_{self.name}"
 
     @property
     def gap_name(self) -> str:
+        """Name of its gap."""
         return f"gap_{self.name}"
 
 
@@ -141,8 +145,10 @@ class Friction:
 
     @property
     def force_name(self) -> str:
+        """Name of its force, as in the columns of a plan."""
         return f"friction_{self.name}"
 
     @property
     def slip_name(self) -> str:
+        """Name of its slip."""
         return f"slip_{self.name}"

@@ -12,15 +12,48 @@ from models.scene import Task
 
 
 def goal_state(task: Task) -> np.ndarray:
-    """(2*nq,) positions, then velocities [m, rad, m/s, rad/s]; NaN where the end is free."""
+    """The goal as numbers.
+
+    Parameters
+    ----------
+    task
+        The task.
+
+    Returns
+    -------
+    np.ndarray
+        (2*nq,) positions, then velocities [m, rad, m/s, rad/s]; NaN where the end is free.
+    """
     return np.array(task.goal, dtype=float)
 
 
 def miss(end: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """end - goal, 0 where the goal is free; both of one shape, all of the state or its first part."""
+    """How far an end is from the goal: end - goal, 0 where the goal is free.
+
+    Parameters
+    ----------
+    end, goal
+        All of the state (2*nq,) or its first part [m, rad, m/s, rad/s].
+
+    Returns
+    -------
+    np.ndarray
+        Of the same shape.
+    """
     return np.where(np.isnan(goal), 0.0, end - goal)
 
 
 def distance(end: np.ndarray, goal: np.ndarray) -> float:
-    """Norm of `miss`."""
+    """Norm of `miss`.
+
+    Parameters
+    ----------
+    end, goal
+        All of the state (2*nq,) or its first part [m, rad, m/s, rad/s].
+
+    Returns
+    -------
+    float
+        The norm, of metres and radians alike [m, rad, m/s, rad/s].
+    """
     return float(np.linalg.norm(miss(end, goal)))

@@ -11,268 +11,39 @@
     )
 
 Everything else - Pyomo models, the PyTorch rollout, the C kernel, the FMU, the equations in the report - is
-derived from this one object. All objects are frozen. Their parts are checked when they are created, their
-physics when a scene is loaded or first derived from (models.scene.checks); what is wrong is said in
-one sentence that names the scene and the field.
+derived from this one object. All objects are frozen. They are checked when they are created, the physics when a
+scene is loaded or first derived from (models.scene.checks); what is wrong is said in one sentence that names the
+scene and the field.
 
 Sign conventions: `penetration` phi is positive in contact; the contact force lam >= 0 pushes the bodies apart, that is,
 `M(q) dv/dt = tau(q, v, u) + J(q)' lam` with J the Jacobian of the gap (-phi). The true contact law is
 `lam = stiffness * max(phi, 0)`; a contact may also have damping (models.scene.contacts).
-
-What a scene says beside its physics: limits of the score, known answers, how its bodies are drawn.
 """
 
 from __future__ import annotations
 
-import math
+import keyword
+from collections import Counter
 from collections.abc import Iterable
-from dataclasses import InitVar, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import sympy as sp
 
 from models.errors import SceneError
 from models.scene.contacts import Contact, Friction
-from models.scene.values import (
-    as_expression,
-    as_number,
-    check_moving,
-    check_name,
-    check_symbol,
-    check_text,
-    check_unit,
-    settle,
-    settle_bounds,
-)
+from models.scene.parts import Answer, Coordinate, Input, Limit, Parameter, Shape, Task
+from models.scene.quasi_static import LAG, check_quasi_static, relaxation_parameter
+from models.scene.values import as_expression, as_number, check_text, settle
 
-# The shapes that are drawn, and how many lengths their size may have.
-_SHAPES = {"box": (2,), "disc": (1,), "line": (1,), "wall": (1, 2)}
-
-
-@dataclass(frozen=True, kw_only=True)
-class Limit:
-    """The largest value of a metric of the score with which a plan still holds, and the reason for that number.
-
-    value: in the metric's unit; None waives the limit that the metric has by default (validate.judge.score.table), which takes a reason too.
-    """
-
-    metric: str = ""
-    value: float | None
-    reason: str
-    figure: InitVar[str | None] = None  # what `metric` was called up to version 0.1
-
-    def __post_init__(self, figure: str | None) -> None:
-        if figure is not None:
-            raise SceneError(f"limit on {figure}: figure= is now called metric=; write Limit(metric={figure!r}, value=.., reason=..).")
-        check_text("limit: metric", self.metric)
-        check_text(f"limit on {self.metric}: reason", self.reason, empty=self.value is not None)
-        if self.value is None:
-            return
-        settle(self, "value", as_number(f"limit on {self.metric}", self.value))
-        if self.value < 0.0:
-            raise SceneError(f"limit on {self.metric}: {self.value:g} is below 0, which no metric can be.")
-
-
-def goal_limits(*, position: float | None = None, velocity: float | None = None, reason: str) -> tuple[Limit, ...]:
-    """How near to the goal is near enough, the same for a plan and its replay; None where the goal asks for none.
-
-    >>> [limit.metric for limit in goal_limits(position=0.02, reason="as much as the wall shall be pressed in")]
-    ['terminal_position_error', 'replay_terminal_position_error']
-    """
-    return tuple(
-        Limit(metric=f"{of}terminal_{part}_error", value=value, reason=reason)
-        for part, value in (("position", position), ("velocity", velocity))
-        if value is not None
-        for of in ("", "replay_")
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Answer:
-    """A known answer of the scene: what it is, its value, tolerance and source.
-
-    measure: what to hold against it in the replay of the free motion, by a name that the score knows (validate.judge.score.equations); empty: nothing.
-    """
-
-    quantity: str
-    value: float
-    tolerance: float
-    source: str
-    measure: str = ""
-
-    def __post_init__(self) -> None:
-        check_text("answer: quantity", self.quantity)
-        check_text(f"answer {self.quantity}: source", self.source, empty=True)
-        for field in ("value", "tolerance"):
-            settle(self, field, as_number(f"answer {self.quantity}: {field}", getattr(self, field)))
-        if self.tolerance <= 0.0:
-            raise SceneError(f"answer {self.quantity}: the tolerance is {self.tolerance:g}, but must be positive.")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Shape:
-    """How a body is drawn: `kind` "box", "disc", "line" or "wall"; `x`, `y` its centre and `angle`, as expressions in q [m, rad];
-    `size`: (width, height), (radius,), or (length,) [m]."""
-
-    name: str
-    kind: str
-    x: sp.Expr
-    y: sp.Expr
-    size: tuple[sp.Expr | float, ...]
-    angle: sp.Expr = sp.S.Zero
-
-    def __post_init__(self) -> None:
-        check_text("shape: name", self.name)
-        if not isinstance(self.kind, str) or self.kind not in _SHAPES:
-            raise SceneError(f"shape {self.name}: the kind {self.kind!r} is none of {', '.join(_SHAPES)}.")
-        for field in ("x", "y", "angle"):
-            settle(self, field, as_expression(f"shape {self.name}: {field}", getattr(self, field)))
-        if not isinstance(self.size, (tuple, list)) or len(self.size) not in _SHAPES[self.kind]:
-            raise SceneError(
-                f"shape {self.name}: the size of a {self.kind} is a tuple of {' or '.join(map(str, _SHAPES[self.kind]))} lengths, not {self.size!r}."
-            )
-        settle(self, "size", tuple(as_expression(f"shape {self.name}: size", value) for value in self.size))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Parameter:
-    """A physical constant of the scene.
-
-    symbol: its SymPy symbol; value: default, in `unit`; lower, upper: the range in which the scene makes sense.
-    """
-
-    symbol: sp.Symbol
-    value: float
-    unit: str
-    lower: float = -math.inf
-    upper: float = math.inf
-    description: str = ""
-
-    def __post_init__(self) -> None:
-        where = f"parameter {self.symbol}"
-        check_symbol(f"{where}: symbol", self.symbol)
-        check_name(where, self.symbol.name)
-        check_unit(where, self.unit)
-        settle(self, "value", as_number(where, self.value))
-        for field in ("lower", "upper"):
-            settle(self, field, as_number(f"{where}: {field}", getattr(self, field), finite=False))
-        if not self.lower <= self.value <= self.upper:
-            raise SceneError(f"{where}: the value {self.value:g} {self.unit} lies outside its range [{self.lower:g}, {self.upper:g}].")
-
-    @property
-    def name(self) -> str:
-        return self.symbol.name
-
-
-@dataclass(frozen=True, kw_only=True)
-class Coordinate:
-    """A generalised position q and its velocity v = dq/dt. `nominal`: a typical magnitude of q, in `unit`.
-
-    velocity_lower, velocity_upper: bounds of v at the start of every step, as the inputs have theirs; the end belongs to the goal.
-    """
-
-    symbol: sp.Symbol
-    velocity: sp.Symbol
-    unit: str
-    nominal: float = 1.0
-    velocity_lower: float = -math.inf
-    velocity_upper: float = math.inf
-    description: str = ""
-
-    def __post_init__(self) -> None:
-        where = f"coordinate {self.symbol}"
-        for field, symbol in (("symbol", self.symbol), ("velocity", self.velocity)):
-            check_moving(f"{where}: {field}", symbol)
-            check_name(where, symbol.name)
-        check_unit(where, self.unit)
-        settle(self, "nominal", as_number(f"{where}: nominal", self.nominal))
-        if self.nominal <= 0:
-            raise SceneError(f"{where}: nominal must be positive, not {self.nominal:g}.")
-        settle_bounds(self, where, "velocity_lower", "velocity_upper")
-
-    @property
-    def has_velocity_bounds(self) -> bool:
-        return math.isfinite(self.velocity_lower) or math.isfinite(self.velocity_upper)
-
-    @property
-    def name(self) -> str:
-        return self.symbol.name
-
-    @property
-    def velocity_name(self) -> str:
-        return self.velocity.name
-
-    @property
-    def velocity_unit(self) -> str:
-        return f"{self.unit}/s"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Input:
-    """An actuator: a generalised force or torque u within [lower, upper], in `unit`."""
-
-    symbol: sp.Symbol
-    unit: str
-    lower: float = -math.inf
-    upper: float = math.inf
-    description: str = ""
-
-    def __post_init__(self) -> None:
-        where = f"input {self.symbol}"
-        check_moving(f"{where}: symbol", self.symbol)
-        check_name(where, self.symbol.name)
-        check_unit(where, self.unit)
-        settle_bounds(self, where, "lower", "upper")
-
-    @property
-    def name(self) -> str:
-        return self.symbol.name
-
-
-@dataclass(frozen=True, kw_only=True)
-class Task:
-    """What is to be done: from `start` to `goal` in `steps` steps of `step` seconds, at least cost.
-
-    start, goal: (2*nq,) positions then velocities; a goal of None leaves its component free at the end, and a goal of nothing but None is
-    a free end. running_cost: an expression in q, v, u and parameters, summed over the starts of the steps (not integrated: as in the
-    paper, cost = sum_t u^2); final_cost: an expression in q, v and parameters, of the last state, added to that sum.
-    """
-
-    start: tuple[float, ...]
-    goal: tuple[float | None, ...]
-    running_cost: sp.Expr
-    step: float
-    steps: int
-    final_cost: sp.Expr = sp.S.Zero
-
-    def __post_init__(self) -> None:
-        for field in ("start", "goal"):
-            values = getattr(self, field)
-            if isinstance(values, str) or not isinstance(values, Iterable):
-                raise SceneError(f"task: {field} must be positions, then velocities, as a tuple of numbers, not {values!r}.")
-            may_be_free = field == "goal"
-            numbers = (
-                None if may_be_free and value is None else as_number(f"task: {field}[{index}]", value) for index, value in enumerate(values)
-            )
-            settle(self, field, tuple(numbers))
-        for field in ("running_cost", "final_cost"):
-            settle(self, field, as_expression(f"task: {field}", getattr(self, field)))
-        settle(self, "step", as_number("task: step", self.step))
-        if self.step <= 0:
-            raise SceneError(f"task: step must be positive seconds, not {self.step!r}.")
-        if isinstance(self.steps, bool) or not isinstance(self.steps, int) or self.steps < 1:
-            raise SceneError(f"task: steps must be a whole number of at least 1, not {self.steps!r}.")
-
-    @property
-    def horizon(self) -> float:
-        """Duration T = steps * step [s]."""
-        return self.steps * self.step
-
-    @property
-    def has_goal(self) -> bool:
-        """Whether any component of the end is given."""
-        return any(value is not None for value in self.goal)
-
+# Words of C and of our own generated code; they and Python's may not name a quantity.
+_WORDS_OF_C = """
+    t time h bar auto case char const default do double enum extern float goto inline int long register restrict short signed sizeof static
+    struct switch typedef union unsigned void volatile
+"""
+_RESERVED = frozenset((*keyword.kwlist, *_WORDS_OF_C.split()))
+# Numbers in a plan: 8 GB.
+_MOST_NUMBERS = 10**9
 
 # What the parts of a scene are made of.
 _PARTS = {
@@ -296,7 +67,7 @@ class Scene:
     runs it; False where its first plan that holds takes about a minute, or another pipeline. length [m]: what counts as far here, which relaxed contact is measured in
     (models.contact_law); the paper's metre unless a scene is much smaller. unstable: why a robot needs feedback here whatever its plan, as a sentence;
     empty: a plan is expected to hold by its inputs alone. relaxation_time: of a scene without inertia, the symbol by which its drag
-    becomes mass; lag [s]: its value where the scene is judged, None on a grid, whose step it is then (models.quasi_static).
+    becomes mass; lag [s]: its value where the scene is judged, None on a grid, whose step it is then (models.scene.quasi_static).
     """
 
     name: str
@@ -321,9 +92,6 @@ class Scene:
     lag: float | None = None
 
     def __post_init__(self) -> None:
-        from models.quasi_static import check_quasi_static, relaxation_parameter
-        from models.scene.checks import check_scene
-
         for field, kind in _PARTS.items():
             value = getattr(self, field)
             if not isinstance(value, (tuple, list)):
@@ -342,27 +110,34 @@ class Scene:
         if self.relaxation_time is not None:
             # It follows the task's step, whatever was changed.
             others = tuple(item for item in self.parameters if item.symbol != self.relaxation_time)
-            settle(self, "parameters", (*others, relaxation_parameter(self)))
+            settle(
+                self,
+                "parameters",
+                (*others, relaxation_parameter(self.name, self.relaxation_time, self.task.step if self.lag is None else self.lag)),
+            )
         settle(self, "length", as_number(f"scene {self.name}: length", self.length))
         for field in ("kinetic_energy", "potential_energy"):
             settle(self, field, as_expression(f"scene {self.name}: {field}", getattr(self, field)))
-        check_scene(self)
-        check_quasi_static(self)
+        _check(self)
 
     @property
     def nq(self) -> int:
+        """The number of coordinates."""
         return len(self.coordinates)
 
     @property
     def nu(self) -> int:
+        """The number of inputs."""
         return len(self.inputs)
 
     @property
     def nc(self) -> int:
+        """The number of contacts."""
         return len(self.contacts)
 
     @property
     def nf(self) -> int:
+        """The number of frictions."""
         return len(self.frictions)
 
     @property
@@ -387,6 +162,7 @@ class Scene:
 
     @property
     def parameter_values(self) -> dict[sp.Symbol, float]:
+        """Values of the parameters, by symbol."""
         return {parameter.symbol: parameter.value for parameter in self.parameters}
 
     def limit(self, metric: str) -> Limit | None:
@@ -399,7 +175,7 @@ class Scene:
         return tuple(float(contact.depth.subs(self.parameter_values).evalf()) for contact in self.contacts)
 
     def with_parameters(self, **values: float) -> Scene:
-        """This scene with other parameter values, e.g. `scene.with_parameters(k=300.0)`. Raises SceneError for unknown names."""
+        """The scene with other parameter values, e.g. `scene.with_parameters(k=300.0)`. Raises SceneError for unknown names."""
         known = [parameter.name for parameter in self.parameters]
         for name in values:
             if name not in known:
@@ -410,14 +186,178 @@ class Scene:
         return replace(self, parameters=parameters)
 
     def with_task(self, **changes: Any) -> Scene:
-        """This scene with another task, e.g. `scene.with_task(steps=1000, step=0.005)`."""
+        """The scene with another task, e.g. `scene.with_task(steps=1000, step=0.005)`."""
         return replace(self, task=replace(self.task, **changes))
 
     def continuous(self, lag: float | None = None) -> Scene:
-        """This scene as it is judged, in continuous time: without inertia but for a `lag` (models.quasi_static.LAG unless given [s]); itself where it has
-        inertia, or is that already."""
-        from models.quasi_static import LAG
+        """The scene as it is judged, in continuous time; itself where it has inertia, or is that already.
 
+        lag: the relaxation time of a scene without inertia [s]; None: LAG of models.scene.quasi_static.
+        """
         if self.relaxation_time is None or (self.lag is not None and lag is None):
             return self
         return replace(self, lag=LAG if lag is None else lag)
+
+
+def _check(scene: Scene) -> None:
+    """What is checked of a new scene. Raises SceneError with one sentence naming the scene and the field."""
+    _check_names(scene)
+    _check_words(scene)
+    _check_lengths(scene)
+    _check_steps(scene)
+    _check_symbols(scene)
+    _check_bodies(scene)
+    _check_limits(scene)
+    if scene.relaxation_time is not None:
+        check_quasi_static(scene.name, scene.relaxation_time, scene.kinetic_energy, scene.coordinates, scene.forces)
+    elif scene.lag is not None:
+        raise _fail(scene, "lag is the value of a relaxation time, but it names none (relaxation_time=..).")
+
+
+def _fail(scene: Scene, text: str) -> SceneError:
+    return SceneError(f"scene {scene.name}: {text}")
+
+
+def _check_names(scene: Scene) -> None:
+    if not isinstance(scene.name, str) or not scene.name.isidentifier():
+        raise SceneError(f"scene: the name {scene.name!r} is not an identifier; use letters, digits and _ (it must equal the file name).")
+    if not scene.coordinates:
+        raise _fail(scene, "it has no coordinates; a scene needs at least one.")
+    for kind, items in (("contacts", scene.contacts), ("frictions", scene.frictions)):
+        for name, count in Counter(item.name for item in items).items():
+            if count > 1:
+                raise _fail(scene, f"{count} {kind} are named {name!r}; each needs a name of its own.")
+    names = [coordinate.name for coordinate in scene.coordinates] + [coordinate.velocity_name for coordinate in scene.coordinates]
+    names += [item.name for item in scene.inputs] + [parameter.name for parameter in scene.parameters]
+    names += [name for contact in scene.contacts for name in (contact.force_name, contact.gap_name)]
+    names += [contact.pressing_name for contact in scene.contacts if contact.is_damped]
+    names += [name for friction in scene.frictions for name in (friction.force_name, friction.slip_name)]
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise _fail(
+                scene,
+                f"the name {name!r} is used {count} times; coordinates, velocities, inputs, parameters, contacts and frictions need names of their own.",
+            )
+        if name in _RESERVED:
+            raise _fail(scene, f"the name {name!r} is reserved; choose another.")
+
+
+def _check_words(scene: Scene) -> None:
+    for field in ("title", "source"):
+        check_text(f"scene {scene.name}: {field}", getattr(scene, field))
+    check_text(f"scene {scene.name}: unstable", scene.unstable, empty=True)
+    if scene.length <= 0:
+        raise _fail(scene, f"length (in m, what relaxed contact is measured in) must be positive, not {scene.length:g}.")
+    if not isinstance(scene.quick, bool):
+        raise _fail(scene, f"quick says whether a quick campaign runs the scene: True or False, not {scene.quick!r}.")
+
+
+def _check_lengths(scene: Scene) -> None:
+    if len(scene.forces) != scene.nq:
+        raise _fail(
+            scene, f"forces has {len(scene.forces)} entries, but there are {scene.nq} coordinates; give one generalised force each."
+        )
+    for field in ("start", "goal"):
+        length = len(getattr(scene.task, field))
+        if length != 2 * scene.nq:
+            raise _fail(
+                scene,
+                f"task.{field} has {length} numbers, but {2 * scene.nq} are needed: {scene.nq} positions, then {scene.nq} velocities.",
+            )
+    for coordinate, velocity in zip(scene.coordinates, scene.task.start[scene.nq :], strict=True):
+        if not coordinate.velocity_lower <= velocity <= coordinate.velocity_upper:
+            raise _fail(
+                scene,
+                f"task.start has {coordinate.velocity_name} = {velocity:g}, outside its bounds "
+                f"[{coordinate.velocity_lower:g}, {coordinate.velocity_upper:g}].",
+            )
+
+
+def _check_steps(scene: Scene) -> None:
+    """A plan alone must fit into memory; methods need hundreds of times as much."""
+    each = 1 + 2 * scene.nq + scene.nu + scene.nl
+    if scene.task.steps * each > _MOST_NUMBERS:
+        raise _fail(
+            scene,
+            f"task.steps is {scene.task.steps}: a plan would hold {scene.task.steps * each:.3g} numbers of 8 bytes, more than a machine's memory; "
+            f"{each} a step allow {_MOST_NUMBERS // each} steps at most.",
+        )
+
+
+def _check_symbols(scene: Scene) -> None:
+    parameters = {parameter.symbol for parameter in scene.parameters}
+    positions = {coordinate.symbol for coordinate in scene.coordinates}
+    velocities = {coordinate.velocity for coordinate in scene.coordinates}
+    inputs = {item.symbol for item in scene.inputs}
+
+    def check(field: str, expression: sp.Expr, allowed: Iterable[sp.Symbol]) -> None:
+        allowed = set(allowed)
+        unknown = sorted(symbol.name for symbol in expression.free_symbols - allowed)
+        if unknown:
+            known = sorted(symbol.name for symbol in allowed)
+            twin = next((name for name in unknown if name in known), None)
+            if twin is not None:
+                raise _fail(
+                    scene,
+                    f"{field} uses a symbol {twin} with other assumptions than the declared one; use the same SymPy symbol in both places.",
+                )
+            raise _fail(
+                scene, f"{field} uses {', '.join(unknown)}, which is neither a parameter nor a variable allowed there ({', '.join(known)})."
+            )
+
+    check("kinetic_energy", scene.kinetic_energy, parameters | positions | velocities)
+    check("potential_energy", scene.potential_energy, parameters | positions)
+    for coordinate, force in zip(scene.coordinates, scene.forces, strict=True):
+        check(f"forces[{coordinate.name}]", force, parameters | positions | velocities | inputs)
+    for contact in scene.contacts:
+        check(f"contact {contact.name}: penetration", contact.penetration, parameters | positions)
+        check(f"contact {contact.name}: stiffness", contact.stiffness, parameters)
+        check(f"contact {contact.name}: damping", contact.damping, parameters)
+        check(f"contact {contact.name}: depth", contact.depth, parameters)
+    for friction in scene.frictions:
+        check(f"friction {friction.name}: slip", friction.slip, parameters | positions | velocities)
+        check(f"friction {friction.name}: coefficient", friction.coefficient, parameters)
+        if friction.normal_force is not None:
+            check(f"friction {friction.name}: normal_force", friction.normal_force, parameters | positions)
+    check("task.running_cost", scene.task.running_cost, parameters | positions | velocities | inputs)
+    check("task.final_cost", scene.task.final_cost, parameters | positions | velocities)
+    for shape in scene.shapes:
+        for field, value in (("x", shape.x), ("y", shape.y), ("angle", shape.angle)):
+            check(f"shape {shape.name}: {field}", value, parameters | positions)
+        for size in shape.size:
+            check(f"shape {shape.name}: size", size, parameters)
+
+
+# What may stand for one end of a contact that is no drawn body.
+_FIXED = ("ground", "wall", "joint")
+
+
+def _check_bodies(scene: Scene) -> None:
+    drawn = [shape.name for shape in scene.shapes]
+    for contact in scene.contacts:
+        unknown = [body for body in contact.bodies if body not in drawn and body not in _FIXED]
+        if drawn and unknown:
+            raise _fail(
+                scene,
+                f"contact {contact.name}: bodies names {unknown[0]!r}, which is no shape of the scene ({', '.join(drawn)}), nor one of {', '.join(_FIXED)}.",
+            )
+    for contact, depth in zip(scene.contacts, scene.depths, strict=True):
+        if not depth > 0.0:
+            raise _fail(scene, f"contact {contact.name}: depth is {depth:g} m, but must be positive.")
+
+
+def _check_limits(scene: Scene) -> None:
+    """A metric has one limit. A goal says how near is near enough, of the plan and of its replay, positions and velocities apart."""
+    for metric, count in Counter(limit.metric for limit in scene.limits).items():
+        if count > 1:
+            raise _fail(scene, f"there are {count} limits on {metric}; leave one of them.")
+    goal = scene.task.goal
+    for part, values in (("position", goal[: scene.nq]), ("velocity", goal[scene.nq :])):
+        if all(value is None for value in values):
+            continue
+        for metric in (f"terminal_{part}_error", f"replay_terminal_{part}_error"):
+            if scene.limit(metric) is None:
+                raise _fail(
+                    scene,
+                    f"task.goal asks for a {part}, but no limit says how near is near enough; add Limit(metric={metric!r}, value=.., reason=..).",
+                )

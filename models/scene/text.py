@@ -19,8 +19,10 @@ _TEXT = "_text"
 
 
 def scene_text(value: Any) -> str:
-    """Every field by name, numbers in full, SymPy expressions with their assumptions (srepr) and where somebody's own functions in them are
-    from; of a scene, which cannot change, made once."""
+    """A scene, or a part of it, as text; of a scene, which cannot change, made once.
+
+    Every field by name, numbers in full, SymPy expressions with their assumptions (srepr) and where somebody's own functions in them are from.
+    """
     if isinstance(value, Scene):
         if _TEXT not in vars(value):
             object.__setattr__(value, _TEXT, _text(value))
@@ -44,7 +46,7 @@ _DIGESTS: WeakKeyDictionary[type, str] = WeakKeyDictionary()
 
 
 def _definitions(expression: sp.Basic) -> str:
-    """What srepr leaves out: somebody's own functions have a name there, and their meaning in a file. (Undefined ones have no module.)"""
+    """What srepr leaves out: somebody's own functions have a name there, and their meaning in a file (undefined ones have no module)."""
     classes = {type(part) for part in sp.preorder_traversal(expression)}
     own = sorted(
         (kind for kind in classes if kind.__module__ and not kind.__module__.startswith("sympy.")), key=lambda kind: kind.__qualname__
@@ -53,6 +55,7 @@ def _definitions(expression: sp.Basic) -> str:
 
 
 def _digest(kind: type) -> str:
+    """Digest of where a class is from."""
     if kind not in _DIGESTS:
         _DIGESTS[kind] = loaded_sources() or _file_digest(kind)
     return _DIGESTS[kind]

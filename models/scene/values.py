@@ -22,6 +22,7 @@ _NARROWING = ("zero", "integer", "rational", "irrational", "positive", "negative
 
 
 def check_name(what: str, name: Any) -> None:
+    """Raise SceneError unless `name` is an identifier."""
     if not isinstance(name, str) or not _IDENTIFIER.match(name):
         raise SceneError(f"{what}: the name {name!r} is not an identifier; use letters, digits and _, starting with a letter.")
 
@@ -33,12 +34,14 @@ def check_text(what: str, text: Any, *, empty: bool = False) -> None:
 
 
 def check_unit(what: str, unit: Any) -> None:
+    """Raise SceneError unless `unit` is one that is known."""
     problem = unit_problem(unit)
     if problem:
         raise SceneError(f"{what}: {problem}")
 
 
 def check_symbol(what: str, symbol: Any) -> None:
+    """Raise SceneError unless `symbol` is a SymPy Symbol."""
     if not isinstance(symbol, sp.Symbol):
         raise SceneError(f"{what} must be a SymPy Symbol, not {type(symbol).__name__}.")
 

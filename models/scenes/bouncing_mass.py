@@ -1,4 +1,4 @@
-"""A mass falls on a spring floor and bounces for ever: no input, no damping, every figure known in closed form.
+"""A mass falls on a spring floor and bounces for ever: no input, no damping, every number known in closed form.
 
 With w = sqrt(k/m) and s the speed at which the mass meets the floor (s^2 = 2 g q(0) when it is dropped at rest):
 

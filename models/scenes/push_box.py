@@ -8,7 +8,7 @@ The table: friction under a sliding box is a limit surface, here the ellipsoid o
 proportional to wrench: d v = F, d c^2 omega = torque, where c is the mean distance of the footprint from its centre, the ratio of the largest
 torque to the largest force that a uniformly pressed table gives. The finger is driven through the same sort of damper, as a robot's would be whose
 velocity is commanded. Nothing has inertia: it is written as M dv/dt = F - D v with M = tau D, and tau is the time step of whoever makes a plan, which
-makes v' = v + h/M (F - D v) the quasi-static law v' = D^-1 F itself. The judge takes tau to nearly nothing (models.quasi_static): what it judges
+makes v' = v + h/M (F - D v) the quasi-static law v' = D^-1 F itself. The judge takes tau to nearly nothing (models.scene.quasi_static): what it judges
 knows no grid.
 
 The rim is one smooth curve, D(p) = log(sum of exp(beta d_i))/beta over the distances d_i from the lines of the four faces: the faces but for

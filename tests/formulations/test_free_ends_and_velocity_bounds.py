@@ -15,7 +15,7 @@ from models.catalog import load_scene
 from models.errors import SceneError
 from models.scene import Scene
 from models.scene.goal import distance, goal_state, miss
-from models.scene.scene import goal_limits
+from models.scene.parts import goal_limits
 from validate.judge.score import score
 
 SCENE = load_scene("wall_pendulum")

@@ -21,11 +21,12 @@ from formulations.transcription.contact import ContactFormulation, tighten
 from formulations.transcription.residuals import PlanResiduals
 from formulations.transcription.workbench import load_plan
 from models.catalog import load_scene
-from models.codegen.kernel import load_kernel, load_steps
+from models.codegen.kernel import load_kernel
+from models.codegen.steps import load_steps
 from models.contact_law import ContactLaw as ForceLaw
 from models.scene import Coordinate, Input, Parameter, Scene, Task
 from models.scene.contacts import Contact, DampingLaw
-from models.scene.scene import goal_limits
+from models.scene.parts import goal_limits
 from models.trajectory import Trajectory, uniform_grid
 
 SIZE, EPS = 0.1, 1e-3

@@ -97,7 +97,7 @@ def texts(scene: Scene) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("name", ["three_cart", "bouncing_mass", "transport"])
-def test_a_scene_without_damping_has_nothing_of_it(name: str):
+def test_undamped_scene_has_no_damping_code(name: str):
     scene = load_scene(name)
     written = texts(scene)
     for place, text in written.items():
@@ -116,7 +116,7 @@ def test_a_scene_with_damping_has_all_of_the_sources():
         assert for_scene(scene, text) == text
 
 
-def test_what_is_left_out_is_exactly_what_is_for_damping():
+def test_for_scene_removes_exactly_the_damping_sections():
     scene = load_scene("three_cart")
     text = "a\n\n#ifdef DAMPING\nb\n#if X\nc\n#else\nc2\n#endif\n#else\nd\n#endif\n    DAMPED(e;)\n\nf\n#ifndef DAMPING\ng\n#endif\n#if X\nh\n#endif\n"
     assert for_scene(scene, text) == "a\n\nd\n\nf\ng\n#if X\nh\n#endif\n"

@@ -114,7 +114,7 @@ def test_a_unit_that_is_no_mass_is_named_with_the_one_that_is():
         ),
     ],
 )
-def test_what_does_not_fit_is_named(given: dict, words: list[str]):
+def test_unit_mismatch_names_the_term(given: dict, words: list[str]):
     text = wrong(**given)
     assert all(word in text for word in words), text
 

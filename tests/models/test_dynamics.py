@@ -107,6 +107,6 @@ def test_three_cart_is_mirror_symmetric():
     assert np.allclose(phi(q).ravel(), phi(-q[::-1]).ravel()[::-1], rtol=0, atol=ROUNDING)
 
 
-def test_derivation_is_kept_with_the_scene():
+def test_derivation_is_cached_with_the_scene():
     scene = load_scene("three_cart")
     assert derive(scene) is derive(scene)

@@ -11,7 +11,7 @@ from models.errors import SceneError, TrajectoryError
 from models.scene import Coordinate, Input, Parameter, Scene, Task
 from models.scene.checks import check_expressions
 from models.scene.contacts import Contact, Friction
-from models.scene.scene import goal_limits
+from models.scene.parts import goal_limits
 from models.trajectory import Trajectory
 
 x1, x2, z, w1, w2, wz, push = sp.symbols("x1 x2 z w1 w2 wz push", real=True)

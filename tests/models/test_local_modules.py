@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from models.catalog import load_scene
 from models.codegen.emit import emit_model
-from models.codegen.kept import kept_text
+from models.codegen.text_cache import cached_text
 from models.errors import SceneError
 from models.scene import Scene
 from models.scene.text import equations_text, scene_text
@@ -86,7 +86,7 @@ def test_generated_code_is_that_of_the_changed_module(tmp_path: Path, monkeypatc
     monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path / "cache"))
 
     def code(scene: Scene) -> str:
-        return kept_text(scene, "probe.h", lambda: emit_model(scene, defaults=False))
+        return cached_text(scene, "probe.h", lambda: emit_model(scene, defaults=False))
 
     for hard in (1.5, 2.5):
         assert f"{hard} * sin(" in code(load_scene(str(write(tmp_path, hard))))

@@ -14,7 +14,7 @@ from models.errors import SceneError, UnknownNameError
 from models.scene import Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
 from models.scene.checks import check_expressions
 from models.scene.contacts import Friction
-from models.scene.scene import goal_limits
+from models.scene.parts import goal_limits
 from models.scene.units import base_exponents
 
 x, vx, u = sp.symbols("x vx u", real=True)
@@ -102,7 +102,7 @@ def test_a_mistake_is_one_sentence(changes: dict, words: list[str]):
     assert all(word in text for word in words), text
 
 
-def test_bodies_are_shapes_or_what_stands_fixed():
+def test_contact_bodies_are_shapes_or_fixed():
     """A scene that draws nothing may name its bodies as it likes."""
     box = Shape(name="mass", kind="disc", x=x, y=sp.Integer(0), size=(1,))
     assert small_scene(shapes=(box,)).contacts[0].bodies == ("mass", "wall")
@@ -205,7 +205,7 @@ def test_other_parameter_values():
         small_scene().with_parameters(kk=1.0)
 
 
-def test_the_catalog_names_what_there_is():
+def test_catalog_lists_all_scenes():
     assert "three_cart" in scene_names()
     with pytest.raises(UnknownNameError, match="did you mean three_cart"):
         load_scene("three_carts")
@@ -254,7 +254,7 @@ def test_a_missing_scene_file_is_named():
         ({"task": {}}, ["task must be a Task", "dict"]),
     ],
 )
-def test_what_is_no_part_of_a_scene_is_named(changes: dict, words: list[str]):
+def test_scene_rejects_wrong_parts(changes: dict, words: list[str]):
     with pytest.raises(SceneError) as error:
         small_scene(**changes)
     assert all(word in str(error.value) for word in ["scene small", *words]), str(error.value)
@@ -402,7 +402,7 @@ def test_a_corner_of_parameters_is_a_parameter(field: str):
         check_expressions(small_scene(contacts=(wall,)))
 
 
-def test_what_has_no_form_in_c_but_is_no_function_is_said_where_it_is_written():
+def test_expressions_without_c_form_are_refused_when_emitted():
     with pytest.raises(SceneError, match=r"scene small: .* contain Integral, which has no form in C"):
         emit_model(small_scene(forces=(u + sp.Integral(sp.cos(sp.Symbol("s") ** 5 + x), (sp.Symbol("s"), 0, 1)),)))
 

@@ -43,11 +43,13 @@ BANK: dict[str, Callable[[], Scene]] = {
     **{f"cart_chain({n})": (lambda n=n: cart_chain(n)) for n in (2, 3, 5, 20)},
     "two_discs(wall)": lambda: two_discs(wall=True),
 }
+# What else tests/models/test_pushing_and_hopping.py is about.
+WITH_FRICTION = ("push_box", "hopper_planar")
 
 
 @cache
 def scene_of(name: str) -> Scene:
-    return BANK[name]()
+    return BANK[name]() if name in BANK else load_scene(name)
 
 
 @cache
@@ -65,12 +67,13 @@ def points(scene: Scene) -> tuple[np.ndarray, ...]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", BANK)
+@pytest.mark.parametrize("name", [*BANK, *WITH_FRICTION])
 def test_c_sympy_and_pyomo_agree_at_probe_points(name: str):
     """SymPy by numpy is the reference; the C kernel and the functions that write the Pyomo model, given numbers, give the same."""
     scene, kernel, d = scene_of(name), kernel_of(name), derive(scene_of(name))
     mass, force = d.function(d.mass_matrix, d.q), d.function(d.generalised_force, d.q, d.v, d.u, (*d.lam, *d.f))
-    phi, cost, end = d.function(d.penetration, d.q), d.function([d.running_cost], d.q, d.v, d.u), d.function([d.final_cost], d.q, d.v)
+    phi, slip = d.function(d.penetration, d.q), d.function(d.slip, d.q, d.v)
+    cost, end = d.function([d.running_cost], d.q, d.v, d.u), d.function([d.final_cost], d.q, d.v)
     written, p = SceneExpressions(d), [parameter.value for parameter in scene.parameters]
     for q, v, u, lam in zip(*points(scene), strict=True):
         close = {"rel": 1e-11, "abs": 1e-11}
@@ -78,13 +81,14 @@ def test_c_sympy_and_pyomo_agree_at_probe_points(name: str):
         assert np.isfinite(expected).all()
         assert kernel.acceleration(q[None], v[None], u[None], lam[None])[0] == pytest.approx(expected, **close)
         assert kernel.penetration(q[None])[0] == pytest.approx(phi(q).ravel(), **close)
+        assert kernel.slip(q[None], v[None])[0] == pytest.approx(slip(q, v).ravel(), **close)
         pairs = np.array([q, q]), np.array([v, v])
         assert kernel.cost(*pairs, u[None]) == pytest.approx(cost(q, v, u).item() + end(q, v).item(), **close)
         numbers = [[float(pyo.value(entry)) for entry in entries] for entries in (
             written.mass(q, p), written.force(q, v, u, lam, p), written.penetration(q, p), written.running_cost(q, v, u, p),
-            written.final_cost(q, v, p) or [0.0],
+            written.final_cost(q, v, p) or [0.0], written.slip(q, v, p),
         )]  # fmt: skip
-        references = (mass(q), force(q, v, u, lam), phi(q), cost(q, v, u), end(q, v))
+        references = (mass(q), force(q, v, u, lam), phi(q), cost(q, v, u), end(q, v), slip(q, v))
         for found, reference in zip(numbers, references, strict=True):
             assert found == pytest.approx(reference.ravel(), **close)
 
@@ -130,6 +134,8 @@ MIRRORS = {
         np.block([[_PAIR, np.zeros((2, 3))], [np.zeros((1, 2)), np.ones((1, 1)), np.zeros((1, 2))], [np.zeros((2, 3)), -_PAIR]]),
     ),
     "two_discs": (np.diag([-1.0, 1.0, -1.0, 1.0]), np.diag([-1.0, 1.0]), np.eye(1)),
+    "push_box": (np.diag([-1.0, 1.0, -1.0, -1.0, 1.0]), np.diag([-1.0, 1.0]), np.diag([1.0, -1.0])),
+    "hopper_planar": (np.diag([-1.0, 1.0, -1.0, -1.0, 1.0]), np.diag([1.0, -1.0]), np.diag([1.0, -1.0])),
 }
 
 

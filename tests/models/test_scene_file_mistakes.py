@@ -12,7 +12,7 @@ SOUND = '''"""A mass before a wall, rubbing along it."""
 import sympy as sp
 from models.scene.contacts import Friction
 from models.scene import Contact, Coordinate, Input, Limit, Parameter, Scene, Shape, Task
-from models.scene.scene import goal_limits
+from models.scene.parts import goal_limits
 x, vx, y, vy, u = sp.symbols("x vx y vy u", real=True)
 m, k, mu = sp.symbols("m k mu", positive=True)
 SCENE = Scene(

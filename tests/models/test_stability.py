@@ -50,7 +50,7 @@ def test_a_free_pair_and_a_long_chain():
     assert step_stability(chain).largest_step == pytest.approx(root, rel=1e-5)
 
 
-def test_what_cannot_be_closed_together_is_not():
+def test_contacts_that_exclude_each_other_are_not_closed_together():
     """The two walls are 2 m apart: both closed would be twice as stiff."""
     found = step_stability(load_scene("cart_pole_walls").with_parameters(k=2e5))
     assert len(found.contacts) == 1

@@ -45,7 +45,7 @@ ACCEPTED = {
 
 
 @pytest.mark.parametrize("kind", REFUSED)
-def test_what_is_made_of_the_step_is_found(kind: str):
+def test_parameters_made_of_the_step_are_found(kind: str):
     text = REFUSED[kind]
     problem = step_problem(text)
     assert problem is not None
@@ -57,7 +57,7 @@ def test_what_is_made_of_the_step_is_found(kind: str):
 
 
 @pytest.mark.parametrize("kind", ACCEPTED)
-def test_what_is_not_is_left_alone(kind: str):
+def test_parameters_independent_of_the_step_are_accepted(kind: str):
     assert step_problem(ACCEPTED[kind]) is None
 
 

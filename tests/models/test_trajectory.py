@@ -97,7 +97,7 @@ PLAIN = "t,q1,q2,q3,u1,u3\n0,0,1,2,1,0.5\n1,1,2,3,1,0\n2,2,3,4,,\n"
     ],
     ids=["CRLF", "BOM", "semicolons", "decimal commas", "tabs", "spaces", "quotes", "comments", "short last row"],
 )
-def test_what_other_programs_write_is_read(tmp_path: Path, scene, text: str):
+def test_csv_of_other_programs_is_read(tmp_path: Path, scene, text: str):
     path = tmp_path / "plan.csv"
     path.write_bytes(text.encode())
     plan = read_csv(path, scene)
@@ -129,7 +129,7 @@ def test_what_other_programs_write_is_read(tmp_path: Path, scene, text: str):
         ("t,Q1,q2,q3,u1,u3\n0,0,1,2,1,0\n1,1,2,3,1,0\n", ["'Q1'", "did you mean 'q1'?"]),
     ],
 )
-def test_a_bad_file_is_told_where(tmp_path: Path, scene, text: str, words: list[str]):
+def test_bad_csv_names_line_and_column(tmp_path: Path, scene, text: str, words: list[str]):
     path = tmp_path / "plan.csv"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(TrajectoryError) as caught:
@@ -194,7 +194,7 @@ def test_a_declaration_that_is_none_is_refused(tmp_path: Path, scene, above: str
     assert str(path) in str(caught.value)
 
 
-def test_what_is_asked_for_must_not_contradict_what_is_declared(tmp_path: Path, scene):
+def test_hold_and_scheme_must_agree_with_declarations(tmp_path: Path, scene):
     path = tmp_path / "plan.csv"
     path.write_text("# hold: zero\n" + BODY)
     assert read_csv(path, scene, Hold.ZERO_ORDER).hold is Hold.ZERO_ORDER
@@ -306,13 +306,13 @@ def test_arrays_by_name_are_a_plan(scene, changes: dict):
         ({"t": np.zeros(1)}, "it has 1 row; at least two are needed"),
     ],
 )
-def test_arrays_that_are_no_plan_are_told_which(scene, changes: dict, words: str):
+def test_wrong_arrays_are_named(scene, changes: dict, words: str):
     with pytest.raises(TrajectoryError) as caught:
         trajectory_from(ArrayTable(ARRAYS | changes), scene)
     assert words in str(caught.value)
 
 
-def test_arrays_without_time_are_told_so(scene):
+def test_arrays_without_time_are_refused(scene):
     with pytest.raises(TrajectoryError, match="the column 't' is missing"):
         trajectory_from(ArrayTable({name: values for name, values in ARRAYS.items() if name != "t"}), scene)
 

@@ -6,7 +6,7 @@ With semi-implicit steps of h the growth is that of the larger root z of z^2 - (
 import sympy as sp
 
 from models.scene import Coordinate, Input, Scene, Task
-from models.scene.scene import goal_limits
+from models.scene.parts import goal_limits
 
 q, v, u = sp.symbols("q v u", real=True)
 

@@ -6,7 +6,7 @@ Every back end must leave out what is not here.
 import sympy as sp
 
 from models.scene import Coordinate, Scene, Task
-from models.scene.scene import goal_limits
+from models.scene.parts import goal_limits
 
 q, v = sp.symbols("q v", real=True)
 

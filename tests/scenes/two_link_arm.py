@@ -8,7 +8,7 @@ x = w. Without torques, damping and contact the energy is kept.
 import sympy as sp
 
 from models.scene import Contact, Coordinate, Input, Parameter, Scene, Shape, Task
-from models.scene.scene import goal_limits
+from models.scene.parts import goal_limits
 
 q1, q2 = sp.symbols("q1 q2", real=True)
 v1, v2 = sp.symbols("v1 v2", real=True)

@@ -6,7 +6,6 @@ path = build_contact(part)      inputs q and v of the coordinates it touches; ou
 from __future__ import annotations
 
 import hashlib
-import tempfile
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -14,18 +13,16 @@ import sympy as sp
 
 from models.codegen.c_function import Vector, c_function
 from models.codegen.cache import cached
-from models.codegen.compiler import compile_shared
 from models.errors import SceneError
 from models.fmu.coupled.parts import ContactPart, force_unit
 from models.fmu.description import find_standard, source_epoch, standard_headers
-from models.fmu.package import pack
+from models.fmu.package import binaries, icons, pack
 from models.fmu.platforms import find_platforms, platform_compiler
 from models.fmu.rendering import render
-from models.fmu.variables import Variable, VariableKind
+from models.fmu.variables import Variable, VariableKind, parameter_variables
 from models.scene.units import base_exponents
 
 _HERE = Path(__file__).parent
-_ICON = _HERE.parent / "icon"
 
 
 def contact_table(part: ContactPart) -> tuple[Variable, ...]:
@@ -33,7 +30,7 @@ def contact_table(part: ContactPart) -> tuple[Variable, ...]:
     return (
         Variable(name="time", kind=VariableKind.TIME, unit="s", description="time"),
         *_inputs(part),
-        *_parameters(part),
+        *parameter_variables(part.parameters),
         *_outputs(part),
     )
 
@@ -49,15 +46,7 @@ def build_contact(part: ContactPart) -> Path:
 
     def build(path: Path) -> None:
         content = {name: text.encode() for name, text in texts.items()}
-        content["model.png"] = content["terminalsAndIcons/icon.png"] = (_ICON / "icon.png").read_bytes()
-        content["terminalsAndIcons/icon.svg"] = (_ICON / "icon.svg").read_bytes()
-        sources = {name.removeprefix("sources/"): text for name, text in texts.items() if name.startswith("sources/")}
-        with tempfile.TemporaryDirectory(prefix="touchstone-fmu-", dir=path.parent) as folder:
-            for platform, compiler in compilers.items():
-                library = Path(folder) / f"{platform.name}{platform.suffix}"
-                compile_shared(compiler, sources, library, flags=platform.flags)
-                content[f"binaries/{platform.folder(standard)}/{part.name}{platform.suffix}"] = library.read_bytes()
-        pack(path, content, first="modelDescription.xml")
+        pack(path, content | icons(standard) | binaries(texts, standard, part.name, compilers, path.parent), first="modelDescription.xml")
 
     return cached(key, f".{part.name}.fmu", build)
 
@@ -76,7 +65,7 @@ def contact_texts(part: ContactPart) -> dict[str, str]:
         "step": part.step,
         "horizon": part.horizon,
         "inputs": _inputs(part),
-        "parameters": _parameters(part),
+        "parameters": parameter_variables(part.parameters),
         "outputs": _outputs(part),
         "functions": _functions(part),
         "penetration": str(part.contact.penetration),
@@ -127,21 +116,6 @@ def _inputs(part: ContactPart) -> list[Variable]:
         for i, item in enumerate(part.coordinates)
     ]
     return [*positions, *velocities]
-
-
-def _parameters(part: ContactPart) -> list[Variable]:
-    return [
-        Variable(
-            name=item.name,
-            kind=VariableKind.PARAMETER,
-            unit=item.unit,
-            start=item.value,
-            lower=item.lower,
-            upper=item.upper,
-            description=item.description or f"parameter {item.name}",
-        )
-        for item in part.parameters
-    ]
 
 
 def _outputs(part: ContactPart) -> list[Variable]:

@@ -37,8 +37,8 @@ class ContactPart:
     horizon: float
 
     def force_name(self, coordinate: Coordinate) -> str:
-        """The generalised force of this contact on a coordinate."""
-        return force_name(self.contact, coordinate)
+        """Name of the generalised force of this contact on a coordinate, as `lam_left_q1`."""
+        return f"{self.contact.force_name}_{coordinate.name}"
 
 
 @dataclass(frozen=True)
@@ -60,10 +60,6 @@ class Parts:
     contacts: tuple[ContactPart, ...]
     connections: tuple[Connection, ...]
     external: tuple[tuple[str, str], ...]
-
-
-def force_name(contact: Contact, coordinate: Coordinate) -> str:
-    return f"{contact.force_name}_{coordinate.name}"
 
 
 def force_unit(coordinate: Coordinate) -> str:

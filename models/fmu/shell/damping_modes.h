@@ -42,15 +42,20 @@ static inline Push pressing(const Contacts *at, int i)
 }
 
 /* Overwrite the forces of the damped contacts in lam and fill their rows; modes: or NULL for the true law. */
-static inline void damped_forces(const Model *m, const double *q, const double *v, const int *modes, double *lam)
+SCENE_INLINE void damped_forces(const Model *m, const double *q, const double *v, const double *phi, const int *modes, double *lam)
 {
     Contacts at;
-    look_at_contacts(m, q, v, &at);
+    int known = 0;
     for (int j = 0; j < ND; j++) {
-        const int i = scene_damped[j], closed = modes ? modes[i] : at.phi[i] > 0.0;
+        const int i = scene_damped[j];
+        lam[i] = 0.0;
+        lam[PRESSING + j] = 1.0;
+        if (!(modes ? modes[i] : phi[i] > 0.0)) continue;
+        if (!known) look_at_contacts(m, q, v, &at);
+        known = 1;
         const double push = push_of(&at, i).value;
-        lam[i] = closed && (modes ? modes[PRESSING + j] : push > 0.0) ? push : 0.0;
-        lam[PRESSING + j] = closed ? pressing(&at, i).value : 1.0;
+        if (modes ? modes[PRESSING + j] : push > 0.0) lam[i] = push;
+        lam[PRESSING + j] = pressing(&at, i).value;
     }
 }
 

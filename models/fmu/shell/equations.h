@@ -3,9 +3,25 @@
 #define EQUATIONS_H
 
 #include "model.h"
-#include "friction_values.h"
 #ifdef DAMPING
 #include "damping_modes.h"
+#endif
+#if NF > 0
+#include "friction_modes.h"
+#else
+/* Without friction: what friction_modes.h would define. */
+static inline double slip_value(const Model *m, int j) { return (void)m, (void)j, NAN; }
+static inline double reserve_value(const Model *m, int j) { return (void)m, (void)j, NAN; }
+static inline double friction_power(const Model *m) { return (void)m, 0.0; }
+static inline int friction_tangent(const Model *m, Tangent *d) { return (void)m, (void)d, 0; }
+static inline double slip_tangent(const Model *m, const Tangent *d, int j) { return (void)m, (void)d, (void)j, NAN; }
+static inline double reserve_tangent(const Model *m, const Tangent *d, int j) { return (void)m, (void)d, (void)j, NAN; }
+static inline double friction_power_tangent(const Model *m, const Tangent *d) { return (void)m, (void)d, 0.0; }
+static inline void slip_adjoint(const Model *m, double weight, int j, Tangent *bar) { (void)m, (void)weight, (void)j, (void)bar; }
+static inline void reserve_adjoint(const Model *m, double weight, int j, Tangent *bar) { (void)m, (void)weight, (void)j, (void)bar; }
+static inline void friction_power_adjoint(const Model *m, double weight, Tangent *bar) { (void)m, (void)weight, (void)bar; }
+static inline int sticking_adjoint(const Model *m, Tangent *bar) { return (void)m, (void)bar, 0; }
+static inline void slipping_adjoint(const Model *m, Tangent *bar) { (void)m, (void)bar; }
 #endif
 
 /* Half-width of the hysteresis around gap = 0, as a share of the contact's nominal penetration. Event location leaves a gap
@@ -50,7 +66,7 @@ static inline int update_modes(const Model *m, const double *q, const double *v,
     double k[ROOM(NC)], lam[NL];
     scene_stiffness(m->p, k);
     contact_forces(phi, k, modes, lam);
-    DAMPED(damped_forces(m, q, v, modes, lam);)
+    DAMPED(damped_forces(m, q, v, phi, modes, lam);)
     const int slips = decide_friction(m, q, v, u, modes + NC, lam);
     changes += slips > 0 ? slips : 0; /* where it fails, so does the acceleration, and says so */
 #else
@@ -74,11 +90,11 @@ typedef struct {
 } Law;
 
 /* All forces at (q, v, u) under a law; 1 as in model_acceleration. */
-static inline int model_forces(const Model *m, const double *q, const double *v, const double *u, const Law *law, const double *phi, const double *k,
+SCENE_INLINE int model_forces(const Model *m, const double *q, const double *v, const double *u, const Law *law, const double *phi, const double *k,
     double *lam)
 {
     contact_forces(phi, k, law->modes, lam);
-    DAMPED(damped_forces(m, q, v, law->modes, lam);)
+    DAMPED(damped_forces(m, q, v, phi, law->modes, lam);)
 #if NF > 0
     if (law->modes) return friction_in_modes(m, q, v, u, law->modes + NC, lam);
     memcpy(lam + NC, law->friction, NF * sizeof *lam);
@@ -126,7 +142,7 @@ static inline int decide_pressing(const Model *m, const double *q, const double 
     scene_penetration(q, m->p, phi);
     scene_stiffness(m->p, k);
     if (!model_forces(m, q, v, u, &law, phi, k, lam) && !scene_acceleration(q, v, u, lam, m->p, a)) pressing_rates(m, q, v, a, rates);
-    damped_forces(m, q, v, modes, lam);
+    damped_forces(m, q, v, phi, modes, lam);
     for (int j = 0; j < ND; j++) {
         const int before = modes[PRESSING + j], mode = modes[scene_damped[j]] && pressing_mode(lam[PRESSING + j], rates[j], before);
         changes += mode != before;

@@ -101,7 +101,7 @@ static inline StepResult advance(const Model *m, const int *modes, const Point *
         scene_penetration(from->q, m->p, phi);
         scene_stiffness(m->p, k);
         contact_forces(phi, k, NULL, lam);
-        DAMPED(damped_forces(m, from->q, from->v, NULL, lam);)
+        DAMPED(damped_forces(m, from->q, from->v, phi, NULL, lam);)
         inputs_at(inputs, offset, u);
         if (friction_forces(0, 0.0, s, m->p, from->q, from->v, u, lam)) return STEP_MASS;
         law.friction = lam + NC;
@@ -266,7 +266,7 @@ static inline void leave_mode(const Model *m, int *modes, const Point *x, const 
     scene_penetration(x->q, m->p, phi);
     scene_stiffness(m->p, k);
     contact_forces(phi, k, modes, lam);
-    DAMPED(damped_forces(m, x->q, x->v, modes, lam);)
+    DAMPED(damped_forces(m, x->q, x->v, phi, modes, lam);)
     decide_friction(m, x->q, x->v, u, modes + NC, lam);
 #else
     (void)m, (void)x, (void)u;

@@ -9,6 +9,11 @@
 #include <math.h>
 #include <string.h>
 
+/* Inlined wherever it is called: forces and the solve within an acceleration, forces in modes that the caller knows. At -O2 gcc leaves
+ * that, which costs two_finger 7 % of the instructions of Model Exchange and 4 % of those of Co-Simulation. */
+#if defined(__GNUC__)
+#define SCENE_INLINE static inline __attribute__((always_inline, unused))
+#endif
 #include "scene_model.h"
 #include "scene_sensitivity.h"
 

@@ -15,7 +15,7 @@ from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.scene import Scene
-from models.scene.scene import goal_limits
+from models.scene.parts import goal_limits
 
 STEPS = 96
 IDLE = 0.61

@@ -12,7 +12,8 @@ from formulations.multiple_shooting.solver import Stages
 from formulations.pipelines import MULTIPLE_SHOOTING_EPS, load_method
 from formulations.solution import Outcome, Solution
 from models.catalog import load_scene
-from models.codegen.kernel import load_kernel, load_steps
+from models.codegen.kernel import load_kernel
+from models.codegen.steps import load_steps
 from models.dynamics import derive
 from models.scene import Scene
 

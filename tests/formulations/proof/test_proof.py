@@ -26,7 +26,7 @@ from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.errors import MachineError, SceneError
 from models.scene import Scene
-from models.scene.scene import goal_limits
+from models.scene.parts import goal_limits
 from tests.formulations.transcription.rollouts import rolled_out
 
 PENDULUM = load_scene("wall_pendulum")

@@ -14,7 +14,7 @@ from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw
 from models.scene import Contact, Coordinate, Input, Scene, Task
-from models.scene.scene import goal_limits
+from models.scene.parts import goal_limits
 
 SCENE = load_scene("three_cart")
 APART = SCENE.with_task(start=(0.0, 3.0, 6.0, 0.0, 0.0, 0.0), goal=(0.5, 3.5, 6.5, 0.0, 0.0, 0.0))

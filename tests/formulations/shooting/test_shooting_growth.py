@@ -12,7 +12,8 @@ from formulations.shooting.growth import GradientGrowth, measure_growth
 from formulations.shooting.objective import Objective
 from formulations.solution import Outcome
 from models.catalog import load_scene
-from models.codegen.kernel import load_kernel, load_steps
+from models.codegen.kernel import load_kernel
+from models.codegen.steps import load_steps
 from models.contact_law import ContactLaw
 
 HILL = example_scene("leaning_mass")

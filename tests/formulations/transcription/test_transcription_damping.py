@@ -19,7 +19,7 @@ from models.errors import SceneError
 from models.fmu.coupled.parts import split
 from models.scene import Coordinate, Input, Parameter, Scene, Task
 from models.scene.contacts import Contact, DampingLaw
-from models.scene.scene import goal_limits
+from models.scene.parts import goal_limits
 from models.trajectory import Trajectory
 from tests.formulations.transcription.rollouts import rolled_out
 

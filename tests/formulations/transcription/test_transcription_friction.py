@@ -14,7 +14,7 @@ from models.codegen.kernel import load_kernel
 from models.contact_law import ContactLaw as ForceLaw
 from models.scene import Coordinate, Input, Parameter, Scene, Task
 from models.scene.contacts import Contact, Friction
-from models.scene.scene import goal_limits
+from models.scene.parts import goal_limits
 from models.trajectory import Trajectory, uniform_grid
 
 cargo, cart, height, vx, wx, vz, push, press = sp.symbols("cargo cart height vx wx vz push press", real=True)

@@ -73,7 +73,7 @@ def test_products_of_the_equations_of_motion_are_each_others_transposes(name: st
     assert sum(terms) == pytest.approx(forward, rel=1e-10, abs=1e-10 * sum(map(abs, terms)))
 
 
-def test_what_is_shared_many_times_is_differentiated_once():
+def test_shared_subexpressions_are_differentiated_once():
     """Thirty nested products: written out they have 2^30 terms."""
     (x,) = (vector := Vector.of("x", ("a",))).symbols
     value: sp.Expr = x
@@ -98,7 +98,7 @@ def test_c_functions_define_before_they_use_and_leave_out_what_nothing_needs():
     assert "sin" not in pulled  # sin(k) does not depend on x
 
 
-def test_of_nothing_nothing_is_written():
+def test_derivatives_of_empty_columns_are_empty():
     nothing, empty = sp.zeros(0, 1), Vector.of("w", ())
     assert push_forward(nothing, [(X, tangent(X))]).columns[0].shape == (0, 1)
     assert pull_back(nothing, empty, [X]).columns[0] == sp.zeros(3, 1)

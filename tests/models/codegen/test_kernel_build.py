@@ -145,7 +145,7 @@ def test_two_processes_may_build_at_once(tmp_path: Path):
     assert sorted(path.suffix for path in tmp_path.iterdir()) == [".h", ".so"]
 
 
-def test_what_was_being_built_by_the_dead_goes_with_the_next_build(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_next_build_removes_folders_of_dead_builders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("TOUCHSTONE_CACHE", str(tmp_path))
     host = socket.gethostname()
     dead, living, elsewhere = (

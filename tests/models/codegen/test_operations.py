@@ -82,7 +82,7 @@ def test_every_form_of_arithmetic_is_counted(expression: str, expected: Operatio
     assert count_operations(text) == {"f": expected}
 
 
-def test_what_is_squared_is_computed_once():
+def test_squared_factors_are_computed_once():
     """Of two fingers: eight sines and cosines and two roots for both gaps."""
     assert count_operations(emit_model(load_scene("two_finger")))["scene_penetration"] == Operations(add=17, multiply=13, call=10)
 
@@ -128,7 +128,7 @@ def test_a_sparse_factorisation_solves_what_a_dense_one_does(seed: int, tmp_path
     n = 6
     factor = np.tril(rng.normal(size=(n, n)) * (rng.random((n, n)) < 0.4)) + 2 * np.eye(n)
     mass, b = factor @ factor.T, rng.normal(size=n)
-    head = '#include <math.h>\n#define NQ 6\n#define SCENE_FUNCTION __attribute__((visibility("default")))\n'
+    head = '#include <math.h>\n#define NQ 6\n#define SCENE_INLINE __attribute__((visibility("default")))\n'
     library = tmp_path / "solve.so"
     compile_shared(find_compiler(), {"solve.c": head + cholesky_function(sp.Matrix(mass))}, library)
     solve = ctypes.CDLL(str(library)).scene_solve

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from models.catalog import load_scene, scene_names
-from models.codegen.kernel import KernelError, Steps, load_kernel, load_steps
+from models.codegen.kernel import KernelError, load_kernel
+from models.codegen.steps import Steps, load_steps
 from models.contact_law import ContactLaw
 from models.scene import Scene
 
@@ -86,7 +87,7 @@ def test_feedback_jumps_and_bounds_are_what_the_docstring_says():
     np.testing.assert_allclose(run.x[1:], alone.next + jump, rtol=1e-12, atol=1e-14)
 
 
-def test_what_is_not_finite_is_said():
+def test_non_finite_steps_are_reported():
     steps = steps_of("three_cart")
     x = np.array([STATES["three_cart"]])
     assert steps.linearise(x, np.array([[np.inf, 0.0]]), 0.01) is None

@@ -35,18 +35,20 @@ class Driver:
     """One instance of an FMU, by variable names. `log` collects (status, category, message)."""
 
     def __init__(self, scene: Scene, folder: str, kind: type, *, guid: str | None = None, logging: bool = False) -> None:
-        self.scene, self.names = scene, variable_names(scene)
-        self.description = fmpy.read_model_description(folder)
-        self.references = {variable.name: variable.valueReference for variable in self.description.modelVariables}
-        self.log: list[tuple[int, str, str]] = []
-        self.fmu: Any = kind(
-            guid=guid or self.description.guid, unzipDirectory=folder, modelIdentifier=scene.name, instanceName="under 100 % test"
-        )
+        self._prepare(scene, folder, kind, guid)
         self._callbacks = fmi2CallbackFunctions()
         self._callbacks.logger = fmi2CallbackLoggerTYPE(
             lambda environment, name, status, category, message: self.log.append((status, category.decode(), message.decode()))
         )
         self.fmu.instantiate(callbacks=self._callbacks, loggingOn=logging)
+
+    def _prepare(self, scene: Scene, folder: str, kind: type, guid: str | None = None) -> None:
+        self.scene, self.names = scene, variable_names(scene)
+        self.description = fmpy.read_model_description(folder)
+        self.references = {variable.name: variable.valueReference for variable in self.description.modelVariables}
+        self.log: list[tuple[int, str, str]] = []
+        guid = guid or self.description.guid or self.description.instantiationToken
+        self.fmu: Any = kind(guid=guid, unzipDirectory=folder, modelIdentifier=scene.name, instanceName="under 100 % test")
 
     def close(self) -> None:
         if self.fmu.component is not None:
@@ -69,9 +71,12 @@ class Driver:
     def directional(self, unknowns: tuple[str, ...], knowns: tuple[str, ...], seed: np.ndarray) -> np.ndarray:
         return np.array(self.fmu.getDirectionalDerivative(self.vr(unknowns), self.vr(knowns), list(seed)))
 
-    def initialise(self, q: Any = None, v: Any = None, u: Any = None, stop: float | None = None, **values: float) -> Driver:
+    def enter_initialization(self, stop: float | None) -> None:
         self.fmu.setupExperiment(startTime=0.0, stopTime=stop)
         self.fmu.enterInitializationMode()
+
+    def initialise(self, q: Any = None, v: Any = None, u: Any = None, stop: float | None = None, **values: float) -> Driver:
+        self.enter_initialization(stop)
         for names, given in ((self.names.q, q), (self.names.v, v), (self.names.u, u)):
             if given is not None:
                 self.set_all(names, given)
@@ -149,13 +154,7 @@ class Driver3(Driver):
     """As Driver, for FMI 3.0."""
 
     def __init__(self, scene: Scene, folder: str, kind: type, **options: Any) -> None:
-        self.scene, self.names = scene, variable_names(scene)
-        self.description = fmpy.read_model_description(folder)
-        self.references = {variable.name: variable.valueReference for variable in self.description.modelVariables}
-        self.log = []
-        self.fmu = kind(
-            guid=self.description.instantiationToken, unzipDirectory=folder, modelIdentifier=scene.name, instanceName="under 100 % test"
-        )
+        self._prepare(scene, folder, kind)
 
         def log(environment: Any, status: int, category: bytes, message: bytes) -> None:
             self.log.append((status, category.decode(), message.decode()))
@@ -180,14 +179,8 @@ class Driver3(Driver):
     def adjoint(self, unknowns: tuple[str, ...], knowns: tuple[str, ...], seed: np.ndarray) -> np.ndarray:
         return np.array(self.fmu.getAdjointDerivative(self.vr(unknowns), self.vr(knowns), list(seed), nSensitivity=len(knowns)))
 
-    def initialise(self, q: Any = None, v: Any = None, u: Any = None, stop: float | None = None, **values: float) -> Driver3:
+    def enter_initialization(self, stop: float | None) -> None:
         self.fmu.enterInitializationMode(startTime=0.0, stopTime=stop)
-        for names, given in ((self.names.q, q), (self.names.v, v), (self.names.u, u)):
-            if given is not None:
-                self.set_all(names, given)
-        self.set(**values)
-        self.fmu.exitInitializationMode()
-        return self
 
     def update_modes(self) -> None:
         self.fmu.updateDiscreteStates()

@@ -131,7 +131,7 @@ def test_declared_dependencies_hold_for_parameters_too(any_scene, drive):
         assert declared["der(v1)"] == {"q1", "q2", "v1", "u1", "m", "c", "k", "d"}
 
 
-def test_what_is_not_offered_is_refused_in_words(scene_of, drive, unpacked):
+def test_functions_not_offered_are_refused_with_a_reason(scene_of, drive, unpacked):
     cs = drive(scene_of("three_cart"), "cs", "3.0").initialise()
     fmu = cs.fmu
     cs.refused(lambda: fmu.getFloat32([0]), "fmi3GetFloat32", "no variables of type Float32")

@@ -73,7 +73,7 @@ def test_bodies_that_mass_couples_stay_together():
     assert body.nq == 2
 
 
-def test_what_cannot_be_split_is_said():
+def test_split_refuses_unsplittable_scenes():
     scene = load_scene("three_cart")
     with pytest.raises(SceneError, match="no contacts, so there is nothing to split"):
         split(replace(scene, contacts=()))

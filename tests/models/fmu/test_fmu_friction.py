@@ -13,7 +13,7 @@ from models.fmu import build_fmu
 from models.fmu.reference import Equations, Piece, true_motion
 from models.scene import Coordinate, Input, Parameter, Scene, Task
 from models.scene.contacts import Contact, Friction
-from models.scene.scene import goal_limits
+from models.scene.parts import goal_limits
 
 x1, x2, z, w1, w2, wz, push = sp.symbols("x1 x2 z w1 w2 wz push", real=True)
 m, mu, g, k = sp.symbols("m mu g k", positive=True)

@@ -88,7 +88,7 @@ def test_description_says_what_an_importer_needs(any_scene):
     assert float(by_name["internal_step"].start) == any_scene.task.step / 100
 
 
-def test_only_what_the_scene_has(scene_of):
+def test_fmu_has_only_variables_of_the_scene(scene_of):
     bare = variable_names(scene_of("oscillator"))
     assert (bare.u, bare.lam, bare.gap, bare.parameters) == ((), (), (), ())
     assert (bare.contact_energy, bare.input_power, bare.dissipated_power) == (None, None, None)

@@ -11,7 +11,7 @@ from models.fmu.structure import Dependency, dependencies, derived_dependencies
 
 
 @pytest.mark.parametrize("name", ["three_cart", "cart_pole_walls", "transport", "damped_collision"])
-def test_what_is_kept_is_what_is_derived_in_the_same_order(name, monkeypatch):
+def test_cached_structure_equals_derived_structure(name, monkeypatch):
     scene = load_scene(name)
     derived = derived_dependencies(scene)
     assert derived, "a scene has states"
@@ -29,7 +29,7 @@ def test_another_equation_is_another_structure():
 
 
 @pytest.mark.parametrize("name", ["three_cart", "acrobot_limits", "two_discs", "two_finger"])
-def test_what_two_points_prove_is_what_expansion_finds(name, monkeypatch):
+def test_dependence_at_two_points_equals_expansion(name, monkeypatch):
     scene = load_scene(name)
     found = derived_dependencies(scene)
     assert Dependency.DEPENDENT in {kind for knowns in found.values() for kind in knowns.values()}
@@ -37,7 +37,7 @@ def test_what_two_points_prove_is_what_expansion_finds(name, monkeypatch):
     assert found == derived_dependencies(scene)
 
 
-def test_what_cancels_is_not_seen_to_vary():
+def test_cancelling_terms_are_not_dependencies():
     x, y, m = sp.symbols("x y m")
     slopes = {x: (1 + y) * m - y * m, y: sp.sin(x) ** 2 + sp.cos(x) ** 2 + m, m: x * y, sp.Symbol("f"): sp.Function("unknown")(x)}
     assert structure._seen_to_vary(slopes, {m}) == set(), "a function that Python has not: nothing is said of any"

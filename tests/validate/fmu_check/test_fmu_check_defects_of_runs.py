@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-_SAVED = "sources/saved_state.h"
 _EQUATIONS = "sources/equations.h"
 _INSTANCE = "sources/instance.h"
 _MODEL = "sources/model.h"
@@ -15,14 +14,14 @@ _STEP = "    Model *m = &self->model;\n    const double wanted = *dt;\n"
 
 # (the defect, the check that must fail, words of its sentence, edits that seed it: (file, old, new)), and the version of FMI if not 2.0.
 _DEFECTS = (
-    ("set state does nothing", "set state restores", "differs", ((_SAVED, _RESTORE, ""),)),
+    ("set state does nothing", "set state restores", "differs", ((_INSTANCE, _RESTORE, ""),)),
     (
         "set state keeps the velocities",
         "set state restores",
         "differs",
         (
             (
-                _SAVED,
+                _INSTANCE,
                 _RESTORE,
                 f"    double kept[NQ];\n    memcpy(kept, self->model.v, sizeof kept);\n{_RESTORE}    memcpy(self->model.v, kept, sizeof kept);\n",
             ),
@@ -32,13 +31,13 @@ _DEFECTS = (
         "serialising forgets a parameter",
         "serialised state loads elsewhere",
         "in a new process",
-        ((_SAVED, _SERIALIZE, f"{_SERIALIZE}    ((SavedState *)bytes)->model.p[1] = 2.0;\n"),),
+        ((_INSTANCE, _SERIALIZE, f"{_SERIALIZE}    ((SavedState *)bytes)->model.p[1] = 2.0;\n"),),
     ),
     (
         "serialising forgets the inputs",
         "serialised state loads elsewhere",
         "u1 differs",
-        ((_SAVED, _SERIALIZE, f"{_SERIALIZE}    ((SavedState *)bytes)->model.u[0] = 0.0;\n"),),
+        ((_INSTANCE, _SERIALIZE, f"{_SERIALIZE}    ((SavedState *)bytes)->model.u[0] = 0.0;\n"),),
     ),
     (
         "a serialised state is an address",
@@ -46,13 +45,13 @@ _DEFECTS = (
         "in a new process",
         (
             (
-                _SAVED,
+                _INSTANCE,
                 _SERIALIZE,
                 f"{_SERIALIZE}    void *copy = malloc(sizeof(Model));\n    memcpy(copy, &((const SavedState *)state)->model, sizeof(Model));\n"
                 "    memcpy(&((SavedState *)bytes)->model, &copy, sizeof copy);\n",
             ),
             (
-                _SAVED,
+                _INSTANCE,
                 "    memcpy(*state, bytes, sizeof(SavedState));\n",
                 "    memcpy(*state, bytes, sizeof(SavedState));\n    void *copy;\n"
                 "    memcpy(&copy, &((const SavedState *)bytes)->model, sizeof copy);\n    memcpy(&((SavedState *)*state)->model, copy, sizeof(Model));\n",
@@ -64,9 +63,9 @@ _DEFECTS = (
         "stop time is respected",
         "the last successful time is told as 0.05 s; it is 0.04 s",
         (
-            ("sources/fmi2_co_simulation.c", "*value = self->model.time;", "*value = self->model.time + 0.01;"),
+            ("sources/fmi2.c", "*value = self->model.time;", "*value = self->model.time + 0.01;"),
             (
-                "sources/fmi2_co_simulation.c",
+                "sources/fmi2.c",
                 "    int event;\n    return said(do_step(",
                 "    int event;\n    const Model *m = &((Instance *)c)->model;\n"
                 "    if (m->stop_defined && m->time > m->stop_time - 1e-9) return fmi2Discard;\n    return said(do_step(",
@@ -149,7 +148,7 @@ _DEFECTS = (
         "a saved state is not freed",
         "freed instances give memory back",
         "bytes of allocated memory",
-        ((_SAVED, "        free(*state);\n", ""),),
+        ((_INSTANCE, "        free(*state);\n", ""),),
     ),
     (
         "reading has a side effect",
@@ -178,7 +177,7 @@ _DEFECTS = (
         "it hung",
         ((_STEPPING, _STEP, f"{_STEP}    for (volatile int n = 1; n && m->time > 0.5;) n = 1;\n"),),
     ),
-    ("FMI 3: set state does nothing", "set state restores", "differs", ((_SAVED, _RESTORE, ""),), "3.0"),
+    ("FMI 3: set state does nothing", "set state restores", "differs", ((_INSTANCE, _RESTORE, ""),), "3.0"),
 )
 
 

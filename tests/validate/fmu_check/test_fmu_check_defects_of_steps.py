@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 _STEPPING = "sources/stepping.h"
-_COMMON = "sources/fmi3_common.c"
-_CS = "sources/fmi3_co_simulation.c"
+_FMI3 = "sources/fmi3.c"
 _UPDATE = '    return said(update_discrete_states(self, "fmi3UpdateDiscreteStates"));'
 _EVENT, _EARLY, _BETWEEN, _SLOPES = "event mode of Co-Simulation", "early return", "intermediate update", "input derivatives"
 _TOLD = "    *lastSuccessfulTime = self->model.time;"
@@ -18,7 +17,7 @@ _DEFECTS = (
         "events are not announced",
         _EVENT,
         "stands still",
-        ((_CS, "*eventHandlingNeeded = event != 0;", "*eventHandlingNeeded = fmi3False;"),),
+        ((_FMI3, "*eventHandlingNeeded = event != 0;", "*eventHandlingNeeded = fmi3False;"),),
         "3.0",
     ),
     (
@@ -45,14 +44,14 @@ _DEFECTS = (
         "an update of events moves something",
         _EVENT,
         "called once more it changes values",
-        ((_COMMON, _UPDATE, f"    self->model.v[0] += 1e-9;\n{_UPDATE}"),),
+        ((_FMI3, _UPDATE, f"    self->model.v[0] += 1e-9;\n{_UPDATE}"),),
         "3.0",
     ),
     (
         "updates are asked for without end",
         _EVENT,
         "did not end",
-        ((_COMMON, _UPDATE, f"    *discreteStatesNeedUpdate = fmi3True;\n{_UPDATE}"),),
+        ((_FMI3, _UPDATE, f"    *discreteStatesNeedUpdate = fmi3True;\n{_UPDATE}"),),
         "3.0",
     ),
     (
@@ -80,43 +79,43 @@ _DEFECTS = (
         "the time of an early return is that of the step's end",
         _EARLY,
         "the variable time says",
-        ((_CS, _TOLD, "    *lastSuccessfulTime = currentCommunicationPoint + communicationStepSize;"),),
+        ((_FMI3, _TOLD, "    *lastSuccessfulTime = currentCommunicationPoint + communicationStepSize;"),),
         "3.0",
     ),
     (
         "an early return is not told",
         _EARLY,
         "did not return early, and that it reached",
-        ((_CS, "*earlyReturn = status == STATUS_OK && dt < communicationStepSize;", "*earlyReturn = fmi3False;"),),
+        ((_FMI3, "*earlyReturn = status == STATUS_OK && dt < communicationStepSize;", "*earlyReturn = fmi3False;"),),
         "3.0",
     ),
     (
         "a wish to return early is not heard",
         _EARLY,
         "was asked at",
-        ((_CS, "    if (wanted < *finish) *finish", "    if (0) *finish"),),
+        ((_FMI3, "    if (wanted < *finish) *finish", "    if (0) *finish"),),
         "3.0",
     ),
-    ("intermediate update never comes", _BETWEEN, "never called", ((_CS, "self->update ? step_finished : NULL", "NULL"),), "3.0"),
+    ("intermediate update never comes", _BETWEEN, "never called", ((_FMI3, "self->update ? step_finished : NULL", "NULL"),), "3.0"),
     (
         "intermediate update tells a time since the step began",
         _BETWEEN,
         "it is called for t =",
-        ((_CS, _FINISHED, _FINISHED.replace("step->begin + offset", "offset")),),
+        ((_FMI3, _FINISHED, _FINISHED.replace("step->begin + offset", "offset")),),
         "3.0",
     ),
     (
         "intermediate update offers what is not allowed",
         _BETWEEN,
         "offers an early return",
-        ((_CS, _FINISHED, _FINISHED.replace("self->early_return_allowed != 0", "fmi3True")),),
+        ((_FMI3, _FINISHED, _FINISHED.replace("self->early_return_allowed != 0", "fmi3True")),),
         "3.0",
     ),
     (
         "values may be got and are refused",
         _BETWEEN,
         "that is refused",
-        ((_CS, "self->model.phase = PHASE_OUTPUT_UPDATE;", "self->model.phase = PHASE_INPUT_UPDATE;"),),
+        ((_FMI3, "self->model.phase = PHASE_OUTPUT_UPDATE;", "self->model.phase = PHASE_INPUT_UPDATE;"),),
         "3.0",
     ),
     (
@@ -125,7 +124,7 @@ _DEFECTS = (
         "than without",
         (
             (
-                _CS,
+                _FMI3,
                 "    self->model.phase = PHASE_OUTPUT_UPDATE;",
                 "    self->model.u[0] = 9.0;\n    self->model.phase = PHASE_OUTPUT_UPDATE;",
             ),

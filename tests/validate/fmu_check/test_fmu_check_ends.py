@@ -9,7 +9,7 @@ import pytest
 
 from validate.fmu_check import Status, check_fmu
 
-_FILE = "sources/fmi2_co_simulation.c"
+_FILE = "sources/fmi2.c"
 _ANSWER = "fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boolean *value)\n{\n"
 _STEP = "    int event;\n    return said(do_step("
 _NAMES = ("values stay finite", "runs repeat", "set state restores", "serialised state loads elsewhere", "reset equals a fresh instance")

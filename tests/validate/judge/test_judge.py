@@ -14,7 +14,7 @@ from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.errors import SceneError, TrajectoryError
 from models.scene import Scene
-from models.scene.scene import goal_limits
+from models.scene.parts import goal_limits
 from models.schemes import Scheme
 from models.trajectory import Hold, Trajectory, column_names, uniform_grid, write_csv
 from models.trajectory_netcdf import write_netcdf

@@ -7,7 +7,7 @@ What an integrator steps over: a gap that closes and opens again between two of 
 Between two recorded points of the replay, with no event among them, the gap is the cubic with the gaps and their rates at both ends; a gap that falls at
 the first and rises at the second has its least value between. Where that is below zero there was contact that the replay does not know of.
 
-What is left of the relaxation time of a scene without inertia (models.quasi_static), told by a run at twice that time.
+What is left of the relaxation time of a scene without inertia (models.scene.quasi_static), told by a run at twice that time.
 
 The motion is off by tau times its speed, and by what its forces make of that: of first order in tau, so that the run at 2 tau is as far from the judged
 one as that is from the first-order model, D v = F.

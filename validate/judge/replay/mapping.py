@@ -14,7 +14,7 @@ import numpy as np
 
 from models.errors import TrajectoryError
 from models.plan_table import PlanTable
-from models.scene.scene import Limit
+from models.scene.parts import Limit
 from models.trajectory import Trajectory, declared_hold, declared_scheme, missing_groups, times_and_inputs
 from validate.fmi.description import REAL, Package
 from validate.judge.replay.equal_names import CONTACT_UNITS, QUANTITIES, Dimensions, Named, by_equal_names, hint, may_be_rate

@@ -90,7 +90,7 @@ class ReplayError:
     Without a reference the larger of it and of `step` is the estimate; alone - no coarser run got to the end - it is carried on by its velocities.
     step_source: which of the two the everyday replay's own error was told by.
 
-    lag: the motion at twice the relaxation time against the one that is judged, of scenes without inertia (models.quasi_static): what is left of it, to first
+    lag: the motion at twice the relaxation time against the one that is judged, of scenes without inertia (models.scene.quasi_static): what is left of it, to first
     order; in the estimate too.
 
     step_ratio: how much the everyday replay's position difference shrank when its step was halved once more (Richardson): 2^order where it

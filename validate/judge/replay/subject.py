@@ -20,7 +20,7 @@ import numpy as np
 from models.codegen.kernel import Kernel, load_kernel
 from models.dynamics import derive
 from models.scene import Scene
-from models.scene.scene import Limit
+from models.scene.parts import Limit
 from validate.fmi.archive import FmuError
 from validate.fmi.description import REAL, Package
 from validate.judge.replay.recording import Run

@@ -3,7 +3,7 @@
 Shapes as in Trajectory and Replay: nodes = steps + 1; phi (steps, nc) is the penetration at the *start* of each step,
 where the plan's lam (steps, nc) belongs.
 
-What the replay of a scene can be held against where the scene states it in closed form (models.scene.scene.Answer.measure).
+What the replay of a scene can be held against where the scene states it in closed form (models.scene.Answer.measure).
 
 Each measure gives the value and how wrong the replay may make it. They speak of the first contact of the replay: the first that closes, and
 the time until that one opens again.

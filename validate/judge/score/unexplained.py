@@ -4,7 +4,7 @@ From each of the plan's states the true motion is run over one step under the pl
 velocity differs by, dv, takes a mean force M dv/h that nobody gives. Forces along different coordinates are compared in the norm of M^-1, in which a
 contact force lam has the size lam sqrt(J M^-1 J'): so a force that is not there is measured in contact forces of the same effect.
 
-Of a scene without inertia (models.quasi_static) forces are velocities: what its position differs by after the step, dq, takes the mean force D dq/h.
+Of a scene without inertia (models.scene.quasi_static) forces are velocities: what its position differs by after the step, dq, takes the mean force D dq/h.
 
 A plan that says both must not move by more or less than its velocities at both ends of the step, or the true motion, allow. Friction forces
 that it claims must move it as the true ones do: within mu N a sticking one is not free, it is what holds. Velocities that it does

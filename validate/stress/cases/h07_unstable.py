@@ -14,7 +14,7 @@ from formulations.pipelines import load_method
 from formulations.shooting.growth import measure_growth
 from formulations.solution import Outcome
 from models.catalog import load_scene
-from models.codegen.kernel import load_steps
+from models.codegen.steps import load_steps
 from models.contact_law import ContactLaw
 from models.scenes.cart_pole_walls import GROWTH
 from validate.stress.case import CaseFinding, Chart, HardCase, Series, at_least, at_most, none_of, told

@@ -18,13 +18,14 @@ from scipy.integrate import solve_ivp
 from formulations.transcription.build import build_model
 from formulations.transcription.contact import ContactFormulation as ExactLaw
 from models.catalog import load_scene
-from models.codegen.kernel import load_kernel, load_steps
+from models.codegen.kernel import load_kernel
+from models.codegen.steps import load_steps
 from models.contact_law import ContactLaw
 from models.errors import SceneError
 from models.fmu import build_fmu
 from models.fmu.variables import variable_table
-from models.quasi_static import LAG
 from models.scene import Parameter, Scene
+from models.scene.quasi_static import LAG
 from models.scenes.push_box import mean_distance
 from models.stability import step_stability
 from models.trajectory import Trajectory

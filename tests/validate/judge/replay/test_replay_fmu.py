@@ -13,7 +13,7 @@ from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.fmu import build_fmu
 from models.scene import Contact, Coordinate, Input, Parameter, Scene, Task
-from models.scene.scene import goal_limits
+from models.scene.parts import goal_limits
 from models.trajectory import Hold, Trajectory, uniform_grid
 from validate.fmi.description import FmuError
 from validate.judge.replay import Replay, ReplayOutcome

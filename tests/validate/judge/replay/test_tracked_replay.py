@@ -15,7 +15,7 @@ from models.codegen.kernel import load_kernel
 from models.errors import TrajectoryError
 from models.fmu import build_fmu
 from models.scene import Scene
-from models.scene.scene import goal_limits
+from models.scene.parts import goal_limits
 from models.trajectory import Hold, Trajectory, uniform_grid, write_csv
 from models.trajectory_netcdf import read_gains, read_netcdf, write_netcdf
 from validate.cli.group import run
@@ -257,7 +257,7 @@ SCENE_FILE = """import json
 from dataclasses import replace
 from pathlib import Path
 from models.catalog import load_scene
-from models.scene.scene import goal_limits
+from models.scene.parts import goal_limits
 base = replace(load_scene("wall_pendulum"), name="far_wall", limits=goal_limits(position=0.1, velocity=0.2, reason="this test"))
 SCENE = base.with_parameters(w=1e4).with_task(step=0.05, steps=50, start=(0.1, 0.0), goal=(0.0, 0.0))
 """

@@ -13,7 +13,7 @@ from models.catalog import load_scene
 from models.codegen.kernel import load_kernel
 from models.scene import Coordinate, Input, Parameter, Scene, Task
 from models.scene.contacts import Contact
-from models.scene.scene import goal_limits
+from models.scene.parts import goal_limits
 from models.trajectory import Trajectory, uniform_grid
 from validate.judge.replay.tracking import (
     TrackingError,

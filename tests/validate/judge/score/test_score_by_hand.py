@@ -17,7 +17,7 @@ import sympy as sp
 
 from models.scene import Contact, Coordinate, Input, Scene, Task
 from models.scene.contacts import Friction
-from models.scene.scene import goal_limits
+from models.scene.parts import goal_limits
 from models.schemes import Scheme
 from models.trajectory import Hold, Trajectory, uniform_grid
 from validate.judge import score as score_room

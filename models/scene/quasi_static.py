@@ -15,54 +15,64 @@ in the judge    tau = LAG, as short as an integrator bears: what is judged depen
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import sympy as sp
 
 from models.errors import SceneError
-
-if TYPE_CHECKING:
-    from models.scene import Parameter, Scene
+from models.scene.parts import Coordinate, Parameter
 
 # [s] A finger of push_box at 0.4 m/s lags 8 um behind; of its plans, whose errors grow 1e5 times, the replay is then off by 0.1 mm, and by 0.4 mm with
 # feedback, a hundredth of their limit. The reference (CVODE) does not feel how short it is; the everyday replay's time is as its inverse: 1 CPU s here.
 LAG = 2e-5
 
 
-def relaxation_parameter(scene: Scene) -> Parameter:
-    """tau as the models have it: the task's step, or the lag of a scene that is judged."""
-    from models.scene import Parameter
+def relaxation_parameter(scene: str, symbol: object, value: float) -> Parameter:
+    """The relaxation time tau of the scene of that name, as its models have it.
 
-    symbol = scene.relaxation_time
+    Parameters
+    ----------
+    symbol
+        What the scene gives as its relaxation_time.
+    value
+        The task's step, or the lag of a scene that is judged [s].
+
+    Returns
+    -------
+    Parameter
+        tau.
+
+    Raises
+    ------
+    SceneError
+        Unless symbol is a SymPy Symbol.
+    """
     if not isinstance(symbol, sp.Symbol):
-        raise SceneError(f"scene {scene.name}: relaxation_time must be a SymPy Symbol, not {type(symbol).__name__}.")
+        raise SceneError(f"scene {scene}: relaxation_time must be a SymPy Symbol, not {type(symbol).__name__}.")
     return Parameter(
         symbol=symbol,
-        value=scene.task.step if scene.lag is None else scene.lag,
+        value=value,
         unit="s",
         lower=1e-9,
         description="relaxation time, mass over drag: the step on a grid, next to nothing in continuous time",
     )
 
 
-def check_quasi_static(scene: Scene) -> None:
+def check_quasi_static(
+    scene: str, tau: sp.Symbol, kinetic_energy: sp.Expr, coordinates: Sequence[Coordinate], forces: Sequence[sp.Expr]
+) -> None:
     """Raise SceneError unless all of the mass is tau times the drag, which makes the time step v' = D^-1 F."""
-    tau = scene.relaxation_time
-    if tau is None:
-        if scene.lag is not None:
-            raise SceneError(f"scene {scene.name}: lag is the value of a relaxation time, but it names none (relaxation_time=..).")
-        return
-    velocities = sp.Matrix([coordinate.velocity for coordinate in scene.coordinates])
-    drag = sp.Matrix([sp.diff(scene.kinetic_energy, velocity) for velocity in velocities]) / tau
-    moving = {tau, *velocities, *(coordinate.symbol for coordinate in scene.coordinates)}
+    velocities = sp.Matrix([coordinate.velocity for coordinate in coordinates])
+    drag = sp.Matrix([sp.diff(kinetic_energy, velocity) for velocity in velocities]) / tau
+    moving = {tau, *velocities, *(coordinate.symbol for coordinate in coordinates)}
     if any(sp.simplify(entry).free_symbols & moving for entry in drag.jacobian(velocities)):
         raise SceneError(
-            f"scene {scene.name}: with a relaxation time, kinetic_energy must be {tau}/2 v' D v with a constant drag D, so that all of the mass "
+            f"scene {scene}: with a relaxation time, kinetic_energy must be {tau}/2 v' D v with a constant drag D, so that all of the mass "
             "vanishes with it."
         )
-    for coordinate, force, resists in zip(scene.coordinates, scene.forces, drag, strict=True):
+    for coordinate, force, resists in zip(coordinates, forces, drag, strict=True):
         if sp.expand(force + resists).free_symbols & {tau, *velocities}:
             raise SceneError(
-                f"scene {scene.name}: forces[{coordinate.name}] must resist with the drag of kinetic_energy, {-resists}, and depend on no velocity "
+                f"scene {scene}: forces[{coordinate.name}] must resist with the drag of kinetic_energy, {-resists}, and depend on no velocity "
                 "besides: a time step is the quasi-static law only then."
             )

@@ -1,7 +1,7 @@
-"""Generated text, kept between processes: deriving and printing the equations of a large scene takes seconds, reading them back none.
+"""Generated text, cached between processes: deriving and printing the equations of a large scene takes seconds, reading them back none.
 
-kept_text(scene, "scene_model.h", lambda: emit_model(scene, defaults=False))
-kept_text(scene, "reference.csv", lambda: motion_as_text(scene), whole=True)      # of the values and the task, too
+cached_text(scene, "scene_model.h", lambda: emit_model(scene, defaults=False))
+cached_text(scene, "reference.csv", lambda: motion_as_text(scene), whole=True)      # of the values and the task, too
 """
 
 from __future__ import annotations
@@ -21,17 +21,31 @@ _MODELS = Path(__file__).parents[1]
 # Whatever decides the text beside the scene's own equations.
 _GENERATORS = ("codegen/*.py", "contact*.py", "dynamics.py", "fmu/sensitivity.py", "fmu/structure.py", "fmu/variables.py")
 # And of a text that is computed from its values.
-_COMPUTED = ("fmu/experiment.py", "fmu/reference.py", "scene*.py")
+_COMPUTED = ("fmu/description.py", "fmu/reference.py", "scene/*.py")
 # And of an FMU: all but the scenes, whose text is in the key.
 _ALL = ("*.py", "codegen/*.*", "fmu/**/*.*")
 _LIBRARIES = ("numpy", "scipy")
 
 
-def kept_text(scene: Scene, name: str, make: Callable[[], str], *, whole: bool = False) -> str:
-    """The text `name` of a scene: read from the cache folder, or made and kept there. It must depend on nothing but the scene's equations;
-    whole: on nothing but the scene.
+def cached_text(scene: Scene, name: str, make: Callable[[], str], *, whole: bool = False) -> str:
+    """The text `name` of a scene: read from the cache folder, or made and stored there.
 
-    Raises what `make` raises, and MachineError for a cache folder that cannot be written.
+    Parameters
+    ----------
+    make
+        Makes the text; it must depend on nothing but the scene's equations.
+    whole
+        Whether it may depend on all of the scene.
+
+    Returns
+    -------
+    str
+        The text.
+
+    Raises
+    ------
+    MachineError
+        For a cache folder that cannot be written; and what `make` raises.
     """
 
     def write(path: Path) -> None:

@@ -8,9 +8,9 @@ import pytest
 import sympy as sp
 
 from models.catalog import load_scene
-from models.codegen import kept
+from models.codegen import text_cache
 from models.codegen.emit import emit_model, model_source
-from models.codegen.kept import kept_text
+from models.codegen.text_cache import cached_text
 from models.fmu import description as experiment
 from models.fmu.reference import true_motion_and_method
 from models.fmu.sensitivity import emit_sensitivity, sensitivity_source
@@ -24,7 +24,7 @@ def own_cache(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["three_cart", "transport", "cart_pole_walls", "damped_collision", "bouncing_mass"])
-def test_what_is_kept_is_what_would_be_written(name: str):
+def test_cached_text_equals_emitted_text(name: str):
     scene = load_scene(name)
     for source, emit in ((model_source, lambda scene: emit_model(scene, defaults=False)), (sensitivity_source, emit_sensitivity)):
         anew = emit(scene)
@@ -35,7 +35,7 @@ def test_what_is_kept_is_what_would_be_written(name: str):
 def asked(scene: Scene) -> bool:
     """Whether the text had to be made."""
     made = []
-    kept_text(scene, "probe", lambda: made.append(1) or "text")
+    cached_text(scene, "probe", lambda: made.append(1) or "text")
     return bool(made)
 
 
@@ -82,8 +82,13 @@ def test_other_equations_are_written_anew(change):
     assert asked(change(scene))
 
 
+def test_every_pattern_of_generators_finds_files():
+    for pattern in (*text_cache._GENERATORS, *text_cache._COMPUTED, *text_cache._ALL):
+        assert list(text_cache._MODELS.glob(pattern)), pattern
+
+
 def test_other_generators_write_anew(monkeypatch):
     scene = load_scene("three_cart")
     asked(scene)
-    monkeypatch.setattr(kept, "_generators", lambda: "another version of the code")
+    monkeypatch.setattr(text_cache, "_generators", lambda: "another version of the code")
     assert asked(scene)

@@ -1,0 +1,515 @@
+/* FMI 3.0: its names and types for the version-free functions of instance.h, access.h, exchange.h and stepping.h; and what this FMU does
+ * not offer, each call of which says so. */
+#include "fmi3Functions.h"
+
+#include "access.h"
+#include "exchange.h"
+#include "instance.h"
+#include "stepping.h"
+
+typedef char same_status_numbers[(int)fmi3OK == (int)STATUS_OK && (int)fmi3Error == (int)STATUS_ERROR ? 1 : -1];
+
+/* The status of a version-free function. */
+static inline fmi3Status said(Status status)
+{
+    return status == STATUS_OK ? fmi3OK : fmi3Error;
+}
+
+/* The answer of a function that this FMU does not offer. */
+static inline fmi3Status not_offered(fmi3Instance instance, const char *function, const char *why)
+{
+    const Instance *self = instance;
+    return self ? said(FAIL(self, "%s: %s.", function, why)) : fmi3Error;
+}
+
+/* ---- Make an instance, lead it through its states, save and free it. ---- */
+
+const char *fmi3GetVersion(void)
+{
+    return fmi3Version;
+}
+
+static void write_log(const Instance *self, int status, const char *category, const char *text)
+{
+    if (self->logger) ((fmi3LogMessageCallback)self->logger)(self->environment, (fmi3Status)status, category, text);
+}
+
+static Instance draft_of(InterfaceType type, fmi3Boolean loggingOn, fmi3InstanceEnvironment environment, fmi3LogMessageCallback logMessage)
+{
+    Instance draft = {.type = type, .log_events = loggingOn};
+    draft.logger = (Callback)logMessage;
+    draft.environment = environment;
+    draft.write = write_log;
+    draft.name = (char *)"?";
+    return draft;
+}
+
+fmi3Instance fmi3InstantiateModelExchange(fmi3String instanceName, fmi3String instantiationToken, fmi3String resourcePath, fmi3Boolean visible,
+    fmi3Boolean loggingOn, fmi3InstanceEnvironment instanceEnvironment, fmi3LogMessageCallback logMessage)
+{
+    (void)resourcePath, (void)visible;
+    const Instance draft = draft_of(MODEL_EXCHANGE, loggingOn, instanceEnvironment, logMessage);
+    return new_instance(&draft, "fmi3InstantiateModelExchange", instanceName, instantiationToken, "instantiation token");
+}
+
+fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String instantiationToken, fmi3String resourcePath, fmi3Boolean visible,
+    fmi3Boolean loggingOn, fmi3Boolean eventModeUsed, fmi3Boolean earlyReturnAllowed, const fmi3ValueReference requiredIntermediateVariables[],
+    size_t nRequiredIntermediateVariables, fmi3InstanceEnvironment instanceEnvironment, fmi3LogMessageCallback logMessage,
+    fmi3IntermediateUpdateCallback intermediateUpdate)
+{
+    const char *function = "fmi3InstantiateCoSimulation";
+    (void)resourcePath, (void)visible;
+    Instance draft = draft_of(CO_SIMULATION, loggingOn, instanceEnvironment, logMessage);
+    draft.event_mode_used = eventModeUsed;
+    draft.early_return_allowed = earlyReturnAllowed;
+    draft.update = (Callback)intermediateUpdate;
+    for (size_t i = 0; requiredIntermediateVariables && i < nRequiredIntermediateVariables; i++) {
+        const Variable *variable = typed_variable(&draft, function, requiredIntermediateVariables[i], 0);
+        if (!variable) return NULL;
+        draft.sets_inputs |= variable->kind == KIND_INPUT;
+    }
+    return new_instance(&draft, function, instanceName, instantiationToken, "instantiation token");
+}
+
+fmi3Instance fmi3InstantiateScheduledExecution(fmi3String instanceName, fmi3String instantiationToken, fmi3String resourcePath, fmi3Boolean visible,
+    fmi3Boolean loggingOn, fmi3InstanceEnvironment instanceEnvironment, fmi3LogMessageCallback logMessage, fmi3ClockUpdateCallback clockUpdate,
+    fmi3LockPreemptionCallback lockPreemption, fmi3UnlockPreemptionCallback unlockPreemption)
+{
+    (void)instanceName, (void)instantiationToken, (void)resourcePath, (void)visible, (void)clockUpdate, (void)lockPreemption, (void)unlockPreemption;
+    const Instance draft = draft_of(CO_SIMULATION, loggingOn, instanceEnvironment, logMessage);
+    FAIL(&draft, "fmi3InstantiateScheduledExecution: the FMU is for Model Exchange and Co-Simulation.");
+    return NULL;
+}
+
+void fmi3FreeInstance(fmi3Instance instance)
+{
+    free_instance(instance);
+}
+
+fmi3Status fmi3SetDebugLogging(fmi3Instance instance, fmi3Boolean loggingOn, size_t nCategories, const fmi3String categories[])
+{
+    return said(set_logging(instance, "fmi3SetDebugLogging", loggingOn, nCategories, categories));
+}
+
+fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean toleranceDefined, fmi3Float64 tolerance, fmi3Float64 startTime,
+    fmi3Boolean stopTimeDefined, fmi3Float64 stopTime)
+{
+    (void)toleranceDefined; /* the step of Co-Simulation is fixed, and Model Exchange has the importer's tolerance */
+    (void)tolerance;
+    const char *function = "fmi3EnterInitializationMode";
+    Instance *self = allowed(instance, function, PHASE_INSTANTIATED);
+    if (!self || set_experiment(self, function, startTime, stopTimeDefined, stopTime) != STATUS_OK) return fmi3Error;
+    return said(change_phase(self, PHASE_INITIALIZATION));
+}
+
+fmi3Status fmi3ExitInitializationMode(fmi3Instance instance)
+{
+    return said(exit_initialization(instance, "fmi3ExitInitializationMode"));
+}
+
+/* From continuous-time mode, or from step mode of an instance that was made for event mode. */
+fmi3Status fmi3EnterEventMode(fmi3Instance instance)
+{
+    Instance *self = instance;
+    if (self && self->type == CO_SIMULATION && !self->event_mode_used)
+        return said(FAIL(self, "fmi3EnterEventMode: the instance was made without event mode."));
+    return said(change_phase(allowed(instance, "fmi3EnterEventMode", PHASES_RUNNING), PHASE_EVENT));
+}
+
+fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discreteStatesNeedUpdate, fmi3Boolean *terminateSimulation,
+    fmi3Boolean *nominalsOfContinuousStatesChanged, fmi3Boolean *valuesOfContinuousStatesChanged, fmi3Boolean *nextEventTimeDefined,
+    fmi3Float64 *nextEventTime)
+{
+    Instance *self = allowed(instance, "fmi3UpdateDiscreteStates", PHASE_EVENT);
+    if (!self) return fmi3Error;
+    if (!discreteStatesNeedUpdate || !terminateSimulation || !nominalsOfContinuousStatesChanged || !valuesOfContinuousStatesChanged
+        || !nextEventTimeDefined || !nextEventTime)
+        return said(FAIL(self, "fmi3UpdateDiscreteStates: the place for an answer is missing."));
+    *discreteStatesNeedUpdate = *terminateSimulation = *nominalsOfContinuousStatesChanged = fmi3False;
+    *valuesOfContinuousStatesChanged = *nextEventTimeDefined = fmi3False;
+    *nextEventTime = 0.0;
+    return said(update_discrete_states(self, "fmi3UpdateDiscreteStates"));
+}
+
+fmi3Status fmi3Terminate(fmi3Instance instance)
+{
+    return said(change_phase(allowed(instance, "fmi3Terminate", PHASES_RUNNING), PHASE_TERMINATED));
+}
+
+fmi3Status fmi3Reset(fmi3Instance instance)
+{
+    return said(reset(instance, "fmi3Reset"));
+}
+
+fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *FMUState)
+{
+    return said(save_state(instance, "fmi3GetFMUState", FMUState));
+}
+
+fmi3Status fmi3SetFMUState(fmi3Instance instance, fmi3FMUState FMUState)
+{
+    return said(restore_state(instance, "fmi3SetFMUState", FMUState));
+}
+
+fmi3Status fmi3FreeFMUState(fmi3Instance instance, fmi3FMUState *FMUState)
+{
+    return said(free_state(instance, "fmi3FreeFMUState", FMUState));
+}
+
+fmi3Status fmi3SerializedFMUStateSize(fmi3Instance instance, fmi3FMUState FMUState, size_t *size)
+{
+    return said(serialized_size(instance, "fmi3SerializedFMUStateSize", FMUState, size));
+}
+
+fmi3Status fmi3SerializeFMUState(fmi3Instance instance, fmi3FMUState FMUState, fmi3Byte serializedState[], size_t size)
+{
+    return said(serialize(instance, "fmi3SerializeFMUState", FMUState, serializedState, size));
+}
+
+fmi3Status fmi3DeserializeFMUState(fmi3Instance instance, const fmi3Byte serializedState[], size_t size, fmi3FMUState *FMUState)
+{
+    return said(deserialize(instance, "fmi3DeserializeFMUState", serializedState, size, FMUState));
+}
+
+/* ---- Get and set variables by value reference; directional and adjoint derivatives. ---- */
+
+/* Every variable is a scalar: as many values as value references. */
+static int as_many(fmi3Instance instance, const char *function, size_t references, size_t values)
+{
+    if (references == values) return 1;
+    not_offered(instance, function, "the model has scalars only, so as many values as value references are needed");
+    return 0;
+}
+
+fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference vr[], size_t nvr, fmi3Float64 values[], size_t nValues)
+{
+    if (!as_many(instance, "fmi3GetFloat64", nvr, nValues)) return fmi3Error;
+    return said(get_reals(instance, "fmi3GetFloat64", (References){vr, nvr}, values));
+}
+
+fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference vr[], size_t nvr, const fmi3Float64 values[], size_t nValues)
+{
+    if (!as_many(instance, "fmi3SetFloat64", nvr, nValues)) return fmi3Error;
+    return said(set_reals(instance, "fmi3SetFloat64", (References){vr, nvr}, values));
+}
+
+/* Enumerations are got and set as Int64. */
+fmi3Status fmi3GetInt64(fmi3Instance instance, const fmi3ValueReference vr[], size_t nvr, fmi3Int64 values[], size_t nValues)
+{
+    if (!as_many(instance, "fmi3GetInt64", nvr, nValues)) return fmi3Error;
+    const Instance *self = readable(instance, "fmi3GetInt64", vr, values, nvr);
+    if (!self) return fmi3Error;
+    for (size_t i = 0; i < nvr; i++) {
+        const Variable *variable = typed_variable(self, "fmi3GetInt64", vr[i], 1);
+        if (!variable) return fmi3Error;
+        values[i] = (fmi3Int64)model_value(&self->model, variable);
+    }
+    return fmi3OK;
+}
+
+fmi3Status fmi3SetInt64(fmi3Instance instance, const fmi3ValueReference vr[], size_t nvr, const fmi3Int64 values[], size_t nValues)
+{
+    if (!as_many(instance, "fmi3SetInt64", nvr, nValues)) return fmi3Error;
+    Instance *self = writable(instance, "fmi3SetInt64", vr, values, nvr);
+    if (!self) return fmi3Error;
+    for (size_t i = 0; i < nvr; i++)
+        if (check_assignment(self, "fmi3SetInt64", vr[i], (double)values[i], 1) != STATUS_OK) return fmi3Error;
+    for (size_t i = 0; i < nvr; i++) model_assign(&self->model, &MODEL_VARIABLES[vr[i]], (double)values[i]);
+    return fmi3OK;
+}
+
+/* Both derivatives know the parameters at all times: FMI 3.0 counts them among the knowns of every mode. */
+static JacobianProduct product_of(const fmi3ValueReference unknowns[], size_t nUnknowns, const fmi3ValueReference knowns[], size_t nKnowns,
+    const fmi3Float64 seed[], size_t nSeed, fmi3Float64 sensitivity[], size_t nSensitivity)
+{
+    return (JacobianProduct){.unknowns = {unknowns, nUnknowns}, .knowns = {knowns, nKnowns}, .seed = seed, .seeds = nSeed, .result = sensitivity,
+        .results = nSensitivity, .parameter_phases = PHASES_READABLE};
+}
+
+fmi3Status fmi3GetDirectionalDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[], size_t nUnknowns, const fmi3ValueReference knowns[],
+    size_t nKnowns, const fmi3Float64 seed[], size_t nSeed, fmi3Float64 sensitivity[], size_t nSensitivity)
+{
+    const JacobianProduct product = product_of(unknowns, nUnknowns, knowns, nKnowns, seed, nSeed, sensitivity, nSensitivity);
+    return said(directional_derivative(instance, "fmi3GetDirectionalDerivative", &product));
+}
+
+fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[], size_t nUnknowns, const fmi3ValueReference knowns[],
+    size_t nKnowns, const fmi3Float64 seed[], size_t nSeed, fmi3Float64 sensitivity[], size_t nSensitivity)
+{
+    const JacobianProduct product = product_of(unknowns, nUnknowns, knowns, nKnowns, seed, nSeed, sensitivity, nSensitivity);
+    return said(adjoint_derivative(instance, "fmi3GetAdjointDerivative", &product));
+}
+
+/* ---- Model Exchange. ---- */
+
+fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance instance)
+{
+    return said(change_phase(allowed_type(instance, "fmi3EnterContinuousTimeMode", PHASE_EVENT, MODEL_EXCHANGE), PHASE_CONTINUOUS));
+}
+
+fmi3Status fmi3CompletedIntegratorStep(fmi3Instance instance, fmi3Boolean noSetFMUStatePriorToCurrentPoint, fmi3Boolean *enterEventMode,
+    fmi3Boolean *terminateSimulation)
+{
+    (void)noSetFMUStatePriorToCurrentPoint;
+    int event = 0;
+    const Status status = integrator_step_completed(instance, "fmi3CompletedIntegratorStep", enterEventMode ? terminateSimulation : NULL, &event);
+    if (status != STATUS_OK) return fmi3Error;
+    *enterEventMode = event != 0;
+    *terminateSimulation = fmi3False;
+    return fmi3OK;
+}
+
+fmi3Status fmi3SetTime(fmi3Instance instance, fmi3Float64 time)
+{
+    return said(set_time(instance, "fmi3SetTime", time));
+}
+
+fmi3Status fmi3SetContinuousStates(fmi3Instance instance, const fmi3Float64 continuousStates[], size_t nContinuousStates)
+{
+    return said(set_states(instance, "fmi3SetContinuousStates", continuousStates, nContinuousStates));
+}
+
+fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance instance, fmi3Float64 derivatives[], size_t nContinuousStates)
+{
+    return said(get_rates(instance, "fmi3GetContinuousStateDerivatives", derivatives, nContinuousStates));
+}
+
+fmi3Status fmi3GetEventIndicators(fmi3Instance instance, fmi3Float64 eventIndicators[], size_t nEventIndicators)
+{
+    return said(get_indicators(instance, "fmi3GetEventIndicators", eventIndicators, nEventIndicators));
+}
+
+fmi3Status fmi3GetContinuousStates(fmi3Instance instance, fmi3Float64 continuousStates[], size_t nContinuousStates)
+{
+    return said(get_states(instance, "fmi3GetContinuousStates", continuousStates, nContinuousStates));
+}
+
+fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance instance, fmi3Float64 nominals[], size_t nContinuousStates)
+{
+    return said(get_nominals(instance, "fmi3GetNominalsOfContinuousStates", nominals, nContinuousStates));
+}
+
+static fmi3Status size_of(fmi3Instance instance, const char *function, size_t size, size_t *place)
+{
+    const Instance *self = allowed_type(instance, function, PHASES_ALL, MODEL_EXCHANGE);
+    if (!self) return fmi3Error;
+    if (!place) return said(FAIL(self, "%s: the place for the number is missing.", function));
+    *place = size;
+    return fmi3OK;
+}
+
+fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance instance, size_t *nEventIndicators)
+{
+    return size_of(instance, "fmi3GetNumberOfEventIndicators", NL, nEventIndicators);
+}
+
+fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance instance, size_t *nContinuousStates)
+{
+    return size_of(instance, "fmi3GetNumberOfContinuousStates", STATE_COUNT, nContinuousStates);
+}
+
+/* ---- Co-Simulation: event mode, early return and intermediate update. ---- */
+
+fmi3Status fmi3EnterStepMode(fmi3Instance instance)
+{
+    return said(change_phase(allowed_type(instance, "fmi3EnterStepMode", PHASE_EVENT, CO_SIMULATION), PHASE_STEP_COMPLETE));
+}
+
+fmi3Status fmi3GetOutputDerivatives(fmi3Instance instance, const fmi3ValueReference vr[], size_t nvr, const fmi3Int32 orders[], fmi3Float64 values[],
+    size_t nValues)
+{
+    if (nvr != nValues) return not_offered(instance, "fmi3GetOutputDerivatives", "as many values as value references are needed");
+    return said(output_derivatives(instance, "fmi3GetOutputDerivatives", (References){vr, nvr}, orders, values));
+}
+
+/* A communication step on its way. */
+typedef struct {
+    Instance *self;
+    double begin;
+} Communication;
+
+/* Tentative: within an internal step the importer may set inputs, nothing else. */
+static void set_inputs(void *context, double offset)
+{
+    const Communication *step = context;
+    Instance *self = step->self;
+    fmi3Boolean early = fmi3False;
+    fmi3Float64 when = step->begin + offset;
+    self->model.phase = PHASE_INPUT_UPDATE;
+    ((fmi3IntermediateUpdateCallback)self->update)(self->environment, step->begin + offset, fmi3True, fmi3False, fmi3False, fmi3False, &early, &when);
+    self->model.phase = PHASE_STEP_COMPLETE;
+}
+
+/* After an internal step the importer may get values, and ask for an early return. */
+static void step_finished(void *context, double offset, double *finish)
+{
+    const Communication *step = context;
+    Instance *self = step->self;
+    fmi3Boolean early = fmi3False;
+    fmi3Float64 when = step->begin + offset;
+    self->model.phase = PHASE_OUTPUT_UPDATE;
+    ((fmi3IntermediateUpdateCallback)self->update)(
+        self->environment, step->begin + offset, fmi3False, fmi3True, fmi3True, self->early_return_allowed != 0, &early, &when);
+    self->model.phase = PHASE_STEP_COMPLETE;
+    if (!early || !self->early_return_allowed) return;
+    const double wanted = when - step->begin;
+    if (wanted < *finish) *finish = wanted > offset ? wanted : offset;
+}
+
+fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoint, fmi3Float64 communicationStepSize,
+    fmi3Boolean noSetFMUStatePriorToCurrentPoint, fmi3Boolean *eventHandlingNeeded, fmi3Boolean *terminateSimulation, fmi3Boolean *earlyReturn,
+    fmi3Float64 *lastSuccessfulTime)
+{
+    (void)noSetFMUStatePriorToCurrentPoint;
+    Instance *self = allowed_type(instance, "fmi3DoStep", PHASE_STEP_COMPLETE, CO_SIMULATION);
+    if (!self) return fmi3Error;
+    if (!eventHandlingNeeded || !terminateSimulation || !earlyReturn || !lastSuccessfulTime)
+        return said(FAIL(self, "fmi3DoStep: the place for an answer is missing."));
+    Communication step = {self, currentCommunicationPoint};
+    const Observer observer = {&step, self->update && self->sets_inputs ? set_inputs : NULL, self->update ? step_finished : NULL};
+    double dt = communicationStepSize;
+    int event;
+    const Status status = do_step(self, "fmi3DoStep", currentCommunicationPoint, &dt, &observer, &event);
+    *terminateSimulation = fmi3False; /* the model never ends a simulation by itself */
+    *eventHandlingNeeded = event != 0;
+    *earlyReturn = status == STATUS_OK && dt < communicationStepSize;
+    *lastSuccessfulTime = self->model.time;
+    return said(status);
+}
+
+/* ---- What is not offered: other types, clocks, structural parameters, scheduled execution. ---- */
+
+#define NO_VARIABLES(Type)                                                                                                            \
+    fmi3Status fmi3Get##Type(fmi3Instance instance, const fmi3ValueReference vr[], size_t nvr, fmi3##Type values[], size_t nValues)    \
+    {                                                                                                                                 \
+        (void)vr, (void)values, (void)nValues;                                                                                        \
+        return said(no_variables(instance, "fmi3Get" #Type, #Type, nvr));                                                              \
+    }                                                                                                                                 \
+    fmi3Status fmi3Set##Type(fmi3Instance instance, const fmi3ValueReference vr[], size_t nvr, const fmi3##Type values[], size_t nValues) \
+    {                                                                                                                                 \
+        (void)vr, (void)values, (void)nValues;                                                                                        \
+        return said(no_variables(instance, "fmi3Set" #Type, #Type, nvr));                                                              \
+    }
+
+NO_VARIABLES(Float32)
+NO_VARIABLES(Int8)
+NO_VARIABLES(UInt8)
+NO_VARIABLES(Int16)
+NO_VARIABLES(UInt16)
+NO_VARIABLES(Int32)
+NO_VARIABLES(UInt32)
+NO_VARIABLES(UInt64)
+NO_VARIABLES(Boolean)
+NO_VARIABLES(String)
+
+fmi3Status fmi3GetBinary(fmi3Instance instance, const fmi3ValueReference vr[], size_t nvr, size_t valueSizes[], fmi3Binary values[], size_t nValues)
+{
+    (void)vr, (void)valueSizes, (void)values, (void)nValues;
+    return said(no_variables(instance, "fmi3GetBinary", "Binary", nvr));
+}
+
+fmi3Status fmi3SetBinary(fmi3Instance instance, const fmi3ValueReference vr[], size_t nvr, const size_t valueSizes[], const fmi3Binary values[],
+    size_t nValues)
+{
+    (void)vr, (void)valueSizes, (void)values, (void)nValues;
+    return said(no_variables(instance, "fmi3SetBinary", "Binary", nvr));
+}
+
+fmi3Status fmi3GetClock(fmi3Instance instance, const fmi3ValueReference vr[], size_t nvr, fmi3Clock values[])
+{
+    (void)vr, (void)values;
+    return said(no_variables(instance, "fmi3GetClock", "Clock", nvr));
+}
+
+fmi3Status fmi3SetClock(fmi3Instance instance, const fmi3ValueReference vr[], size_t nvr, const fmi3Clock values[])
+{
+    (void)vr, (void)values;
+    return said(no_variables(instance, "fmi3SetClock", "Clock", nvr));
+}
+
+#define NO_CLOCKS "the model has no clocks"
+
+fmi3Status fmi3GetIntervalDecimal(fmi3Instance instance, const fmi3ValueReference vr[], size_t nvr, fmi3Float64 intervals[], fmi3IntervalQualifier qualifiers[])
+{
+    (void)vr, (void)nvr, (void)intervals, (void)qualifiers;
+    return not_offered(instance, "fmi3GetIntervalDecimal", NO_CLOCKS);
+}
+
+fmi3Status fmi3GetIntervalFraction(fmi3Instance instance, const fmi3ValueReference vr[], size_t nvr, fmi3UInt64 counters[], fmi3UInt64 resolutions[],
+    fmi3IntervalQualifier qualifiers[])
+{
+    (void)vr, (void)nvr, (void)counters, (void)resolutions, (void)qualifiers;
+    return not_offered(instance, "fmi3GetIntervalFraction", NO_CLOCKS);
+}
+
+fmi3Status fmi3GetShiftDecimal(fmi3Instance instance, const fmi3ValueReference vr[], size_t nvr, fmi3Float64 shifts[])
+{
+    (void)vr, (void)nvr, (void)shifts;
+    return not_offered(instance, "fmi3GetShiftDecimal", NO_CLOCKS);
+}
+
+fmi3Status fmi3GetShiftFraction(fmi3Instance instance, const fmi3ValueReference vr[], size_t nvr, fmi3UInt64 counters[], fmi3UInt64 resolutions[])
+{
+    (void)vr, (void)nvr, (void)counters, (void)resolutions;
+    return not_offered(instance, "fmi3GetShiftFraction", NO_CLOCKS);
+}
+
+fmi3Status fmi3SetIntervalDecimal(fmi3Instance instance, const fmi3ValueReference vr[], size_t nvr, const fmi3Float64 intervals[])
+{
+    (void)vr, (void)nvr, (void)intervals;
+    return not_offered(instance, "fmi3SetIntervalDecimal", NO_CLOCKS);
+}
+
+fmi3Status fmi3SetIntervalFraction(fmi3Instance instance, const fmi3ValueReference vr[], size_t nvr, const fmi3UInt64 counters[], const fmi3UInt64 resolutions[])
+{
+    (void)vr, (void)nvr, (void)counters, (void)resolutions;
+    return not_offered(instance, "fmi3SetIntervalFraction", NO_CLOCKS);
+}
+
+fmi3Status fmi3SetShiftDecimal(fmi3Instance instance, const fmi3ValueReference vr[], size_t nvr, const fmi3Float64 shifts[])
+{
+    (void)vr, (void)nvr, (void)shifts;
+    return not_offered(instance, "fmi3SetShiftDecimal", NO_CLOCKS);
+}
+
+fmi3Status fmi3SetShiftFraction(fmi3Instance instance, const fmi3ValueReference vr[], size_t nvr, const fmi3UInt64 counters[], const fmi3UInt64 resolutions[])
+{
+    (void)vr, (void)nvr, (void)counters, (void)resolutions;
+    return not_offered(instance, "fmi3SetShiftFraction", NO_CLOCKS);
+}
+
+fmi3Status fmi3ActivateModelPartition(fmi3Instance instance, fmi3ValueReference clockReference, fmi3Float64 activationTime)
+{
+    (void)clockReference, (void)activationTime;
+    return not_offered(instance, "fmi3ActivateModelPartition", NO_CLOCKS);
+}
+
+fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance instance)
+{
+    return not_offered(instance, "fmi3EvaluateDiscreteStates", "discrete states are evaluated in fmi3UpdateDiscreteStates");
+}
+
+fmi3Status fmi3EnterConfigurationMode(fmi3Instance instance)
+{
+    return not_offered(instance, "fmi3EnterConfigurationMode", "the model has no structural parameters");
+}
+
+fmi3Status fmi3ExitConfigurationMode(fmi3Instance instance)
+{
+    return not_offered(instance, "fmi3ExitConfigurationMode", "the model has no structural parameters");
+}
+
+#define IN_XML "the dependencies are those of modelDescription.xml, which holds for every element"
+
+fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance instance, fmi3ValueReference valueReference, size_t *nDependencies)
+{
+    (void)valueReference, (void)nDependencies;
+    return not_offered(instance, "fmi3GetNumberOfVariableDependencies", IN_XML);
+}
+
+fmi3Status fmi3GetVariableDependencies(fmi3Instance instance, fmi3ValueReference dependent, size_t elementIndicesOfDependent[],
+    fmi3ValueReference independents[], size_t elementIndicesOfIndependents[], fmi3DependencyKind dependencyKinds[], size_t nDependencies)
+{
+    (void)dependent, (void)elementIndicesOfDependent, (void)independents, (void)elementIndicesOfIndependents, (void)dependencyKinds, (void)nDependencies;
+    return not_offered(instance, "fmi3GetVariableDependencies", IN_XML);
+}

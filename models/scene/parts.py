@@ -1,0 +1,264 @@
+"""What a scene is made of beside its contacts: coordinates, inputs, parameters, the task; limits of the score, known answers, drawn shapes.
+
+    Coordinate(symbol=q, velocity=v, unit="m")
+    Task(start=(1.0, 0.0), goal=(0.0, 0.0), running_cost=u**2, step=0.01, steps=100)
+
+All are frozen, and checked when they are created.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import InitVar, dataclass
+
+import sympy as sp
+
+from models.errors import SceneError
+from models.scene.values import (
+    as_expression,
+    as_number,
+    check_moving,
+    check_name,
+    check_symbol,
+    check_text,
+    check_unit,
+    settle,
+    settle_bounds,
+)
+
+# The shapes that are drawn, and how many lengths their size may have.
+_SHAPES = {"box": (2,), "disc": (1,), "line": (1,), "wall": (1, 2)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limit:
+    """The largest value of a metric of the score with which a plan still holds, and the reason for that number.
+
+    value: in the metric's unit; None waives the limit that the metric has by default (validate.judge.score.table), which takes a reason too.
+    """
+
+    metric: str = ""
+    value: float | None
+    reason: str
+    figure: InitVar[str | None] = None  # what `metric` was called up to version 0.1
+
+    def __post_init__(self, figure: str | None) -> None:
+        if figure is not None:
+            raise SceneError(f"limit on {figure}: figure= is now called metric=; write Limit(metric={figure!r}, value=.., reason=..).")
+        check_text("limit: metric", self.metric)
+        check_text(f"limit on {self.metric}: reason", self.reason, empty=self.value is not None)
+        if self.value is None:
+            return
+        settle(self, "value", as_number(f"limit on {self.metric}", self.value))
+        if self.value < 0.0:
+            raise SceneError(f"limit on {self.metric}: {self.value:g} is below 0, which no metric can be.")
+
+
+def goal_limits(*, position: float | None = None, velocity: float | None = None, reason: str) -> tuple[Limit, ...]:
+    """How near to the goal is near enough, the same for a plan and its replay; None where the goal asks for none.
+
+    >>> [limit.metric for limit in goal_limits(position=0.02, reason="as much as the wall shall be pressed in")]
+    ['terminal_position_error', 'replay_terminal_position_error']
+    """
+    return tuple(
+        Limit(metric=f"{of}terminal_{part}_error", value=value, reason=reason)
+        for part, value in (("position", position), ("velocity", velocity))
+        if value is not None
+        for of in ("", "replay_")
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """A known answer of the scene: what it is, its value, tolerance and source.
+
+    measure: what to hold against it in the replay of the free motion, by a name that the score knows (validate.judge.score.equations); empty: nothing.
+    """
+
+    quantity: str
+    value: float
+    tolerance: float
+    source: str
+    measure: str = ""
+
+    def __post_init__(self) -> None:
+        check_text("answer: quantity", self.quantity)
+        check_text(f"answer {self.quantity}: source", self.source, empty=True)
+        for field in ("value", "tolerance"):
+            settle(self, field, as_number(f"answer {self.quantity}: {field}", getattr(self, field)))
+        if self.tolerance <= 0.0:
+            raise SceneError(f"answer {self.quantity}: the tolerance is {self.tolerance:g}, but must be positive.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape:
+    """How a body is drawn: its centre and angle as expressions in q [m, rad].
+
+    kind: "box", "disc", "line" or "wall"; size: (width, height), (radius,), or (length,) [m].
+    """
+
+    name: str
+    kind: str
+    x: sp.Expr
+    y: sp.Expr
+    size: tuple[sp.Expr | float, ...]
+    angle: sp.Expr = sp.S.Zero
+
+    def __post_init__(self) -> None:
+        check_text("shape: name", self.name)
+        if not isinstance(self.kind, str) or self.kind not in _SHAPES:
+            raise SceneError(f"shape {self.name}: the kind {self.kind!r} is none of {', '.join(_SHAPES)}.")
+        for field in ("x", "y", "angle"):
+            settle(self, field, as_expression(f"shape {self.name}: {field}", getattr(self, field)))
+        if not isinstance(self.size, (tuple, list)) or len(self.size) not in _SHAPES[self.kind]:
+            raise SceneError(
+                f"shape {self.name}: the size of a {self.kind} is a tuple of {' or '.join(map(str, _SHAPES[self.kind]))} lengths, not {self.size!r}."
+            )
+        settle(self, "size", tuple(as_expression(f"shape {self.name}: size", value) for value in self.size))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """A physical constant of the scene.
+
+    symbol: its SymPy symbol; value: default, in `unit`; lower, upper: the range in which the scene makes sense.
+    """
+
+    symbol: sp.Symbol
+    value: float
+    unit: str
+    lower: float = -math.inf
+    upper: float = math.inf
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        where = f"parameter {self.symbol}"
+        check_symbol(f"{where}: symbol", self.symbol)
+        check_name(where, self.symbol.name)
+        check_unit(where, self.unit)
+        settle(self, "value", as_number(where, self.value))
+        for field in ("lower", "upper"):
+            settle(self, field, as_number(f"{where}: {field}", getattr(self, field), finite=False))
+        if not self.lower <= self.value <= self.upper:
+            raise SceneError(f"{where}: the value {self.value:g} {self.unit} lies outside its range [{self.lower:g}, {self.upper:g}].")
+
+    @property
+    def name(self) -> str:
+        """That of its symbol."""
+        return self.symbol.name
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coordinate:
+    """A generalised position q and its velocity v = dq/dt. `nominal`: a typical magnitude of q, in `unit`.
+
+    velocity_lower, velocity_upper: bounds of v at the start of every step, as the inputs have theirs; the end belongs to the goal.
+    """
+
+    symbol: sp.Symbol
+    velocity: sp.Symbol
+    unit: str
+    nominal: float = 1.0
+    velocity_lower: float = -math.inf
+    velocity_upper: float = math.inf
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        where = f"coordinate {self.symbol}"
+        for field, symbol in (("symbol", self.symbol), ("velocity", self.velocity)):
+            check_moving(f"{where}: {field}", symbol)
+            check_name(where, symbol.name)
+        check_unit(where, self.unit)
+        settle(self, "nominal", as_number(f"{where}: nominal", self.nominal))
+        if self.nominal <= 0:
+            raise SceneError(f"{where}: nominal must be positive, not {self.nominal:g}.")
+        settle_bounds(self, where, "velocity_lower", "velocity_upper")
+
+    @property
+    def has_velocity_bounds(self) -> bool:
+        """Whether its velocity has a finite bound."""
+        return math.isfinite(self.velocity_lower) or math.isfinite(self.velocity_upper)
+
+    @property
+    def name(self) -> str:
+        """That of its symbol."""
+        return self.symbol.name
+
+    @property
+    def velocity_name(self) -> str:
+        """That of its velocity's symbol."""
+        return self.velocity.name
+
+    @property
+    def velocity_unit(self) -> str:
+        """Its unit a second."""
+        return f"{self.unit}/s"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Input:
+    """An actuator: a generalised force or torque u within [lower, upper], in `unit`."""
+
+    symbol: sp.Symbol
+    unit: str
+    lower: float = -math.inf
+    upper: float = math.inf
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        where = f"input {self.symbol}"
+        check_moving(f"{where}: symbol", self.symbol)
+        check_name(where, self.symbol.name)
+        check_unit(where, self.unit)
+        settle_bounds(self, where, "lower", "upper")
+
+    @property
+    def name(self) -> str:
+        """That of its symbol."""
+        return self.symbol.name
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """What is to be done: from `start` to `goal` in `steps` steps of `step` seconds, at least cost.
+
+    start, goal: (2*nq,) positions then velocities; a goal of None leaves its component free at the end, and a goal of nothing but None is
+    a free end. running_cost: an expression in q, v, u and parameters, summed over the starts of the steps (not integrated: as in the
+    paper, cost = sum_t u^2); final_cost: an expression in q, v and parameters, of the last state, added to that sum.
+    """
+
+    start: tuple[float, ...]
+    goal: tuple[float | None, ...]
+    running_cost: sp.Expr
+    step: float
+    steps: int
+    final_cost: sp.Expr = sp.S.Zero
+
+    def __post_init__(self) -> None:
+        for field in ("start", "goal"):
+            values = getattr(self, field)
+            if isinstance(values, str) or not isinstance(values, Iterable):
+                raise SceneError(f"task: {field} must be positions, then velocities, as a tuple of numbers, not {values!r}.")
+            may_be_free = field == "goal"
+            numbers = (
+                None if may_be_free and value is None else as_number(f"task: {field}[{index}]", value) for index, value in enumerate(values)
+            )
+            settle(self, field, tuple(numbers))
+        for field in ("running_cost", "final_cost"):
+            settle(self, field, as_expression(f"task: {field}", getattr(self, field)))
+        settle(self, "step", as_number("task: step", self.step))
+        if self.step <= 0:
+            raise SceneError(f"task: step must be positive seconds, not {self.step!r}.")
+        if isinstance(self.steps, bool) or not isinstance(self.steps, int) or self.steps < 1:
+            raise SceneError(f"task: steps must be a whole number of at least 1, not {self.steps!r}.")
+
+    @property
+    def horizon(self) -> float:
+        """Duration T = steps * step [s]."""
+        return self.steps * self.step
+
+    @property
+    def has_goal(self) -> bool:
+        """Whether any component of the end is given."""
+        return any(value is not None for value in self.goal)
