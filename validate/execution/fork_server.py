@@ -1,15 +1,15 @@
-"""Cells as forks of one process that has imported what they need: a cell begins in milliseconds instead of a second.
+"""Tasks as forks of one process that has imported what they need: a task begins in milliseconds instead of a second.
 
-    with fork_server(cells) as server:
-        child = server.start(folder, token=token, temporary=folder / "tmp", log=folder / "log.txt")     # as validate.execution.process's ChildProcess
+    server = start_fork_server(tasks)
+    child = server.start(folder, token=token, temporary=folder / "tmp", log=folder / "log.txt")     # as validate.execution.process's ChildProcess
 
 The server is that of the standard library, `multiprocessing.forkserver`, one for each campaign: it has then imported the sources as they are now. What it
 is told of a child is no `multiprocessing.Process` but `_Child`: nobody's `__main__` is imported in it, and a daemon (a Dask worker) may start it.
 
-A child is a cell like any other: it has a session, a log, a folder and a token of its own, and dies with the server, which dies with the campaign. Its
-token is written over that of the server's in the environment that the system shows, so that whoever ends the cell finds it, and what it forks. The
+A child is a task like any other: it has a session, a log, a folder and a token of its own, and dies with the server, which dies with the campaign. Its
+token is written over that of the server's in the environment that the system shows, so that whoever ends the task finds it, and what it forks. The
 server reaps a child at once and tells its exit code alone: what it cost is what it had cost at the last look. Linux only: elsewhere, and where a
-library has started threads, cells are started one by one.
+library has started threads, tasks are started one by one.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ from typing import NoReturn
 
 import psutil
 
+from validate.execution.child import run_and_exit
 from validate.execution.isolated_child import die_with_parent
 from validate.execution.process import (
     PARENT_VARIABLE,
@@ -47,7 +48,7 @@ from validate.execution.process import (
 )
 from validate.execution.reaper import TOKEN_VARIABLE
 
-# What most cells import.
+# What most tasks import.
 MODULES = (
     *("numpy", "scipy.sparse.linalg", "scipy.linalg", "scipy.special", "sympy", "pyomo.environ", "h5netcdf", "psutil", "fmpy"),
     *(
@@ -60,10 +61,10 @@ MODULES = (
     *("reports.records.check_record", "formulations.mpec", "formulations.ipopt", "formulations.transcription.homotopy"),
     *("formulations.contact_modes.session", "formulations.multiple_shooting.method"),
 )
-# What one cell in four imports, in 3 CPU s and half a gigabyte that all children then share: PyTorch, and what its optimisers import at their first
-# use (1.1 s). Worth it from so many cells on.
+# What one task in four imports, in 3 CPU s and half a gigabyte that all children then share: PyTorch, and what its optimisers import at their first
+# use (1.1 s). Worth it from so many tasks on.
 TORCH_MODULES, TORCH_WORTH = ("formulations.shooting.session", "torch._dynamo"), 20
-# From so many cells on the server has saved the time of its own start.
+# From so many tasks on the server has saved the time of its own start.
 WORTH = 4
 # What a server is told to import; only a server has it.
 _PRELOAD_VARIABLE = "TOUCHSTONE_PRELOAD"
@@ -90,15 +91,15 @@ class _Server(multiprocessing.forkserver.ForkServer):
 
 
 class ForkServer:
-    """See the module docstring. modules: imported beforehand; cell: the function that is given the folder. Raises ForkServerError if there can
+    """See the module docstring. modules: imported beforehand; task: the function that is given the folder. Raises ForkServerError if there can
     be none."""
 
-    def __init__(self, modules: Sequence[str] = MODULES, cell: str = "validate.execution.child:main") -> None:
+    def __init__(self, modules: Sequence[str] = MODULES, task: str = "validate.execution.child:main") -> None:
         if sys.platform != "linux":
             raise ForkServerError("only Linux shows, and lets change, the environment of a process")
         if os.environ.get(TOKEN_VARIABLE):
-            raise ForkServerError("a cell in a cell carries two tokens")
-        self._cell, self._environment, self._server = cell, child_environment("", Path()), _Server()
+            raise ForkServerError("a task in a task carries two tokens")
+        self._task, self._environment, self._server = task, child_environment("", Path()), _Server()
         self._server.set_forkserver_preload([__name__])
         # The library's folder for the server's socket; it removes it, if it comes to that.
         self._mark = uuid.uuid4().hex
@@ -123,10 +124,10 @@ class ForkServer:
             multiprocessing.forkserver.read_signed(state)
 
     def start(self, folder: Path, *, token: str, temporary: Path, log: Path) -> ForkedChild:
-        """The child that runs the cell of a folder. Raises ForkServerError."""
+        """The child that runs the task of a folder. Raises ForkServerError."""
         environment = self._environment | {TOKEN_VARIABLE: token, "TMPDIR": str(temporary)}
         # The first is what multiprocessing would prepare, its parent's __main__ above all: nothing.
-        told = pickle.dumps({}) + pickle.dumps(_Child(self._cell, folder, log, environment))
+        told = pickle.dumps({}) + pickle.dumps(_Child(self._task, folder, log, environment))
         try:
             return ForkedChild(*self._server.connect_to_new_process([]), told, token)
         except (OSError, EOFError) as error:
@@ -138,7 +139,7 @@ class ForkServer:
 
 
 class ForkedChild(ChildProcess):
-    """A running cell whose parent is the server. state: where the server tells its number, and its exit code once it is reaped; pipe: where it is
+    """A running task whose parent is the server. state: where the server tells its number, and its exit code once it is reaped; pipe: where it is
     told what it is to do. Raises OSError, EOFError if the server is gone."""
 
     def __init__(self, state: int, pipe: int, told: bytes, token: str) -> None:
@@ -151,7 +152,6 @@ class ForkedChild(ChildProcess):
             os.close(state)
             raise
         self._cpu, self._memory = 0.0, 0
-        self._ended: Ended | None = None
         try:
             self._living = psutil.Process(self.pid)
         except psutil.Error:  # it has ended
@@ -171,12 +171,6 @@ class ForkedChild(ChildProcess):
             with contextlib.suppress(psutil.Error):
                 self._memory = max(self._memory, self._living.memory_info().rss)
                 self._cpu = sum(self._living.cpu_times()[:4])
-
-    def end(self) -> Ended:
-        """End the child and all it started, wherever they went; once more, it says the same."""
-        if self._ended is None:
-            self._ended = self._end()
-        return self._ended
 
     def _end(self) -> Ended:
         self.look()
@@ -200,7 +194,7 @@ class ForkedChild(ChildProcess):
 class _Child:
     """What a fork of the server is to do. multiprocessing has it read there, in place of a Process, and calls its `_bootstrap`."""
 
-    cell: str
+    task: str
     folder: Path
     log: Path
     environment: dict[str, str]
@@ -221,31 +215,19 @@ class _Child:
             os.dup2(log, 2)
             os.close(log)
             os.chdir(self.environment["TMPDIR"])
-            from validate.execution.child import run
-
-            module, _, name = self.cell.partition(":")
-            run(getattr(importlib.import_module(module), name), self.folder)
+            module, _, name = self.task.partition(":")
+            run_and_exit(getattr(importlib.import_module(module), name), self.folder)
         finally:
             os._exit(1)
 
 
-def modules_for(cells: int) -> Sequence[str]:
-    """What a server imports for so many cells."""
-    return (*MODULES, *TORCH_MODULES) if cells >= TORCH_WORTH else MODULES
-
-
-@contextlib.contextmanager
-def fork_server(cells: int) -> Iterator[ForkServer | None]:
-    """A server for so many cells, or None where there can be none, or it would cost more than it saves."""
-    try:
-        server = ForkServer(modules_for(cells)) if cells >= WORTH else None
-    except ForkServerError:
-        server = None
-    try:
-        yield server
-    finally:
-        if server is not None:
-            server.close()
+def start_fork_server(tasks: int) -> ForkServer | None:
+    """A server for so many tasks, or None where there can be none, or it would cost more than it saves."""
+    if tasks < WORTH:
+        return None
+    with contextlib.suppress(ForkServerError):
+        return ForkServer((*MODULES, *TORCH_MODULES) if tasks >= TORCH_WORTH else MODULES)
+    return None
 
 
 @contextlib.contextmanager
@@ -294,7 +276,7 @@ def _prepare(modules: Sequence[str]) -> None:
         os.dup2(nothing, standard)
     os.close(nothing)
     for name in modules:
-        with contextlib.suppress(ImportError):  # an extra that is not installed, or what a cell will say itself
+        with contextlib.suppress(ImportError):  # an extra that is not installed, or what a task will say itself
             importlib.import_module(name)
     if len(os.listdir("/proc/self/task")) > 1:  # a fork would cut a library's threads in two
         os._exit(1)

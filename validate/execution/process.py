@@ -131,12 +131,6 @@ class Watchdog:
                 self._process.stdin.close()
         self._process.wait()
 
-    def __enter__(self) -> Watchdog:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
 
 @lru_cache(maxsize=1)
 def _watchdog_of(process: int) -> Watchdog:
@@ -167,6 +161,8 @@ class Ended:
 
 class ChildProcess:
     """One running Python module; see the module docstring."""
+
+    _ended: Ended | None = None
 
     def __init__(self, module: str, arguments: Sequence[str], *, token: str, temporary: Path, output: IO[bytes]) -> None:
         self.token = token
@@ -221,7 +217,12 @@ class ChildProcess:
             self._family.setdefault(number, _started(number))
 
     def end(self) -> Ended:
-        """End the child and all it started, wherever they went."""
+        """End the child and all it started, wherever they went; once more, it says the same."""
+        if self._ended is None:
+            self._ended = self._end()
+        return self._ended
+
+    def _end(self) -> Ended:
         self.look()
         strays = end_family(self.token, self.pid, self._family)
         if self._process.returncode is not None or not hasattr(os, "wait4"):

@@ -1,23 +1,25 @@
-"""Reads a campaign file, in full or not at all."""
+"""Reads a campaign file, in full or not at all: TOML -> what a campaign runs. Every mistake of a file is reported at once, with its place.
+
+campaign = read_campaign(Path("stiffness.toml"))
+run_campaign(CampaignSettings(out=out, **campaign.settings()), narrator)
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from formulations.method import Pipeline
+from formulations.pipelines import PIPELINES
 from models.errors import TouchstoneError
 from validate.plan.mistakes import MOST_TOLD, checked
 from validate.plan.pipelines import chosen_pipelines
 from validate.plan.scenes import references
-from validate.plan.schema import resolved_text
+from validate.plan.schema import CampaignFile, resolved_text
 from validate.plan.toml_text import TomlError, read_toml
+from validate.tasks.examination import SceneReference
 from validate.tasks.plugins import DEFAULT_TOOLS, Tools, load_tools
-
-if TYPE_CHECKING:
-    from formulations.method import Pipeline
-    from validate.plan.schema import CampaignFile
-    from validate.tasks.examination import SceneReference
 
 # Stored beside the results: the file as it was given, and with everything filled in.
 GIVEN, RESOLVED = "campaign.toml", "resolved.toml"
@@ -79,7 +81,5 @@ def read_campaign(path: Path, tools: str = DEFAULT_TOOLS) -> Campaign:
 
 def _known(tools: Tools, scenes: list[SceneReference]) -> list[Pipeline]:
     """All pipelines there are for these scenes; all of ours where no scene can be read."""
-    from formulations.pipelines import PIPELINES
-
     found = {pipeline.name: pipeline for reference in scenes for pipeline in tools.pipelines_for(reference.scene)}
     return list(found.values()) or list(PIPELINES)

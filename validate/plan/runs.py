@@ -9,28 +9,27 @@ from __future__ import annotations
 import difflib
 import json
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from formulations.method import Pipeline
 from formulations.pipelines import cells_of
 from models.catalog import load_scene, scene_names, scene_path
 from models.errors import TouchstoneError
+from models.scene import Scene
+from reports.records.check_record import ExaminationRecord
+from reports.records.record import RunRecord
+from validate.judge.score import check_limits
 from validate.plan.selection import matches
+from validate.store.provenance import content_key, examination_key
 from validate.store.store import Store
-from validate.tasks.examination import Examination, SceneReference, lost_examination
+from validate.tasks.examination import Examination, SceneReference
 from validate.tasks.leg import Planned, planned_legs, planned_stages
+from validate.tasks.path import LoadedRun
 from validate.tasks.plugins import DEFAULT_TOOLS, Tools, load_tools, tools_source
 from validate.tasks.run import RunTask
-
-if TYPE_CHECKING:
-    from formulations.method import Pipeline
-    from models.scene import Scene
-    from reports.records.check_record import ExaminationRecord
-    from reports.records.record import ProvenanceRecord, RunRecord
-    from validate.tasks.run import ChildExit
-
 
 NOTHING_STORED = "nothing is stored of it"
 
@@ -72,32 +71,26 @@ class CampaignSettings:
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """A cell of a scene by a pipeline with what the parent knows of it: its scene, its stages, and its stored record if that can be used."""
+    """A run with what the parent knows of it: as it is loaded here, and its stored record if that can be used."""
 
-    cell: RunTask
-    scene: Scene
-    plan: tuple[Planned, ...]
+    task: RunTask
+    loaded: LoadedRun
     stored: RunRecord | ExaminationRecord | None = None
     why: str = ""  # it is run, although something like it may be stored
 
-    def lost(self, provenance: ProvenanceRecord) -> Callable[[ChildExit, Path], RunRecord]:
-        """Makes the record of a child that left none, of what it left in its folder."""
-        from validate.tasks.path import lost_run
-
-        return lambda lost, folder: lost_run(self.cell, self.scene, self.plan, provenance, lost, folder)
+    @property
+    def scene(self) -> Scene:
+        """Its scene."""
+        return self.loaded.scene
 
 
 @dataclass(frozen=True)
 class PlannedCheck:
     """An examination, and its stored record if that can be used."""
 
-    cell: Examination
+    task: Examination
     stored: RunRecord | ExaminationRecord | None = None
     why: str = ""
-
-    def lost(self, provenance: ProvenanceRecord) -> Callable[[ChildExit, Path], ExaminationRecord]:
-        """Makes the record of a child that left none."""
-        return lambda lost, folder: lost_examination(self.cell, provenance, lost)
 
 
 def select(settings: CampaignSettings) -> tuple[list[PlannedRun | PlannedCheck], tuple[str, ...]]:
@@ -123,7 +116,7 @@ def select(settings: CampaignSettings) -> tuple[list[PlannedRun | PlannedCheck],
                     left_out.append((scene.name, pipeline.name))
                 else:
                     for part in cells_of(pipeline):
-                        cell = RunTask(
+                        task = RunTask(
                             key="",
                             scene=reference.where,
                             scene_name=scene.name,
@@ -132,7 +125,7 @@ def select(settings: CampaignSettings) -> tuple[list[PlannedRun | PlannedCheck],
                             time_limit=settings.time_limit,
                             variant=reference.variant,
                         )
-                        entries.append(_entry(cell, scene, tools))
+                        entries.append(_entry(task, scene, tools))
     long = list(dict.fromkeys(long))
     told = (*_in_words(left_out, len(scenes) - len(long)), *(f"{name} x every pipeline" for name in long))
     examined, unexamined = _examined(settings, tools, settings.examined if settings.chosen else scenes, seen)
@@ -148,8 +141,6 @@ def _is_too_long(settings: CampaignSettings, scene: Scene) -> bool:
 
 
 def _scenes(settings: CampaignSettings) -> list[SceneReference]:
-    from validate.judge.score import check_limits
-
     scenes: list[SceneReference] = []
     for reference in dict.fromkeys(settings.scenes or scene_names()):
         scene = load_scene(reference)
@@ -168,8 +159,6 @@ def _examined(
 
     Where scenes are named, only examinations of these scenes are meant.
     """
-    from validate.store.provenance import examination_key
-
     long = {reference.scene.name for reference in scenes if _is_too_long(settings, reference.scene)}
     examined: list[PlannedCheck] = []
     left_out: list[Examination] = []
@@ -200,17 +189,15 @@ def _in_words(cells: Sequence[tuple[str, str]], scenes: int) -> tuple[str, ...]:
     return tuple(dict.fromkeys(f"{'every scene' if times[pipeline] == scenes > 1 else scene} x {pipeline}" for scene, pipeline in cells))
 
 
-def _entry(cell: RunTask, scene: Scene, tools: Tools) -> PlannedRun:
-    from validate.store.provenance import content_key
-
-    plan = planned_stages(cell.pipeline, {leg.method: tools.load_method(leg.method) for leg in cell.pipeline.legs})
-    source = tools_source(cell.tools)
+def _entry(task: RunTask, scene: Scene, tools: Tools) -> PlannedRun:
+    plan = planned_stages(task.pipeline, tools.methods_of(task.pipeline))
+    source = tools_source(task.tools)
 
     def key_of(stages: Sequence[Planned], *named: str) -> str:
         return content_key(scene, [*named, [planned.asked() for planned in stages]], {planned.name for planned in stages}, source)
 
-    key = key_of(plan, cell.pipeline.name, cell.pipeline.title)
-    return PlannedRun(cell=replace(cell, key=key, legs=planned_legs(plan, key_of)), scene=scene, plan=plan)
+    key = key_of(plan, task.pipeline.name, task.pipeline.title)
+    return PlannedRun(replace(task, key=key, legs=planned_legs(plan, key_of)), LoadedRun(scene=scene, plan=plan))
 
 
 def _nothing(settings: CampaignSettings, seen: list[str], left_out: tuple[str, ...]) -> CampaignError:
@@ -228,28 +215,28 @@ def with_stored(entries: Sequence[PlannedRun | PlannedCheck], store: Store, sett
     """The same cells, each with its stored record where that can be used again, else with the reason why not."""
     found: list[PlannedRun | PlannedCheck] = []
     for entry in entries:
-        record, why = _usable(store, entry.cell, settings.fresh)
+        record, why = _usable(store, entry.task, settings.fresh)
         found.append(replace(entry, stored=record, why=why))
     return found
 
 
-def _usable(store: Store, cell: RunTask | Examination, fresh: bool) -> tuple[RunRecord | ExaminationRecord | None, str]:
-    record = store.read(cell.key)
+def _usable(store: Store, task: RunTask | Examination, fresh: bool) -> tuple[RunRecord | ExaminationRecord | None, str]:
+    record = store.read(task.key)
     if record is None:
-        return None, "stored, but its record cannot be read" if (store.runs / cell.key).is_dir() else NOTHING_STORED
+        return None, "stored, but its record cannot be read" if (store.runs / task.key).is_dir() else NOTHING_STORED
     if fresh:
         return None, "stored, but --fresh runs it anew"
     outcomes = {record.outcome, *(stage.outcome for stage in getattr(record, "stages", ()))}
     if "crashed" in outcomes:
         return None, "stored, but it crashed"
     if "time_limit" in outcomes or any(stage.certificate_missing for stage in getattr(record, "stages", ())):
-        asked = store.request(cell.key).get("time_limit")
+        asked = store.request(task.key).get("time_limit")
         before = asked if isinstance(asked, (int, float)) else 0.0
-        if not before >= cell.time_limit:
-            return None, f"stored, but it ran out of {before:g} s and would have {cell.time_limit:g} s now"
-    if lost := store.lost(cell.key):
-        return None, f"stored, but {lost} is gone or cut off"
-    if store.is_due(cell.key):
+        if not before >= task.time_limit:
+            return None, f"stored, but it ran out of {before:g} s and would have {task.time_limit:g} s now"
+    if file := store.damaged_file(task.key):
+        return None, f"stored, but {file} is gone or cut off"
+    if store.needs_rerun(task.key):
         return None, "stored, but to be run anew, which was interrupted"
     return record, ""
 
@@ -259,15 +246,15 @@ def reasons(entries: Sequence[PlannedRun | PlannedCheck], store: Store) -> list[
     others = {identity(request) for request in store.requests()}
     return [
         "stored for other code, options, libraries or another scene file"
-        if entry.why == NOTHING_STORED and identity(entry.cell.to_json()) in others
+        if entry.why == NOTHING_STORED and identity(entry.task.to_json()) in others
         else entry.why
         for entry in entries
     ]
 
 
-def identity(cell: Mapping[str, Any]) -> str:
-    """What a cell is called, whatever its content; of data that came from a file, and may be damaged."""
-    pipeline = cell.get("pipeline")
+def identity(task: Mapping[str, Any]) -> str:
+    """What a task is called, whatever its content; of data that came from a file, and may be damaged."""
+    pipeline = task.get("pipeline")
     if isinstance(pipeline, Mapping):
-        return json.dumps([cell.get("scene_name"), pipeline.get("name"), pipeline.get("part") or None])
-    return json.dumps([cell.get("kind"), cell.get("name"), cell.get("scene")])
+        return json.dumps([task.get("scene_name"), pipeline.get("name"), pipeline.get("part") or None])
+    return json.dumps([task.get("kind"), task.get("name"), task.get("scene")])

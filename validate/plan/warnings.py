@@ -13,22 +13,19 @@ import hashlib
 import math
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import sympy as sp
+from pydantic import ValidationError
 
+from models.scene import Scene
 from models.scene.text import scene_text
 from models.stability import step_stability
-
-if TYPE_CHECKING:
-    from models.scene import Scene
-    from reports.records.record import TimeStepRecord
+from reports.records.record import CampaignRecord, TimeStepRecord
+from validate.judge.score.table import TABLE
 
 
 def time_steps(scenes: Iterable[Scene], campaign: Path) -> tuple[TimeStepRecord, ...]:
     """campaign: campaign.json of the folder, which need not be there. Raises MachineError without a compiler."""
-    from reports.records.record import TimeStepRecord
-
     known = {(item.scene, item.digest): item for item in _stored(campaign)}
     found = []
     for scene in scenes:
@@ -53,10 +50,6 @@ def time_steps(scenes: Iterable[Scene], campaign: Path) -> tuple[TimeStepRecord,
 
 
 def _stored(campaign: Path) -> tuple[TimeStepRecord, ...]:
-    from pydantic import ValidationError
-
-    from reports.records.record import CampaignRecord
-
     try:
         return CampaignRecord.model_validate_json(campaign.read_bytes()).time_steps
     except (OSError, ValidationError):
@@ -111,8 +104,6 @@ def _idle(scene: Scene) -> list[str]:
 
 
 def _idle_limits(scene: Scene) -> list[str]:
-    from validate.judge.score.table import TABLE
-
     absent = {entry.name: entry.meaning for entry in TABLE if not entry.applies(scene)}
     return [
         f"scene {scene.name}: the limit on {limit.metric} judges nothing; nothing here has this metric ({absent[limit.metric]})."

@@ -19,13 +19,14 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from models.codegen.compiler import find_compiler
 from models.errors import MachineError
+from models.scene import Scene
 from models.scene.text import scene_text
+from reports.records.record import ProvenanceRecord
 from validate.execution.process import ROOT, THREADS
 
 if TYPE_CHECKING:
-    from models.scene import Scene
-    from reports.records.record import ProvenanceRecord
     from validate.tasks.examination import Examination
 
 SEED = 0
@@ -132,8 +133,6 @@ def fingerprint() -> str:
 @lru_cache(maxsize=1)
 def compiler_text() -> str:
     """Name and version of the C compiler, or the sentence that says there is none."""
-    from models.codegen.compiler import find_compiler
-
     try:
         return find_compiler().describe()
     except MachineError as error:
@@ -179,8 +178,6 @@ def now() -> str:
 
 def gather(command: str) -> ProvenanceRecord:
     """The provenance of a campaign that starts now."""
-    from reports.records.record import ProvenanceRecord
-
     try:
         version = metadata.version("touchstone-contact")
     except metadata.PackageNotFoundError:

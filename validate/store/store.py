@@ -17,14 +17,12 @@ import socket
 import uuid
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from models.errors import TouchstoneError
+from reports.records.check_record import ExaminationRecord, record_of
+from reports.records.record import RunRecord
 from validate.store.disk import PARTIAL, aside_name, disk_error, fsync, remove
-
-if TYPE_CHECKING:
-    from reports.records.check_record import ExaminationRecord
-    from reports.records.record import RunRecord
 
 RECORD, LOG, REQUEST, PROGRESS, MACHINE = "record.json", "log.txt", "cell.json", "progress.txt", "machine.txt"
 # Names and sizes [bytes] of a run's NetCDF files, so that it is seen where one is gone or cut off.
@@ -86,16 +84,13 @@ class Store:
 
     def read(self, key: str) -> RunRecord | ExaminationRecord | None:
         """The stored record of a cell, or None if there is none that can be read."""
-
-        from reports.records.check_record import record_of
-
         try:
             record = record_of((self.runs / key / RECORD).read_bytes())
         except (OSError, ValueError):  # no record, or a key that is no file name
             return None
         return record if record.key == key else None
 
-    def lost(self, key: str) -> str:
+    def damaged_file(self, key: str) -> str:
         """The first NetCDF file of a stored run that is gone or has another size than it was stored with, or the list of them; empty if all are there."""
         folder = self.runs / key
         try:
@@ -108,7 +103,7 @@ class Store:
         """What was asked for in a stored cell; nothing if that cannot be read."""
         return _request(self.runs / key / REQUEST)
 
-    def due(self, keys: Iterable[str]) -> list[str]:
+    def mark_for_rerun(self, keys: Iterable[str]) -> list[str]:
         """Mark stored runs as to be run anew, until they are, whatever ends this campaign; the keys of those that are stored. Raises MachineError."""
         stored = [key for key in keys if os.path.exists(self.runs / key / RECORD)]
         for key in stored:
@@ -120,11 +115,11 @@ class Store:
                 raise disk_error(mark, error) from error
         return stored
 
-    def is_due(self, key: str) -> bool:
+    def needs_rerun(self, key: str) -> bool:
         return os.path.exists(self.runs / key / _DUE)  # False too where the folder cannot be read
 
-    def spare(self, keys: Iterable[str]) -> None:
-        """Take back what `due` asked for; what was run anew since has no mark."""
+    def unmark(self, keys: Iterable[str]) -> None:
+        """Take back what `mark_for_rerun` asked for; what was run anew since has no mark."""
         for key in keys:
             remove(self.runs / key / _DUE)
 

@@ -9,14 +9,15 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from pydantic import ValidationError
+
+from reports.records.check_record import ExaminationRecord
+from reports.records.record import SCHEMA_VERSION, CampaignRecord, RunRecord
+from reports.rule import failed_keys
 from validate.plan.runs import CampaignError, PlannedCheck, PlannedRun, identity
 from validate.store.store import Store
-
-if TYPE_CHECKING:
-    from reports.records.check_record import ExaminationRecord
-    from reports.records.record import CampaignRecord, RunRecord
 
 CAMPAIGN = "campaign.json"
 # What a campaign that ran nothing leaves as it was told: the report says when its results were made.
@@ -58,10 +59,6 @@ def stored_names(store: Store, keys: Iterable[str]) -> dict[str, str]:
 
 def campaign_of(folder: Path) -> CampaignRecord:
     """The campaign of a folder. Raises CampaignError."""
-    from pydantic import ValidationError
-
-    from reports.records.record import CampaignRecord
-
     path = folder / CAMPAIGN
     try:
         return CampaignRecord.model_validate_json(path.read_bytes())
@@ -79,8 +76,6 @@ def campaign_of(folder: Path) -> CampaignRecord:
 
 def earlier_schema(folder: Path) -> str:
     """Why nothing of a folder is used again whose campaign was recorded by another version; empty where there is none, or it is of this one."""
-    from reports.records.record import SCHEMA_VERSION
-
     try:
         version = json.loads((folder / CAMPAIGN).read_bytes())["schema_version"]
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
@@ -98,11 +93,9 @@ def only_last_failed(entries: Sequence[PlannedRun | PlannedCheck], store: Store)
 
     What is neither is left out. Raises CampaignError where there is no campaign, or nothing of this choice failed.
     """
-    from reports.rule import failed_keys
-
     _, records = stored_campaign(store.folder)
     failed = {identity(store.request(key)) for key in failed_keys(records)}
-    again = {entry.cell.key for entry in entries if identity(entry.cell.to_json()) in failed}
+    again = {entry.task.key for entry in entries if identity(entry.task.to_json()) in failed}
     if not again:
         hint = "drop --lf."
         if failed:
@@ -112,9 +105,9 @@ def only_last_failed(entries: Sequence[PlannedRun | PlannedCheck], store: Store)
         raise CampaignError(f"nothing to run: nothing that is selected failed when the campaign in {store.folder} last ran; {hint}")
     why = "it failed the last time"
     return [
-        replace(entry, stored=None, why=why) if entry.cell.key in again else entry
+        replace(entry, stored=None, why=why) if entry.task.key in again else entry
         for entry in entries
-        if entry.cell.key in again or entry.stored is not None
+        if entry.task.key in again or entry.stored is not None
     ]
 
 

@@ -17,18 +17,16 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from models.errors import MachineError, TouchstoneError
+from models.scene import Scene
+from reports.records.check_record import ExaminationRecord
+from reports.records.record import MetricRecord, ProvenanceRecord
 from validate.store.disk import raise_if_disk_ended
 from validate.store.store import LOG, PROGRESS
-
-if TYPE_CHECKING:
-    from models.scene import Scene
-    from reports.records.check_record import ExaminationRecord
-    from reports.records.record import MetricRecord, ProvenanceRecord
-    from validate.tasks.run import ChildExit
-    from validate.tasks.variant import Variant
+from validate.tasks.run import ChildExit
+from validate.tasks.variant import Variant
 
 # Of an examination's time limit, what is kept for writing down what was found: a twentieth, but no more than 5 s.
 _WRITING_SHARE, _WRITING_MOST = 0.05, 5.0
@@ -149,8 +147,6 @@ def lost_examination(examination: Examination, provenance: ProvenanceRecord, los
 def _record(
     examination: Examination, provenance: ProvenanceRecord, found: Found, outcome: str, message: str, wall: float, cpu: float, log: str
 ) -> ExaminationRecord:
-    from reports.records.check_record import ExaminationRecord
-
     return ExaminationRecord(
         key=examination.key,
         kind=examination.kind,

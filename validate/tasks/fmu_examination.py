@@ -10,6 +10,10 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from models.catalog import load_scene
+from models.fmu import build_fmu
+from models.scene.text import scene_text
+from reports.records.check_record import CheckRow, FmuRecord
 from validate.tasks.examination import Course, Examination, Found, SceneReference
 
 VERSIONS = ("2.0", "3.0")
@@ -27,8 +31,6 @@ _SOURCES = (
 
 def examinations(scenes: Sequence[SceneReference]) -> list[Examination]:
     """One for each scene and version; all scenes of one version, then of the next."""
-    from models.scene.text import scene_text
-
     return [
         Examination(
             kind="FMU",
@@ -50,10 +52,7 @@ def examinations(scenes: Sequence[SceneReference]) -> list[Examination]:
 
 def examine(arguments: Mapping[str, Any], course: Course) -> Found:
     """Export and check. Raises MachineError, SceneError for a scene whose names an FMU cannot carry."""
-    from models.catalog import load_scene
-    from models.fmu import build_fmu
-    from reports.records.check_record import CheckRow, FmuRecord
-    from validate.fmu_check import CHECK_SECONDS, Status, check_fmu
+    from validate.fmu_check import CHECK_SECONDS, Status, check_fmu  # imports FMPy: in the child alone
 
     began = time.perf_counter()
     course.at("the export")

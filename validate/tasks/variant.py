@@ -9,12 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from models.errors import SceneError
-
-if TYPE_CHECKING:
-    from models.scene import Limit, Scene
+from models.scene import Limit, Scene
 
 # Judges the replay by closed forms, which are those of the unchanged scene.
 _BY_ANSWERS = "answer_error"
@@ -89,6 +87,4 @@ def _state(scene: Scene, what: str, values: Iterable[float | None], changes: Map
 
 
 def _limit(metric: str, value: float, reason: str) -> Limit:
-    from models.scene import Limit
-
     return Limit(metric=metric, value=value, reason=reason)

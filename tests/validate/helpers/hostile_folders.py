@@ -55,11 +55,12 @@ def _entry() -> Any:
     from formulations.method import Leg, Pipeline
     from models.catalog import load_scene
     from validate.plan.runs import PlannedRun
+    from validate.tasks.path import LoadedRun
     from validate.tasks.run import RunTask
 
     pipeline = Pipeline(name="p", title="p", legs=(Leg(method="m"),))
-    cell = RunTask(key=KEY, scene="three_cart", scene_name="s", pipeline=pipeline, tools="", time_limit=9.0)
-    return PlannedRun(cell=cell, scene=load_scene("three_cart"), plan=())
+    task = RunTask(key=KEY, scene="three_cart", scene_name="s", pipeline=pipeline, tools="", time_limit=9.0)
+    return PlannedRun(task, LoadedRun(scene=load_scene("three_cart"), plan=()))
 
 
 def resume(path: Path) -> None:
@@ -74,7 +75,7 @@ def resume(path: Path) -> None:
     store.prepare()
     found = with_stored([_entry()], store, settings)
     reasons(found, store)
-    store.lost(KEY)
+    store.damaged_file(KEY)
     earlier_schema(path)
     time_steps((), path / CAMPAIGN)
     campaign_text(path)

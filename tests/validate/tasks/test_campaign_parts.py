@@ -59,8 +59,8 @@ def test_options_of_a_part_lie_over_those_of_the_leg() -> None:
 def test_a_campaign_runs_the_parts_as_cells_of_their_own(tmp_path) -> None:
     entries, _ = select(CampaignSettings(out=tmp_path, scenes=("three_cart",), expression="multistart"))
     assert len(entries) == 4
-    assert len({entry.cell.key for entry in entries}) == 4
-    assert entries[1].cell.title == "three_cart x mpcc_multistart (2 of 4)"
+    assert len({entry.task.key for entry in entries}) == 4
+    assert entries[1].task.title == "three_cart x mpcc_multistart (2 of 4)"
 
 
 @pytest.mark.slow
@@ -77,7 +77,7 @@ def test_a_quick_campaign_says_once_what_it_leaves_out_of_every_scene(tmp_path) 
     entries, left_out = select(
         CampaignSettings(out=tmp_path, scenes=("three_cart", "bouncing_mass"), quick=True, expression="strict or free_motion")
     )
-    chosen = [(entry.scene.name, entry.cell.pipeline.name) for entry in entries]
+    chosen = [(entry.scene.name, entry.task.pipeline.name) for entry in entries]
     quick = "softplus_dc+strict"
     assert chosen == [("three_cart", quick), ("bouncing_mass", quick), ("bouncing_mass", "free_motion")]
     assert left_out == tuple(f"every scene x {name}" for name in ("strict", "relaxed+strict", "softplus_gd+strict"))
@@ -92,7 +92,7 @@ def test_a_quick_campaign_leaves_out_the_long_scenes_unless_they_are_named(tmp_p
     assert long
     assert {entry.scene.name for entry in entries if isinstance(entry, PlannedRun)} == set(scenes) - long
     assert {f"{name} x every pipeline" for name in long} <= set(left_out)
-    assert not {entry.cell.scene for entry in entries if isinstance(entry, PlannedCheck)} & long
+    assert not {entry.task.scene for entry in entries if isinstance(entry, PlannedCheck)} & long
     named, _ = select(CampaignSettings(out=tmp_path, quick=True, scenes=(min(long),)))
     assert {entry.scene.name for entry in named if isinstance(entry, PlannedRun)} == {min(long)}
     every, _ = select(CampaignSettings(out=tmp_path))
