@@ -80,7 +80,7 @@ class Narrator(Protocol):
         ...
 
     def finished(self, record: TaskRecord) -> None:
-        """This one has ended, and is stored."""
+        """One has ended, and is stored."""
         ...
 
     def ends(self) -> None:
@@ -232,8 +232,10 @@ def run_tasks(
     again: Callable[[TaskRecord], bool],
     narrator: Narrator,
 ) -> Generator[TaskRecord, None, None]:
-    """Run all tasks and yield the record of each when it has finished. waits: whether a task is to be left for later while others run; again:
-    whether one with this record is to be run once more. Raises MachineError."""
+    """Run all tasks and yield the record of each when it has finished.
+
+    waits: whether a task is to be left for later while others run; again: whether one with this record is to be run once more. Raises MachineError.
+    """
     waiting = deque(tasks)
     running: dict[Future[TaskRecord | None], Task] = {}
     silent_since: float | None = time.monotonic()  # None once a task has begun, or its silence was reported

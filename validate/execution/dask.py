@@ -127,9 +127,12 @@ _OF_THREAD = threading.local()
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
-    """What a worker is asked to do. folder: the campaign's; mark: the name of the folder in it by which the worker sees that it has the same one before
+    """What a worker is asked to do.
+
+    folder: the campaign's; mark: the name of the folder in it by which the worker sees that it has the same one before
     it; token: the campaign's; fingerprint: of its sources; tasks: how many will come to one thread, which may be worth a fork server; name: by which the
-    campaign counts how often the task was begun."""
+    campaign counts how often the task was begun.
+    """
 
     task: Task
     provenance: ProvenanceRecord
@@ -201,9 +204,9 @@ _GONE = "the Dask scheduler is gone; what finished is stored, and the same comma
 
 @contextmanager
 def open_dask(where: str, jobs: int | None, context: ExecutionContext, tasks: int) -> Iterator[DaskEngine]:
-    """The engine of a cluster. where: address or scheduler file, "" for worker processes here; jobs: that many of them, or tasks at a time;
-    tasks: how many there are.
+    """The engine of a cluster.
 
+    where: address or scheduler file, "" for worker processes here; jobs: that many of them, or tasks at a time; tasks: how many there are.
     Raises MachineError where there is no cluster.
     """
     quieten()
@@ -234,13 +237,16 @@ class _Tries:
     """Of a task that Dask has: what its beginnings are counted by, how often Dask gave it up, and since when."""
 
     name: str = field(default_factory=lambda: uuid.uuid4().hex)
-    lost: int = 0
+    given_up: int = 0
     since: float = field(default_factory=time.monotonic)
 
 
 class DaskEngine:
-    """See the module docstring. jobs: at most so many tasks are given to Dask at a time, None: all, since a cluster grows by what waits for it; mark: the
-    folder by which a worker sees that it has the campaign's folder before it; tasks: how many there are."""
+    """See the module docstring.
+
+    jobs: at most so many tasks are given to Dask at a time, None: all, since a cluster grows by what waits for it; mark: the
+    folder by which a worker sees that it has the campaign's folder before it; tasks: how many there are.
+    """
 
     def __init__(self, client: Any, context: ExecutionContext, jobs: int | None, mark: Path, tasks: int) -> None:
         self._client, self._context, self.jobs, self._mark = client, context, jobs, mark
@@ -286,13 +292,13 @@ class DaskEngine:
         except MachineError:
             raise
         except Exception as error:  # of any type: what a worker with other packages raises while it reads the task
-            told = (str(error).splitlines() or [""])[0]
+            why = (str(error).splitlines() or [""])[0]
             raise MachineError(
-                f"a Dask worker could not run {task.title} ({type(error).__name__}: {told}); "
+                f"a Dask worker could not run {task.title} ({type(error).__name__}: {why}); "
                 "install the same touchstone-contact where the workers run."
             ) from error
-        tries.lost += 1  # before it was begun, or with a worker that took itself for dismissed
-        if tries.lost > _GIVEN_ANEW:
+        tries.given_up += 1  # before it was begun, or with a worker that took itself for dismissed
+        if tries.given_up > _GIVEN_ANEW:
             raise MachineError(f"workers of the Dask cluster are lost before they begin {task.title}; their logs say why.")
         return None
 

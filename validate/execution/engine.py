@@ -41,8 +41,11 @@ class EngineError(TouchstoneError):
 
 @dataclass(frozen=True, kw_only=True)
 class ExecutionContext:
-    """What an engine has of a campaign. token: 16 letters and digits, by which the campaign knows its own unfinished folders; loaded: its runs, by
-    key, as they are loaded here."""
+    """What an engine has of a campaign.
+
+    token: 16 letters and digits, by which the campaign knows its own unfinished folders; loaded: its runs, by
+    key, as they are loaded here.
+    """
 
     store: Store
     provenance: ProvenanceRecord
@@ -126,7 +129,7 @@ def open_local(jobs: int, context: ExecutionContext, tasks: int) -> Iterator[Eng
 
 
 class LocalEngine:
-    """Children on this machine, each watched by the thread that started it. (Linux kills a child when that thread ends.)"""
+    """Children on this machine, each watched by the thread that started it: Linux kills a child when that thread ends."""
 
     def __init__(self, jobs: int, context: ExecutionContext, server: ForkServer | None) -> None:
         self.jobs, self._context, self._server = jobs, context, server

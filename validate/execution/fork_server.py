@@ -4,7 +4,7 @@
     child = server.start(folder, token=token, temporary=folder / "tmp", log=folder / "log.txt")     # as validate.execution.process's ChildProcess
 
 The server is that of the standard library, `multiprocessing.forkserver`, one for each campaign: it has then imported the sources as they are now. What it
-is told of a child is no `multiprocessing.Process` but `_Child`: nobody's `__main__` is imported in it, and a daemon (a Dask worker) may start it.
+reads of a child is no `multiprocessing.Process` but `_Child`: nobody's `__main__` is imported in it, and a daemon (a Dask worker) may start it.
 
 A child is a task like any other: it has a session, a log, a folder and a token of its own, and dies with the server, which dies with the campaign. Its
 token is written over that of the server's in the environment that the system shows, so that whoever ends the task finds it, and what it forks. The
@@ -66,7 +66,7 @@ MODULES = (
 TORCH_MODULES, TORCH_WORTH = ("formulations.shooting.session", "torch._dynamo"), 20
 # From so many tasks on the server has saved the time of its own start.
 WORTH = 4
-# What a server is told to import; only a server has it.
+# What a server is to import; only a server has it.
 _PRELOAD_VARIABLE = "TOUCHSTONE_PRELOAD"
 # What a server's environment shows where a child writes its own. A longer folder than that only the child itself knows.
 _TOKEN, _TEMPORARY = "0" * 32, Path("/" + "x" * 999)
@@ -91,8 +91,10 @@ class _Server(multiprocessing.forkserver.ForkServer):
 
 
 class ForkServer:
-    """See the module docstring. modules: imported beforehand; task: the function that is given the folder. Raises ForkServerError if there can
-    be none."""
+    """See the module docstring.
+
+    modules: imported beforehand; task: the function that is given the folder. Raises ForkServerError if there can be none.
+    """
 
     def __init__(self, modules: Sequence[str] = MODULES, task: str = "validate.execution.child:main") -> None:
         if sys.platform != "linux":
@@ -104,9 +106,9 @@ class ForkServer:
         # The library's folder for the server's socket; it removes it, if it comes to that.
         self._mark = uuid.uuid4().hex
         shared_watchdog().tell("start", self._mark, multiprocessing.util.get_temp_dir())
-        told = child_environment(_TOKEN, _TEMPORARY) | {_PRELOAD_VARIABLE: ",".join(modules), "PYTHONSAFEPATH": "1"}
+        environment = child_environment(_TOKEN, _TEMPORARY) | {_PRELOAD_VARIABLE: ",".join(modules), "PYTHONSAFEPATH": "1"}
         try:
-            with terminal_blocked(), _changed_environment(told):
+            with terminal_blocked(), _changed_environment(environment):
                 self._server.ensure_running()
             self._wait_until_ready()
         except (OSError, EOFError) as error:
@@ -117,9 +119,9 @@ class ForkServer:
             raise
 
     def _wait_until_ready(self) -> None:
-        """Until it forks a child, which is told nothing and ends. Whoever starts the first that matters has no time to lose, and hears no Ctrl-C."""
-        state, told = self._server.connect_to_new_process([])
-        os.close(told)
+        """Until it forks a child, which reads nothing and ends. Whoever starts the first that matters has no time to lose, and hears no Ctrl-C."""
+        state, pipe = self._server.connect_to_new_process([])
+        os.close(pipe)
         with open(state, "rb"):
             multiprocessing.forkserver.read_signed(state)
 
@@ -127,26 +129,30 @@ class ForkServer:
         """The child that runs the task of a folder. Raises ForkServerError."""
         environment = self._environment | {TOKEN_VARIABLE: token, "TMPDIR": str(temporary)}
         # The first is what multiprocessing would prepare, its parent's __main__ above all: nothing.
-        told = pickle.dumps({}) + pickle.dumps(_Child(self._task, folder, log, environment))
+        orders = pickle.dumps({}) + pickle.dumps(_Child(self._task, folder, log, environment))
         try:
-            return ForkedChild(*self._server.connect_to_new_process([]), told, token)
+            return ForkedChild(*self._server.connect_to_new_process([]), orders, token)
         except (OSError, EOFError) as error:
             raise ForkServerError("the server is gone") from error
 
     def close(self) -> None:
+        """End the server, and its children with it."""
         self._server.end()
         shared_watchdog().tell("stop", self._mark)
 
 
 class ForkedChild(ChildProcess):
-    """A running task whose parent is the server. state: where the server tells its number, and its exit code once it is reaped; pipe: where it is
-    told what it is to do. Raises OSError, EOFError if the server is gone."""
+    """A running task whose parent is the server.
 
-    def __init__(self, state: int, pipe: int, told: bytes, token: str) -> None:
+    state: where the server writes its number, and its exit code once it is reaped; pipe: where it reads what it is to do. Raises OSError, EOFError if
+    the server is gone.
+    """
+
+    def __init__(self, state: int, pipe: int, orders: bytes, token: str) -> None:
         self._state, self.token, self._family = state, token, {}
         try:
             with open(pipe, "wb") as file:
-                file.write(told)
+                file.write(orders)
             self.pid = multiprocessing.forkserver.read_signed(state)
         except BaseException:
             os.close(state)
@@ -159,9 +165,11 @@ class ForkedChild(ChildProcess):
         self.look()
 
     def has_ended(self) -> bool:
+        """Whether the child ended."""
         return self.wait(0.0)
 
     def wait(self, seconds: float) -> bool:
+        """Wait at most that long [s]; whether it ended."""
         return self._ended is not None or bool(select.select([self._state], [], [], max(0.0, seconds))[0])
 
     def look(self) -> None:

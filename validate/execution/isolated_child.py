@@ -72,7 +72,7 @@ def mark_refused_memory(mark: Path) -> Any:
     """Let a crash that follows a refused allocation leave the file `mark`: C code that does not look at what malloc gave writes to address 0.
 
     Then errno is still ENOMEM. The handler runs as Python, which it can where C code was called through ctypes, as FMUs are; it puts the former handler
-    back and returns, so that the crash goes on as it would have. What is returned must be kept as long as the process lives.
+    back and returns, so that the crash goes on as it would have. What is returned must live as long as the process lives.
     """
     if sys.platform == "win32":
         return None

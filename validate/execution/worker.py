@@ -40,10 +40,10 @@ _LOOK = 0.05
 
 
 class Worker:
-    """One task at work; see the module docstring. loaded: the run, if it is loaded here already; server: forks the child, if there is one;
-    token_begins: at most 16 letters and digits by which a campaign knows its own.
+    """One task at work; see the module docstring.
 
-    Starting it raises MachineError if the folder cannot be written, or no process can be started.
+    loaded: the run, if it is loaded here already; server: forks the child, if there is one; token_begins: at most 16 letters and digits by which a
+    campaign knows its own. Starting it raises MachineError if the folder cannot be written, or no process can be started.
     """
 
     def __init__(
@@ -71,8 +71,10 @@ class Worker:
             raise
 
     def run(self, wanted: Callable[[], bool]) -> TaskRecord | None:
-        """Its record, which is stored; None if it was not wanted any more. Nothing else is left of it. Raises MachineError if the child, or
-        this process, found that this machine cannot."""
+        """Its record, which is stored; None if it was not wanted any more. Nothing else is left of it.
+
+        Raises MachineError if the child, or this process, found that this machine cannot.
+        """
         try:
             while wanted():
                 has_ended = self._process.wait(_LOOK)

@@ -13,7 +13,7 @@ from typing import Any
 from formulations.method import Pipeline
 from formulations.pipelines import PIPELINES
 from models.errors import TouchstoneError
-from validate.plan.mistakes import MOST_TOLD, checked
+from validate.plan.mistakes import MOST_SHOWN, checked
 from validate.plan.pipelines import chosen_pipelines
 from validate.plan.scenes import references
 from validate.plan.schema import CampaignFile, resolved_text
@@ -29,8 +29,8 @@ class ConfigError(TouchstoneError):
     """A campaign file with mistakes; `mistakes` has a sentence for each, which begins with its place in the file."""
 
     def __init__(self, path: Path, mistakes: list[str]) -> None:
-        told = mistakes[:MOST_TOLD] + ([f"and {len(mistakes) - MOST_TOLD} more"] if len(mistakes) > MOST_TOLD else [])
-        self.mistakes = tuple(" ".join(mistake.split()) for mistake in told)
+        shown = mistakes[:MOST_SHOWN] + ([f"and {len(mistakes) - MOST_SHOWN} more"] if len(mistakes) > MOST_SHOWN else [])
+        self.mistakes = tuple(" ".join(mistake.split()) for mistake in shown)
         count = f"{len(mistakes)} mistakes" if len(mistakes) > 1 else "a mistake"
         self.headline = f"campaign {path}: there {'are' if len(mistakes) > 1 else 'is'} {count} in it"
         super().__init__(f"{self.headline}: {'; '.join(self.mistakes)}")

@@ -1,4 +1,4 @@
-"""Which cells a campaign has, in order: scenes by pipelines, then examinations; and which of them are stored.
+"""Which tasks a campaign has, in order: scenes by pipelines, then examinations; and which of them are stored.
 
 entries, left_out = select(CampaignSettings(out=Path("runs/all"), quick=True))
 entries = with_stored(entries, store, settings)
@@ -43,8 +43,8 @@ class CampaignSettings:
     """What the user asked for.
 
     scenes: names or paths; empty for all of the catalog. last_failed: of what is not stored, run only what failed when the folder's campaign
-    last ran, and that in any case; stop_early: at the first failure; retries: of a cell that crashes; engine: which runs the cells
-    (validate.execution.engine); jobs: cells at a time, None for what the engine chooses.
+    last ran, and that in any case; stop_early: at the first failure; retries: of a task that crashes; engine: which runs the tasks
+    (validate.execution.engine); jobs: tasks at a time, None for what the engine chooses.
     Of a campaign file: chosen, instead of `scenes`; pipelines, instead of all of them; examined: scenes whose FMUs are checked; title: of the
     report; files: texts written into the folder, by name.
     """
@@ -94,7 +94,7 @@ class PlannedCheck:
 
 
 def select(settings: CampaignSettings) -> tuple[list[PlannedRun | PlannedCheck], tuple[str, ...]]:
-    """The cells asked for, in order, and what a quick campaign leaves out, in words. Raises TouchstoneError."""
+    """The tasks asked for, in order, and what a quick campaign leaves out, in words. Raises TouchstoneError."""
     tools = load_tools(settings.tools)
     scenes = list(settings.chosen) or _scenes(settings)
     entries: list[PlannedRun | PlannedCheck] = []
@@ -127,12 +127,12 @@ def select(settings: CampaignSettings) -> tuple[list[PlannedRun | PlannedCheck],
                         )
                         entries.append(_entry(task, scene, tools))
     long = list(dict.fromkeys(long))
-    told = (*_in_words(left_out, len(scenes) - len(long)), *(f"{name} x every pipeline" for name in long))
+    skipped = (*_in_words(left_out, len(scenes) - len(long)), *(f"{name} x every pipeline" for name in long))
     examined, unexamined = _examined(settings, tools, settings.examined if settings.chosen else scenes, seen)
-    told += unexamined
+    skipped += unexamined
     if not entries and not examined:
-        raise _nothing(settings, seen, told)
-    return [*entries, *examined], told
+        raise _nothing(settings, seen, skipped)
+    return [*entries, *examined], skipped
 
 
 def _is_too_long(settings: CampaignSettings, scene: Scene) -> bool:
@@ -155,7 +155,7 @@ def _scenes(settings: CampaignSettings) -> list[SceneReference]:
 def _examined(
     settings: CampaignSettings, tools: Tools, scenes: Sequence[SceneReference], seen: list[str]
 ) -> tuple[list[PlannedCheck], tuple[str, ...]]:
-    """The examinations asked for, and what of them a quick campaign leaves out; `seen` is told their names.
+    """The examinations asked for, and what of them a quick campaign leaves out; their names are added to `seen`.
 
     Where scenes are named, only examinations of these scenes are meant.
     """
@@ -183,10 +183,10 @@ def _counted(examinations: Sequence[Examination]) -> tuple[str, ...]:
     return tuple(titles[0] if len(titles) == 1 else f"{group}: {len(titles)} examinations" for group, titles in groups.items())
 
 
-def _in_words(cells: Sequence[tuple[str, str]], scenes: int) -> tuple[str, ...]:
+def _in_words(runs: Sequence[tuple[str, str]], scenes: int) -> tuple[str, ...]:
     """(scene, pipeline) -> `scene x pipeline`; a pipeline of all of several scenes once, as `every scene x pipeline`."""
-    times = Counter(pipeline for _, pipeline in cells)
-    return tuple(dict.fromkeys(f"{'every scene' if times[pipeline] == scenes > 1 else scene} x {pipeline}" for scene, pipeline in cells))
+    times = Counter(pipeline for _, pipeline in runs)
+    return tuple(dict.fromkeys(f"{'every scene' if times[pipeline] == scenes > 1 else scene} x {pipeline}" for scene, pipeline in runs))
 
 
 def _entry(task: RunTask, scene: Scene, tools: Tools) -> PlannedRun:
@@ -212,7 +212,7 @@ def _nothing(settings: CampaignSettings, seen: list[str], left_out: tuple[str, .
 
 
 def with_stored(entries: Sequence[PlannedRun | PlannedCheck], store: Store, settings: CampaignSettings) -> list[PlannedRun | PlannedCheck]:
-    """The same cells, each with its stored record where that can be used again, else with the reason why not."""
+    """The same tasks, each with its stored record where that can be used again, else with the reason why not."""
     found: list[PlannedRun | PlannedCheck] = []
     for entry in entries:
         record, why = _usable(store, entry.task, settings.fresh)
@@ -242,7 +242,7 @@ def _usable(store: Store, task: RunTask | Examination, fresh: bool) -> tuple[Run
 
 
 def reasons(entries: Sequence[PlannedRun | PlannedCheck], store: Store) -> list[str]:
-    """For each cell why it would be run, "" where its record is used; one of which another version is stored says that."""
+    """For each task why it would be run, "" where its record is used; one of which another version is stored says that."""
     others = {identity(request) for request in store.requests()}
     return [
         "stored for other code, options, libraries or another scene file"

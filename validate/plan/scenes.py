@@ -19,7 +19,7 @@ from validate.plan.schema import FREE, SceneEntry
 from validate.tasks.examination import SceneReference
 from validate.tasks.variant import Variant, state_names, varied
 
-# A sweep of more is a slip of the pen: at a second a cell it would run for a quarter of an hour by each pipeline.
+# A sweep of more is a slip of the pen: at a second a task it would run for a quarter of an hour by each pipeline.
 MOST_VARIANTS = 1000
 _Change = tuple[str, str]  # section (or steps, step) and name
 
@@ -133,9 +133,9 @@ def _variant(name: str, chosen: Mapping[_Change, Any], entry: SceneEntry) -> Var
 
 def _name(entry: SceneEntry, scene: Scene, changes: Mapping[_Change, Sequence[Any]], chosen: Mapping[_Change, Any]) -> str:
     """`three_cart_k_300`: the name given or the scene's, then what tells its scenes apart (without a name given: all that is changed)."""
-    told = [change for change in changes if entry.name is None or len(changes[change]) > 1]
+    distinct = [change for change in changes if entry.name is None or len(changes[change]) > 1]
     parts = [entry.name or scene.name]
-    for section, name in told:
+    for section, name in distinct:
         parts += [word for word in ("" if section == "parameters" else section, name, _letters(chosen[section, name])) if word]
     if entry.name is None and not changes:
         parts.append("limits")

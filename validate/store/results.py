@@ -1,7 +1,7 @@
 """results.csv: one row a stage, and examinations.csv: one row an examination; rebuilt from records at any time, numbers in full (repr), nothing where nothing is known.
 
-Rows stand in the order of the campaign's cells; apart from the columns whose names end in `_s` (seconds) the file is the same bytes whenever
-the same cells are run on the same machine.
+Rows stand in the order of the campaign's tasks; apart from the columns whose names end in `_s` (seconds) the file is the same bytes whenever
+the same tasks are run on the same machine.
 
 starts.csv and front.csv: one row a start, one row a terminal tolerance; rebuilt from records at any time, absent where there are none.
 """

@@ -1,4 +1,4 @@
-"""The campaign that a folder holds: what it was, and which of its cells failed.
+"""The campaign that a folder holds: what it was, and which of its tasks failed.
 
 campaign, records = stored_campaign(Path("runs/all"))
 """
@@ -20,32 +20,34 @@ from validate.plan.runs import CampaignError, PlannedCheck, PlannedRun, identity
 from validate.store.store import Store
 
 CAMPAIGN = "campaign.json"
-# What a campaign that ran nothing leaves as it was told: the report says when its results were made.
+# What a campaign that ran nothing leaves as it was: the report says when its results were made.
 _OF_THE_CALL = ("command", "started", "provenance")
 # What damaged content raises where it is read.
 _NO_CAMPAIGN = (ValueError, AttributeError, RecursionError)
 
 
 def stored_campaign(folder: Path) -> tuple[CampaignRecord, tuple[RunRecord | ExaminationRecord, ...]]:
-    """The campaign of a folder and those of its cells that are stored, in order. Raises CampaignError."""
+    """The campaign of a folder and those of its tasks that are stored, in order. Raises CampaignError."""
     campaign = campaign_of(folder)
     store = Store(folder)
     found = (store.read(key) for key in campaign.keys)
     return campaign, tuple(record for record in found if record is not None)
 
 
-def title_of(cell: Mapping[str, Any]) -> str:
-    """What a cell is called, of what was asked for. Raises LookupError or TypeError where that is damaged."""
-    if "pipeline" not in cell:
-        return f"{cell['kind']}: {cell['name']}"
-    pipeline = cell["pipeline"]
+def title_of(task: Mapping[str, Any]) -> str:
+    """What a task is called, of what was asked for. Raises LookupError or TypeError where that is damaged."""
+    if "pipeline" not in task:
+        return f"{task['kind']}: {task['name']}"
+    pipeline = task["pipeline"]
     part = "" if not pipeline["part"] else " ({} of {})".format(*pipeline["part"])
-    return f"{cell['scene_name']} x {pipeline['name']}{part}"
+    return f"{task['scene_name']} x {pipeline['name']}{part}"
 
 
 def stored_names(store: Store, keys: Iterable[str]) -> dict[str, str]:
-    """Key -> what the cell is called, by what was asked for, which is read in a hundredth of the time of its record; only where that cannot be read by
-    the record. Cells of which there is neither are left out."""
+    """Key -> what the task is called. Tasks of which nothing can be read are left out.
+
+    It is read from what was asked for, in a hundredth of the time of the record; only where that is damaged from the record.
+    """
     names = {}
     for key in keys:
         try:
@@ -89,7 +91,7 @@ def earlier_schema(folder: Path) -> str:
 
 
 def only_last_failed(entries: Sequence[PlannedRun | PlannedCheck], store: Store) -> list[PlannedRun | PlannedCheck]:
-    """Of these cells those that failed when the folder's campaign last ran, to be run anew, and those that are stored, as they are.
+    """Of these tasks those that failed when the folder's campaign last ran, to be run anew, and those that are stored, as they are.
 
     What is neither is left out. Raises CampaignError where there is no campaign, or nothing of this choice failed.
     """

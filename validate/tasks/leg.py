@@ -53,6 +53,7 @@ class Planned:
 
     @property
     def title(self) -> str:
+        """Its method, and its eps if it has one."""
         return self.name if self.eps is None else f"{self.name}, eps {self.eps:g}"
 
     def asked(self) -> list[Any]:
@@ -155,8 +156,11 @@ def place(folder: Path, number: int) -> Path:
 
 
 def take(stored: Path, key: str, limit: float | None, stages: int, into: Path, scene: Scene) -> tuple[LegRecord, Trajectory | None] | None:
-    """A stored leg of so many stages, and its plan; its files are linked into a new folder `into`. None if it is not stored. stored: the folder of all
-    legs; limit [s]: of the run that asks, None where it would not end there too. A leg that is damaged is put aside, into the folder that `into` lies in."""
+    """A stored leg of so many stages, and its plan; its files are linked into a new folder `into`. None if it is not stored.
+
+    stored: the folder of all legs; limit [s]: of the run that asks, None where it would not end there too. A leg that is damaged is put aside, into the
+    folder that `into` lies in.
+    """
     for name in (key,) if limit is None else (key, timeout_key(key, limit)):
         source = stored / name
         if not source.is_dir():

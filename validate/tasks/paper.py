@@ -81,18 +81,33 @@ def measure(scene: Scene) -> tuple[ViolationPoint, ...]:
 
 
 def softplus_violation(kernel: Kernel, path: Callable[[np.ndarray], np.ndarray], eps: float) -> float:
-    """The largest lam*(lam - k*phi) [N^2] of the compiled softplus law at the first contact along a path through it."""
+    """The largest lam*(lam - k*phi) [N^2] of the compiled softplus law at the first contact along a path through it.
+
+    Parameters
+    ----------
+    kernel
+        Of a scene with contacts.
+    path
+        From penetrations of the first contact (n,) [m] to positions (n, nq) [m, rad].
+    eps
+        Of the relaxation.
+
+    Raises
+    ------
+    RelaxationError
+        Unless 0 < eps < 1.
+    """
     stiffness = kernel.stiffness()
 
-    def violation(depth: np.ndarray) -> np.ndarray:
+    def _violation(depth: np.ndarray) -> np.ndarray:
         q = path(depth)
         lam = kernel.contact_force(q, ContactLaw.SOFTPLUS, eps)[:, 0]
         return lam * (lam - stiffness[0] * kernel.penetration(q)[:, 0])
 
     width = _WIDTHS / sharpness(eps, kernel.scene.length)
     grid = np.linspace(-width, width, _GRID)
-    best = int(np.argmax(violation(grid)))
-    return _golden_section(lambda depth: float(violation(np.array([depth]))[0]), grid[max(best - 1, 0)], grid[min(best + 1, _GRID - 1)])
+    best = int(np.argmax(_violation(grid)))
+    return _golden_section(lambda depth: float(_violation(np.array([depth]))[0]), grid[max(best - 1, 0)], grid[min(best + 1, _GRID - 1)])
 
 
 def _through_contact(scene: Scene, kernel: Kernel) -> Callable[[np.ndarray], np.ndarray]:

@@ -1,7 +1,7 @@
 """A run as a worker makes it: the legs of its path, one after the other, each taken from the store, or solved, judged, certified and stored.
 
     record = run_path(task, provenance, folder, began)              # in a child process of its own: validate.execution.child
-    record = lost_run(task, load_run(task), provenance, child, folder)    # by its worker, where the child left no record
+    record = unfinished_run(task, load_run(task), provenance, child, folder)    # by its worker, where the child left no record
 
 A leg lies in the folder of the run as soon as it is judged. So a run that ends before its end keeps the legs it has, whatever ended it. Beside the
 record the folder holds `trajectory.nc` and `replay.nc` of the last stage, and `trajectory_<n>.nc` and `replay_<n>.nc` of every other stage n (from 1); where
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from reports.records.record import ProvenanceRecord, RunRecord, StageRecord
     from validate.tasks.run import ChildExit, RunTask
 
-# Of a run's time limit, what is kept for certificates, replaying and scoring: a quarter, but no more than 60 s. The paper's scene needs 2 s;
+# Of a run's time limit, what is reserved for certificates, replaying and scoring: a quarter, but no more than 60 s. The paper's scene needs 2 s;
 # the certificate of two fingers takes 3 CPU s.
 _JUDGING_SHARE, _JUDGING_MOST = 0.25, 60.0
 
@@ -69,10 +69,9 @@ def load_run(task: RunTask, profile: Profile | None = None) -> LoadedRun:
 
 
 def run_path(task: RunTask, provenance: ProvenanceRecord, folder: Path, began: float, profile: Profile | None = None) -> RunRecord:
-    """The record of a run. began [s]: time.monotonic() at the start of the process, from which the time limit counts; profile: of the process until
-    now.
+    """The record of a run.
 
-    Raises MachineError where this machine cannot go on; whatever else goes wrong in a method or the judge is in the record.
+    began [s]: time.monotonic() at the start of the process, from which the time limit counts; profile: of the process until now. Raises MachineError where this machine cannot go on; whatever else goes wrong in a method or the judge is in the record.
     """
     profile = profile or Profile(began)
     loaded = load_run(task, profile)
@@ -93,9 +92,11 @@ def run_path(task: RunTask, provenance: ProvenanceRecord, folder: Path, began: f
     return run_record(task, drawn, stages, provenance, wall=wall, cpu=cpu, log=text, message=cause, profile=profile.seconds)
 
 
-def lost_run(task: RunTask, loaded: LoadedRun, provenance: ProvenanceRecord, child: ChildExit, folder: Path) -> RunRecord:
-    """The record of a run whose child left none, with the legs that lie in its folder. One that ran out of time has the outcome of its last stage, one
-    that crashed has crashed."""
+def unfinished_run(task: RunTask, loaded: LoadedRun, provenance: ProvenanceRecord, child: ChildExit, folder: Path) -> RunRecord:
+    """The record of a run whose child left none, with the legs that lie in its folder.
+
+    One that ran out of time has the outcome of its last stage, one that crashed has crashed.
+    """
     scene, plan = loaded.scene, loaded.plan
     found, is_late = legs.legs_in(folder, task.legs), child.outcome == "time_limit"
     why = f"The certificate is missing{' because time ran out: the cell' if is_late else ':'} {child.message}"

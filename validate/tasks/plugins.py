@@ -122,7 +122,7 @@ def load_tools(reference: str) -> Tools:
 
 
 def tools_source(reference: str) -> str:
-    """The source text of the module a reference names, for the key of a cell; empty for our own (hashed with our sources)."""
+    """The source text of the module a reference names, for the key of a task; empty for our own (hashed with our sources)."""
     if reference == DEFAULT_TOOLS:
         return ""
     return inspect.getsource(importlib.import_module(reference.partition(":")[0]))

@@ -12,8 +12,8 @@ from typing import Any, TypeAlias
 
 from reports.records.check_record import ExaminationRecord
 from reports.records.record import ProvenanceRecord, RunRecord
-from validate.tasks.examination import Examination, lost_examination, run_examination
-from validate.tasks.path import LoadedRun, load_run, lost_run, run_path
+from validate.tasks.examination import Examination, run_examination, unfinished_examination
+from validate.tasks.path import LoadedRun, load_run, run_path, unfinished_run
 from validate.tasks.profile import Profile
 from validate.tasks.run import ChildExit, RunTask
 
@@ -42,5 +42,5 @@ def record_for_crash(
 ) -> TaskRecord:
     """The record of a task whose child left none. loaded: of a run, if it is loaded already; a scene file may have changed since."""
     if isinstance(task, Examination):
-        return lost_examination(task, provenance, child)
-    return lost_run(task, loaded or load_run(task), provenance, child, folder)
+        return unfinished_examination(task, provenance, child)
+    return unfinished_run(task, loaded or load_run(task), provenance, child, folder)

@@ -15,7 +15,7 @@ from models.errors import UnknownNameError
 from reports.records.check_record import ExaminationRecord
 from reports.records.record import ProvenanceRecord
 from reports.rule import failures
-from validate.stress.case import CaseFinding, HardCase, Series, at_least, at_most, none_of, told
+from validate.stress.case import CaseFinding, HardCase, Series, at_least, at_most, none_of, unlimited
 from validate.stress.catalog import FOLDER, case_names, describe_case, load_case
 from validate.stress.tasks import examinations, found_of
 
@@ -136,8 +136,8 @@ def test_an_unknown_case_is_named():
         (at_least("order", 2.0, 2.0, reason="r"), True),
         (none_of("wrong", ["one thing"], reason="r"), False),
         (none_of("wrong", [], reason="r"), True),
-        (told("only told", 5.0), None),
-        (told("only told", math.nan), False),
+        (unlimited("only told", 5.0), None),
+        (unlimited("only told", math.nan), False),
     ],
 )
 def test_a_figure_keeps_its_limit_or_does_not(figure, ok: bool | None):
@@ -146,7 +146,7 @@ def test_a_figure_keeps_its_limit_or_does_not(figure, ok: bool | None):
 
 def test_a_case_without_a_judged_figure_has_not_passed():
     assert not CaseFinding(happened="", figures=()).passed
-    assert not CaseFinding(happened="", figures=(told("only told", 1.0),)).passed
+    assert not CaseFinding(happened="", figures=(unlimited("only told", 1.0),)).passed
 
 
 def test_numbers_that_are_none_get_into_no_record():
