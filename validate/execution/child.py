@@ -12,6 +12,7 @@ import json
 import os
 import sys
 import time
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
@@ -72,8 +73,6 @@ def run_and_exit(task: Callable[[Path], int], folder: Path) -> NoReturn:
     try:
         code = task(folder)
     except BaseException:  # noqa: BLE001 - whatever it was, it goes to the log, and the parent makes a row of it
-        import traceback
-
         traceback.print_exc()
         code = 1
     sys.stdout.flush()

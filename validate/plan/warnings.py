@@ -12,6 +12,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterable, Iterator
+from dataclasses import asdict
 from pathlib import Path
 
 import sympy as sp
@@ -33,19 +34,9 @@ def time_steps(scenes: Iterable[Scene], campaign: Path) -> tuple[TimeStepRecord,
         if (scene.name, digest) in known:
             found.append(known[scene.name, digest])
             continue
-        said = step_stability(scene)
-        found.append(
-            TimeStepRecord(
-                scene=scene.name,
-                digest=digest,
-                step=said.step,
-                radius=said.radius,
-                contacts=said.contacts,
-                growth=said.growth,
-                largest_step=said.largest_step if math.isfinite(said.largest_step) else None,
-                warning=said.sentence,
-            )
-        )
+        stability = step_stability(scene)
+        largest = stability.largest_step if math.isfinite(stability.largest_step) else None
+        found.append(TimeStepRecord(**{**asdict(stability), "largest_step": largest, "digest": digest, "warning": stability.sentence}))
     return tuple(found)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 from models.catalog import load_scene
@@ -62,10 +63,7 @@ def examine(arguments: Mapping[str, Any], course: Course) -> Found:
     report = check_fmu(path, seconds=min(CHECK_SECONDS, course.seconds_left))
     checked = time.perf_counter()
     data = path.read_bytes()
-    rows = tuple(
-        CheckRow(name=row.name, type=row.type, claim=row.claim, status=row.status.value, sentence=row.sentence, seconds=row.seconds)
-        for row in report.rows
-    )
+    rows = tuple(CheckRow(**{**asdict(row), "status": row.status.value}) for row in report.rows)
     failed = [f"{row.name}{f' ({row.type})' if row.type else ''}: {row.sentence}" for row in report.failures()]
     statuses = [row.status for row in report.rows]
     counts = ", ".join(f"{statuses.count(status)} {status.value}" for status in Status)

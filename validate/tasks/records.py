@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from models.scene import Scene
     from models.trajectory import Trajectory
     from reports.records.record import LegRecord, ProvenanceRecord, StageRecord
+    from validate.judge.score.verdict import Metric
     from validate.tasks.leg import Planned
     from validate.tasks.run import RunTask
 
@@ -52,15 +53,15 @@ def certificate_record(certificate: Certificate | None) -> CertificateRecord | N
     return CertificateRecord(
         holds=certificate.holds,
         feasible=certificate.feasible,
-        primal=_finite(certificate.primal),
+        primal=finite(certificate.primal),
         worst=certificate.worst,
-        complementarity=_finite(certificate.complementarity),
-        dual=_finite(certificate.dual),
+        complementarity=finite(certificate.complementarity),
+        dual=finite(certificate.dual),
         letter=certificate.stationarity.letter,
         meaning=certificate.stationarity.value,
         pairs=certificate.pairs,
         biactive=certificate.biactive,
-        least=_finite(certificate.least),
+        least=finite(certificate.least),
         unique=certificate.unique,
         b_stationary=certificate.b_stationary,
         sentence=certificate.sentence,
@@ -74,7 +75,7 @@ def start_records(solution: Solution) -> tuple[StartRecord, ...]:
             number=start.number,
             start=start.start,
             outcome=start.outcome.name.lower(),
-            cost=_finite(start.cost),
+            cost=finite(start.cost),
             windows=start.windows,
             seconds=start.seconds,
         )
@@ -88,8 +89,8 @@ def front_records(scene: Scene, solution: Solution) -> tuple[FrontPointRecord, .
         FrontPointRecord(
             tolerance=point.tolerance,
             outcome=point.solution.outcome.name.lower(),
-            cost=_finite(point.solution.cost),
-            terminal_error=_finite(point.solution.residuals.get("discrete_terminal_error")),
+            cost=finite(point.solution.cost),
+            terminal_error=finite(point.solution.residuals.get("discrete_terminal_error")),
             windows=_windows(scene, point.solution.trajectory),
             certificate=certificate_record(point.solution.certificate),
         )
@@ -112,10 +113,6 @@ def _windows(scene: Scene, plan: Trajectory | None) -> tuple[tuple[str, int, int
         edges = np.flatnonzero(np.diff(np.concatenate([[False], force > 0, [False]]).astype(int)))
         found += [(contact.name, int(first), int(stop) - 1) for first, stop in zip(edges[::2], edges[1::2], strict=True)]
     return tuple(found)
-
-
-def _finite(value: float | None) -> float | None:
-    return float(value) if value is not None and math.isfinite(value) else None
 
 
 # Lines of the log that go into the record, so that a report can show why a task ended as it did.
@@ -303,19 +300,9 @@ def _position(difference: Any) -> float | None:
     return None if difference is None else finite(difference.position)
 
 
-def _metric(metric: Any) -> MetricRecord:
-    return MetricRecord(
-        name=metric.name,
-        value=finite(metric.value),
-        unit=metric.unit,
-        meaning=metric.meaning,
-        question=metric.question.number,
-        error=finite(metric.error) or 0.0,
-        limit=finite(metric.limit),
-        reason=metric.reason,
-        ok=metric.ok,
-        default=metric.default,
-    )
+def _metric(metric: Metric) -> MetricRecord:
+    numbers = {"value": finite(metric.value), "error": finite(metric.error) or 0.0, "limit": finite(metric.limit)}
+    return MetricRecord(**{**asdict(metric), **numbers, "question": metric.question.number})
 
 
 def _questions(score: Any) -> tuple[QuestionRecord, ...]:

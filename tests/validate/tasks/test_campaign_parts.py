@@ -17,6 +17,7 @@ from models.codegen.kernel import load_kernel
 from models.trajectory import Trajectory, uniform_grid
 from validate.execution.campaign import CampaignSettings, select
 from validate.plan.runs import PlannedCheck, PlannedRun
+from validate.store.provenance import gather
 from validate.store.results import FRONT, write_sweeps
 from validate.store.results import STARTS as STARTS_FILE
 from validate.tasks.records import certificate_record, front_records, start_records
@@ -147,26 +148,12 @@ def test_starts_and_front_become_records_and_files(tmp_path, factory_run) -> Non
 @pytest.fixture
 def factory_run():
     """A run record with these starts and front, from as little as the schema allows."""
-    from reports.records.record import ProvenanceRecord, RunRecord, SceneRecord, StageRecord
+    from reports.records.record import RunRecord, SceneRecord, StageRecord
 
     scene = SceneRecord(
         name="three_cart", title="", source="", coordinates=(), velocities=(), inputs=(), contacts=(), parameters=(), start=(), goal=(), step=0.01,
         steps=20,
     )  # fmt: skip
-    provenance = ProvenanceRecord(
-        touchstone="",
-        commit="",
-        python="",
-        platform="",
-        cpu="",
-        cores=1,
-        threads=1,
-        packages={},
-        compiler="",
-        seed=0,
-        started="",
-        command="",
-    )
 
     def make(starts, front) -> RunRecord:
         stage = StageRecord(
@@ -174,7 +161,7 @@ def factory_run():
         )
         return RunRecord(
             key="k", scene=scene, pipeline="p", pipeline_title="", stages=(stage,), outcome="solved", must_hold=True, wall_seconds=0.0,
-            cpu_seconds=0.0, provenance=provenance,
+            cpu_seconds=0.0, provenance=gather("a test"),
         )  # fmt: skip
 
     return make
