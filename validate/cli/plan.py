@@ -41,9 +41,9 @@ def command(as_json: bool, **options: Any) -> int:
 
 def tell_plan(settings: CampaignSettings, as_json: bool) -> int:
     """Print it. Raises TouchstoneError."""
-    from validate.plan.runs import PlannedRun, reasons, select, with_stored
+    from validate.plan.runs import PlannedRun, only_last_failed, reasons, select, with_stored
     from validate.store.store import Store
-    from validate.store.stored import earlier_schema, only_last_failed
+    from validate.store.stored import earlier_schema
 
     entries, left_out = select(settings)
     scenes = {entry.scene.name: entry.scene for entry in entries if isinstance(entry, PlannedRun)}

@@ -25,13 +25,13 @@ from reports.rule import fails, failures, findings
 from validate.execution.dask import open_dask
 from validate.execution.engine import LOCAL, Engine, ExecutionContext, Running, check_engine, open_local
 from validate.execution.process import interrupts_wait
-from validate.plan.runs import CampaignError, CampaignSettings, PlannedCheck, PlannedRun, select, with_stored
+from validate.plan.runs import CampaignSettings, PlannedCheck, PlannedRun, only_last_failed, select, with_stored
 from validate.plan.warnings import doubts, time_steps
 from validate.store.disk import write_durably
 from validate.store.provenance import gather
 from validate.store.results import EXAMINATIONS, RESULTS, VIOLATION, write_examinations, write_results, write_sweeps, write_violation
 from validate.store.store import Store
-from validate.store.stored import CAMPAIGN, campaign_text, earlier_schema, of_content, only_last_failed, stored_campaign
+from validate.store.stored import CAMPAIGN, CampaignError, campaign_text, earlier_schema, of_content, stored_campaign
 from validate.tasks.leg import PlannedLeg, forget, must_wait
 from validate.tasks.paper import measure
 from validate.tasks.plugins import load_tools

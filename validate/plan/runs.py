@@ -12,19 +12,19 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 from formulations.method import Pipeline
 from formulations.pipelines import cells_of
 from models.catalog import load_scene, scene_names, scene_path
-from models.errors import TouchstoneError
 from models.scene import Scene
 from reports.records.check_record import ExaminationRecord
 from reports.records.record import RunRecord
+from reports.rule import failed_keys
 from validate.judge.score import check_limits
 from validate.plan.selection import matches
 from validate.store.provenance import content_key, examination_key
 from validate.store.store import Store
+from validate.store.stored import CampaignError, identity, stored_campaign
 from validate.tasks.examination import Examination, SceneReference
 from validate.tasks.leg import Planned, planned_legs, planned_stages
 from validate.tasks.path import LoadedRun
@@ -32,10 +32,6 @@ from validate.tasks.plugins import DEFAULT_TOOLS, Tools, load_tools, tools_sourc
 from validate.tasks.run import RunTask
 
 NOTHING_STORED = "nothing is stored of it"
-
-
-class CampaignError(TouchstoneError):
-    """Nothing selected, or a folder that holds no campaign."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -252,9 +248,24 @@ def reasons(entries: Sequence[PlannedRun | PlannedCheck], store: Store) -> list[
     ]
 
 
-def identity(task: Mapping[str, Any]) -> str:
-    """What a task is called, whatever its content; of data that came from a file, and may be damaged."""
-    pipeline = task.get("pipeline")
-    if isinstance(pipeline, Mapping):
-        return json.dumps([task.get("scene_name"), pipeline.get("name"), pipeline.get("part") or None])
-    return json.dumps([task.get("kind"), task.get("name"), task.get("scene")])
+def only_last_failed(entries: Sequence[PlannedRun | PlannedCheck], store: Store) -> list[PlannedRun | PlannedCheck]:
+    """Of these tasks those that failed when the folder's campaign last ran, to be run anew, and those that are stored, as they are.
+
+    What is neither is left out. Raises CampaignError where there is no campaign, or nothing of this choice failed.
+    """
+    _, records = stored_campaign(store.folder)
+    failed = {identity(store.request(key)) for key in failed_keys(records)}
+    again = {entry.task.key for entry in entries if identity(entry.task.to_json()) in failed}
+    if not again:
+        hint = "drop --lf."
+        if failed:
+            named = sorted(" x ".join(str(part) for part in json.loads(name)[:2]) for name in failed)
+            more = f" and {len(named) - 3} more" if len(named) > 3 else ""
+            hint = f"what did is not selected ({', '.join(named[:3])}{more}): select it as it was, by -k, --scene, --tools or the file of `run`."
+        raise CampaignError(f"nothing to run: nothing that is selected failed when the campaign in {store.folder} last ran; {hint}")
+    why = "it failed the last time"
+    return [
+        replace(entry, stored=None, why=why) if entry.task.key in again else entry
+        for entry in entries
+        if entry.task.key in again or entry.stored is not None
+    ]

@@ -6,17 +6,15 @@ campaign, records = stored_campaign(Path("runs/all"))
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
+from models.errors import TouchstoneError
 from reports.records.check_record import ExaminationRecord
 from reports.records.record import SCHEMA_VERSION, CampaignRecord, RunRecord
-from reports.rule import failed_keys
-from validate.plan.runs import CampaignError, PlannedCheck, PlannedRun, identity
 from validate.store.store import Store
 
 CAMPAIGN = "campaign.json"
@@ -24,6 +22,10 @@ CAMPAIGN = "campaign.json"
 _OF_THE_CALL = ("command", "started", "provenance")
 # What damaged content raises where it is read.
 _NO_CAMPAIGN = (ValueError, AttributeError, RecursionError)
+
+
+class CampaignError(TouchstoneError):
+    """Nothing selected, or a folder that holds no campaign."""
 
 
 def stored_campaign(folder: Path) -> tuple[CampaignRecord, tuple[RunRecord | ExaminationRecord, ...]]:
@@ -41,6 +43,14 @@ def title_of(task: Mapping[str, Any]) -> str:
     pipeline = task["pipeline"]
     part = "" if not pipeline["part"] else " ({} of {})".format(*pipeline["part"])
     return f"{task['scene_name']} x {pipeline['name']}{part}"
+
+
+def identity(task: Mapping[str, Any]) -> str:
+    """What a task is called, whatever its content; of data that came from a file, and may be damaged."""
+    pipeline = task.get("pipeline")
+    if isinstance(pipeline, Mapping):
+        return json.dumps([task.get("scene_name"), pipeline.get("name"), pipeline.get("part") or None])
+    return json.dumps([task.get("kind"), task.get("name"), task.get("scene")])
 
 
 def stored_names(store: Store, keys: Iterable[str]) -> dict[str, str]:
@@ -88,29 +98,6 @@ def earlier_schema(folder: Path) -> str:
         f"{folder} holds the records of schema {version!s:.20}, which hold other things than those of schema {SCHEMA_VERSION}: "
         "none of them is used, and what is selected is run again."
     )
-
-
-def only_last_failed(entries: Sequence[PlannedRun | PlannedCheck], store: Store) -> list[PlannedRun | PlannedCheck]:
-    """Of these tasks those that failed when the folder's campaign last ran, to be run anew, and those that are stored, as they are.
-
-    What is neither is left out. Raises CampaignError where there is no campaign, or nothing of this choice failed.
-    """
-    _, records = stored_campaign(store.folder)
-    failed = {identity(store.request(key)) for key in failed_keys(records)}
-    again = {entry.task.key for entry in entries if identity(entry.task.to_json()) in failed}
-    if not again:
-        hint = "drop --lf."
-        if failed:
-            named = sorted(" x ".join(str(part) for part in json.loads(name)[:2]) for name in failed)
-            more = f" and {len(named) - 3} more" if len(named) > 3 else ""
-            hint = f"what did is not selected ({', '.join(named[:3])}{more}): select it as it was, by -k, --scene, --tools or the file of `run`."
-        raise CampaignError(f"nothing to run: nothing that is selected failed when the campaign in {store.folder} last ran; {hint}")
-    why = "it failed the last time"
-    return [
-        replace(entry, stored=None, why=why) if entry.task.key in again else entry
-        for entry in entries
-        if entry.task.key in again or entry.stored is not None
-    ]
 
 
 def campaign_text(folder: Path) -> str:
