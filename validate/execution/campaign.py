@@ -69,23 +69,18 @@ class Narrator(Protocol):
 
     def begins(self, total: int, stored: int, anew: int) -> None:
         """The campaign has so many tasks, of which so many are stored; so many stored ones are run anew."""
-        ...
 
     def warns(self, sentence: str) -> None:
         """Something is unusual, but goes on."""
-        ...
 
     def runs(self, workers: Sequence[Running]) -> None:
         """These are at work; called five times a second."""
-        ...
 
     def finished(self, record: TaskRecord) -> None:
         """One has ended, and is stored."""
-        ...
 
     def ends(self) -> None:
         """The campaign runs nothing any more."""
-        ...
 
 
 def run_campaign(settings: CampaignSettings, narrator: Narrator) -> CampaignResult:
