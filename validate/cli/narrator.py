@@ -100,7 +100,7 @@ class BarNarrator(PlainNarrator):
     def runs(self, workers: Sequence[Running]) -> None:
         if time.monotonic() - self._said > 0.25:  # no faster than an eye reads
             self._said = time.monotonic()
-            text = "; ".join(f"{worker.cell.title}: {worker.progress()}" for worker in workers)
+            text = "; ".join(f"{worker.task.title}: {worker.progress()}" for worker in workers)
             self._progress.update(self._task, description=one_line(text), left=self._left())
 
     def _left(self) -> str:

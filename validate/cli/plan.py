@@ -41,9 +41,9 @@ def command(as_json: bool, **options: Any) -> int:
 
 def tell_plan(settings: CampaignSettings, as_json: bool) -> int:
     """Print it. Raises TouchstoneError."""
-    from validate.plan.runs import PlannedRun, reasons, select, with_stored
+    from validate.plan.runs import PlannedRun, only_last_failed, reasons, select, with_stored
     from validate.store.store import Store
-    from validate.store.stored import earlier_schema, only_last_failed
+    from validate.store.stored import earlier_schema
 
     entries, left_out = select(settings)
     scenes = {entry.scene.name: entry.scene for entry in entries if isinstance(entry, PlannedRun)}
@@ -63,7 +63,7 @@ def tell_plan(settings: CampaignSettings, as_json: bool) -> int:
     }
     unstable = {name: scene.unstable for name, scene in scenes.items() if scene.unstable}
     if as_json:
-        cells = [{"cell": entry.cell.title, "key": entry.cell.key, "stored": entry.stored is not None, "why": why} for entry, why in told]
+        cells = [{"cell": entry.task.title, "key": entry.task.key, "stored": entry.stored is not None, "why": why} for entry, why in told]
         data = {
             "cells": cells,
             "stored": stored,
@@ -74,7 +74,7 @@ def tell_plan(settings: CampaignSettings, as_json: bool) -> int:
         }
         click.echo(json.dumps(data, indent=1))
         return 0
-    click.echo(table(["cell", "", "why"], [[one_line(entry.cell.title), "run" if why else "stored", why] for entry, why in told]))
+    click.echo(table(["cell", "", "why"], [[one_line(entry.task.title), "run" if why else "stored", why] for entry, why in told]))
     click.echo()
     if left_out:
         click.echo(f"left out by --quick: {', '.join(left_out)}")

@@ -31,10 +31,18 @@ def command(folder: Path, single_file: bool, jobs: int | None, as_json: bool) ->
     from models.errors import MachineError
     from reports.records.load import ReportError, Stored, load
     from reports.render import write_report, write_single
-    from validate.execution.campaign import EXAMINATIONS, RESULTS, VIOLATION
-    from validate.store.results import examination_rows, examinations_text, results_text, rows, write_or_remove
+    from validate.store.results import (
+        EXAMINATIONS,
+        RESULTS,
+        VIOLATION,
+        examination_rows,
+        examinations_text,
+        results_text,
+        rows,
+        violation_text,
+        write_or_remove,
+    )
     from validate.store.stored import campaign_of
-    from validate.tasks.paper import violation_text
 
     try:
         stored = load(folder)  # a pipeline that ran in parts is one row, as in the campaign's own table

@@ -59,9 +59,8 @@ def command(run: str, folder: Path, as_json: bool) -> int:
 
 def _found(run: str, folder: Path) -> tuple[Path, RunRecord | ExaminationRecord]:
     """The campaign's folder and the record. Raises CampaignError."""
-    from validate.plan.runs import CampaignError
     from validate.store.store import RECORD, Store
-    from validate.store.stored import campaign_of, stored_names
+    from validate.store.stored import CampaignError, campaign_of, stored_names
 
     path = Path(run)
     if path.name == RECORD and len(path.parts) > 1:

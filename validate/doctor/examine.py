@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
+import platform
 import shutil
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -12,7 +12,9 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 
+from models.errors import MachineError
 from validate.execution.isolated import Isolated, Limits, run_isolated
+from validate.store.disk import write_durably
 
 # A folder with less room than this [bytes] does not hold a campaign with its FMUs and trajectories.
 _ROOM = 500 * 1024**2
@@ -40,8 +42,11 @@ class MachineFinding:
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
-    """needed: the main job does not work without it; absent: what an empty answer means; remedy: how to mend it; rests_on: trials that it cannot
-    pass if they fail."""
+    """A small piece of the real thing, run in a child.
+
+    needed: the main job does not work without it; absent: what an empty answer means; remedy: how to mend it; rests_on: trials that it cannot pass if
+    they fail.
+    """
 
     name: str
     function: str
@@ -88,43 +93,30 @@ def examine_machine(out: Path, trials: tuple[Trial, ...] = TRIALS) -> Iterator[M
 
 
 def _interpreter() -> MachineFinding:
-    version = ".".join(map(str, sys.version_info[:3]))
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    good = sys.version_info >= (3, 11)
-    return MachineFinding(
-        name="Python",
-        state=State.OK if good else State.BROKEN,
-        sentence=f"Python {version} on {cores} {'core' if cores == 1 else 'cores'}",
-        remedy="" if good else "install Python 3.11 or newer",
-    )
+    sentence = f"Python {platform.python_version()} on {cores} {'core' if cores == 1 else 'cores'}"
+    return MachineFinding(name="Python", state=State.OK, sentence=sentence)
 
 
 def _store(out: Path) -> MachineFinding:
-    """Write, sync, rename and read back where the campaign would, and leave nothing."""
+    """Write durably and read back where the campaign would, and leave nothing."""
     began = time.monotonic()
     place = next(folder for folder in (out, *out.absolute().parents) if folder.exists())
-    trial: Path | None = None
     try:
         if not place.is_dir():
             raise NotADirectoryError(20, "there is a file of that name")
-        trial = Path(tempfile.mkdtemp(prefix=".touchstone-doctor-", dir=place))
-        first, last = trial / "part", trial / "whole"
-        with open(first, "wb") as file:
-            file.write(b"touchstone")
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(first, last)
-        if last.read_bytes() != b"touchstone":
-            raise OSError(5, "what was written reads back differently")
+        with tempfile.TemporaryDirectory(prefix=".touchstone-doctor-", dir=place) as folder:
+            write_durably(Path(folder) / "whole", "touchstone")
+            if (Path(folder) / "whole").read_text() != "touchstone":
+                raise OSError(5, "what was written reads back differently")
         room = shutil.disk_usage(place).free
-    except OSError as error:
-        sentence = f"{place} cannot be written to ({error.strerror})"
-        return MachineFinding(
-            name="store", state=State.BROKEN, sentence=sentence, remedy="choose another folder with --out, or free this one"
+    except (OSError, MachineError) as error:
+        cause = error.__cause__ or error
+        sentence, remedy = (
+            f"{place} cannot be written to ({getattr(cause, 'strerror', cause)})",
+            "choose another folder with --out, or free this one",
         )
-    finally:
-        if trial is not None:
-            shutil.rmtree(trial, ignore_errors=True)
+        return MachineFinding(name="store", state=State.BROKEN, sentence=sentence, remedy=remedy)
     enough = room >= _ROOM
     return MachineFinding(
         name="store",
@@ -136,16 +128,13 @@ def _store(out: Path) -> MachineFinding:
 
 
 def _tried(trial: Trial) -> MachineFinding:
-    done = run_isolated(
-        f"validate.doctor.trials:{trial.function}", {}, limits=Limits(seconds=_SECONDS, memory=16 * 1024**3), what=trial.name
-    )
+    limits = Limits(seconds=_SECONDS, memory=16 * 1024**3)
+    done = run_isolated(f"validate.doctor.trials:{trial.function}", {}, limits=limits, what=trial.name)
     if done.ok and done.value:
         return MachineFinding(name=trial.name, state=State.OK, sentence=str(done.value), seconds=done.wall)
-    if done.ok:
-        return MachineFinding(name=trial.name, state=State.ABSENT, sentence=trial.absent, remedy=trial.remedy, seconds=done.wall)
-    return MachineFinding(
-        name=trial.name, state=State.BROKEN if trial.needed else State.ABSENT, sentence=_why(done), remedy=trial.remedy, seconds=done.wall
-    )
+    state = State.BROKEN if trial.needed and not done.ok else State.ABSENT
+    sentence = trial.absent if done.ok else _why(done)
+    return MachineFinding(name=trial.name, state=state, sentence=sentence, remedy=trial.remedy, seconds=done.wall)
 
 
 def _why(done: Isolated) -> str:

@@ -1,6 +1,7 @@
 """The trials themselves. Each runs in a child (`run_isolated`), returns a sentence of what was found, and raises where it cannot.
 
-A trial ends with a number that is known beforehand: an installation that computes something else has failed it.
+A trial ends with a number that is known beforehand: an installation that computes something else has failed it. Each imports what it tries by itself:
+what cannot be imported is its finding, and nobody else's.
 """
 
 from __future__ import annotations
@@ -11,6 +12,9 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from models.catalog import load_scene
+from models.codegen.cache import cache_folder
+from models.codegen.compiler import compile_shared, find_compiler
 from models.errors import MachineError
 
 # The square root of 2 by Newton's iteration.
@@ -35,8 +39,6 @@ def _compare(what: str, found: float, expected: float, tolerance: float) -> None
 
 def compiler(request: Any, arrays: Any) -> str:
     """Compile and load a C function."""
-    from models.codegen.compiler import compile_shared, find_compiler
-
     found = find_compiler()
     with tempfile.TemporaryDirectory(prefix="touchstone-doctor-") as folder:
         library = Path(folder) / "trial.so"
@@ -49,8 +51,6 @@ def compiler(request: Any, arrays: Any) -> str:
 
 def cache(request: Any, arrays: Any) -> str:
     """Write where compiled scenes and FMUs are kept, and leave nothing."""
-    from models.codegen.cache import cache_folder
-
     folder = cache_folder()
     try:
         with tempfile.TemporaryDirectory(dir=folder, prefix="touchstone-doctor-") as inside:
@@ -84,7 +84,6 @@ def gradient(request: Any, arrays: Any) -> str:
     import torch
 
     from formulations.shooting.rollout import rollout
-    from models.catalog import load_scene
 
     scene = load_scene("three_cart").with_task(steps=40)
 
@@ -104,27 +103,10 @@ def gradient(request: Any, arrays: Any) -> str:
 
 def fmu(request: Any, arrays: Any) -> str:
     """Export a scene, run it by Model Exchange and Co-Simulation, and hold the fall against the closed form."""
-    import numpy as np
+    from validate.stress.motion import replayed, rolled
 
-    from models.catalog import load_scene
-    from models.fmu import build_fmu
-    from models.schemes import Scheme
-    from models.trajectory import Trajectory, uniform_grid
-    from validate.judge.replay.run import replay
-
-    scene = load_scene("bouncing_mass")
-    scene = scene.with_task(steps=5)
-    nodes, step = scene.task.steps + 1, scene.task.step
-    state = np.tile(np.array(scene.task.start), (nodes, 1))
-    plan = Trajectory(
-        t=uniform_grid(step, nodes - 1),
-        q=state[:, :1],
-        v=state[:, 1:],
-        u=np.zeros((nodes - 1, 0)),
-        lam=np.zeros((nodes - 1, scene.nl)),
-        scheme=Scheme.SEMI_IMPLICIT_EULER,
-    )
-    result = replay(scene, build_fmu(scene), plan)
+    scene = load_scene("bouncing_mass").with_task(steps=5)
+    result = replayed(scene, rolled(scene))
     if len(result.t) == 0:
         raise TrialError(f"the FMU of a scene could not be run: {result.message or result.outcome.value}")
     gravity = scene.parameter_values[next(p.symbol for p in scene.parameters if p.name == "g")]

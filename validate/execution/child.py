@@ -1,8 +1,8 @@
-"""The child process of one cell: `python -m validate.execution.child FOLDER`, or a fork of validate.execution.fork_server. FOLDER/cell.json says what to run; FOLDER/record.json is the answer.
+"""The child process of one task: `python -m validate.execution.child FOLDER`, or a fork of validate.execution.fork_server. FOLDER/cell.json says what to run; FOLDER/record.json is the answer.
 
-The record is written last and whole, so that its presence alone says that the cell came to its end. The process
+The record is written last and whole, so that its presence alone says that the task came to its end. The process
 dies with its parent, leaves no core file, and does not run anybody's exit handlers: a library that crashes while it is unloaded cannot spoil a
-finished cell.
+finished task. What a task needs is imported inside `main`, once the process dies with its parent and has its limits.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import json
 import os
 import sys
 import time
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
@@ -19,14 +20,14 @@ from typing import NoReturn
 from validate.execution.isolated_child import die_with_parent, limit_resources
 from validate.tasks.profile import Profile
 
-# A cell that wrote MACHINE ends with this; the file, not the code, is what counts.
+# A task that wrote MACHINE ends with this; the file, not the code, is what counts.
 _EXIT_MACHINE = 3
-# No file of a cell comes near this size; a log that runs away stops here instead of at the end of the disk.
+# No file of a task comes near this size; a log that runs away stops here instead of at the end of the disk.
 _LARGEST_FILE = 2 * 1024**3
 
 
 def main(folder: Path) -> int:
-    """Run the cell of a folder; the process's exit code."""
+    """Run the task of a folder; the process's exit code."""
     profile = Profile.since_process_start()
     began = time.monotonic()
     die_with_parent()
@@ -40,20 +41,14 @@ def main(folder: Path) -> int:
     from validate.store.disk import disk_error, disk_refuses, write_durably
     from validate.store.provenance import SEED
     from validate.store.store import RECORD, REQUEST
-    from validate.tasks.examination import Examination, run_examination
-    from validate.tasks.path import run_cell
-    from validate.tasks.run import RunTask
+    from validate.tasks.task import execute, task_from_json
 
     random.seed(SEED)
     np.random.seed(SEED)
     request = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
     try:
-        wanted, provenance = request["cell"], ProvenanceRecord.model_validate(request["provenance"])
-        if "examination" in wanted:
-            record = run_examination(Examination.from_json(wanted), provenance, folder, began)
-        else:
-            profile.lap("imports")
-            record = run_cell(RunTask.from_json(wanted), provenance, folder, began, profile)
+        provenance = ProvenanceRecord.model_validate(request["provenance"])
+        record = execute(task_from_json(request["cell"]), provenance, folder, began, profile)
         write_durably(folder / RECORD, record.model_dump_json(indent=1))
     except MachineError as error:
         return _machine(folder, error)
@@ -73,13 +68,11 @@ def _machine(folder: Path, error: Exception) -> int:
     return _EXIT_MACHINE
 
 
-def run(cell: Callable[[Path], int], folder: Path) -> NoReturn:
-    """Run the cell of a folder and end this process; cell: `main`, or what a test has in its place."""
+def run_and_exit(task: Callable[[Path], int], folder: Path) -> NoReturn:
+    """Run the task of a folder and end this process; task: `main`, or what a test has in its place."""
     try:
-        code = cell(folder)
+        code = task(folder)
     except BaseException:  # noqa: BLE001 - whatever it was, it goes to the log, and the parent makes a row of it
-        import traceback
-
         traceback.print_exc()
         code = 1
     sys.stdout.flush()
@@ -88,4 +81,4 @@ def run(cell: Callable[[Path], int], folder: Path) -> NoReturn:
 
 
 if __name__ == "__main__":
-    run(main, Path(sys.argv[1]))
+    run_and_exit(main, Path(sys.argv[1]))

@@ -1,20 +1,19 @@
-"""The engine that runs cells on the workers of a Dask cluster: one of this machine's processes, or one that stands somewhere.
+"""The engine that runs tasks on the workers of a Dask cluster: one of this machine's processes, or one that stands somewhere.
 
-    with open_dask("", 2, site, 100) as engine: ...                 # two worker processes here, which end with the campaign
-    with open_dask("tcp://10.0.0.1:8786", None, site, 100) as engine: ...     # or the path of a scheduler file, FILE.json
+    with open_dask("", 2, context, 100) as engine: ...                 # two worker processes here, which end with the campaign
+    with open_dask("tcp://10.0.0.1:8786", None, context, 100) as engine: ...     # or the path of a scheduler file, FILE.json
 
-A cell whose worker is lost is run again by Dask's scheduler, as often as its `allowed-failures` says (3 times); then it has crashed. The scheduler also
-counts against a cell that it only waited on a worker that was lost: one that was begun less often is given to it anew. What is left of a
+A task whose worker is lost is run again by Dask's scheduler, as often as its `allowed-failures` says (3 times); then it has crashed. The scheduler also
+counts against a task that it only waited on a worker that was lost: one that was begun less often is given to it anew. What is left of a
 worker that went without a trace is removed when the campaign ends.
 
-A cell runs on a worker as it does here: in a child process, watched by the thread of the Dask task, into the folder of the campaign, which is reached
+A task runs on a worker as it does here: in a child process, watched by the thread of the Dask task, into the folder of the campaign, which is reached
 by its path: campaign and workers share a file system. A worker that sees another folder there, or that has other sources, libraries or another compiler
 than the campaign, says so and runs nothing, since a record is filed under a key that all of them decide.
 """
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import json
 import logging
@@ -30,20 +29,19 @@ from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 from models.errors import MachineError
+from reports.records.record import ProvenanceRecord
 from validate.execution.engine import CAMPAIGN, ExecutionContext
-from validate.execution.fork_server import WORTH, ForkServer, modules_for, terminal_blocked
-from validate.execution.process import ForkServerError, interrupts_wait, shared_watchdog
-from validate.execution.worker import Job, Worker
+from validate.execution.fork_server import WORTH, start_fork_server, terminal_blocked
+from validate.execution.process import interrupts_wait, shared_watchdog
+from validate.execution.worker import Worker, write_request
 from validate.store.disk import disk_error, write_durably
-from validate.store.store import LOG, RECORD, REQUEST, Store
+from validate.store.provenance import fingerprint, machine
+from validate.store.store import LOG, RECORD, Store
 from validate.tasks.run import ChildExit
-
-if TYPE_CHECKING:
-    from reports.records.check_record import ExaminationRecord
-    from reports.records.record import ProvenanceRecord, RunRecord
+from validate.tasks.task import Task, TaskRecord, record_for_crash
 
 # How long a scheduler may take to answer [s].
 _CONNECT = 10.0
@@ -60,6 +58,8 @@ def quieten() -> None:
 @contextmanager
 def remote_cluster(where: str) -> Iterator[Any]:
     """A client of the cluster at an address, or of a scheduler file. Raises MachineError where none answers."""
+    import asyncio  # 0.05 s: not for campaigns without Dask, whose process imports this file too
+
     from distributed import Client  # pyright: ignore[reportMissingImports]
 
     try:
@@ -75,6 +75,8 @@ def remote_cluster(where: str) -> Iterator[Any]:
 
 async def _ask(address: str) -> None:
     """Raises where nobody at the address speaks as Dask does."""
+    import asyncio
+
     from distributed import Security  # pyright: ignore[reportMissingImports]
     from distributed.comm.core import connect  # pyright: ignore[reportMissingImports]
 
@@ -100,7 +102,7 @@ def local_cluster(workers: int) -> Iterator[Any]:
                     n_workers=workers,
                     threads_per_worker=1,
                     processes=True,
-                    memory_limit=0,  # that of the cells is not the workers'
+                    memory_limit=0,  # that of the tasks is not the workers'
                     dashboard_address=cast("str", None),  # none at all; its annotation forgot that
                     silence_logs=logging.CRITICAL,  # what they say, records say
                     local_directory=str(folder),
@@ -110,7 +112,7 @@ def local_cluster(workers: int) -> Iterator[Any]:
         except (OSError, RuntimeError) as error:
             why = next(iter(str(error).splitlines()), "") or type(error).__name__
             raise MachineError(
-                f"--engine dask: its workers cannot be started here ({why}); make room for them, or let --engine local run the cells."
+                f"--engine dask: its workers cannot be started here ({why}); make room for them, or let --engine local run the tasks."
             ) from error
         yield client
 
@@ -119,48 +121,46 @@ def local_cluster(workers: int) -> Iterator[Any]:
 _PATIENCE = 5.0
 # Pause between two looks at a folder [s].
 _LOOK = 0.05
+# `server`: the process that forks the tasks of this thread, with which it ends; a thread of a Dask worker runs one task after the other.
 _OF_THREAD = threading.local()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
-    """What a worker is asked to do. folder: the campaign's; mark: the name of the folder in it by which the worker sees that it has the same one before
-    it; token: the campaign's; fingerprint: of its sources; cells: how many will come to one thread, which may be worth a fork server; name: by which the
-    campaign counts how often the cell was begun."""
+    """What a worker is asked to do.
 
-    cell: Job
+    folder: the campaign's; mark: the name of the folder in it by which the worker sees that it has the same one before
+    it; token: the campaign's; fingerprint: of its sources; tasks: how many will come to one thread, which may be worth a fork server; name: by which the
+    campaign counts how often the task was begun.
+    """
+
+    task: Task
     provenance: ProvenanceRecord
     folder: Path
     mark: str
     token: str
     fingerprint: str
-    cells: int
+    tasks: int
     name: str
 
 
-def run_on_worker(request: Request) -> RunRecord | ExaminationRecord | None:
-    """Run one cell to its end; None if the campaign wanted it no longer. Raises MachineError."""
-    wanted = _wanted()
+def run_on_worker(request: Request) -> TaskRecord | None:
+    """Run one task to its end; None if the campaign wanted it no longer. Raises MachineError."""
+    wanted, store = _wanted(), Store(request.folder)
     try:
-        _check(request)
-        _begin(request)
-        provenance = _here(request.provenance)
-        lost, server = _lost(request.cell, provenance), _server(request.cells)
-        return Worker(request.cell, lost, provenance, Store(request.folder), server, token_begins=request.token).run(wanted)
+        _check(request, store)
+        sign = store.runs / request.mark / f"{request.name}-{uuid.uuid4().hex}"
+        try:
+            sign.touch()  # the task was begun once more
+        except OSError as error:
+            raise disk_error(request.folder, error) from error
+        if request.tasks >= WORTH and not hasattr(_OF_THREAD, "server"):
+            _OF_THREAD.server = start_fork_server(request.tasks)
+        server = getattr(_OF_THREAD, "server", None)
+        provenance = request.provenance.model_copy(update=machine())
+        return Worker(request.task, provenance, store, server=server, token_begins=request.token).run(wanted)
     except MachineError as error:
         raise MachineError(f"{error} (said by the Dask worker on {socket.gethostname()}, process {os.getpid()})") from None
-
-
-def _server(cells: int) -> ForkServer | None:
-    """The process that forks the cells of this thread, with which it ends; None where there can be none."""
-    if cells < WORTH:
-        return None
-    if not hasattr(_OF_THREAD, "server"):
-        try:
-            _OF_THREAD.server = ForkServer(modules_for(cells))
-        except ForkServerError:
-            _OF_THREAD.server = None
-    return _OF_THREAD.server
 
 
 def _wanted() -> Callable[[], bool]:
@@ -178,12 +178,10 @@ def _wanted() -> Callable[[], bool]:
     return wanted
 
 
-def _check(request: Request) -> None:
+def _check(request: Request, store: Store) -> None:
     """That the campaign's folder and sources are what they are where the campaign is. Raises MachineError."""
-    from validate.store.provenance import fingerprint
-
     until = time.monotonic() + _PATIENCE
-    while not (Store(request.folder).runs / request.mark).is_dir():
+    while not (store.runs / request.mark).is_dir():
         if time.monotonic() > until:
             raise MachineError(
                 f"the campaign's folder {request.folder} is not seen here: a campaign and its Dask workers need a file system that they "
@@ -197,66 +195,27 @@ def _check(request: Request) -> None:
         )
 
 
-def _begin(request: Request) -> None:
-    """Leave a sign that the cell was begun once more. Raises MachineError."""
-    sign = Store(request.folder).runs / request.mark / f"{request.name}-{uuid.uuid4().hex}"
-    try:
-        sign.touch()
-    except OSError as error:
-        raise disk_error(request.folder, error) from error
-
-
-def _here(provenance: ProvenanceRecord) -> ProvenanceRecord:
-    """The campaign's provenance with the machine that this is."""
-    from validate.store.provenance import machine
-
-    return provenance.model_copy(update=machine())
-
-
-def _lost(job: Job, provenance: ProvenanceRecord) -> Callable[[ChildExit, Path], RunRecord | ExaminationRecord]:
-    """Makes the record of a child that left none."""
-    from models.catalog import load_scene
-    from validate.tasks.examination import Examination, lost_examination
-    from validate.tasks.leg import planned_stages
-    from validate.tasks.path import lost_run
-    from validate.tasks.plugins import load_tools
-    from validate.tasks.run import RunTask
-    from validate.tasks.variant import varied
-
-    def record(lost: ChildExit, folder: Path) -> RunRecord | ExaminationRecord:
-        if isinstance(job, Examination):
-            return lost_examination(job, provenance, lost)
-        assert isinstance(job, RunTask)
-        tools, scene = load_tools(job.tools), load_scene(job.scene)
-        if job.variant is not None:
-            scene = varied(scene, job.variant)
-        plan = planned_stages(job.pipeline, {leg.method: tools.load_method(leg.method) for leg in job.pipeline.legs})
-        return lost_run(job, scene, plan, provenance, lost, folder)
-
-    return record
-
-
 # How long workers may take to tidy up [s].
 _TIDY = 10.0
-# How often a cell is given anew to workers that are lost before they begin it.
+# How often a task is given anew to workers that are lost before they begin it.
 _GIVEN_ANEW = 5
 _GONE = "the Dask scheduler is gone; what finished is stored, and the same command goes on from there."
 
 
 @contextmanager
-def open_dask(where: str, jobs: int | None, site: ExecutionContext, cells: int) -> Iterator[DaskEngine]:
-    """The engine of a cluster. where: address or scheduler file, "" for worker processes here; jobs: that many of them, or cells at a time;
-    cells: how many there are.
+def open_dask(where: str, jobs: int | None, context: ExecutionContext, tasks: int) -> Iterator[DaskEngine]:
+    """The engine of a cluster.
 
+    where: address or scheduler file, "" for worker processes here; jobs: that many of them, or tasks at a time; tasks: how many there are.
     Raises MachineError where there is no cluster.
     """
     quieten()
     with contextlib.ExitStack() as open_now:
-        mark = site.store.open_partial(CAMPAIGN, site.token + uuid.uuid4().hex[:16]).resolve()
+        mark = context.store.open_partial(CAMPAIGN, context.token + uuid.uuid4().hex[:16]).resolve()
         open_now.callback(shutil.rmtree, mark, ignore_errors=True)
         shared_watchdog().tell("start", uuid.uuid4().hex, str(mark))
         client = open_now.enter_context(remote_cluster(where) if where else local_cluster(jobs or 1))
-        engine = DaskEngine(client, site, jobs if where else None, mark, cells)
+        engine = DaskEngine(client, context, jobs if where else None, mark, tasks)
         try:
             yield engine
         finally:
@@ -275,49 +234,52 @@ def _gone_in_words() -> Iterator[None]:
 
 @dataclass
 class _Tries:
-    """Of a cell that Dask has: what its beginnings are counted by, how often Dask gave it up, and since when."""
+    """Of a task that Dask has: what its beginnings are counted by, how often Dask gave it up, and since when."""
 
     name: str = field(default_factory=lambda: uuid.uuid4().hex)
-    lost: int = 0
+    given_up: int = 0
     since: float = field(default_factory=time.monotonic)
 
 
 class DaskEngine:
-    """See the module docstring. jobs: at most so many cells are given to Dask at a time, None: all, since a cluster grows by what waits for it; mark: the
-    folder by which a worker sees that it has the campaign's folder before it; cells: how many there are."""
+    """See the module docstring.
 
-    def __init__(self, client: Any, site: ExecutionContext, jobs: int | None, mark: Path, cells: int) -> None:
-        from validate.store.provenance import fingerprint
+    jobs: at most so many tasks are given to Dask at a time, None: all, since a cluster grows by what waits for it; mark: the
+    folder by which a worker sees that it has the campaign's folder before it; tasks: how many there are.
+    """
 
-        self._client, self._site, self.jobs, self._mark = client, site, jobs, mark
+    def __init__(self, client: Any, context: ExecutionContext, jobs: int | None, mark: Path, tasks: int) -> None:
+        self._client, self._context, self.jobs, self._mark = client, context, jobs, mark
         self._executor = client.get_executor(pure=False)
-        self._fingerprint, self._cells = fingerprint(), cells // max(1, self._threads())
+        self._fingerprint, self._tasks = fingerprint(), tasks // max(1, self._threads())
         self._tries: dict[str, _Tries] = {}
 
-    def submit(self, cell: Job) -> Future[RunRecord | ExaminationRecord | None]:
+    def submit(self, task: Task) -> Future[TaskRecord | None]:
+        """See Engine."""
         request = Request(
-            cell=cell,
-            provenance=self._site.provenance,
-            folder=self._site.store.folder.resolve(),
+            task=task,
+            provenance=self._context.provenance,
+            folder=self._context.store.folder.resolve(),
             mark=self._mark.name,
-            token=self._site.token,
+            token=self._context.token,
             fingerprint=self._fingerprint,
-            cells=self._cells,
-            name=self._tries.setdefault(cell.key, _Tries()).name,
+            tasks=self._tasks,
+            name=self._tries.setdefault(task.key, _Tries()).name,
         )
         with _gone_in_words():
             return self._executor.submit(run_on_worker, request)
 
-    def result(self, cell: Job, future: Future[RunRecord | ExaminationRecord | None]) -> RunRecord | ExaminationRecord | None:
-        record = self._result(cell, future)
+    def result(self, task: Task, future: Future[TaskRecord | None]) -> TaskRecord | None:
+        """See Engine."""
+        record = self._result(task, future)
         if record is not None:
-            del self._tries[cell.key]
+            del self._tries[task.key]
         return record
 
-    def _result(self, cell: Job, future: Future[RunRecord | ExaminationRecord | None]) -> RunRecord | ExaminationRecord | None:
+    def _result(self, task: Task, future: Future[TaskRecord | None]) -> TaskRecord | None:
         from distributed import KilledWorker  # pyright: ignore[reportMissingImports]
 
-        tries = self._tries[cell.key]
+        tries = self._tries[task.key]
         try:
             if (record := future.result()) is not None:
                 return record
@@ -326,40 +288,40 @@ class DaskEngine:
         except KilledWorker as error:
             begun = len(list(self._mark.glob(f"{tries.name}*")))
             if begun > error.allowed_failures:
-                return self._crashed(cell, tries, f"{begun} workers of the Dask cluster were lost while they ran it.")
+                return self._crashed(task, tries, f"{begun} workers of the Dask cluster were lost while they ran it.")
         except MachineError:
             raise
-        except Exception as error:  # of any type: what a worker with other packages raises while it reads the cell
-            told = (str(error).splitlines() or [""])[0]
+        except Exception as error:  # of any type: what a worker with other packages raises while it reads the task
+            why = (str(error).splitlines() or [""])[0]
             raise MachineError(
-                f"a Dask worker could not run {cell.title} ({type(error).__name__}: {told}); "
+                f"a Dask worker could not run {task.title} ({type(error).__name__}: {why}); "
                 "install the same touchstone-contact where the workers run."
             ) from error
-        tries.lost += 1  # before it was begun, or with a worker that took itself for dismissed
-        if tries.lost > _GIVEN_ANEW:
-            raise MachineError(f"workers of the Dask cluster are lost before they begin {cell.title}; their logs say why.")
+        tries.given_up += 1  # before it was begun, or with a worker that took itself for dismissed
+        if tries.given_up > _GIVEN_ANEW:
+            raise MachineError(f"workers of the Dask cluster are lost before they begin {task.title}; their logs say why.")
         return None
 
-    def _crashed(self, cell: Job, tries: _Tries, message: str) -> RunRecord | ExaminationRecord:
-        """The record of a cell that took its workers with it, stored."""
-        site = self._site
-        wall = time.monotonic() - tries.since
-        folder = site.store.open_partial(cell.key, site.token + uuid.uuid4().hex[:16])
-        record = site.lost(cell)(ChildExit(outcome="crashed", message=message, wall=wall, cpu=0.0, log=""), folder)
-        request = {"cell": cell.to_json(), "provenance": site.provenance.model_dump(mode="json")}
-        write_durably(folder / REQUEST, json.dumps(request, indent=1))
+    def _crashed(self, task: Task, tries: _Tries, message: str) -> TaskRecord:
+        """The record of a task that took its workers with it, stored."""
+        context = self._context
+        folder = context.store.open_partial(task.key, context.token + uuid.uuid4().hex[:16])
+        child = ChildExit(outcome="crashed", message=message, wall=time.monotonic() - tries.since, cpu=0.0, log="")
+        record = record_for_crash(task, context.provenance, child, folder, context.loaded.get(task.key))
+        write_request(folder, task, context.provenance)
         write_durably(folder / LOG, "")
         write_durably(folder / RECORD, record.model_dump_json(indent=1))
-        site.store.commit(folder, record.key)
+        context.store.commit(folder, record.key)
         return record
 
     def why_idle(self, submitted: int) -> str:
+        """See Engine."""
         if self._threads():
             return ""
-        return f"the Dask cluster at {self._client.scheduler.address} has no workers yet; {submitted} cells wait for one"
+        return f"the Dask cluster at {self._client.scheduler.address} has no workers yet; {submitted} tasks wait for one"
 
     def _threads(self) -> int:
-        """How many cells the workers of the cluster can run at a time."""
+        """How many tasks the workers of the cluster can run at a time."""
         with _gone_in_words():
             return sum(self._client.nthreads().values())
 
@@ -367,7 +329,7 @@ class DaskEngine:
         """Have what runs ended, wait until workers have left nothing of it, then remove what those left that are gone."""
         self._executor.shutdown(wait=False)
         until = time.monotonic() + _TIDY
-        while self._site.unfinished() and time.monotonic() < until:
+        while self._context.unfinished() and time.monotonic() < until:
             time.sleep(_LOOK)
-        for folder in self._site.unfinished():
+        for folder in self._context.unfinished():
             shutil.rmtree(folder, ignore_errors=True)

@@ -1,10 +1,10 @@
-"""Where the cells of a campaign run: executors of concurrent.futures, whose futures are records. What runs when is the campaign's (validate.execution.campaign).
+"""Where the tasks of a campaign run: executors of concurrent.futures, whose futures are records. What runs when is the campaign's (validate.execution.campaign).
 
-    with open_local(2, context, len(cells)) as engine:       # or validate.execution.dask, open_dask
-        future = engine.submit(cell)
-        record = engine.result(cell, future)
+    with open_local(2, context, len(tasks)) as engine:       # or validate.execution.dask, open_dask
+        future = engine.submit(task)
+        record = engine.result(task, future)
 
-Another engine is another class with these three: it has a Worker run where a cell is to run, and a Worker stores what it finished by itself.
+Another engine is another class with these three: it has a Worker run where a task is to run, and a Worker stores what it finished by itself.
 """
 
 from __future__ import annotations
@@ -13,27 +13,25 @@ import importlib.util
 import json
 import threading
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 from models.errors import MachineError, TouchstoneError
+from reports.records.record import ProvenanceRecord
+from validate.execution.fork_server import ForkServer, start_fork_server
 from validate.execution.process import interrupts_wait, shared_watchdog
-from validate.execution.worker import Job, Worker, progress_in
+from validate.execution.worker import Worker, progress_in
 from validate.store.disk import PARTIAL
-from validate.tasks.run import ChildExit
-
-if TYPE_CHECKING:
-    from reports.records.check_record import ExaminationRecord
-    from reports.records.record import ProvenanceRecord, RunRecord
-    from validate.execution.fork_server import ForkServer
-    from validate.store.store import Store
+from validate.store.store import Store
+from validate.tasks.path import LoadedRun
+from validate.tasks.task import Task, TaskRecord
 
 LOCAL, DASK = "local", "dask"
-# In place of a key, in the name of an unfinished folder that is no cell's but the campaign's (validate.execution.dask).
+# In place of a key, in the name of an unfinished folder that is no task's but the campaign's (validate.execution.dask).
 CAMPAIGN = "campaign"
 
 
@@ -43,42 +41,47 @@ class EngineError(TouchstoneError):
 
 @dataclass(frozen=True, kw_only=True)
 class ExecutionContext:
-    """What an engine has of a campaign. lost: makes the record of a child of a cell that left none; token: 16 letters and digits, by which
-    the campaign knows its own unfinished folders."""
+    """What an engine has of a campaign.
+
+    token: 16 letters and digits, by which the campaign knows its own unfinished folders; loaded: its runs, by
+    key, as they are loaded here.
+    """
 
     store: Store
     provenance: ProvenanceRecord
-    lost: Callable[[Job], Callable[[ChildExit, Path], RunRecord | ExaminationRecord]]
-    token: str
+    token: str = field(default_factory=lambda: uuid.uuid4().hex[:16])
+    loaded: Mapping[str, LoadedRun] = field(default_factory=dict)
 
     def unfinished(self) -> list[Path]:
-        """Folders of the campaign's cells that are being written."""
+        """Folders of the campaign's tasks that are being written."""
         return [path for path in self.store.runs.glob(f"{PARTIAL}*-{self.token}*") if not path.name.startswith(f"{PARTIAL}{CAMPAIGN}-")]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Running:
-    """A cell at work, and its unfinished folder."""
+    """A task at work, and its unfinished folder."""
 
-    cell: Job
+    task: Task
     folder: Path
 
     def progress(self) -> str:
-        """Where the cell is, in words."""
+        """Where the task is, in words."""
         return progress_in(self.folder)
 
 
 class Engine(Protocol):
-    """jobs: how many cells it is to be given at a time; None: as many as may run."""
+    """jobs: how many tasks it is to be given at a time; None: as many as may run."""
 
     @property
-    def jobs(self) -> int | None: ...
-
-    def submit(self, cell: Job) -> Future[RunRecord | ExaminationRecord | None]:
-        """Have a cell run. Raises MachineError."""
+    def jobs(self) -> int | None:
+        """See the class."""
         ...
 
-    def result(self, cell: Job, future: Future[RunRecord | ExaminationRecord | None]) -> RunRecord | ExaminationRecord | None:
+    def submit(self, task: Task) -> Future[TaskRecord | None]:
+        """Have a task run. Raises MachineError."""
+        ...
+
+    def result(self, task: Task, future: Future[TaskRecord | None]) -> TaskRecord | None:
         """What came of it, stored; None if it is to be submitted anew. Raises MachineError if this machine, or its own, cannot."""
         ...
 
@@ -112,48 +115,47 @@ def _check_scheduler_file(path: Path) -> None:
         )
 
 
-def new_token() -> str:
-    """A campaign's."""
-    return uuid.uuid4().hex[:16]
-
-
 @contextmanager
-def open_local(jobs: int | None, context: ExecutionContext, cells: int) -> Iterator[Engine]:
-    """The engine of this machine; at the end, what runs is stopped. jobs: cells at a time; cells: how many there are. Raises MachineError."""
-    from validate.execution.fork_server import fork_server
-
+def open_local(jobs: int, context: ExecutionContext, tasks: int) -> Iterator[Engine]:
+    """The engine of this machine; at the end, what runs is stopped. jobs: tasks at a time; tasks: how many there are. Raises MachineError."""
     shared_watchdog()  # before there are threads that might each start one
-    with fork_server(cells) as server:
-        engine = LocalEngine(jobs or 1, context, server)
-        try:
-            yield engine
-        finally:
-            with interrupts_wait():
-                engine.close()
+    server = start_fork_server(tasks)
+    engine = LocalEngine(jobs, context, server)
+    try:
+        yield engine
+    finally:
+        with interrupts_wait():
+            engine.close()
 
 
 class LocalEngine:
-    """Children on this machine, each watched by the thread that started it. (Linux kills a child when that thread ends.)"""
+    """Children on this machine, each watched by the thread that started it: Linux kills a child when that thread ends."""
 
-    def __init__(self, jobs: int, site: ExecutionContext, server: ForkServer | None) -> None:
-        self.jobs, self._site, self._server = jobs, site, server
+    def __init__(self, jobs: int, context: ExecutionContext, server: ForkServer | None) -> None:
+        self.jobs, self._context, self._server = jobs, context, server
         self._threads, self._closed = ThreadPoolExecutor(jobs), threading.Event()
 
-    def submit(self, cell: Job) -> Future[RunRecord | ExaminationRecord | None]:
-        return self._threads.submit(self._run, cell)
+    def submit(self, task: Task) -> Future[TaskRecord | None]:
+        """See Engine."""
+        return self._threads.submit(self._run, task)
 
-    def _run(self, cell: Job) -> RunRecord | ExaminationRecord | None:
-        site = self._site
-        worker = Worker(cell, site.lost(cell), site.provenance, site.store, self._server, token_begins=site.token)
+    def _run(self, task: Task) -> TaskRecord | None:
+        context = self._context
+        loaded = context.loaded.get(task.key)
+        worker = Worker(task, context.provenance, context.store, loaded=loaded, server=self._server, token_begins=context.token)
         return worker.run(lambda: not self._closed.is_set())
 
-    def result(self, cell: Job, future: Future[RunRecord | ExaminationRecord | None]) -> RunRecord | ExaminationRecord | None:
+    def result(self, task: Task, future: Future[TaskRecord | None]) -> TaskRecord | None:
+        """See Engine."""
         return future.result()
 
     def why_idle(self, submitted: int) -> str:
+        """See Engine."""
         return ""
 
     def close(self) -> None:
         """End what runs, and leave nothing of it."""
         self._closed.set()
         self._threads.shutdown(cancel_futures=True)
+        if self._server is not None:
+            self._server.close()

@@ -1,15 +1,15 @@
-"""Cells as forks of one process that has imported what they need: a cell begins in milliseconds instead of a second.
+"""Tasks as forks of one process that has imported what they need: a task begins in milliseconds instead of a second.
 
-    with fork_server(cells) as server:
-        child = server.start(folder, token=token, temporary=folder / "tmp", log=folder / "log.txt")     # as validate.execution.process's ChildProcess
+    server = start_fork_server(tasks)
+    child = server.start(folder, token=token, temporary=folder / "tmp", log=folder / "log.txt")     # as validate.execution.process's ChildProcess
 
 The server is that of the standard library, `multiprocessing.forkserver`, one for each campaign: it has then imported the sources as they are now. What it
-is told of a child is no `multiprocessing.Process` but `_Child`: nobody's `__main__` is imported in it, and a daemon (a Dask worker) may start it.
+reads of a child is no `multiprocessing.Process` but `_Child`: nobody's `__main__` is imported in it, and a daemon (a Dask worker) may start it.
 
-A child is a cell like any other: it has a session, a log, a folder and a token of its own, and dies with the server, which dies with the campaign. Its
-token is written over that of the server's in the environment that the system shows, so that whoever ends the cell finds it, and what it forks. The
+A child is a task like any other: it has a session, a log, a folder and a token of its own, and dies with the server, which dies with the campaign. Its
+token is written over that of the server's in the environment that the system shows, so that whoever ends the task finds it, and what it forks. The
 server reaps a child at once and tells its exit code alone: what it cost is what it had cost at the last look. Linux only: elsewhere, and where a
-library has started threads, cells are started one by one.
+library has started threads, tasks are started one by one.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ from typing import NoReturn
 
 import psutil
 
+from validate.execution.child import run_and_exit
 from validate.execution.isolated_child import die_with_parent
 from validate.execution.process import (
     PARENT_VARIABLE,
@@ -47,7 +48,7 @@ from validate.execution.process import (
 )
 from validate.execution.reaper import TOKEN_VARIABLE
 
-# What most cells import.
+# What most tasks import.
 MODULES = (
     *("numpy", "scipy.sparse.linalg", "scipy.linalg", "scipy.special", "sympy", "pyomo.environ", "h5netcdf", "psutil", "fmpy"),
     *(
@@ -60,12 +61,12 @@ MODULES = (
     *("reports.records.check_record", "formulations.mpec", "formulations.ipopt", "formulations.transcription.homotopy"),
     *("formulations.contact_modes.session", "formulations.multiple_shooting.method"),
 )
-# What one cell in four imports, in 3 CPU s and half a gigabyte that all children then share: PyTorch, and what its optimisers import at their first
-# use (1.1 s). Worth it from so many cells on.
+# What one task in four imports, in 3 CPU s and half a gigabyte that all children then share: PyTorch, and what its optimisers import at their first
+# use (1.1 s). Worth it from so many tasks on.
 TORCH_MODULES, TORCH_WORTH = ("formulations.shooting.session", "torch._dynamo"), 20
-# From so many cells on the server has saved the time of its own start.
+# From so many tasks on the server has saved the time of its own start.
 WORTH = 4
-# What a server is told to import; only a server has it.
+# What a server is to import; only a server has it.
 _PRELOAD_VARIABLE = "TOUCHSTONE_PRELOAD"
 # What a server's environment shows where a child writes its own. A longer folder than that only the child itself knows.
 _TOKEN, _TEMPORARY = "0" * 32, Path("/" + "x" * 999)
@@ -90,22 +91,24 @@ class _Server(multiprocessing.forkserver.ForkServer):
 
 
 class ForkServer:
-    """See the module docstring. modules: imported beforehand; cell: the function that is given the folder. Raises ForkServerError if there can
-    be none."""
+    """See the module docstring.
 
-    def __init__(self, modules: Sequence[str] = MODULES, cell: str = "validate.execution.child:main") -> None:
+    modules: imported beforehand; task: the function that is given the folder. Raises ForkServerError if there can be none.
+    """
+
+    def __init__(self, modules: Sequence[str] = MODULES, task: str = "validate.execution.child:main") -> None:
         if sys.platform != "linux":
             raise ForkServerError("only Linux shows, and lets change, the environment of a process")
         if os.environ.get(TOKEN_VARIABLE):
-            raise ForkServerError("a cell in a cell carries two tokens")
-        self._cell, self._environment, self._server = cell, child_environment("", Path()), _Server()
+            raise ForkServerError("a task in a task carries two tokens")
+        self._task, self._environment, self._server = task, child_environment("", Path()), _Server()
         self._server.set_forkserver_preload([__name__])
         # The library's folder for the server's socket; it removes it, if it comes to that.
         self._mark = uuid.uuid4().hex
         shared_watchdog().tell("start", self._mark, multiprocessing.util.get_temp_dir())
-        told = child_environment(_TOKEN, _TEMPORARY) | {_PRELOAD_VARIABLE: ",".join(modules), "PYTHONSAFEPATH": "1"}
+        environment = child_environment(_TOKEN, _TEMPORARY) | {_PRELOAD_VARIABLE: ",".join(modules), "PYTHONSAFEPATH": "1"}
         try:
-            with terminal_blocked(), _changed_environment(told):
+            with terminal_blocked(), _changed_environment(environment):
                 self._server.ensure_running()
             self._wait_until_ready()
         except (OSError, EOFError) as error:
@@ -116,42 +119,45 @@ class ForkServer:
             raise
 
     def _wait_until_ready(self) -> None:
-        """Until it forks a child, which is told nothing and ends. Whoever starts the first that matters has no time to lose, and hears no Ctrl-C."""
-        state, told = self._server.connect_to_new_process([])
-        os.close(told)
+        """Until it forks a child, which reads nothing and ends. Whoever starts the first that matters has no time to lose, and hears no Ctrl-C."""
+        state, pipe = self._server.connect_to_new_process([])
+        os.close(pipe)
         with open(state, "rb"):
             multiprocessing.forkserver.read_signed(state)
 
     def start(self, folder: Path, *, token: str, temporary: Path, log: Path) -> ForkedChild:
-        """The child that runs the cell of a folder. Raises ForkServerError."""
+        """The child that runs the task of a folder. Raises ForkServerError."""
         environment = self._environment | {TOKEN_VARIABLE: token, "TMPDIR": str(temporary)}
         # The first is what multiprocessing would prepare, its parent's __main__ above all: nothing.
-        told = pickle.dumps({}) + pickle.dumps(_Child(self._cell, folder, log, environment))
+        orders = pickle.dumps({}) + pickle.dumps(_Child(self._task, folder, log, environment))
         try:
-            return ForkedChild(*self._server.connect_to_new_process([]), told, token)
+            return ForkedChild(*self._server.connect_to_new_process([]), orders, token)
         except (OSError, EOFError) as error:
             raise ForkServerError("the server is gone") from error
 
     def close(self) -> None:
+        """End the server, and its children with it."""
         self._server.end()
         shared_watchdog().tell("stop", self._mark)
 
 
 class ForkedChild(ChildProcess):
-    """A running cell whose parent is the server. state: where the server tells its number, and its exit code once it is reaped; pipe: where it is
-    told what it is to do. Raises OSError, EOFError if the server is gone."""
+    """A running task whose parent is the server.
 
-    def __init__(self, state: int, pipe: int, told: bytes, token: str) -> None:
+    state: where the server writes its number, and its exit code once it is reaped; pipe: where it reads what it is to do. Raises OSError, EOFError if
+    the server is gone.
+    """
+
+    def __init__(self, state: int, pipe: int, orders: bytes, token: str) -> None:
         self._state, self.token, self._family = state, token, {}
         try:
             with open(pipe, "wb") as file:
-                file.write(told)
+                file.write(orders)
             self.pid = multiprocessing.forkserver.read_signed(state)
         except BaseException:
             os.close(state)
             raise
         self._cpu, self._memory = 0.0, 0
-        self._ended: Ended | None = None
         try:
             self._living = psutil.Process(self.pid)
         except psutil.Error:  # it has ended
@@ -159,9 +165,11 @@ class ForkedChild(ChildProcess):
         self.look()
 
     def has_ended(self) -> bool:
+        """Whether the child ended."""
         return self.wait(0.0)
 
     def wait(self, seconds: float) -> bool:
+        """Wait at most that long [s]; whether it ended."""
         return self._ended is not None or bool(select.select([self._state], [], [], max(0.0, seconds))[0])
 
     def look(self) -> None:
@@ -171,12 +179,6 @@ class ForkedChild(ChildProcess):
             with contextlib.suppress(psutil.Error):
                 self._memory = max(self._memory, self._living.memory_info().rss)
                 self._cpu = sum(self._living.cpu_times()[:4])
-
-    def end(self) -> Ended:
-        """End the child and all it started, wherever they went; once more, it says the same."""
-        if self._ended is None:
-            self._ended = self._end()
-        return self._ended
 
     def _end(self) -> Ended:
         self.look()
@@ -200,7 +202,7 @@ class ForkedChild(ChildProcess):
 class _Child:
     """What a fork of the server is to do. multiprocessing has it read there, in place of a Process, and calls its `_bootstrap`."""
 
-    cell: str
+    task: str
     folder: Path
     log: Path
     environment: dict[str, str]
@@ -221,31 +223,19 @@ class _Child:
             os.dup2(log, 2)
             os.close(log)
             os.chdir(self.environment["TMPDIR"])
-            from validate.execution.child import run
-
-            module, _, name = self.cell.partition(":")
-            run(getattr(importlib.import_module(module), name), self.folder)
+            module, _, name = self.task.partition(":")
+            run_and_exit(getattr(importlib.import_module(module), name), self.folder)
         finally:
             os._exit(1)
 
 
-def modules_for(cells: int) -> Sequence[str]:
-    """What a server imports for so many cells."""
-    return (*MODULES, *TORCH_MODULES) if cells >= TORCH_WORTH else MODULES
-
-
-@contextlib.contextmanager
-def fork_server(cells: int) -> Iterator[ForkServer | None]:
-    """A server for so many cells, or None where there can be none, or it would cost more than it saves."""
-    try:
-        server = ForkServer(modules_for(cells)) if cells >= WORTH else None
-    except ForkServerError:
-        server = None
-    try:
-        yield server
-    finally:
-        if server is not None:
-            server.close()
+def start_fork_server(tasks: int) -> ForkServer | None:
+    """A server for so many tasks, or None where there can be none, or it would cost more than it saves."""
+    if tasks < WORTH:
+        return None
+    with contextlib.suppress(ForkServerError):
+        return ForkServer((*MODULES, *TORCH_MODULES) if tasks >= TORCH_WORTH else MODULES)
+    return None
 
 
 @contextlib.contextmanager
@@ -294,7 +284,7 @@ def _prepare(modules: Sequence[str]) -> None:
         os.dup2(nothing, standard)
     os.close(nothing)
     for name in modules:
-        with contextlib.suppress(ImportError):  # an extra that is not installed, or what a cell will say itself
+        with contextlib.suppress(ImportError):  # an extra that is not installed, or what a task will say itself
             importlib.import_module(name)
     if len(os.listdir("/proc/self/task")) > 1:  # a fork would cut a library's threads in two
         os._exit(1)

@@ -65,8 +65,11 @@ _BAD_ALLOC, _LAST_WORDS = "std::bad_alloc", 4000
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """seconds: of the clock (twice that of CPU); memory: address space, Python's own 0.3 GB included; file: any one file it writes,
-    what it prints included; output: bytes of what it printed that are kept (the last ones)."""
+    """What a call may use.
+
+    seconds: wall time [s], and twice that of CPU time; memory: address space [bytes], Python's own 0.3 GB included; file: any one file it writes [bytes],
+    what it prints included; output: how much of what it printed is recorded, from its end [bytes].
+    """
 
     seconds: float = 300.0
     memory: int = 4 * 1024**3
@@ -94,16 +97,37 @@ class Isolated:
 
     @property
     def ok(self) -> bool:
+        """Whether the function came to its end."""
         return self.ending is Ending.OK
 
 
 def run_isolated(
     function: str, request: Any, arrays: Mapping[str, np.ndarray] | None = None, *, limits: Limits | None = None, what: str = "the run"
 ) -> Isolated:
-    """Call `module:name` in a child process as name(request, arrays) -> value or (value, arrays).
+    """Call a function in a child process as name(request, arrays) -> value or (value, arrays).
 
-    request, value: what JSON holds (NaN is refused); arrays: float or integer numpy arrays by name. what: the subject of the sentence.
-    Raises MachineError if the temporary folder cannot be written; everything the child does is the answer's `ending`.
+    Parameters
+    ----------
+    function
+        `module:name`.
+    request
+        What JSON holds; the value that comes back too. NaN is refused.
+    arrays
+        Numpy arrays of numbers by name (any shape) [any unit]; those that come back too.
+    limits
+        What the call may use.
+    what
+        The subject of the sentence that says how it ended.
+
+    Returns
+    -------
+    Isolated
+        Its `ending` says whatever the child did.
+
+    Raises
+    ------
+    MachineError
+        If the temporary folder cannot be written.
     """
     limits = limits or Limits()
     token = uuid.uuid4().hex
@@ -190,7 +214,10 @@ def _run(folder: Path, token: str, limits: Limits, what: str) -> Isolated:
 
 
 def left_by(folder: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """The child's answer and its arrays; empty if it left none that are whole. Foreign code ran beside ours, and may have written there."""
+    """The child's answer and its arrays (any shape) [any unit]; empty if it left none that are whole.
+
+    Foreign code ran beside ours, and may have written there: nothing raises for what it left.
+    """
     answer = _answer(folder)
     if answer.get("ending") != Ending.OK.name:
         return answer, {}

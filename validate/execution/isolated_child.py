@@ -14,6 +14,7 @@ import json
 import os
 import signal
 import sys
+import traceback
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +73,7 @@ def mark_refused_memory(mark: Path) -> Any:
     """Let a crash that follows a refused allocation leave the file `mark`: C code that does not look at what malloc gave writes to address 0.
 
     Then errno is still ENOMEM. The handler runs as Python, which it can where C code was called through ctypes, as FMUs are; it puts the former handler
-    back and returns, so that the crash goes on as it would have. What is returned must be kept as long as the process lives.
+    back and returns, so that the crash goes on as it would have. What is returned must live as long as the process lives.
     """
     if sys.platform == "win32":
         return None
@@ -125,29 +126,28 @@ def main(folder: Path, first: int) -> None:
 
             np.savez(folder / TAKEN, allow_pickle=False, **arrays)
         _answer(folder, Ending.OK, value=value)
-    except ModelFault as fault:
-        _end_copies(first)
-        _answer(folder, fault.ending, sentence=str(fault))
-    except MachineError as error:
-        _end_copies(first)
-        _answer(folder, Ending.MACHINE, sentence=str(error))
-    except TouchstoneError as error:
-        _end_copies(first)
-        _answer(folder, Ending.ERROR, sentence=str(error))
-    except MemoryError:
-        _end_copies(first)
-        _answer(folder, Ending.MEMORY_LIMIT)
     except Exception as error:  # noqa: BLE001 - whatever it was, it is the answer
         _end_copies(first)
-        import traceback
+        ending, sentence = _ending(folder, error)
+        _answer(folder, ending, sentence=sentence)
 
-        traceback.print_exc()
-        try:
-            raise_if_disk_ended(folder, error)
-        except MachineError as refusal:
-            _answer(folder, Ending.MACHINE, sentence=str(refusal))
-        else:
-            _answer(folder, Ending.EXCEPTION, sentence=f"{type(error).__name__}: {next(iter(str(error).splitlines()), '')}")
+
+def _ending(folder: Path, error: Exception) -> tuple[Ending, str]:
+    """How a call ends that raised, and the sentence."""
+    if isinstance(error, ModelFault):
+        return error.ending, str(error)
+    if isinstance(error, MachineError):
+        return Ending.MACHINE, str(error)
+    if isinstance(error, TouchstoneError):
+        return Ending.ERROR, str(error)
+    if isinstance(error, MemoryError):
+        return Ending.MEMORY_LIMIT, ""
+    traceback.print_exc()
+    try:
+        raise_if_disk_ended(folder, error)
+    except MachineError as refusal:
+        return Ending.MACHINE, str(refusal)
+    return Ending.EXCEPTION, f"{type(error).__name__}: {next(iter(str(error).splitlines()), '')}"
 
 
 def _end_copies(first: int) -> None:
@@ -163,8 +163,6 @@ if __name__ == "__main__":
         main(Path(sys.argv[1]), own)
         code = 0
     except BaseException:  # noqa: BLE001 - it goes to the output; without an answer the parent knows enough
-        import traceback
-
         traceback.print_exc()
         code = 1
     # Nobody's exit handlers are run: a library that crashes while it is unloaded cannot spoil a finished call.

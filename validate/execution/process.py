@@ -93,7 +93,7 @@ def child_environment(token: str, temporary: Path) -> dict[str, str]:
 
 
 class ForkServerError(Exception):
-    """There is no fork server here, or no more (validate.execution.fork_server); cells are then started one by one."""
+    """There is no fork server here, or no more (validate.execution.fork_server); tasks are then started one by one."""
 
 
 # Pause between two looks where the system cannot tell us the end of a process [s].
@@ -117,25 +117,22 @@ class Watchdog:
         )
 
     def tell(self, *words: str) -> None:
+        """Say `start TOKEN FOLDER` or `stop TOKEN`."""
         if self._process.stdin is not None:
             with contextlib.suppress(BrokenPipeError):
                 self._process.stdin.write(os.fsencode(" ".join(words) + "\n"))
 
     @property
     def lives(self) -> bool:
+        """Whether nobody has ended it."""
         return self._process.poll() is None
 
     def close(self) -> None:
+        """Have it tidy up, and wait for it."""
         if self._process.stdin is not None:
             with contextlib.suppress(BrokenPipeError):
                 self._process.stdin.close()
         self._process.wait()
-
-    def __enter__(self) -> Watchdog:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 @lru_cache(maxsize=1)
@@ -156,8 +153,11 @@ def shared_watchdog() -> Watchdog:
 
 @dataclass(frozen=True, kw_only=True)
 class Ended:
-    """exit code (negative: a signal), CPU seconds of the child and those it waited for, its largest resident memory [bytes],
-    number of processes it left behind (all ended)."""
+    """How a child ended and what it cost.
+
+    code: its exit code, negative for a signal; cpu [s]: of the child and those it waited for; memory: its largest resident one [bytes]; strays: how many
+    processes it left behind, all ended.
+    """
 
     code: int
     cpu: float
@@ -167,6 +167,8 @@ class Ended:
 
 class ChildProcess:
     """One running Python module; see the module docstring."""
+
+    _ended: Ended | None = None
 
     def __init__(self, module: str, arguments: Sequence[str], *, token: str, temporary: Path, output: IO[bytes]) -> None:
         self.token = token
@@ -208,7 +210,7 @@ class ChildProcess:
         return True
 
     def address_space(self) -> int:
-        """Largest address space so far [bytes]; 0 where it cannot be told."""
+        """Largest address space so far [bytes]; 0 where it is not known."""
         with contextlib.suppress(OSError):
             for line in Path(f"/proc/{self.pid}/status").read_text(encoding="ascii", errors="replace").splitlines():
                 if line.startswith("VmPeak:"):
@@ -221,7 +223,12 @@ class ChildProcess:
             self._family.setdefault(number, _started(number))
 
     def end(self) -> Ended:
-        """End the child and all it started, wherever they went."""
+        """End the child and all it started, wherever they went; once more, it says the same."""
+        if self._ended is None:
+            self._ended = self._end()
+        return self._ended
+
+    def _end(self) -> Ended:
         self.look()
         strays = end_family(self.token, self.pid, self._family)
         if self._process.returncode is not None or not hasattr(os, "wait4"):
@@ -232,10 +239,9 @@ class ChildProcess:
 
 
 def end_family(token: str, child: int | None, family: Mapping[int, str]) -> int:
-    """End a child and all it started; how many were left beside it. family: when each of its descendants was started (`ChildProcess.look`); child: its
-    number, None if that is another's by now.
+    """End a child and all it started; how many were left beside it.
 
-    Returns when none of them lives any more: a killed process goes on for as long as a busy machine lets it wait for its end.
+    family: when each of its descendants was started (`ChildProcess.look`); child: its number, None if that is another's by now. Returns when none of them lives any more: a killed process goes on for as long as a busy machine lets it wait for its end.
     """
     strays = {process for process in reaper.processes_with(token) if process != child}
     reaper.end_all(token, child)

@@ -1,4 +1,4 @@
-"""Leaves nothing behind: ends every process of a child (a cell, an isolated FMU), and removes its unfinished folder, even when we are killed.
+"""Leaves nothing behind: ends every process of a child (a task, an isolated FMU), and removes its unfinished folder, even when we are killed.
 
 A child runs in a session of its own, and every process it starts inherits an environment variable with the child's token (a child of a
 child: with both tokens). So all of them are found: by process group, and on Linux by the token even if one of them left the group.

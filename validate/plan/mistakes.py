@@ -16,8 +16,8 @@ from pydantic import BaseModel, ValidationError
 
 from validate.plan.schema import CampaignFile, CampaignLimit, LegEntry, PipelineEntry, SceneEntry
 
-# A file of nothing but mistakes: the first tell enough.
-MOST_TOLD = 50
+# A file of nothing but mistakes: the first say enough.
+MOST_SHOWN = 50
 _Place = tuple[str | int, ...]
 
 

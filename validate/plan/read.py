@@ -1,23 +1,25 @@
-"""Reads a campaign file, in full or not at all."""
+"""Reads a campaign file, in full or not at all: TOML -> what a campaign runs. Every mistake of a file is reported at once, with its place.
+
+campaign = read_campaign(Path("stiffness.toml"))
+run_campaign(CampaignSettings(out=out, **campaign.settings()), narrator)
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from formulations.method import Pipeline
+from formulations.pipelines import PIPELINES
 from models.errors import TouchstoneError
-from validate.plan.mistakes import MOST_TOLD, checked
+from validate.plan.mistakes import MOST_SHOWN, checked
 from validate.plan.pipelines import chosen_pipelines
 from validate.plan.scenes import references
-from validate.plan.schema import resolved_text
+from validate.plan.schema import CampaignFile, resolved_text
 from validate.plan.toml_text import TomlError, read_toml
+from validate.tasks.examination import SceneReference
 from validate.tasks.plugins import DEFAULT_TOOLS, Tools, load_tools
-
-if TYPE_CHECKING:
-    from formulations.method import Pipeline
-    from validate.plan.schema import CampaignFile
-    from validate.tasks.examination import SceneReference
 
 # Stored beside the results: the file as it was given, and with everything filled in.
 GIVEN, RESOLVED = "campaign.toml", "resolved.toml"
@@ -27,8 +29,8 @@ class ConfigError(TouchstoneError):
     """A campaign file with mistakes; `mistakes` has a sentence for each, which begins with its place in the file."""
 
     def __init__(self, path: Path, mistakes: list[str]) -> None:
-        told = mistakes[:MOST_TOLD] + ([f"and {len(mistakes) - MOST_TOLD} more"] if len(mistakes) > MOST_TOLD else [])
-        self.mistakes = tuple(" ".join(mistake.split()) for mistake in told)
+        shown = mistakes[:MOST_SHOWN] + ([f"and {len(mistakes) - MOST_SHOWN} more"] if len(mistakes) > MOST_SHOWN else [])
+        self.mistakes = tuple(" ".join(mistake.split()) for mistake in shown)
         count = f"{len(mistakes)} mistakes" if len(mistakes) > 1 else "a mistake"
         self.headline = f"campaign {path}: there {'are' if len(mistakes) > 1 else 'is'} {count} in it"
         super().__init__(f"{self.headline}: {'; '.join(self.mistakes)}")
@@ -79,7 +81,5 @@ def read_campaign(path: Path, tools: str = DEFAULT_TOOLS) -> Campaign:
 
 def _known(tools: Tools, scenes: list[SceneReference]) -> list[Pipeline]:
     """All pipelines there are for these scenes; all of ours where no scene can be read."""
-    from formulations.pipelines import PIPELINES
-
     found = {pipeline.name: pipeline for reference in scenes for pipeline in tools.pipelines_for(reference.scene)}
     return list(found.values()) or list(PIPELINES)

@@ -1,4 +1,4 @@
-"""Which cells a campaign has, in order: scenes by pipelines, then examinations; and which of them are stored.
+"""Which tasks a campaign has, in order: scenes by pipelines, then examinations; and which of them are stored.
 
 entries, left_out = select(CampaignSettings(out=Path("runs/all"), quick=True))
 entries = with_stored(entries, store, settings)
@@ -9,34 +9,29 @@ from __future__ import annotations
 import difflib
 import json
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
+from formulations.method import Pipeline
 from formulations.pipelines import cells_of
 from models.catalog import load_scene, scene_names, scene_path
-from models.errors import TouchstoneError
+from models.scene import Scene
+from reports.records.check_record import ExaminationRecord
+from reports.records.record import RunRecord
+from reports.rule import failed_keys
+from validate.judge.score import check_limits
 from validate.plan.selection import matches
+from validate.store.provenance import content_key, examination_key
 from validate.store.store import Store
-from validate.tasks.examination import Examination, SceneReference, lost_examination
+from validate.store.stored import CampaignError, identity, stored_campaign
+from validate.tasks.examination import Examination, SceneReference
 from validate.tasks.leg import Planned, planned_legs, planned_stages
+from validate.tasks.path import LoadedRun
 from validate.tasks.plugins import DEFAULT_TOOLS, Tools, load_tools, tools_source
 from validate.tasks.run import RunTask
 
-if TYPE_CHECKING:
-    from formulations.method import Pipeline
-    from models.scene import Scene
-    from reports.records.check_record import ExaminationRecord
-    from reports.records.record import ProvenanceRecord, RunRecord
-    from validate.tasks.run import ChildExit
-
-
 NOTHING_STORED = "nothing is stored of it"
-
-
-class CampaignError(TouchstoneError):
-    """Nothing selected, or a folder that holds no campaign."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,8 +39,8 @@ class CampaignSettings:
     """What the user asked for.
 
     scenes: names or paths; empty for all of the catalog. last_failed: of what is not stored, run only what failed when the folder's campaign
-    last ran, and that in any case; stop_early: at the first failure; retries: of a cell that crashes; engine: which runs the cells
-    (validate.execution.engine); jobs: cells at a time, None for what the engine chooses.
+    last ran, and that in any case; stop_early: at the first failure; retries: of a task that crashes; engine: which runs the tasks
+    (validate.execution.engine); jobs: tasks at a time, None for what the engine chooses.
     Of a campaign file: chosen, instead of `scenes`; pipelines, instead of all of them; examined: scenes whose FMUs are checked; title: of the
     report; files: texts written into the folder, by name.
     """
@@ -72,36 +67,30 @@ class CampaignSettings:
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """A cell of a scene by a pipeline with what the parent knows of it: its scene, its stages, and its stored record if that can be used."""
+    """A run with what the parent knows of it: as it is loaded here, and its stored record if that can be used."""
 
-    cell: RunTask
-    scene: Scene
-    plan: tuple[Planned, ...]
+    task: RunTask
+    loaded: LoadedRun
     stored: RunRecord | ExaminationRecord | None = None
     why: str = ""  # it is run, although something like it may be stored
 
-    def lost(self, provenance: ProvenanceRecord) -> Callable[[ChildExit, Path], RunRecord]:
-        """Makes the record of a child that left none, of what it left in its folder."""
-        from validate.tasks.path import lost_run
-
-        return lambda lost, folder: lost_run(self.cell, self.scene, self.plan, provenance, lost, folder)
+    @property
+    def scene(self) -> Scene:
+        """Its scene."""
+        return self.loaded.scene
 
 
 @dataclass(frozen=True)
 class PlannedCheck:
     """An examination, and its stored record if that can be used."""
 
-    cell: Examination
+    task: Examination
     stored: RunRecord | ExaminationRecord | None = None
     why: str = ""
 
-    def lost(self, provenance: ProvenanceRecord) -> Callable[[ChildExit, Path], ExaminationRecord]:
-        """Makes the record of a child that left none."""
-        return lambda lost, folder: lost_examination(self.cell, provenance, lost)
-
 
 def select(settings: CampaignSettings) -> tuple[list[PlannedRun | PlannedCheck], tuple[str, ...]]:
-    """The cells asked for, in order, and what a quick campaign leaves out, in words. Raises TouchstoneError."""
+    """The tasks asked for, in order, and what a quick campaign leaves out, in words. Raises TouchstoneError."""
     tools = load_tools(settings.tools)
     scenes = list(settings.chosen) or _scenes(settings)
     entries: list[PlannedRun | PlannedCheck] = []
@@ -123,7 +112,7 @@ def select(settings: CampaignSettings) -> tuple[list[PlannedRun | PlannedCheck],
                     left_out.append((scene.name, pipeline.name))
                 else:
                     for part in cells_of(pipeline):
-                        cell = RunTask(
+                        task = RunTask(
                             key="",
                             scene=reference.where,
                             scene_name=scene.name,
@@ -132,14 +121,14 @@ def select(settings: CampaignSettings) -> tuple[list[PlannedRun | PlannedCheck],
                             time_limit=settings.time_limit,
                             variant=reference.variant,
                         )
-                        entries.append(_entry(cell, scene, tools))
+                        entries.append(_entry(task, scene, tools))
     long = list(dict.fromkeys(long))
-    told = (*_in_words(left_out, len(scenes) - len(long)), *(f"{name} x every pipeline" for name in long))
+    skipped = (*_in_words(left_out, len(scenes) - len(long)), *(f"{name} x every pipeline" for name in long))
     examined, unexamined = _examined(settings, tools, settings.examined if settings.chosen else scenes, seen)
-    told += unexamined
+    skipped += unexamined
     if not entries and not examined:
-        raise _nothing(settings, seen, told)
-    return [*entries, *examined], told
+        raise _nothing(settings, seen, skipped)
+    return [*entries, *examined], skipped
 
 
 def _is_too_long(settings: CampaignSettings, scene: Scene) -> bool:
@@ -148,8 +137,6 @@ def _is_too_long(settings: CampaignSettings, scene: Scene) -> bool:
 
 
 def _scenes(settings: CampaignSettings) -> list[SceneReference]:
-    from validate.judge.score import check_limits
-
     scenes: list[SceneReference] = []
     for reference in dict.fromkeys(settings.scenes or scene_names()):
         scene = load_scene(reference)
@@ -164,12 +151,10 @@ def _scenes(settings: CampaignSettings) -> list[SceneReference]:
 def _examined(
     settings: CampaignSettings, tools: Tools, scenes: Sequence[SceneReference], seen: list[str]
 ) -> tuple[list[PlannedCheck], tuple[str, ...]]:
-    """The examinations asked for, and what of them a quick campaign leaves out; `seen` is told their names.
+    """The examinations asked for, and what of them a quick campaign leaves out; their names are added to `seen`.
 
     Where scenes are named, only examinations of these scenes are meant.
     """
-    from validate.store.provenance import examination_key
-
     long = {reference.scene.name for reference in scenes if _is_too_long(settings, reference.scene)}
     examined: list[PlannedCheck] = []
     left_out: list[Examination] = []
@@ -194,23 +179,21 @@ def _counted(examinations: Sequence[Examination]) -> tuple[str, ...]:
     return tuple(titles[0] if len(titles) == 1 else f"{group}: {len(titles)} examinations" for group, titles in groups.items())
 
 
-def _in_words(cells: Sequence[tuple[str, str]], scenes: int) -> tuple[str, ...]:
+def _in_words(runs: Sequence[tuple[str, str]], scenes: int) -> tuple[str, ...]:
     """(scene, pipeline) -> `scene x pipeline`; a pipeline of all of several scenes once, as `every scene x pipeline`."""
-    times = Counter(pipeline for _, pipeline in cells)
-    return tuple(dict.fromkeys(f"{'every scene' if times[pipeline] == scenes > 1 else scene} x {pipeline}" for scene, pipeline in cells))
+    times = Counter(pipeline for _, pipeline in runs)
+    return tuple(dict.fromkeys(f"{'every scene' if times[pipeline] == scenes > 1 else scene} x {pipeline}" for scene, pipeline in runs))
 
 
-def _entry(cell: RunTask, scene: Scene, tools: Tools) -> PlannedRun:
-    from validate.store.provenance import content_key
-
-    plan = planned_stages(cell.pipeline, {leg.method: tools.load_method(leg.method) for leg in cell.pipeline.legs})
-    source = tools_source(cell.tools)
+def _entry(task: RunTask, scene: Scene, tools: Tools) -> PlannedRun:
+    plan = planned_stages(task.pipeline, tools.methods_of(task.pipeline))
+    source = tools_source(task.tools)
 
     def key_of(stages: Sequence[Planned], *named: str) -> str:
         return content_key(scene, [*named, [planned.asked() for planned in stages]], {planned.name for planned in stages}, source)
 
-    key = key_of(plan, cell.pipeline.name, cell.pipeline.title)
-    return PlannedRun(cell=replace(cell, key=key, legs=planned_legs(plan, key_of)), scene=scene, plan=plan)
+    key = key_of(plan, task.pipeline.name, task.pipeline.title)
+    return PlannedRun(replace(task, key=key, legs=planned_legs(plan, key_of)), LoadedRun(scene=scene, plan=plan))
 
 
 def _nothing(settings: CampaignSettings, seen: list[str], left_out: tuple[str, ...]) -> CampaignError:
@@ -225,49 +208,64 @@ def _nothing(settings: CampaignSettings, seen: list[str], left_out: tuple[str, .
 
 
 def with_stored(entries: Sequence[PlannedRun | PlannedCheck], store: Store, settings: CampaignSettings) -> list[PlannedRun | PlannedCheck]:
-    """The same cells, each with its stored record where that can be used again, else with the reason why not."""
+    """The same tasks, each with its stored record where that can be used again, else with the reason why not."""
     found: list[PlannedRun | PlannedCheck] = []
     for entry in entries:
-        record, why = _usable(store, entry.cell, settings.fresh)
+        record, why = _usable(store, entry.task, settings.fresh)
         found.append(replace(entry, stored=record, why=why))
     return found
 
 
-def _usable(store: Store, cell: RunTask | Examination, fresh: bool) -> tuple[RunRecord | ExaminationRecord | None, str]:
-    record = store.read(cell.key)
+def _usable(store: Store, task: RunTask | Examination, fresh: bool) -> tuple[RunRecord | ExaminationRecord | None, str]:
+    record = store.read(task.key)
     if record is None:
-        return None, "stored, but its record cannot be read" if (store.runs / cell.key).is_dir() else NOTHING_STORED
+        return None, "stored, but its record cannot be read" if (store.runs / task.key).is_dir() else NOTHING_STORED
     if fresh:
         return None, "stored, but --fresh runs it anew"
     outcomes = {record.outcome, *(stage.outcome for stage in getattr(record, "stages", ()))}
     if "crashed" in outcomes:
         return None, "stored, but it crashed"
     if "time_limit" in outcomes or any(stage.certificate_missing for stage in getattr(record, "stages", ())):
-        asked = store.request(cell.key).get("time_limit")
+        asked = store.request(task.key).get("time_limit")
         before = asked if isinstance(asked, (int, float)) else 0.0
-        if not before >= cell.time_limit:
-            return None, f"stored, but it ran out of {before:g} s and would have {cell.time_limit:g} s now"
-    if lost := store.lost(cell.key):
-        return None, f"stored, but {lost} is gone or cut off"
-    if store.is_due(cell.key):
+        if not before >= task.time_limit:
+            return None, f"stored, but it ran out of {before:g} s and would have {task.time_limit:g} s now"
+    if file := store.damaged_file(task.key):
+        return None, f"stored, but {file} is gone or cut off"
+    if store.needs_rerun(task.key):
         return None, "stored, but to be run anew, which was interrupted"
     return record, ""
 
 
 def reasons(entries: Sequence[PlannedRun | PlannedCheck], store: Store) -> list[str]:
-    """For each cell why it would be run, "" where its record is used; one of which another version is stored says that."""
+    """For each task why it would be run, "" where its record is used; one of which another version is stored says that."""
     others = {identity(request) for request in store.requests()}
     return [
         "stored for other code, options, libraries or another scene file"
-        if entry.why == NOTHING_STORED and identity(entry.cell.to_json()) in others
+        if entry.why == NOTHING_STORED and identity(entry.task.to_json()) in others
         else entry.why
         for entry in entries
     ]
 
 
-def identity(cell: Mapping[str, Any]) -> str:
-    """What a cell is called, whatever its content; of data that came from a file, and may be damaged."""
-    pipeline = cell.get("pipeline")
-    if isinstance(pipeline, Mapping):
-        return json.dumps([cell.get("scene_name"), pipeline.get("name"), pipeline.get("part") or None])
-    return json.dumps([cell.get("kind"), cell.get("name"), cell.get("scene")])
+def only_last_failed(entries: Sequence[PlannedRun | PlannedCheck], store: Store) -> list[PlannedRun | PlannedCheck]:
+    """Of these tasks those that failed when the folder's campaign last ran, to be run anew, and those that are stored, as they are.
+
+    What is neither is left out. Raises CampaignError where there is no campaign, or nothing of this choice failed.
+    """
+    _, records = stored_campaign(store.folder)
+    failed = {identity(store.request(key)) for key in failed_keys(records)}
+    again = {entry.task.key for entry in entries if identity(entry.task.to_json()) in failed}
+    if not again:
+        hint = "drop --lf."
+        if failed:
+            named = sorted(" x ".join(str(part) for part in json.loads(name)[:2]) for name in failed)
+            more = f" and {len(named) - 3} more" if len(named) > 3 else ""
+            hint = f"what did is not selected ({', '.join(named[:3])}{more}): select it as it was, by -k, --scene, --tools or the file of `run`."
+        raise CampaignError(f"nothing to run: nothing that is selected failed when the campaign in {store.folder} last ran; {hint}")
+    why = "it failed the last time"
+    return [
+        replace(entry, stored=None, why=why) if entry.task.key in again else entry
+        for entry in entries
+        if entry.task.key in again or entry.stored is not None
+    ]

@@ -7,19 +7,19 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from models.catalog import load_scene, scene_names, scene_path
 from models.errors import TouchstoneError
+from models.scene import Scene
+from models.scene.checks import check_expressions
+from validate.judge.score import check_limits, metric_names
 from validate.plan.mistakes import hint
 from validate.plan.schema import FREE, SceneEntry
 from validate.tasks.examination import SceneReference
 from validate.tasks.variant import Variant, state_names, varied
 
-if TYPE_CHECKING:
-    from models.scene import Scene
-
-# A sweep of more is a slip of the pen: at a second a cell it would run for a quarter of an hour by each pipeline.
+# A sweep of more is a slip of the pen: at a second a task it would run for a quarter of an hour by each pipeline.
 MOST_VARIANTS = 1000
 _Change = tuple[str, str]  # section (or steps, step) and name
 
@@ -34,7 +34,7 @@ def references(entries: Sequence[SceneEntry], folder: Path) -> tuple[list[SceneR
         path = str(folder / entry.scene) if entry.scene.endswith(".py") else entry.scene
         try:
             scene = load_scene(path)
-            _check_limits(scene, scene_path(path))
+            check_limits(scene, scene_path(path))
         except (TouchstoneError, OSError, ValueError) as error:
             mistakes.append(f"{where}.scene: {error}")
             continue
@@ -54,16 +54,8 @@ def references(entries: Sequence[SceneEntry], folder: Path) -> tuple[list[SceneR
     return found, list(bases.values()), mistakes
 
 
-def _check_limits(scene: Scene, file: Path) -> None:
-    from validate.judge.score import check_limits
-
-    check_limits(scene, file)
-
-
 def _mistakes(entry: SceneEntry, scene: Scene) -> Iterator[str]:
     """What this entry asks of its scene that the scene does not have."""
-    from validate.judge.score import metric_names
-
     if entry.name in scene_names():
         yield f"name: {entry.name!r} is a scene of ours; choose another name"
     parameters = {item.name: item for item in scene.parameters}
@@ -100,8 +92,6 @@ def _changes(entry: SceneEntry) -> dict[_Change, list[Any]]:
 
 
 def _variants(entry: SceneEntry, scene: Scene, reference: str) -> tuple[list[SceneReference], list[str]]:
-    from models.scene.checks import check_expressions
-
     changes = _changes(entry)
     if not changes and not entry.limits and entry.name is None:
         return [SceneReference(reference, scene)], []
@@ -143,9 +133,9 @@ def _variant(name: str, chosen: Mapping[_Change, Any], entry: SceneEntry) -> Var
 
 def _name(entry: SceneEntry, scene: Scene, changes: Mapping[_Change, Sequence[Any]], chosen: Mapping[_Change, Any]) -> str:
     """`three_cart_k_300`: the name given or the scene's, then what tells its scenes apart (without a name given: all that is changed)."""
-    told = [change for change in changes if entry.name is None or len(changes[change]) > 1]
+    distinct = [change for change in changes if entry.name is None or len(changes[change]) > 1]
     parts = [entry.name or scene.name]
-    for section, name in told:
+    for section, name in distinct:
         parts += [word for word in ("" if section == "parameters" else section, name, _letters(chosen[section, name])) if word]
     if entry.name is None and not changes:
         parts.append("limits")

@@ -1,6 +1,6 @@
 """What may stand in a campaign file. The descriptions are those of the JSON Schema that `python -m validate run --schema` prints.
 
-A campaign file in which nothing is left open: run again, it gives the same cells by the same keys.
+A campaign file in which nothing is left open: run again, it gives the same tasks by the same keys.
 
 Every scene stands there with one number for each change, scene files by their absolute paths, pipelines of one's own with their methods'
 defaults.

@@ -1,9 +1,9 @@
-"""`-k EXPR`: which cells of a campaign are meant.
+"""`-k EXPR`: which tasks of a campaign are meant.
 
     matches("strict and not relaxed", ["three_cart", "softplus_dc+strict", "strict_lcp"])   # True
 
-A word is true if it is part of one of the cell's names (its scene, its pipeline, its methods), upper and lower case alike, and `=word` (or `="some words"`)
-if it is all of one, or all of what the cell is called (`="three_cart x strict"`); words are joined with `and`, `or`, `not` and parentheses, as in pytest.
+A word is true if it is part of one of the task's names (its scene, its pipeline, its methods), upper and lower case alike, and `=word` (or `="some words"`)
+if it is all of one, or all of what the task is called (`="three_cart x strict"`); words are joined with `and`, `or`, `not` and parentheses, as in pytest.
 A quotation mark between quotation marks is written twice.
 """
 
@@ -22,7 +22,7 @@ class SelectionError(TouchstoneError):
 
 
 def matches(expression: str, names: Iterable[str], title: str = "") -> bool:
-    """Whether the expression is true of a cell of these names and this title. Raises SelectionError."""
+    """Whether the expression is true of a task of these names and this title. Raises SelectionError."""
     return _Parser(expression, tuple(name.lower() for name in names), title.lower()).result()
 
 

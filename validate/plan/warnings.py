@@ -1,4 +1,4 @@
-"""What is possible in a scene, but hardly meant: told before anything runs, and nothing more.
+"""Plausibility warnings: what is possible in a scene, but hardly meant, is said before anything runs, and nothing more.
 
 scene_doubts(scene)     # ("scene own: contact wall is 0.4 deep at the start, 8 times its nominal 0.05; ...",)
 
@@ -12,23 +12,21 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterable, Iterator
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import sympy as sp
+from pydantic import ValidationError
 
+from models.scene import Scene
 from models.scene.text import scene_text
 from models.stability import step_stability
-
-if TYPE_CHECKING:
-    from models.scene import Scene
-    from reports.records.record import TimeStepRecord
+from reports.records.record import CampaignRecord, TimeStepRecord
+from validate.judge.score.table import TABLE
 
 
 def time_steps(scenes: Iterable[Scene], campaign: Path) -> tuple[TimeStepRecord, ...]:
     """campaign: campaign.json of the folder, which need not be there. Raises MachineError without a compiler."""
-    from reports.records.record import TimeStepRecord
-
     known = {(item.scene, item.digest): item for item in _stored(campaign)}
     found = []
     for scene in scenes:
@@ -36,27 +34,13 @@ def time_steps(scenes: Iterable[Scene], campaign: Path) -> tuple[TimeStepRecord,
         if (scene.name, digest) in known:
             found.append(known[scene.name, digest])
             continue
-        said = step_stability(scene)
-        found.append(
-            TimeStepRecord(
-                scene=scene.name,
-                digest=digest,
-                step=said.step,
-                radius=said.radius,
-                contacts=said.contacts,
-                growth=said.growth,
-                largest_step=said.largest_step if math.isfinite(said.largest_step) else None,
-                warning=said.sentence,
-            )
-        )
+        stability = step_stability(scene)
+        largest = stability.largest_step if math.isfinite(stability.largest_step) else None
+        found.append(TimeStepRecord(**{**asdict(stability), "largest_step": largest, "digest": digest, "warning": stability.sentence}))
     return tuple(found)
 
 
 def _stored(campaign: Path) -> tuple[TimeStepRecord, ...]:
-    from pydantic import ValidationError
-
-    from reports.records.record import CampaignRecord
-
     try:
         return CampaignRecord.model_validate_json(campaign.read_bytes()).time_steps
     except (OSError, ValidationError):
@@ -111,8 +95,6 @@ def _idle(scene: Scene) -> list[str]:
 
 
 def _idle_limits(scene: Scene) -> list[str]:
-    from validate.judge.score.table import TABLE
-
     absent = {entry.name: entry.meaning for entry in TABLE if not entry.applies(scene)}
     return [
         f"scene {scene.name}: the limit on {limit.metric} judges nothing; nothing here has this metric ({absent[limit.metric]})."

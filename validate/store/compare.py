@@ -60,6 +60,7 @@ class Comparison:
 
     @property
     def regressions(self) -> tuple[Change, ...]:
+        """What got worse, and what is gone."""
         return tuple(change for change in self.changes if change.kind in (ChangeKind.REGRESSION, ChangeKind.GONE))
 
 

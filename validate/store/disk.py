@@ -31,11 +31,12 @@ def disk_error(path: Path, error: OSError) -> MachineError:
 
 
 def disk_refuses(error: OSError) -> bool:
+    """Whether the disk will take no more, as opposed to a mistake of ours."""
     return error.errno in _DISK_REFUSES
 
 
 def raise_if_disk_ended(path: Path, error: BaseException) -> None:
-    """Raise a MachineError if what went wrong in a cell, or what it came of, is a disk that takes no more. path: named where the error names none."""
+    """Raise a MachineError if what went wrong in a task, or what it came of, is a disk that takes no more. path: named where the error names none."""
     cause: BaseException | None = error
     while cause is not None:
         if isinstance(cause, OSError) and cause.errno in _DISK_ENDS:

@@ -1,6 +1,6 @@
 """Where a result comes from: our commit and sources, the versions of what we stand on, the machine, the command.
 
-`content_key` (of a cell) and `examination_key` hash what decides a cell's numbers - scene, pipeline, options, seed, our sources, library versions, compiler - and no
+`content_key` (of a run) and `examination_key` hash what decides the numbers of a task - scene, pipeline, options, seed, our sources, library versions, compiler - and no
 times, paths or hosts: equal content, equal key, wherever it runs.
 """
 
@@ -19,18 +19,19 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from models.codegen.compiler import find_compiler
 from models.errors import MachineError
+from models.scene import Scene
 from models.scene.text import scene_text
+from reports.records.record import ProvenanceRecord
 from validate.execution.process import ROOT, THREADS
 
 if TYPE_CHECKING:
-    from models.scene import Scene
-    from reports.records.record import ProvenanceRecord
     from validate.tasks.examination import Examination
 
 SEED = 0
 LIBRARIES = ("numpy", "scipy", "sympy", "pyomo", "cyipopt-wheels", "clarabel", "torch", "fmpy", "scikit-sundae")
-# Parts of us that cannot change a number of a cell: how cells are chosen, run side by side, listed and told.
+# Parts of us that cannot change a number of a task: how tasks are chosen, run side by side, listed and reported.
 _NO_INFLUENCE = (
     "validate/cli",
     "validate/__main__.py",
@@ -42,7 +43,7 @@ _NO_INFLUENCE = (
     "validate/store/results.py",
     "validate/store/stored.py",
 )
-# Parts that decide what examinations find, and nothing of a cell of a scene by a pipeline.
+# Parts that decide what examinations find, and nothing of a run.
 _OF_EXAMINATIONS = (
     "validate/tasks/examination.py",
     "validate/tasks/fmu_examination.py",
@@ -52,7 +53,7 @@ _OF_EXAMINATIONS = (
 )
 # Parts of the room of reports that decide what is in a record: its form, how columns are written, and the paper's numbers beside ours.
 _RECORDS = ("records/record", "records/check_record", "paper")
-# Scenes and methods count one by one: a cell depends on its own.
+# Scenes and methods count one by one: a task depends on its own.
 _ONE_BY_ONE = ("models/scenes", "formulations/methods")
 _SOURCE_SUFFIXES = frozenset({".py", ".c", ".h", ".template", ".jinja", ".j2", ".xml"})
 
@@ -71,7 +72,7 @@ def _source_digests() -> dict[str, str]:
 
 
 def source_digests(methods: Iterable[str]) -> dict[str, str]:
-    """Digest of each of our files that a cell of these methods depends on."""
+    """Digest of each of our files that a task of these methods depends on."""
     return {name: digest for name, digest in _digests_with(methods).items() if not name.startswith(_OF_EXAMINATIONS)}
 
 
@@ -93,7 +94,7 @@ def library_versions() -> dict[str, str]:
 
 
 def content_key(scene: Scene, stages: Any, methods: Iterable[str], extra: str = "") -> str:
-    """The key of a cell: sha256 over its content. stages: method, eps and filled options in order (JSON data)."""
+    """The key of a task: sha256 over its content. stages: method, eps and filled options in order (JSON data)."""
     return _hash({"scene": scene_text(scene), "stages": stages, "sources": source_digests(methods), "extra": extra})
 
 
@@ -125,15 +126,13 @@ def _hash(content: Mapping[str, Any]) -> str:
 
 
 def fingerprint() -> str:
-    """Digest of all that decides numbers here, whatever the cell: two machines that agree on it give a cell the same key."""
+    """Digest of all that decides numbers here, whatever the task: two machines that agree on it give a task the same key."""
     return _hash({"sources": _source_digests()})
 
 
 @lru_cache(maxsize=1)
 def compiler_text() -> str:
     """Name and version of the C compiler, or the sentence that says there is none."""
-    from models.codegen.compiler import find_compiler
-
     try:
         return find_compiler().describe()
     except MachineError as error:
@@ -173,14 +172,12 @@ def usable_cores() -> int:
 
 
 def now() -> str:
-    """This moment, ISO 8601 UTC."""
+    """The present moment, ISO 8601 UTC."""
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def gather(command: str) -> ProvenanceRecord:
     """The provenance of a campaign that starts now."""
-    from reports.records.record import ProvenanceRecord
-
     try:
         version = metadata.version("touchstone-contact")
     except metadata.PackageNotFoundError:

@@ -1,7 +1,7 @@
 """results.csv: one row a stage, and examinations.csv: one row an examination; rebuilt from records at any time, numbers in full (repr), nothing where nothing is known.
 
-Rows stand in the order of the campaign's cells; apart from the columns whose names end in `_s` (seconds) the file is the same bytes whenever
-the same cells are run on the same machine.
+Rows stand in the order of the campaign's tasks; apart from the columns whose names end in `_s` (seconds) the file is the same bytes whenever
+the same tasks are run on the same machine.
 
 starts.csv and front.csv: one row a start, one row a terminal tolerance; rebuilt from records at any time, absent where there are none.
 """
@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from reports.records.check_record import ExaminationRecord
-from reports.records.record import CertificateRecord, RunRecord, StageRecord
+from reports.records.record import CertificateRecord, RunRecord, StageRecord, ViolationPoint
 from validate.store.disk import remove, write_durably
 
+RESULTS, EXAMINATIONS, VIOLATION, STARTS, FRONT = "results.csv", "examinations.csv", "violation.csv", "starts.csv", "front.csv"
 _METRICS_FIRST = (
     "terminal_error",
     "physics",
@@ -119,7 +120,10 @@ def write_examinations(path: Path, records: Iterable[ExaminationRecord]) -> None
 
 def examinations_text(records: Iterable[ExaminationRecord]) -> str:
     """The whole file as text; empty where there are none."""
-    found = examination_rows(records)
+    return _table(examination_rows(records))
+
+
+def _table(found: Sequence[dict[str, Any]]) -> str:
     return _text(list(found[0]), found) if found else ""
 
 
@@ -131,24 +135,33 @@ def write_or_remove(path: Path, text: str) -> None:
         remove(path)
 
 
-STARTS, FRONT = "starts.csv", "front.csv"
+def write_violation(path: Path, points: Sequence[ViolationPoint]) -> None:
+    """Write violation.csv. Raises MachineError if the disk refuses."""
+    write_durably(path, violation_text(points))
+
+
+def violation_text(points: Sequence[ViolationPoint]) -> str:
+    """violation.csv: law, eps, measured, closed form and their relative difference."""
+    return _text(
+        ("law", "eps", "measured", "closed_form", "relative_difference"),
+        (
+            {
+                "law": point.law,
+                "eps": point.eps,
+                "measured": point.measured,
+                "closed_form": point.closed_form,
+                "relative_difference": abs(point.measured - point.closed_form) / point.closed_form,
+            }
+            for point in points
+        ),
+    )
 
 
 def write_sweeps(folder: Path, records: Iterable[RunRecord]) -> None:
     """Write both files. Raises MachineError if the disk refuses."""
     records = tuple(records)
-    for name, rows in ((STARTS, _starts(records)), (FRONT, _front(records))):
-        if rows:
-            text = io.StringIO()
-            writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(
-                {key: "" if value is None else repr(value) if isinstance(value, float) else value for key, value in row.items()}
-                for row in rows
-            )
-            write_durably(folder / name, text.getvalue())
-        else:
-            remove(folder / name)
+    write_or_remove(folder / STARTS, _table(_starts(records)))
+    write_or_remove(folder / FRONT, _table(_front(records)))
 
 
 def _starts(records: tuple[RunRecord, ...]) -> list[dict[str, Any]]:

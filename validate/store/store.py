@@ -1,4 +1,4 @@
-"""Where finished cells lie: one folder a cell, written aside, made durable, then renamed; no lock, nothing half-written.
+"""Where finished tasks lie: one folder a task, written aside, made durable, then renamed; no lock, nothing half-written.
 
     DIR/runs/<key>/record.json, trajectory.nc, replay.nc, log.txt, cell.json, files.json      DIR/runs/.partial-*   being written
     DIR/legs/<key>/                        what they are made of (validate.tasks.leg)
@@ -17,14 +17,12 @@ import socket
 import uuid
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from models.errors import TouchstoneError
+from reports.records.check_record import ExaminationRecord, record_of
+from reports.records.record import RunRecord
 from validate.store.disk import PARTIAL, aside_name, disk_error, fsync, remove
-
-if TYPE_CHECKING:
-    from reports.records.check_record import ExaminationRecord
-    from reports.records.record import RunRecord
 
 RECORD, LOG, REQUEST, PROGRESS, MACHINE = "record.json", "log.txt", "cell.json", "progress.txt", "machine.txt"
 # Names and sizes [bytes] of a run's NetCDF files, so that it is seen where one is gone or cut off.
@@ -39,7 +37,7 @@ class StoreError(TouchstoneError):
 
 
 def progress(folder: Path, text: str) -> None:
-    """Say where a cell is, for the parent to read if it never comes back."""
+    """Say where a task is, for the parent to read if it never comes back."""
     (folder / PROGRESS).write_text(text, encoding="utf-8")
 
 
@@ -52,7 +50,7 @@ class Store:
 
     @classmethod
     def of_partial(cls, partial: Path) -> Store:
-        """The store that a cell's unfinished folder lies in."""
+        """The store that a task's unfinished folder lies in."""
         return cls(partial.parents[1])
 
     def prepare(self) -> None:
@@ -85,17 +83,14 @@ class Store:
                 os.rename(old, self.runs / key)
 
     def read(self, key: str) -> RunRecord | ExaminationRecord | None:
-        """The stored record of a cell, or None if there is none that can be read."""
-
-        from reports.records.check_record import record_of
-
+        """The stored record of a task, or None if there is none that can be read."""
         try:
             record = record_of((self.runs / key / RECORD).read_bytes())
         except (OSError, ValueError):  # no record, or a key that is no file name
             return None
         return record if record.key == key else None
 
-    def lost(self, key: str) -> str:
+    def damaged_file(self, key: str) -> str:
         """The first NetCDF file of a stored run that is gone or has another size than it was stored with, or the list of them; empty if all are there."""
         folder = self.runs / key
         try:
@@ -105,10 +100,10 @@ class Store:
             return FILES
 
     def request(self, key: str) -> dict[str, Any]:
-        """What was asked for in a stored cell; nothing if that cannot be read."""
+        """What was asked for in a stored task; nothing if that cannot be read."""
         return _request(self.runs / key / REQUEST)
 
-    def due(self, keys: Iterable[str]) -> list[str]:
+    def mark_for_rerun(self, keys: Iterable[str]) -> list[str]:
         """Mark stored runs as to be run anew, until they are, whatever ends this campaign; the keys of those that are stored. Raises MachineError."""
         stored = [key for key in keys if os.path.exists(self.runs / key / RECORD)]
         for key in stored:
@@ -120,20 +115,21 @@ class Store:
                 raise disk_error(mark, error) from error
         return stored
 
-    def is_due(self, key: str) -> bool:
+    def needs_rerun(self, key: str) -> bool:
+        """Whether a stored run is marked as to be run anew."""
         return os.path.exists(self.runs / key / _DUE)  # False too where the folder cannot be read
 
-    def spare(self, keys: Iterable[str]) -> None:
-        """Take back what `due` asked for; what was run anew since has no mark."""
+    def unmark(self, keys: Iterable[str]) -> None:
+        """Take back what `mark_for_rerun` asked for; what was run anew since has no mark."""
         for key in keys:
             remove(self.runs / key / _DUE)
 
     def requests(self) -> Iterator[dict[str, Any]]:
-        """What was asked for in each stored cell that can be read."""
+        """What was asked for in each stored task that can be read."""
         yield from filter(None, map(_request, sorted(self.runs.glob(f"[!.]*/{REQUEST}"))))
 
     def open_partial(self, key: str, token: str) -> Path:
-        """A new folder for a cell that is about to run."""
+        """A new folder for a task that is about to run."""
         folder = self.runs / aside_name(key[:12], token)
         try:
             folder.mkdir()
@@ -177,8 +173,8 @@ def _request(path: Path) -> dict[str, Any]:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):  # not there, a key that is no file name, or damaged
         return {}
-    cell = content.get("cell") if isinstance(content, dict) else None
-    return cell if isinstance(cell, dict) else {}
+    task = content.get("cell") if isinstance(content, dict) else None
+    return task if isinstance(task, dict) else {}
 
 
 def _renamed(partial: Path, target: Path) -> bool:

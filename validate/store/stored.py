@@ -1,4 +1,4 @@
-"""The campaign that a folder holds: what it was, and which of its cells failed.
+"""The campaign that a folder holds: what it was, and which of its tasks failed.
 
 campaign, records = stored_campaign(Path("runs/all"))
 """
@@ -6,45 +6,58 @@ campaign, records = stored_campaign(Path("runs/all"))
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from validate.plan.runs import CampaignError, PlannedCheck, PlannedRun, identity
+from pydantic import ValidationError
+
+from models.errors import TouchstoneError
+from reports.records.check_record import ExaminationRecord
+from reports.records.record import SCHEMA_VERSION, CampaignRecord, RunRecord
 from validate.store.store import Store
 
-if TYPE_CHECKING:
-    from reports.records.check_record import ExaminationRecord
-    from reports.records.record import CampaignRecord, RunRecord
-
 CAMPAIGN = "campaign.json"
-# What a campaign that ran nothing leaves as it was told: the report says when its results were made.
+# What a campaign that ran nothing leaves as it was: the report says when its results were made.
 _OF_THE_CALL = ("command", "started", "provenance")
 # What damaged content raises where it is read.
 _NO_CAMPAIGN = (ValueError, AttributeError, RecursionError)
 
 
+class CampaignError(TouchstoneError):
+    """Nothing selected, or a folder that holds no campaign."""
+
+
 def stored_campaign(folder: Path) -> tuple[CampaignRecord, tuple[RunRecord | ExaminationRecord, ...]]:
-    """The campaign of a folder and those of its cells that are stored, in order. Raises CampaignError."""
+    """The campaign of a folder and those of its tasks that are stored, in order. Raises CampaignError."""
     campaign = campaign_of(folder)
     store = Store(folder)
     found = (store.read(key) for key in campaign.keys)
     return campaign, tuple(record for record in found if record is not None)
 
 
-def title_of(cell: Mapping[str, Any]) -> str:
-    """What a cell is called, of what was asked for. Raises LookupError or TypeError where that is damaged."""
-    if "pipeline" not in cell:
-        return f"{cell['kind']}: {cell['name']}"
-    pipeline = cell["pipeline"]
+def title_of(task: Mapping[str, Any]) -> str:
+    """What a task is called, of what was asked for. Raises LookupError or TypeError where that is damaged."""
+    if "pipeline" not in task:
+        return f"{task['kind']}: {task['name']}"
+    pipeline = task["pipeline"]
     part = "" if not pipeline["part"] else " ({} of {})".format(*pipeline["part"])
-    return f"{cell['scene_name']} x {pipeline['name']}{part}"
+    return f"{task['scene_name']} x {pipeline['name']}{part}"
+
+
+def identity(task: Mapping[str, Any]) -> str:
+    """What a task is called, whatever its content; of data that came from a file, and may be damaged."""
+    pipeline = task.get("pipeline")
+    if isinstance(pipeline, Mapping):
+        return json.dumps([task.get("scene_name"), pipeline.get("name"), pipeline.get("part") or None])
+    return json.dumps([task.get("kind"), task.get("name"), task.get("scene")])
 
 
 def stored_names(store: Store, keys: Iterable[str]) -> dict[str, str]:
-    """Key -> what the cell is called, by what was asked for, which is read in a hundredth of the time of its record; only where that cannot be read by
-    the record. Cells of which there is neither are left out."""
+    """Key -> what the task is called. Tasks of which nothing can be read are left out.
+
+    It is read from what was asked for, in a hundredth of the time of the record; only where that is damaged from the record.
+    """
     names = {}
     for key in keys:
         try:
@@ -58,10 +71,6 @@ def stored_names(store: Store, keys: Iterable[str]) -> dict[str, str]:
 
 def campaign_of(folder: Path) -> CampaignRecord:
     """The campaign of a folder. Raises CampaignError."""
-    from pydantic import ValidationError
-
-    from reports.records.record import CampaignRecord
-
     path = folder / CAMPAIGN
     try:
         return CampaignRecord.model_validate_json(path.read_bytes())
@@ -79,8 +88,6 @@ def campaign_of(folder: Path) -> CampaignRecord:
 
 def earlier_schema(folder: Path) -> str:
     """Why nothing of a folder is used again whose campaign was recorded by another version; empty where there is none, or it is of this one."""
-    from reports.records.record import SCHEMA_VERSION
-
     try:
         version = json.loads((folder / CAMPAIGN).read_bytes())["schema_version"]
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
@@ -91,31 +98,6 @@ def earlier_schema(folder: Path) -> str:
         f"{folder} holds the records of schema {version!s:.20}, which hold other things than those of schema {SCHEMA_VERSION}: "
         "none of them is used, and what is selected is run again."
     )
-
-
-def only_last_failed(entries: Sequence[PlannedRun | PlannedCheck], store: Store) -> list[PlannedRun | PlannedCheck]:
-    """Of these cells those that failed when the folder's campaign last ran, to be run anew, and those that are stored, as they are.
-
-    What is neither is left out. Raises CampaignError where there is no campaign, or nothing of this choice failed.
-    """
-    from reports.rule import failed_keys
-
-    _, records = stored_campaign(store.folder)
-    failed = {identity(store.request(key)) for key in failed_keys(records)}
-    again = {entry.cell.key for entry in entries if identity(entry.cell.to_json()) in failed}
-    if not again:
-        hint = "drop --lf."
-        if failed:
-            named = sorted(" x ".join(str(part) for part in json.loads(name)[:2]) for name in failed)
-            more = f" and {len(named) - 3} more" if len(named) > 3 else ""
-            hint = f"what did is not selected ({', '.join(named[:3])}{more}): select it as it was, by -k, --scene, --tools or the file of `run`."
-        raise CampaignError(f"nothing to run: nothing that is selected failed when the campaign in {store.folder} last ran; {hint}")
-    why = "it failed the last time"
-    return [
-        replace(entry, stored=None, why=why) if entry.cell.key in again else entry
-        for entry in entries
-        if entry.cell.key in again or entry.stored is not None
-    ]
 
 
 def campaign_text(folder: Path) -> str:

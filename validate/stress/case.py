@@ -20,7 +20,7 @@ import numpy as np
 
 @dataclass(frozen=True, kw_only=True)
 class Figure:
-    """One number and its limit: from above, or from below (at_least); None: only told. reason: why this limit."""
+    """One number and its limit: from above, or from below (at_least); None: no limit. reason: why this limit."""
 
     name: str
     value: float
@@ -74,14 +74,18 @@ class CaseFinding:
 
     @property
     def passed(self) -> bool:
+        """Whether each figure with a limit keeps it, and there is one."""
         judged = [figure.ok for figure in self.figures if figure.ok is not None]
         return bool(judged) and all(judged)
 
 
 @dataclass(frozen=True, kw_only=True)
 class HardCase:
-    """See the module docstring. name: that of its file, h<two digits>_<words>; quick: whether a quick campaign runs it; scenes, methods: names
-    of those of the catalogs it uses, on which a stored result depends. All but `measure` are written as literals: they are read without importing."""
+    """See the module docstring.
+
+    name: that of its file, h<two digits>_<words>; quick: whether a quick campaign runs it; scenes, methods: names of those of the catalogs it uses, on
+    which a stored result depends. All but `measure` are written as literals: they are read without importing.
+    """
 
     name: str
     title: str
@@ -93,14 +97,16 @@ class HardCase:
 
 
 def at_most(name: str, value: float, limit: float, unit: str = "1", *, reason: str, meaning: str = "") -> Figure:
+    """A figure with a limit from above."""
     return Figure(name=name, value=float(value), limit=limit, unit=unit, reason=reason, meaning=meaning)
 
 
 def at_least(name: str, value: float, limit: float, unit: str = "1", *, reason: str, meaning: str = "") -> Figure:
+    """A figure with a limit from below."""
     return Figure(name=name, value=float(value), limit=limit, unit=unit, reason=reason, meaning=meaning, at_least=True)
 
 
-def told(name: str, value: float, unit: str = "1", *, meaning: str = "") -> Figure:
+def unlimited(name: str, value: float, unit: str = "1", *, meaning: str = "") -> Figure:
     """A figure without a limit."""
     return Figure(name=name, value=float(value), unit=unit, meaning=meaning)
 

@@ -1,7 +1,7 @@
 """Plans and replays as the hard cases need them: a scene's own compiled step for the plan, its FMU for the replay.
 
 plan = rolled(scene, start=..., u=..., step=..., steps=...)       # a Trajectory by the compiled step
-told = replayed(scene, plan)                                      # a Replay by the scene's FMU
+motion = replayed(scene, plan)                                      # a Replay by the scene's FMU
 """
 
 from __future__ import annotations
@@ -31,9 +31,36 @@ def rolled(
     eps: float | None = None,
     every: int = 1,
 ) -> Trajectory:
-    """The motion by the compiled step: start (2*nq,), u (steps, nu) (zeros unless given), step [s], those of the task unless given.
+    """The motion by the compiled step.
 
-    every: nodes kept, one in so many; the inputs must then be constant between them.
+    Parameters
+    ----------
+    scene
+        Its task gives what is not given here.
+    start
+        (2 nq,) first state [m, rad, m/s, rad/s].
+    u
+        (steps, nu) inputs [N, N m]; zeros unless given.
+    step
+        Of time [s].
+    steps
+        How many, where `u` does not say it.
+    law, eps
+        The contact law, and the eps of a relaxed one.
+    every
+        One node in so many is part of the plan; the inputs must be constant between them.
+
+    Returns
+    -------
+    Trajectory
+        (steps / every + 1) nodes.
+
+    Raises
+    ------
+    KernelError
+        If arrays do not fit the scene.
+    RelaxationError
+        If the law wants another eps.
     """
     h = scene.task.step if step is None else step
     count = (scene.task.steps if steps is None else steps) if u is None else len(u)
@@ -50,10 +77,10 @@ def rolled(
 
 
 def replayed(scene: Scene, plan: Trajectory, like: Scene | None = None, **settings: Any) -> Replay:
-    """Replay of a plan, without feedback, by the FMU of the scene, or of `like`: one with other parameter values, which the FMU is told."""
+    """Replay of a plan, without feedback, by the FMU of the scene, or of `like`: one with other parameter values, which the FMU is given."""
     return replay(scene, build_fmu(scene if like is None else like), plan, **{"track": False, **settings})
 
 
-def at_nodes(told: Replay) -> np.ndarray:
-    """(nodes, 2*nq) states of a replay at the plan's nodes."""
-    return np.hstack([told.q[told.knots], told.v[told.knots]])
+def at_nodes(motion: Replay) -> np.ndarray:
+    """States (nodes, 2 nq) of a replay at the plan's nodes that it reached, [SI] units of the scene."""
+    return np.hstack([motion.q[motion.knots], motion.v[motion.knots]])

@@ -10,12 +10,12 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from models.catalog import scene_path
+from reports.records.check_record import AxisRecord, ChartRecord, SeriesRecord
+from reports.records.record import MetricRecord
 from validate.stress.catalog import case_names, describe_case, load_case
 from validate.tasks.examination import Course, Examination, Found, SceneReference
 
 if TYPE_CHECKING:
-    from reports.records.check_record import ChartRecord
-    from reports.records.record import MetricRecord
     from validate.stress.case import CaseFinding, Chart, Figure
 
 KIND = "hard case"
@@ -73,8 +73,6 @@ def found_of(finding: CaseFinding) -> Found:
 
 
 def _figure(figure: Figure) -> MetricRecord:
-    from reports.records.record import MetricRecord
-
     return MetricRecord(
         name=figure.name,
         value=figure.value if math.isfinite(figure.value) else None,
@@ -88,8 +86,6 @@ def _figure(figure: Figure) -> MetricRecord:
 
 
 def _chart(chart: Chart) -> ChartRecord:
-    from reports.records.check_record import AxisRecord, ChartRecord, SeriesRecord
-
     series = []
     for item in chart.series:
         pairs = [(float(x), float(y)) for x, y in zip(item.x, item.y, strict=False) if math.isfinite(x) and math.isfinite(y)]

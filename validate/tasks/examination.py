@@ -1,9 +1,9 @@
-"""An examination: a cell of a campaign that is no scene x pipeline. A function is asked a question, and what it finds is as expected or not.
+"""An examination: a task of a campaign that is no run. A function is asked a question, and what it finds is as expected or not.
 
     Examination(kind="FMU", name="three_cart, FMI 2.0", expected="...", function="validate.tasks.fmu_examination:examine",
                 arguments={"scene": "three_cart", "version": "2.0"}, ...)
 
-Examinations are selected, keyed by content, run in a child with the campaign's time limit, stored, resumed and told like any other cell. A room
+Examinations are selected, keyed by content, run in a child with the campaign's time limit, stored, resumed and reported like a run. A room
 that has some offers a function `examinations(scenes)` (see validate/tasks/plugins.py, EXAMINATIONS); the campaign does the rest. The function that examines is called in
 the child as function(arguments, course) and hands back what it found.
 """
@@ -17,20 +17,18 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from models.errors import MachineError, TouchstoneError
+from models.scene import Scene
+from reports.records.check_record import ExaminationRecord
+from reports.records.record import MetricRecord, ProvenanceRecord
 from validate.store.disk import raise_if_disk_ended
 from validate.store.store import LOG, PROGRESS
+from validate.tasks.run import ChildExit
+from validate.tasks.variant import Variant
 
-if TYPE_CHECKING:
-    from models.scene import Scene
-    from reports.records.check_record import ExaminationRecord
-    from reports.records.record import MetricRecord, ProvenanceRecord
-    from validate.tasks.run import ChildExit
-    from validate.tasks.variant import Variant
-
-# Of an examination's time limit, what is kept for writing down what was found: a twentieth, but no more than 5 s.
+# Of an examination's time limit, what is reserved for writing down what was found: a twentieth, but no more than 5 s.
 _WRITING_SHARE, _WRITING_MOST = 0.05, 5.0
 # Lines of the log that go into the record.
 _LOG_LINES = 40
@@ -52,7 +50,7 @@ class Examination:
     function: `module:name`, called in the child with the arguments (JSON data); content: text that decides the result beside arguments and
     sources, such as that of a scene (models.scene.text); sources: the parts of our sources that matter, as beginnings of
     paths (nothing: all of them); methods: names of the methods it runs; scene: the name of the one it is about; quick: whether `--quick` runs it;
-    words: further names for `-k`; group: what it and its like are called where only their number is told; key and time_limit [s]: filled in by the campaign.
+    words: further names for `-k`; group: what it and its like are called where only their number is said; key and time_limit [s]: filled in by the campaign.
     """
 
     kind: str
@@ -72,6 +70,7 @@ class Examination:
 
     @property
     def title(self) -> str:
+        """What it is called."""
         return f"{self.kind}: {self.name}"
 
     @property
@@ -85,6 +84,7 @@ class Examination:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Examination:
+        """The examination that `to_json` wrote."""
         tuples = {name: tuple(data[name]) for name in ("sources", "methods", "words")}
         return cls(**{**{name: value for name, value in data.items() if name != "examination"}, **tuples})
 
@@ -112,13 +112,14 @@ class Course:
 
     @property
     def seconds_left(self) -> float:
+        """Until the deadline [s]."""
         return max(0.0, self.deadline - time.monotonic())
 
 
 def run_examination(examination: Examination, provenance: ProvenanceRecord, folder: Path, began: float) -> ExaminationRecord:
     """Examine, in the child. began: time.monotonic() at its start. Raises MachineError; whatever else goes wrong is in the record."""
-    spare = min(_WRITING_MOST, _WRITING_SHARE * examination.time_limit)
-    course = Course(folder, began + examination.time_limit - spare)
+    reserve = min(_WRITING_MOST, _WRITING_SHARE * examination.time_limit)
+    course = Course(folder, began + examination.time_limit - reserve)
     module, _, name = examination.function.partition(":")
     found, outcome, message = Found(False, ""), "answered", ""
     try:
@@ -141,16 +142,14 @@ def run_examination(examination: Examination, provenance: ProvenanceRecord, fold
     return _record(examination, provenance, found, outcome, message, time.monotonic() - began, cpu, text)
 
 
-def lost_examination(examination: Examination, provenance: ProvenanceRecord, lost: ChildExit) -> ExaminationRecord:
+def unfinished_examination(examination: Examination, provenance: ProvenanceRecord, child: ChildExit) -> ExaminationRecord:
     """The record of an examination whose child left none."""
-    return _record(examination, provenance, Found(False, ""), lost.outcome, lost.message, lost.wall, lost.cpu, lost.log)
+    return _record(examination, provenance, Found(False, ""), child.outcome, child.message, child.wall, child.cpu, child.log)
 
 
 def _record(
     examination: Examination, provenance: ProvenanceRecord, found: Found, outcome: str, message: str, wall: float, cpu: float, log: str
 ) -> ExaminationRecord:
-    from reports.records.check_record import ExaminationRecord
-
     return ExaminationRecord(
         key=examination.key,
         kind=examination.kind,

@@ -8,8 +8,13 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
+from models.catalog import load_scene
+from models.fmu import build_fmu
+from models.scene.text import scene_text
+from reports.records.check_record import CheckRow, FmuRecord
 from validate.tasks.examination import Course, Examination, Found, SceneReference
 
 VERSIONS = ("2.0", "3.0")
@@ -27,8 +32,6 @@ _SOURCES = (
 
 def examinations(scenes: Sequence[SceneReference]) -> list[Examination]:
     """One for each scene and version; all scenes of one version, then of the next."""
-    from models.scene.text import scene_text
-
     return [
         Examination(
             kind="FMU",
@@ -50,10 +53,7 @@ def examinations(scenes: Sequence[SceneReference]) -> list[Examination]:
 
 def examine(arguments: Mapping[str, Any], course: Course) -> Found:
     """Export and check. Raises MachineError, SceneError for a scene whose names an FMU cannot carry."""
-    from models.catalog import load_scene
-    from models.fmu import build_fmu
-    from reports.records.check_record import CheckRow, FmuRecord
-    from validate.fmu_check import CHECK_SECONDS, Status, check_fmu
+    from validate.fmu_check import CHECK_SECONDS, Status, check_fmu  # imports FMPy: in the child alone
 
     began = time.perf_counter()
     course.at("the export")
@@ -63,10 +63,7 @@ def examine(arguments: Mapping[str, Any], course: Course) -> Found:
     report = check_fmu(path, seconds=min(CHECK_SECONDS, course.seconds_left))
     checked = time.perf_counter()
     data = path.read_bytes()
-    rows = tuple(
-        CheckRow(name=row.name, type=row.type, claim=row.claim, status=row.status.value, sentence=row.sentence, seconds=row.seconds)
-        for row in report.rows
-    )
+    rows = tuple(CheckRow(**{**asdict(row), "status": row.status.value}) for row in report.rows)
     failed = [f"{row.name}{f' ({row.type})' if row.type else ''}: {row.sentence}" for row in report.failures()]
     statuses = [row.status for row in report.rows]
     counts = ", ".join(f"{statuses.count(status)} {status.value}" for status in Status)

@@ -22,17 +22,16 @@ import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from formulations.method import Method, Options, Pipeline
 from formulations.pipelines import stage_plan
 from models.errors import TouchstoneError
+from models.scene import Scene
+from models.trajectory import Trajectory
+from models.trajectory_netcdf import read_netcdf
+from reports.records.record import LegRecord, StageRecord
 from validate.store.disk import fsync, write_durably
-
-if TYPE_CHECKING:
-    from formulations.method import Method, Options, Pipeline
-    from models.scene import Scene
-    from models.trajectory import Trajectory
-    from reports.records.record import LegRecord, StageRecord
 
 CONTENT = "leg.json"
 _FILES = ("trajectory", "replay", "tracked")
@@ -54,6 +53,7 @@ class Planned:
 
     @property
     def title(self) -> str:
+        """Its method, and its eps if it has one."""
         return self.name if self.eps is None else f"{self.name}, eps {self.eps:g}"
 
     def asked(self) -> list[Any]:
@@ -121,8 +121,6 @@ def write_leg(folder: Path, leg: LegRecord) -> LegRecord:
 
 def read_leg(folder: Path, *keys: str) -> LegRecord:
     """What a leg found that has one of these keys. Raises OSError or ValueError where it is not whole."""
-    from reports.records.record import LegRecord
-
     leg = LegRecord.model_validate_json((folder / CONTENT).read_bytes())
     if leg.key not in keys:
         raise ValueError("it is another leg than its folder says")
@@ -137,8 +135,6 @@ def _digest(path: Path) -> str:
 
 def plan_of(leg: LegRecord, folder: Path, scene: Scene) -> Trajectory | None:
     """The last plan that a leg found, from the files in its folder. Raises what damaged files raise."""
-    from models.trajectory_netcdf import read_netcdf
-
     number = max((number for number, record in enumerate(leg.stages, 1) if record.has_plan), default=None)
     return None if number is None else read_netcdf(folder / leg_files(number)["trajectory"], scene)
 
@@ -160,8 +156,11 @@ def place(folder: Path, number: int) -> Path:
 
 
 def take(stored: Path, key: str, limit: float | None, stages: int, into: Path, scene: Scene) -> tuple[LegRecord, Trajectory | None] | None:
-    """A stored leg of so many stages, and its plan; its files are linked into a new folder `into`. None if it is not stored. stored: the folder of all
-    legs; limit [s]: of the run that asks, None where it would not end there too. A leg that is damaged is put aside, into the folder that `into` lies in."""
+    """A stored leg of so many stages, and its plan; its files are linked into a new folder `into`. None if it is not stored.
+
+    stored: the folder of all legs; limit [s]: of the run that asks, None where it would not end there too. A leg that is damaged is put aside, into the
+    folder that `into` lies in.
+    """
     for name in (key,) if limit is None else (key, timeout_key(key, limit)):
         source = stored / name
         if not source.is_dir():

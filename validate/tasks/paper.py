@@ -18,19 +18,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from formulations.pipelines import PAPER, PIPELINES, stage_plan
+from models.codegen.kernel import Kernel, load_kernel
+from models.contact_law import ContactLaw, sharpness, worst_case_violation
+from models.dynamics import derive
+from models.scene import Scene
 from reports.paper import SCENE, TABLE_1, PaperRow
 from reports.records.record import ViolationPoint
-from validate.store.disk import write_durably
-
-if TYPE_CHECKING:
-    from models.codegen.kernel import Kernel
-    from models.scene import Scene
 
 
 def table_rows(pipeline: str) -> tuple[PaperRow, ...]:
@@ -63,9 +60,6 @@ _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 
 def measure(scene: Scene) -> tuple[ViolationPoint, ...]:
     """The points of Fig. 2 for the first contact of a scene; none for a scene without contacts. Raises MachineError."""
-    from models.codegen.kernel import load_kernel
-    from models.contact_law import worst_case_violation
-
     if scene.nc == 0:
         return ()
     kernel = load_kernel(scene)
@@ -87,26 +81,37 @@ def measure(scene: Scene) -> tuple[ViolationPoint, ...]:
 
 
 def softplus_violation(kernel: Kernel, path: Callable[[np.ndarray], np.ndarray], eps: float) -> float:
-    """The largest lam*(lam - k*phi) [N^2] of the compiled softplus law at the first contact along a path through it."""
-    from models.contact_law import ContactLaw, sharpness
+    """The largest lam*(lam - k*phi) [N^2] of the compiled softplus law at the first contact along a path through it.
 
+    Parameters
+    ----------
+    kernel
+        Of a scene with contacts.
+    path
+        From penetrations of the first contact (n,) [m] to positions (n, nq) [m, rad].
+    eps
+        Of the relaxation.
+
+    Raises
+    ------
+    RelaxationError
+        Unless 0 < eps < 1.
+    """
     stiffness = kernel.stiffness()
 
-    def violation(depth: np.ndarray) -> np.ndarray:
+    def _violation(depth: np.ndarray) -> np.ndarray:
         q = path(depth)
         lam = kernel.contact_force(q, ContactLaw.SOFTPLUS, eps)[:, 0]
         return lam * (lam - stiffness[0] * kernel.penetration(q)[:, 0])
 
     width = _WIDTHS / sharpness(eps, kernel.scene.length)
     grid = np.linspace(-width, width, _GRID)
-    best = int(np.argmax(violation(grid)))
-    return _golden_section(lambda depth: float(violation(np.array([depth]))[0]), grid[max(best - 1, 0)], grid[min(best + 1, _GRID - 1)])
+    best = int(np.argmax(_violation(grid)))
+    return _golden_section(lambda depth: float(_violation(np.array([depth]))[0]), grid[max(best - 1, 0)], grid[min(best + 1, _GRID - 1)])
 
 
 def _through_contact(scene: Scene, kernel: Kernel) -> Callable[[np.ndarray], np.ndarray]:
     """Positions q (n, nq) along the gradient of the first penetration whose penetration is, to first order, the given depth."""
-    from models.dynamics import derive
-
     start = np.array([scene.task.start[: scene.nq]], dtype=float)
     jacobian = derive(scene).function(derive(scene).gap_jacobian, derive(scene).q)
     direction = -jacobian(start[0])[0]
@@ -146,17 +151,3 @@ def relaxed_violation(stiffness: float, eps: float) -> float:
         feasible = middle * (middle - stiffness * phi) <= eps
         low, high = np.where(feasible, middle, low), np.where(feasible, high, middle)
     return float((low * (low - stiffness * phi)).max())
-
-
-def write_violation(path: Path, points: tuple[ViolationPoint, ...]) -> None:
-    """Write violation.csv. Raises MachineError if the disk refuses."""
-    write_durably(path, violation_text(points))
-
-
-def violation_text(points: tuple[ViolationPoint, ...]) -> str:
-    """violation.csv: law, eps, measured, closed form and their relative difference."""
-    lines = ["law,eps,measured,closed_form,relative_difference"]
-    for point in points:
-        difference = abs(point.measured - point.closed_form) / point.closed_form
-        lines.append(",".join([point.law, *(repr(value) for value in (point.eps, point.measured, point.closed_form, difference))]))
-    return "\n".join(lines) + "\n"

@@ -1,7 +1,7 @@
 """A run as a worker makes it: the legs of its path, one after the other, each taken from the store, or solved, judged, certified and stored.
 
-    record = run_cell(cell, provenance, folder, began)        # in a child process of its own: validate.execution.child
-    record = lost_run(cell, scene, plan, provenance, lost, folder)        # by its parent, where the child left no record
+    record = run_path(task, provenance, folder, began)              # in a child process of its own: validate.execution.child
+    record = unfinished_run(task, load_run(task), provenance, child, folder)    # by its worker, where the child left no record
 
 A leg lies in the folder of the run as soon as it is judged. So a run that ends before its end keeps the legs it has, whatever ended it. Beside the
 record the folder holds `trajectory.nc` and `replay.nc` of the last stage, and `trajectory_<n>.nc` and `replay_<n>.nc` of every other stage n (from 1); where
@@ -13,6 +13,7 @@ from __future__ import annotations
 import time
 import traceback
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -24,7 +25,7 @@ from validate.store.disk import raise_if_disk_ended
 from validate.store.store import LOG, Store, progress
 from validate.tasks import leg as legs
 from validate.tasks.leg import Planned, PlannedLeg, planned_stages
-from validate.tasks.plugins import Tools, load_tools
+from validate.tasks.plugins import load_tools
 from validate.tasks.profile import Profile
 from validate.tasks.records import run_record, stages_of, unfinished_stage
 from validate.tasks.scene_record import scene_record
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     from reports.records.record import ProvenanceRecord, RunRecord, StageRecord
     from validate.tasks.run import ChildExit, RunTask
 
-# Of a run's time limit, what is kept for certificates, replaying and scoring: a quarter, but no more than 60 s. The paper's scene needs 2 s;
+# Of a run's time limit, what is reserved for certificates, replaying and scoring: a quarter, but no more than 60 s. The paper's scene needs 2 s;
 # the certificate of two fingers takes 3 CPU s.
 _JUDGING_SHARE, _JUDGING_MOST = 0.25, 60.0
 
@@ -45,63 +46,81 @@ _JUDGING_SHARE, _JUDGING_MOST = 0.25, 60.0
 Unfinished: TypeAlias = "tuple[Planned, Outcome, str]"
 
 
-def run_cell(cell: RunTask, provenance: ProvenanceRecord, folder: Path, began: float, profile: Profile | None = None) -> RunRecord:
-    """The record of a run. began: time.monotonic() at the start of the process, from which the time limit counts; profile: of the process until
-    now.
+@dataclass(frozen=True, kw_only=True)
+class LoadedRun:
+    """The scene and the stages of a run, which its task names."""
 
-    Raises MachineError where this machine cannot go on; whatever else goes wrong in a method or the judge is in the record.
+    scene: Scene
+    plan: tuple[Planned, ...]
+
+
+def load_run(task: RunTask, profile: Profile | None = None) -> LoadedRun:
+    """What a task names. profile: where the time goes. Raises UnknownNameError, SceneError, OptionError."""
+    profile = profile or Profile(time.monotonic())
+    tools = load_tools(task.tools)
+    profile.lap("imports")
+    scene = load_scene(task.scene)
+    if task.variant is not None:
+        scene = varied(scene, task.variant)
+    profile.lap("scene")
+    plan = planned_stages(task.pipeline, tools.methods_of(task.pipeline))
+    profile.lap("imports")
+    return LoadedRun(scene=scene, plan=plan)
+
+
+def run_path(task: RunTask, provenance: ProvenanceRecord, folder: Path, began: float, profile: Profile | None = None) -> RunRecord:
+    """The record of a run.
+
+    began [s]: time.monotonic() at the start of the process, from which the time limit counts; profile: of the process until now. Raises MachineError where this machine cannot go on; whatever else goes wrong in a method or the judge is in the record.
     """
     profile = profile or Profile(began)
-    tools = load_tools(cell.tools)
-    profile.lap("imports")
-    scene = load_scene(cell.scene)
-    if cell.variant is not None:
-        scene = varied(scene, cell.variant)
-    profile.lap("scene")
-    plan = planned_stages(cell.pipeline, {leg.method: tools.load_method(leg.method) for leg in cell.pipeline.legs})
-    profile.lap("imports")
+    loaded = load_run(task, profile)
+    scene, plan = loaded.scene, loaded.plan
     rest = refused(scene, plan)
     profile.lap("opening")
     if not rest:
-        deadline = began + cell.time_limit - min(_JUDGING_MOST, _JUDGING_SHARE * cell.time_limit)
-        rest = _Path(cell, tools, scene, plan, folder, profile, deadline).go()
-    stages = _told(cell, folder, legs.legs_in(folder, cell.legs), len(plan))
-    stages += [unfinished_stage(scene.name, cell.pipeline.name, planned, outcome, message) for planned, outcome, message in rest]
+        deadline = began + task.time_limit - min(_JUDGING_MOST, _JUDGING_SHARE * task.time_limit)
+        rest = _Path(task, loaded, folder, profile, deadline).go()
+    stages = _stages_in(folder, task, legs.legs_in(folder, task.legs), len(plan))
+    stages += [unfinished_stage(scene.name, task.pipeline.name, planned, outcome, message) for planned, outcome, message in rest]
     cause = rest[0][2] if rest else None  # the stages after it only say that it came before them
     drawn = scene_record(scene)
     log = folder / LOG
     text = log.read_text(encoding="utf-8", errors="replace") if log.exists() else ""
     profile.lap("record")
     wall, cpu = profile.total, time.process_time()
-    return run_record(cell, drawn, stages, provenance, wall=wall, cpu=cpu, log=text, message=cause, profile=profile.seconds)
+    return run_record(task, drawn, stages, provenance, wall=wall, cpu=cpu, log=text, message=cause, profile=profile.seconds)
 
 
-def lost_run(
-    cell: RunTask, scene: Scene, plan: Sequence[Planned], provenance: ProvenanceRecord, lost: ChildExit, folder: Path
-) -> RunRecord:
-    """The record of a run whose child left none, with the legs that lie in its folder. One that ran out of time has the outcome of its last stage, one
-    that crashed has crashed."""
-    found, is_late = legs.legs_in(folder, cell.legs), lost.outcome == "time_limit"
-    why = f"The certificate is missing{' because time ran out: the cell' if is_late else ':'} {lost.message}"
-    stages = [_without_certificate(stage, why) if stage.certificate_missing else stage for stage in _told(cell, folder, found, len(plan))]
+def unfinished_run(task: RunTask, loaded: LoadedRun, provenance: ProvenanceRecord, child: ChildExit, folder: Path) -> RunRecord:
+    """The record of a run whose child left none, with the legs that lie in its folder.
+
+    One that ran out of time has the outcome of its last stage, one that crashed has crashed.
+    """
+    scene, plan = loaded.scene, loaded.plan
+    found, is_late = legs.legs_in(folder, task.legs), child.outcome == "time_limit"
+    why = f"The certificate is missing{' because time ran out: the cell' if is_late else ':'} {child.message}"
+    stages = [
+        _without_certificate(stage, why) if stage.certificate_missing else stage for stage in _stages_in(folder, task, found, len(plan))
+    ]
     rest = plan[len(stages) :]
     in_certificate = not rest and stages[-1].certificate_missing
     profile = dict(found[-1].profile) if in_certificate else {}
     known = sum(profile.values())
-    wall = max(lost.wall, known)  # the clock of the parent, and that of the child
+    wall = max(child.wall, known)  # the clock of the parent, and that of the child
     if in_certificate:
         profile["certificate"] = profile.get("certificate", 0.0) + wall - known
-    stages += [unfinished_stage(scene.name, cell.pipeline.name, planned, Outcome[lost.outcome.upper()], lost.message) for planned in rest]
+    stages += [unfinished_stage(scene.name, task.pipeline.name, planned, Outcome[child.outcome.upper()], child.message) for planned in rest]
     return run_record(
-        cell,
+        task,
         scene_record(scene),
         stages,
         provenance,
         wall=wall,
-        cpu=lost.cpu,
-        log=lost.log,
-        outcome=None if is_late else lost.outcome,
-        message=why if in_certificate else lost.message,
+        cpu=child.cpu,
+        log=child.log,
+        outcome=None if is_late else child.outcome,
+        message=why if in_certificate else child.message,
         profile=profile,
     )
 
@@ -110,7 +129,7 @@ def _without_certificate(stage: StageRecord, why: str) -> StageRecord:
     return stage.model_copy(update={"message": f"{stage.message} {why}".strip()})
 
 
-def _told(cell: RunTask, folder: Path, found: Sequence[LegRecord], stages: int) -> list[StageRecord]:
+def _stages_in(folder: Path, task: RunTask, found: Sequence[LegRecord], stages: int) -> list[StageRecord]:
     """The stages of these legs as those of a run of so many stages; their files under the names they have there."""
     number = 0
     for place, leg in enumerate(found, 1):
@@ -120,7 +139,7 @@ def _told(cell: RunTask, folder: Path, found: Sequence[LegRecord], stages: int) 
                 if (source := legs.place(folder, place) / name).exists():
                     legs.link_file(source, folder / names[what])
             number += 1
-    return stages_of(found, cell.scene_name, cell.pipeline.name)
+    return stages_of(found, task.scene_name, task.pipeline.name)
 
 
 def refused(scene: Scene, plan: Sequence[Planned]) -> list[Unfinished]:
@@ -135,20 +154,18 @@ def refused(scene: Scene, plan: Sequence[Planned]) -> list[Unfinished]:
 class _Path:
     """The legs of a run, into its folder. deadline: time.monotonic() by which solving ends; judging and certifying do not count."""
 
-    def __init__(
-        self, cell: RunTask, tools: Tools, scene: Scene, plan: tuple[Planned, ...], folder: Path, profile: Profile, deadline: float
-    ) -> None:
-        self._cell, self._tools, self._scene, self._plan, self._folder, self._profile = cell, tools, scene, plan, folder, profile
-        self._deadline = deadline
+    def __init__(self, task: RunTask, loaded: LoadedRun, folder: Path, profile: Profile, deadline: float) -> None:
+        self._task, self._scene, self._plan, self._folder, self._profile = task, loaded.scene, loaded.plan, folder, profile
+        self._tools, self._deadline = load_tools(task.tools), deadline
         self._stored = Store.of_partial(folder).legs
-        self._judge = Judge(tools, scene, profile)
+        self._judge = Judge(self._tools, self._scene, profile)
         self._start: Trajectory | None = None
         self._is_prepared = False
         self._took = False  # a leg that another run made: the time left is then not what its maker would have
 
     def go(self) -> list[Unfinished]:
         """All legs in order; the stages that did not run."""
-        for number, leg in enumerate(self._cell.legs, 1):
+        for number, leg in enumerate(self._task.legs, 1):
             rest = self._leg(number, leg)
             if rest:
                 return rest
@@ -156,7 +173,7 @@ class _Path:
 
     def _leg(self, number: int, leg: PlannedLeg) -> list[Unfinished]:
         """Take a leg from the store or run it; the stages that do not run any more."""
-        limit = self._cell.time_limit
+        limit = self._task.time_limit
         taken = self._take(number, leg, leg.key, limit)
         solved: list[SolvedStage] = []
         rest: list[Unfinished] = []
@@ -232,7 +249,7 @@ class _Path:
             records.append(self._judge.record(item, folder, len(records), before))
 
         def keep(limit: float | None = None) -> LegRecord:
-            pipeline, spent = self._cell.pipeline.name, dict(self._profile.seconds)
+            pipeline, spent = self._task.pipeline.name, dict(self._profile.seconds)
             return legs.write_leg(
                 folder, LegRecord(key=key, pipeline=pipeline, stages=tuple(records), files={}, limit=limit, profile=spent)
             )
@@ -246,7 +263,7 @@ class _Path:
         if len(solved) == leg.end - leg.first and legs.is_deterministic(records):
             legs.store(folder, keep(), self._stored)
         elif is_over and not self._took and legs.ended_by_timeout(records):
-            legs.store(folder, keep(self._cell.time_limit), self._stored)
+            legs.store(folder, keep(self._task.time_limit), self._stored)
         self._profile.lap("shared")
 
     def _out_of_time(self, first: Planned) -> list[Unfinished]:

@@ -3,7 +3,8 @@
     python -m validate all --tools my_package.my_module:TOOLS
 
 `TOOLS` is a `Tools`; what it does not replace stays ours. The name travels to the child processes, which import it themselves, so
-the module must be importable there (installed, or on PYTHONPATH).
+the module must be importable there (installed, or on PYTHONPATH). What only a child needs - compiler, FMU, certificate, judge - is imported where it
+is called: the campaign's own process imports neither Pyomo nor FMPy for it.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from formulations.pipelines import QUICK, load_method, pipelines_for
 from models.errors import MachineError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -27,18 +29,6 @@ if TYPE_CHECKING:
 DEFAULT_TOOLS = "validate.tasks.plugins:DEFAULT"
 # What a campaign examines beside scenes by pipelines: functions of its scenes that give validate.tasks.examination.Examination.
 EXAMINATIONS: tuple[str, ...] = ("validate.tasks.fmu_examination:examinations", "validate.stress.tasks:examinations")
-
-
-def _load_method(name: str) -> Method:
-    from formulations.pipelines import load_method
-
-    return load_method(name)
-
-
-def _pipelines_for(scene: Scene) -> tuple[Pipeline, ...]:
-    from formulations.pipelines import pipelines_for
-
-    return pipelines_for(scene)
 
 
 def _examinations(scenes: Sequence[SceneReference]) -> list[Examination]:
@@ -93,8 +83,8 @@ def _write_report(folder: Path) -> Path:
 class Tools:
     """See the module docstring. quick: the pipelines that `--quick` runs."""
 
-    load_method: Callable[[str], Method] = _load_method
-    pipelines_for: Callable[[Scene], tuple[Pipeline, ...]] = _pipelines_for
+    load_method: Callable[[str], Method] = load_method
+    pipelines_for: Callable[[Scene], tuple[Pipeline, ...]] = pipelines_for
     quick: tuple[str, ...] | None = None
     examinations: Callable[[Sequence[SceneReference]], Sequence[Examination]] = _examinations
     compile: Callable[[Scene], None] = _compile
@@ -104,9 +94,12 @@ class Tools:
     write_replay: Callable[[Path, Any, Scene], None] = _write_replay
     write_report: Callable[[Path], Path] = _write_report
 
-    def quick_names(self) -> tuple[str, ...]:
-        from formulations.pipelines import QUICK
+    def methods_of(self, pipeline: Pipeline) -> dict[str, Method]:
+        """The methods of a pipeline's legs, by name. Raises UnknownNameError."""
+        return {leg.method: self.load_method(leg.method) for leg in pipeline.legs}
 
+    def quick_names(self) -> tuple[str, ...]:
+        """The names of the pipelines that `--quick` runs."""
         return QUICK if self.quick is None else self.quick
 
 
@@ -129,7 +122,7 @@ def load_tools(reference: str) -> Tools:
 
 
 def tools_source(reference: str) -> str:
-    """The source text of the module a reference names, for the key of a cell; empty for our own (hashed with our sources)."""
+    """The source text of the module a reference names, for the key of a task; empty for our own (hashed with our sources)."""
     if reference == DEFAULT_TOOLS:
         return ""
     return inspect.getsource(importlib.import_module(reference.partition(":")[0]))

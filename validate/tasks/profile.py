@@ -1,4 +1,4 @@
-"""Where the wall time of a cell goes: laps that leave nothing out, so that their sum is the time from the start of the process.
+"""Where the wall time of a task goes: laps that leave nothing out, so that their sum is the time from the start of the process.
 
 profile = Profile.since_process_start()
 profile.lap("imports")          # what passed since the last lap went to imports
@@ -43,7 +43,7 @@ class Profile:
         return took
 
     def split(self, parts: Mapping[str, float], rest: str) -> None:
-        """The lap that ends here, told apart: `parts` [s] by name, what they leave of it goes to `rest`.
+        """The lap that ends here, divided: `parts` [s] by name, what they leave of it goes to `rest`.
 
         Parts that claim more than the lap took (they are read from other clocks) are scaled to it.
         """

@@ -1,4 +1,4 @@
-"""Solution, Score and Replay -> the records that are stored and told (reports.records.record).
+"""Solution, Score and Replay -> the records that are stored (reports.records.record).
 
 Numbers that are not finite never get into a record: a cost that is not a number is missing, and says so.
 
@@ -41,25 +41,27 @@ if TYPE_CHECKING:
     from models.scene import Scene
     from models.trajectory import Trajectory
     from reports.records.record import LegRecord, ProvenanceRecord, StageRecord
+    from validate.judge.score.verdict import Metric
     from validate.tasks.leg import Planned
     from validate.tasks.run import RunTask
 
 
 def certificate_record(certificate: Certificate | None) -> CertificateRecord | None:
+    """The record of a certificate, if there is one."""
     if certificate is None:
         return None
     return CertificateRecord(
         holds=certificate.holds,
         feasible=certificate.feasible,
-        primal=_finite(certificate.primal),
+        primal=finite(certificate.primal),
         worst=certificate.worst,
-        complementarity=_finite(certificate.complementarity),
-        dual=_finite(certificate.dual),
+        complementarity=finite(certificate.complementarity),
+        dual=finite(certificate.dual),
         letter=certificate.stationarity.letter,
         meaning=certificate.stationarity.value,
         pairs=certificate.pairs,
         biactive=certificate.biactive,
-        least=_finite(certificate.least),
+        least=finite(certificate.least),
         unique=certificate.unique,
         b_stationary=certificate.b_stationary,
         sentence=certificate.sentence,
@@ -67,12 +69,13 @@ def certificate_record(certificate: Certificate | None) -> CertificateRecord | N
 
 
 def start_records(solution: Solution) -> tuple[StartRecord, ...]:
+    """The record of each start that a search tried."""
     return tuple(
         StartRecord(
             number=start.number,
             start=start.start,
             outcome=start.outcome.name.lower(),
-            cost=_finite(start.cost),
+            cost=finite(start.cost),
             windows=start.windows,
             seconds=start.seconds,
         )
@@ -81,12 +84,13 @@ def start_records(solution: Solution) -> tuple[StartRecord, ...]:
 
 
 def front_records(scene: Scene, solution: Solution) -> tuple[FrontPointRecord, ...]:
+    """The record of each point of a front of cost over terminal error."""
     return tuple(
         FrontPointRecord(
             tolerance=point.tolerance,
             outcome=point.solution.outcome.name.lower(),
-            cost=_finite(point.solution.cost),
-            terminal_error=_finite(point.solution.residuals.get("discrete_terminal_error")),
+            cost=finite(point.solution.cost),
+            terminal_error=finite(point.solution.residuals.get("discrete_terminal_error")),
             windows=_windows(scene, point.solution.trajectory),
             certificate=certificate_record(point.solution.certificate),
         )
@@ -111,11 +115,7 @@ def _windows(scene: Scene, plan: Trajectory | None) -> tuple[tuple[str, int, int
     return tuple(found)
 
 
-def _finite(value: float | None) -> float | None:
-    return float(value) if value is not None and math.isfinite(value) else None
-
-
-# Lines of the log that go into the record, so that a report can show why a cell ended as it did.
+# Lines of the log that go into the record, so that a report can show why a task ended as it did.
 LOG_LINES = 40
 
 
@@ -132,8 +132,10 @@ class Judged:
 def stage_record(
     scene: Scene, planned: Planned, solution: Solution, index: int, *, wall: float, cpu: float, before: float, judged: Judged
 ) -> StageRecord:
-    """The record of a stage that ran, as of a pipeline of its leg alone. index: in its leg; wall, cpu [s]: of this stage; before [s]: of its leg's
-    stages before it."""
+    """The record of a stage that ran, as of a pipeline of its leg alone.
+
+    index: in its leg; wall, cpu [s]: of this stage; before [s]: of its leg's stages before it.
+    """
     verdict, why = _verdict(solution, judged)
     return StageRecord(
         index=index,
@@ -168,10 +170,10 @@ def stage_record(
 
 def stages_of(legs: Sequence[LegRecord], scene: str, pipeline: str) -> list[StageRecord]:
     """The stages of the legs of a run, as its own."""
-    told: list[StageRecord] = []
+    found: list[StageRecord] = []
     for leg in legs:
-        before = told[-1].seconds.total if told else 0.0
-        told += [
+        before = found[-1].seconds.total if found else 0.0
+        found += [
             record.model_copy(
                 update={
                     "index": index,
@@ -180,9 +182,9 @@ def stages_of(legs: Sequence[LegRecord], scene: str, pipeline: str) -> list[Stag
                     "shared_from": "" if leg.pipeline == pipeline else leg.pipeline,
                 }
             )
-            for index, record in enumerate(leg.stages, len(told))
+            for index, record in enumerate(leg.stages, len(found))
         ]
-    return told
+    return found
 
 
 def unfinished_stage(scene: str, pipeline: str, planned: Planned, outcome: Outcome, message: str) -> StageRecord:
@@ -204,7 +206,7 @@ def unfinished_stage(scene: str, pipeline: str, planned: Planned, outcome: Outco
 
 
 def run_record(
-    cell: RunTask,
+    task: RunTask,
     scene: SceneRecord,
     stages: Sequence[StageRecord],
     provenance: ProvenanceRecord,
@@ -216,15 +218,15 @@ def run_record(
     message: str | None = None,
     profile: Mapping[str, float] = MappingProxyType({}),
 ) -> RunRecord:
-    """The record of a cell; its outcome, message and verdict are those of the last stage unless given. profile: wall seconds by phase."""
+    """The record of a task; its outcome, message and verdict are those of the last stage unless given. profile: wall seconds by phase."""
     last = stages[-1]
     return RunRecord(
-        key=cell.key,
+        key=task.key,
         scene=scene,
-        pipeline=cell.pipeline.name,
-        pipeline_title=cell.pipeline.title,
-        part=cell.pipeline.part[0] if cell.pipeline.part else 1,
-        parts=cell.pipeline.part[1] if cell.pipeline.part else 1,
+        pipeline=task.pipeline.name,
+        pipeline_title=task.pipeline.title,
+        part=task.pipeline.part[0] if task.pipeline.part else 1,
+        parts=task.pipeline.part[1] if task.pipeline.part else 1,
         stages=tuple(stages),
         outcome=last.outcome if outcome is None else outcome,
         message=last.message if message is None else message,
@@ -298,19 +300,9 @@ def _position(difference: Any) -> float | None:
     return None if difference is None else finite(difference.position)
 
 
-def _metric(metric: Any) -> MetricRecord:
-    return MetricRecord(
-        name=metric.name,
-        value=finite(metric.value),
-        unit=metric.unit,
-        meaning=metric.meaning,
-        question=metric.question.number,
-        error=finite(metric.error),
-        limit=finite(metric.limit),
-        reason=metric.reason,
-        ok=metric.ok,
-        default=metric.default,
-    )
+def _metric(metric: Metric) -> MetricRecord:
+    numbers = {"value": finite(metric.value), "error": finite(metric.error), "limit": finite(metric.limit)}
+    return MetricRecord(**{**asdict(metric), **numbers, "question": metric.question.number})
 
 
 def _questions(score: Any) -> tuple[QuestionRecord, ...]:

@@ -14,8 +14,11 @@ from validate.tasks.variant import Variant
 
 @dataclass(frozen=True, kw_only=True)
 class RunTask:
-    """What is to be run. scene: a name or an absolute path of a scene file; variant: what a campaign file changes of it; tools: a dotted
-    name (validate.tasks.plugins); legs: its path."""
+    """A scene by a pipeline.
+
+    scene: a name or an absolute path of a scene file; variant: what a campaign file changes of it; tools: a dotted name (validate.tasks.plugins); legs:
+    its path.
+    """
 
     key: str
     scene: str
@@ -28,10 +31,12 @@ class RunTask:
 
     @property
     def title(self) -> str:
+        """What it is called."""
         part = self.pipeline.part
         return f"{self.scene_name} x {self.pipeline.name}" + (f" ({part[0]} of {part[1]})" if part else "")
 
     def to_json(self) -> dict[str, Any]:
+        """Everything that a worker and a resumed campaign need."""
         return {
             "key": self.key,
             "scene": self.scene,
@@ -45,6 +50,7 @@ class RunTask:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> RunTask:
+        """The run that `to_json` wrote."""
         variant = Variant.from_json(data["variant"]) if "variant" in data else None
         legs = tuple(PlannedLeg(**leg) for leg in data["legs"])
         return cls(**{**data, "pipeline": pipeline_from_json(data["pipeline"]), "variant": variant, "legs": legs})

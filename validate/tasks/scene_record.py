@@ -11,7 +11,7 @@ from sympy.printing.mathml import mathml
 
 from models.codegen.operations import step_operations
 from models.dynamics import Dynamics, derive
-from models.scene import Scene
+from models.scene import Coordinate, Input, Parameter, Scene
 from models.scene.contacts import Contact, DampingLaw
 from reports.records.record import ContactRecord, EquationRecord, QuantityRecord, SceneRecord, ShapeRecord
 
@@ -37,12 +37,12 @@ def scene_record(scene: Scene) -> SceneRecord:
         name=scene.name,
         title=scene.title,
         source=scene.source,
-        coordinates=tuple(QuantityRecord(name=item.name, unit=item.unit, description=item.description) for item in scene.coordinates),
+        coordinates=tuple(map(_quantity, scene.coordinates)),
         velocities=tuple(
             QuantityRecord(name=item.velocity_name, unit=item.velocity_unit, description=f"velocity of {item.description or item.name}")
             for item in scene.coordinates
         ),
-        inputs=tuple(QuantityRecord(name=item.name, unit=item.unit, description=item.description) for item in scene.inputs),
+        inputs=tuple(map(_quantity, scene.inputs)),
         contacts=tuple(contacts),
         frictions=tuple(
             QuantityRecord(
@@ -53,9 +53,7 @@ def scene_record(scene: Scene) -> SceneRecord:
             )
             for item in scene.frictions
         ),
-        parameters=tuple(
-            QuantityRecord(name=item.name, unit=item.unit, description=item.description, value=item.value) for item in scene.parameters
-        ),
+        parameters=tuple(_quantity(item, item.value) for item in scene.parameters),
         start=tuple(float(value) for value in scene.task.start),
         goal=scene.task.goal,
         step=scene.task.step,
@@ -75,6 +73,10 @@ def scene_record(scene: Scene) -> SceneRecord:
         unstable=scene.unstable,
         operations=asdict(step_operations(scene)),
     )
+
+
+def _quantity(item: Coordinate | Input | Parameter, value: float | None = None) -> QuantityRecord:
+    return QuantityRecord(name=item.name, unit=item.unit, description=item.description, value=value)
 
 
 def equations(dynamics: Dynamics) -> tuple[EquationRecord, ...]:

@@ -92,8 +92,10 @@ class OpenLeg:
         return cold
 
     def run(self, planned: Planned, start: Trajectory | None, time_limit: float) -> SolvedStage:
-        """Run a stage. Raises what its method raises, TypeError for an answer that is no Solution, TrajectoryError for a plan of another scene or of
-        another duration."""
+        """Run a stage.
+
+        Raises what its method raises, TypeError for an answer that is no Solution, TrajectoryError for a plan of another scene or of another duration.
+        """
         wall, cpu = time.perf_counter() - self._opening[0], time.process_time() - self._opening[1]
         self._opening = (0.0, 0.0)
         solution = self._session.solve(eps=planned.eps, warm_start=start, time_limit=time_limit)

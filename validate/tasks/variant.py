@@ -2,19 +2,17 @@
 
     varied(load_scene("three_cart"), Variant(name="three_cart_k_300", parameters={"k": 300.0}, goal={"q1": 2.6, "v1": None}))
 
-The changed scene is a scene like any other: its text, numbers included, is part of the key of its cells.
+The changed scene is a scene like any other: its text, numbers included, is part of the key of its tasks.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from models.errors import SceneError
-
-if TYPE_CHECKING:
-    from models.scene import Limit, Scene
+from models.scene import Limit, Scene
 
 # Judges the replay by closed forms, which are those of the unchanged scene.
 _BY_ANSWERS = "answer_error"
@@ -33,10 +31,12 @@ class Variant:
     limits: Mapping[str, tuple[float, str]] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
+        """As JSON holds it."""
         return asdict(self)
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Variant:
+        """The variant that `to_json` wrote."""
         return cls(**{**data, "limits": {name: (value, reason) for name, (value, reason) in data["limits"].items()}})
 
 
@@ -59,11 +59,11 @@ def varied(scene: Scene, variant: Variant) -> Scene:
         step=scene.task.step if variant.step is None else variant.step,
     )
     limits |= {metric: _limit(metric, *limit) for metric, limit in variant.limits.items()}
-    told = ", ".join(in_words(scene, variant))
+    changes = ", ".join(in_words(scene, variant))
     return replace(
         scene.with_parameters(**variant.parameters),
         name=variant.name,
-        title=f"{scene.title}; {told}" if told else scene.title,
+        title=f"{scene.title}; {changes}" if changes else scene.title,
         task=task,
         limits=tuple(limits.values()),
         answers=() if moves else scene.answers,
@@ -73,11 +73,11 @@ def varied(scene: Scene, variant: Variant) -> Scene:
 def in_words(scene: Scene, variant: Variant) -> list[str]:
     """Each change but those of limits, as `k = 300 N/m`."""
     units = {item.name: item.unit for item in scene.parameters}
-    told = [f"{name} = {value:g} {units.get(name, '')}".rstrip() for name, value in variant.parameters.items()]
-    told += [f"start {name} = {value:g}" for name, value in variant.start.items()]
-    told += [f"goal {name} {'free' if value is None else f'= {value:g}'}" for name, value in variant.goal.items()]
-    told += [] if variant.steps is None else [f"{variant.steps} steps"]
-    return told + ([] if variant.step is None else [f"h = {variant.step:g} s"])
+    words = [f"{name} = {value:g} {units.get(name, '')}".rstrip() for name, value in variant.parameters.items()]
+    words += [f"start {name} = {value:g}" for name, value in variant.start.items()]
+    words += [f"goal {name} {'free' if value is None else f'= {value:g}'}" for name, value in variant.goal.items()]
+    words += [] if variant.steps is None else [f"{variant.steps} steps"]
+    return words + ([] if variant.step is None else [f"h = {variant.step:g} s"])
 
 
 def _state(scene: Scene, what: str, values: Iterable[float | None], changes: Mapping[str, float | None]) -> tuple[Any, ...]:
@@ -89,6 +89,4 @@ def _state(scene: Scene, what: str, values: Iterable[float | None], changes: Map
 
 
 def _limit(metric: str, value: float, reason: str) -> Limit:
-    from models.scene import Limit
-
     return Limit(metric=metric, value=value, reason=reason)

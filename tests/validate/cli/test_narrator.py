@@ -16,7 +16,7 @@ from validate.store.disk import write_durably
 
 
 class _Busy:
-    class cell:  # noqa: N801 - stands for a worker's cell
+    class task:  # noqa: N801 - stands for a worker's task
         title = "three_cart_steps_50_step_0p1 x softplus_dc+strict"
 
     def progress(self) -> str:

@@ -41,13 +41,13 @@ def run(tmp_path_factory) -> Callable[..., tuple[RunRecord | MachineError, int]]
     patch.setenv("REFUSED", str(told))
     (entry,), _ = select(CampaignSettings(out=folder, scenes=("three_cart",), expression="soft_alone", tools="refused_cells:WRITING"))
     provenance = gather("test")
-    server = ForkServer(modules=(*MODULES, "refused_cells"), cell="refused_cells:main")
+    server = ForkServer(modules=(*MODULES, "refused_cells"), task="refused_cells:main")
     patch.undo()
 
     def cell(store: Store, first: int, last: int, error: int) -> tuple[RunRecord | MachineError, int]:
         told.write_text(json.dumps({"below": str(store.folder), "first": first, "last": last, "error": error}))
         try:
-            record = Worker(entry.cell, entry.lost(provenance), provenance, store, server).run(lambda: True)
+            record = Worker(entry.task, provenance, store, loaded=entry.loaded, server=server).run(lambda: True)
         except MachineError as refusal:
             record = refusal
         return record, int(told.with_suffix(".count").read_text())

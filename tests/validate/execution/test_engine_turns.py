@@ -17,13 +17,14 @@ import pytest
 
 from models.errors import MachineError
 from validate.execution import campaign as module
-from validate.execution.campaign import CampaignSettings, run_cells, select
+from validate.execution.campaign import CampaignSettings, run_tasks, select
 from validate.execution.dask import DaskEngine, Request, local_cluster
 from validate.execution.engine import ExecutionContext, LocalEngine
 from validate.plan.runs import PlannedRun
 from validate.store.provenance import gather
 from validate.store.store import Store
 from validate.tasks.run import ChildExit
+from validate.tasks.task import record_for_crash
 
 pytestmark = pytest.mark.process
 
@@ -39,7 +40,7 @@ class Campaign:
             out=folder, tools="campaign_fakes:TOOLS", scenes=("three_cart",), expression="only_good or only_segfault or only_hang"
         )
         self.entries = [entry for entry in select(settings)[0] if isinstance(entry, PlannedRun)]
-        self.cells = [entry.cell for entry in self.entries]
+        self.tasks = [entry.task for entry in self.entries]
         self.crashing: set[str] = set()
         self.begun: list[str] = []
         self.silent, self.tries, self.crashes = 0, 2, Counter[str]()
@@ -47,15 +48,14 @@ class Campaign:
         self.dumb, self.told = False, list[str]()
         self._provenance, store = gather("a test"), Store(folder)
         store.prepare()
-        self.site = ExecutionContext(
-            store=store, provenance=self._provenance, lost=lambda cell: pytest.fail("no cell is lost here"), token="0" * 16
-        )
+        self.context = ExecutionContext(store=store, provenance=self._provenance)
 
     def record(self, key: str):
         self.begun.append(key)
-        (entry,) = [entry for entry in self.entries if entry.cell.key == key]
+        (entry,) = [entry for entry in self.entries if entry.task.key == key]
         outcome = "crashed" if key in self.crashing else "time_limit"
-        return entry.lost(self._provenance)(ChildExit(outcome=outcome, message="as told", wall=0.0, cpu=0.0, log=""), self.site.store.runs)
+        child = ChildExit(outcome=outcome, message="as told", wall=0.0, cpu=0.0, log="")
+        return record_for_crash(entry.task, self._provenance, child, self.context.store.runs, entry.loaded)
 
     def again(self, record: Any) -> bool:
         self.crashes[record.key] += record.outcome == "crashed"
@@ -64,22 +64,22 @@ class Campaign:
     def run(self, engine: Any) -> list[str]:
         """Keys of the records, in order."""
         narrator: Any = SimpleNamespace(runs=lambda running: self.watch(running), warns=self.told.append)
-        return [record.key for record in run_cells(self.cells, engine, self.site, lambda cell, running: False, self.again, narrator)]
+        return [record.key for record in run_tasks(self.tasks, engine, self.context, lambda task, running: False, self.again, narrator)]
 
     def local(self) -> LocalEngine:
-        engine = LocalEngine(1, self.site, None)
-        engine._run = lambda cell: self.record(cell.key)
+        engine = LocalEngine(1, self.context, None)
+        engine._run = lambda task: self.record(task.key)
         return engine
 
     def dask(self) -> DaskEngine:
         client = SimpleNamespace(nthreads=lambda: {}, get_executor=lambda pure: self, scheduler=SimpleNamespace(address="here"))
-        return DaskEngine(client, self.site, 1, self.site.store.runs / "mark", len(self.cells))
+        return DaskEngine(client, self.context, 1, self.context.store.runs / "mark", len(self.tasks))
 
     def submit(self, _function: Any, request: Request) -> Future[Any]:
         future: Future[Any] = Future()
         self.silent -= 1
         if not self.dumb:
-            future.set_result(None if self.silent >= 0 else self.record(request.cell.key))
+            future.set_result(None if self.silent >= 0 else self.record(request.task.key))
         return future
 
     def shutdown(self, wait: bool) -> None:
@@ -95,7 +95,7 @@ def campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Campaign:
 @pytest.mark.parametrize("engine", ["local", pytest.param("dask", marks=NEEDS_DASK)])
 def test_who_crashed_is_tried_again_before_all_that_wait(campaign: Campaign, engine: str):
     """So that -x ends a campaign as soon as the tries are used up, however many cells wait."""
-    one, two, three = (cell.key for cell in campaign.cells)
+    one, two, three = (task.key for task in campaign.tasks)
     campaign.crashing, campaign.tries = {one}, 3
     done = campaign.run(getattr(campaign, engine)())
     assert campaign.begun == [one, one, one, two, three]
@@ -145,7 +145,7 @@ def test_what_must_wait_is_left_for_later(campaign: Campaign):
 
     cells: list[Any] = [_Named(name) for name in ("a1", "a2", "a3", "b1", "b2")]
     narrator: Any = SimpleNamespace(runs=engine.look)
-    done = [record.key for record in run_cells(cells, engine, campaign.site, waits, lambda record: False, narrator)]
+    done = [record.key for record in run_tasks(cells, engine, campaign.context, waits, lambda record: False, narrator)]
     assert engine.started == ["a1", "b1", "a2", "b2", "a3"]
     assert sorted(done) == sorted(engine.started)
     assert max(map(len, engine.beside)) == 2
@@ -178,15 +178,15 @@ def test_a_cluster_without_workers_is_waited_for_and_told_of_once(campaign: Camp
     monkeypatch.setattr(module, "_SILENCE", 0.1)
     with pytest.raises(BrokenPipeError):
         campaign.run(campaign.dask())
-    assert campaign.told == ["the Dask cluster at here has no workers yet; 1 cells wait for one"]
+    assert campaign.told == ["the Dask cluster at here has no workers yet; 1 tasks wait for one"]
 
 
 @NEEDS_DASK
 def test_a_cell_that_a_worker_gave_up_is_given_out_anew(campaign: Campaign):
     campaign.silent = 5
-    assert campaign.run(campaign.dask()) == [cell.key for cell in campaign.cells]
+    assert campaign.run(campaign.dask()) == [task.key for task in campaign.tasks]
     campaign.silent = 6
-    with pytest.raises(MachineError, match=f"lost before they begin {campaign.cells[0].title}; their logs say why"):
+    with pytest.raises(MachineError, match=f"lost before they begin {campaign.tasks[0].title}; their logs say why"):
         campaign.run(campaign.dask())
 
 

@@ -127,7 +127,7 @@ def test_a_worker_that_sees_another_folder_or_has_other_sources_says_so(tmp_path
 
     monkeypatch.setattr(dask_cell, "_wanted", lambda: lambda: True)
     monkeypatch.setattr(dask_cell, "_PATIENCE", 0.0)
-    asked: Any = {"cell": None, "provenance": None, "folder": tmp_path, "mark": ".partial-campaign-x", "token": "", "cells": 1, "name": ""}
+    asked: Any = {"task": None, "provenance": None, "folder": tmp_path, "mark": ".partial-campaign-x", "token": "", "tasks": 1, "name": ""}
     with pytest.raises(MachineError, match=f"the campaign's folder {tmp_path} is not seen here.*said by the Dask worker on"):
         dask_cell.run_on_worker(dask_cell.Request(**asked, fingerprint=fingerprint()))
     (tmp_path / "runs" / asked["mark"]).mkdir(parents=True)

@@ -55,26 +55,27 @@ def _entry() -> Any:
     from formulations.method import Leg, Pipeline
     from models.catalog import load_scene
     from validate.plan.runs import PlannedRun
+    from validate.tasks.path import LoadedRun
     from validate.tasks.run import RunTask
 
     pipeline = Pipeline(name="p", title="p", legs=(Leg(method="m"),))
-    cell = RunTask(key=KEY, scene="three_cart", scene_name="s", pipeline=pipeline, tools="", time_limit=9.0)
-    return PlannedRun(cell=cell, scene=load_scene("three_cart"), plan=())
+    task = RunTask(key=KEY, scene="three_cart", scene_name="s", pipeline=pipeline, tools="", time_limit=9.0)
+    return PlannedRun(task, LoadedRun(scene=load_scene("three_cart"), plan=()))
 
 
 def resume(path: Path) -> None:
     from reports.records.load import load
-    from validate.plan.runs import CampaignSettings, reasons, with_stored
+    from validate.plan.runs import CampaignSettings, only_last_failed, reasons, with_stored
     from validate.plan.warnings import time_steps
     from validate.store.compare import compare
     from validate.store.store import Store
-    from validate.store.stored import CAMPAIGN, campaign_text, earlier_schema, only_last_failed
+    from validate.store.stored import CAMPAIGN, campaign_text, earlier_schema
 
     store, settings = Store(path), CampaignSettings(out=path)
     store.prepare()
     found = with_stored([_entry()], store, settings)
     reasons(found, store)
-    store.lost(KEY)
+    store.damaged_file(KEY)
     earlier_schema(path)
     time_steps((), path / CAMPAIGN)
     campaign_text(path)

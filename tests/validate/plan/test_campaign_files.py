@@ -9,8 +9,9 @@ import pytest
 
 from formulations.pipelines import find_pipeline, stage_plan
 from models.catalog import load_scene
-from validate.plan import Campaign, CampaignFile, ConfigError, read_campaign
+from validate.plan.read import Campaign, ConfigError, read_campaign
 from validate.plan.runs import CampaignSettings, select
+from validate.plan.schema import CampaignFile
 from validate.tasks.variant import Variant, state_names, varied
 
 EXAMPLES = sorted((Path(__file__).parents[3] / "docs" / "campaigns").glob("*.toml"))
@@ -77,7 +78,7 @@ def read(folder: Path, text: str) -> Campaign:
 
 def keys(campaign: Campaign) -> dict[str, str]:
     entries, _ = select(CampaignSettings(out=Path("nowhere"), **campaign.settings()))
-    return {entry.cell.title: entry.cell.key for entry in entries}
+    return {entry.task.title: entry.task.key for entry in entries}
 
 
 def test_every_mistake_is_told_at_once_with_its_place(tmp_path):
@@ -191,7 +192,7 @@ def test_options_and_schedules_are_part_of_the_key(tmp_path):
 
 def test_what_is_not_changed_has_the_key_that_all_gives_it(tmp_path):
     entries, _ = select(CampaignSettings(out=tmp_path, scenes=("three_cart",), expression='="strict"'))
-    assert keys(read(tmp_path, 'scenes = ["three_cart"]\npipelines = ["strict"]')) == {"three_cart x strict": entries[0].cell.key}
+    assert keys(read(tmp_path, 'scenes = ["three_cart"]\npipelines = ["strict"]')) == {"three_cart x strict": entries[0].task.key}
 
 
 def test_a_pipeline_that_draws_runs_once_a_seed(tmp_path):

@@ -20,6 +20,7 @@ from validate.tasks.leg import place, write_leg
 from validate.tasks.records import run_record, unfinished_stage
 from validate.tasks.run import ChildExit
 from validate.tasks.scene_record import scene_record
+from validate.tasks.task import record_for_crash
 
 
 @pytest.fixture(scope="module")
@@ -35,8 +36,8 @@ def entry():
 def _record(entry, outcome: str, message: str = "") -> RunRecord:
     from formulations.solution import Outcome
 
-    stages = [unfinished_stage("three_cart", "relu_gd", planned, Outcome[outcome.upper()], message) for planned in entry.plan]
-    return run_record(entry.cell, scene_record(entry.scene), stages, gather("test"), wall=1.0, cpu=1.0, log="a\nb")
+    stages = [unfinished_stage("three_cart", "relu_gd", planned, Outcome[outcome.upper()], message) for planned in entry.loaded.plan]
+    return run_record(entry.task, scene_record(entry.scene), stages, gather("test"), wall=1.0, cpu=1.0, log="a\nb")
 
 
 def _stored(store: Store, entry, record: RunRecord, time_limit: float = 600.0) -> None:
@@ -73,12 +74,12 @@ def test_a_certificate_that_time_took_is_made_when_there_is_more(tmp_path, entry
     """The plans were kept, and with them the outcome of the last stage: it does not say that time ran out."""
     store, record = Store(tmp_path), _record(entry, "solved")
     partial = tmp_path / "run"
-    (leg,) = entry.cell.legs
+    (leg,) = entry.task.legs
     place(partial, 1).mkdir(parents=True)
     stages = tuple(stage.model_copy(update={"certificate_missing": True}) for stage in record.stages)
     write_leg(place(partial, 1), LegRecord(key=leg.key, pipeline="relu_gd", stages=stages, files={}))
-    lost = ChildExit(outcome="time_limit", message=f"ended at its time limit of {time_limit:g} s.", wall=time_limit, cpu=1.0, log="")
-    kept = entry.lost(gather("test"))(lost, partial)
+    child = ChildExit(outcome="time_limit", message=f"ended at its time limit of {time_limit:g} s.", wall=time_limit, cpu=1.0, log="")
+    kept = record_for_crash(entry.task, gather("test"), child, partial, entry.loaded)
     assert kept.outcome == "solved"
     _stored(store, entry, kept, time_limit)
     (found,) = with_stored([entry], store, CampaignSettings(out=tmp_path, time_limit=600.0))
@@ -101,10 +102,10 @@ def test_a_newer_run_replaces_an_older_one(tmp_path, entry):
     store = Store(tmp_path)
     _stored(store, entry, _record(entry, "crashed"))
     _stored(store, entry, _record(entry, "solved"))
-    found = store.read(entry.cell.key)
+    found = store.read(entry.task.key)
     assert found is not None
     assert found.outcome == "solved"
-    assert os.listdir(tmp_path / "runs") == [entry.cell.key]
+    assert os.listdir(tmp_path / "runs") == [entry.task.key]
 
 
 def test_leftovers_of_the_dead_go_and_those_of_the_living_stay(tmp_path):
@@ -166,11 +167,11 @@ def test_a_run_whose_files_are_gone_is_run_again(tmp_path, entry, why):
     """A result whose plan and replay nobody can look at any more is none."""
     store = Store(tmp_path)
     store.prepare()
-    partial = store.open_partial(entry.cell.key, "token")
+    partial = store.open_partial(entry.task.key, "token")
     (partial / "record.json").write_text(_record(entry, "solved").model_dump_json())
-    (partial / "cell.json").write_text(json.dumps({"cell": {**entry.cell.to_json(), "time_limit": 600.0}}))
+    (partial / "cell.json").write_text(json.dumps({"cell": {**entry.task.to_json(), "time_limit": 600.0}}))
     for name in ("trajectory.nc", "replay.nc"):
         (partial / name).write_bytes(name.encode())
-    HARMS[why](store.commit(partial, entry.cell.key))
+    HARMS[why](store.commit(partial, entry.task.key))
     settings = CampaignSettings(out=tmp_path, time_limit=600.0)
     assert reasons(with_stored([entry], store, settings), store) == [why]

@@ -23,7 +23,7 @@ def key(*legs: Leg, scene: str = "wall_pendulum", name: str = "same", title: str
         CampaignSettings(out=Path("nowhere"), scenes=(scene,), expression="same", pipelines=(Pipeline(name=name, title=title, legs=legs),))
     )
     (entry,) = entries
-    return entry.cell.key
+    return entry.task.key
 
 
 def others(item: Field[Any]) -> list[object]:

@@ -87,8 +87,8 @@ def record() -> Callable[[str], RunRecord]:
     def made(message: str) -> RunRecord:
         from formulations.solution import Outcome
 
-        stages = [unfinished_stage("three_cart", "relu_gd", planned, Outcome.INFEASIBLE, message) for planned in entry.plan]
-        return run_record(entry.cell, scene_record(entry.scene), stages, gather("test"), wall=1.0, cpu=1.0, log="")
+        stages = [unfinished_stage("three_cart", "relu_gd", planned, Outcome.INFEASIBLE, message) for planned in entry.loaded.plan]
+        return run_record(entry.task, scene_record(entry.scene), stages, gather("test"), wall=1.0, cpu=1.0, log="")
 
     return made
 

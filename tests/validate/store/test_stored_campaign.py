@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from reports.records.record import SCHEMA_VERSION
+from validate.plan.runs import only_last_failed
 from validate.store.store import Store
-from validate.store.stored import CAMPAIGN, CampaignError, campaign_text, earlier_schema, only_last_failed
+from validate.store.stored import CAMPAIGN, CampaignError, campaign_text, earlier_schema
 
 _FACTORY = importlib.util.spec_from_file_location("record_factory_of_stored", Path(__file__).parents[2] / "reports" / "record_factory.py")
 assert _FACTORY is not None

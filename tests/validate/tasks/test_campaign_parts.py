@@ -17,6 +17,7 @@ from models.codegen.kernel import load_kernel
 from models.trajectory import Trajectory, uniform_grid
 from validate.execution.campaign import CampaignSettings, select
 from validate.plan.runs import PlannedCheck, PlannedRun
+from validate.store.provenance import gather
 from validate.store.results import FRONT, write_sweeps
 from validate.store.results import STARTS as STARTS_FILE
 from validate.tasks.records import certificate_record, front_records, start_records
@@ -59,8 +60,8 @@ def test_options_of_a_part_lie_over_those_of_the_leg() -> None:
 def test_a_campaign_runs_the_parts_as_cells_of_their_own(tmp_path) -> None:
     entries, _ = select(CampaignSettings(out=tmp_path, scenes=("three_cart",), expression="multistart"))
     assert len(entries) == 4
-    assert len({entry.cell.key for entry in entries}) == 4
-    assert entries[1].cell.title == "three_cart x mpcc_multistart (2 of 4)"
+    assert len({entry.task.key for entry in entries}) == 4
+    assert entries[1].task.title == "three_cart x mpcc_multistart (2 of 4)"
 
 
 @pytest.mark.slow
@@ -77,7 +78,7 @@ def test_a_quick_campaign_says_once_what_it_leaves_out_of_every_scene(tmp_path) 
     entries, left_out = select(
         CampaignSettings(out=tmp_path, scenes=("three_cart", "bouncing_mass"), quick=True, expression="strict or free_motion")
     )
-    chosen = [(entry.scene.name, entry.cell.pipeline.name) for entry in entries]
+    chosen = [(entry.scene.name, entry.task.pipeline.name) for entry in entries]
     quick = "softplus_dc+strict"
     assert chosen == [("three_cart", quick), ("bouncing_mass", quick), ("bouncing_mass", "free_motion")]
     assert left_out == tuple(f"every scene x {name}" for name in ("strict", "relaxed+strict", "softplus_gd+strict"))
@@ -92,7 +93,7 @@ def test_a_quick_campaign_leaves_out_the_long_scenes_unless_they_are_named(tmp_p
     assert long
     assert {entry.scene.name for entry in entries if isinstance(entry, PlannedRun)} == set(scenes) - long
     assert {f"{name} x every pipeline" for name in long} <= set(left_out)
-    assert not {entry.cell.scene for entry in entries if isinstance(entry, PlannedCheck)} & long
+    assert not {entry.task.scene for entry in entries if isinstance(entry, PlannedCheck)} & long
     named, _ = select(CampaignSettings(out=tmp_path, quick=True, scenes=(min(long),)))
     assert {entry.scene.name for entry in named if isinstance(entry, PlannedRun)} == {min(long)}
     every, _ = select(CampaignSettings(out=tmp_path))
@@ -147,26 +148,12 @@ def test_starts_and_front_become_records_and_files(tmp_path, factory_run) -> Non
 @pytest.fixture
 def factory_run():
     """A run record with these starts and front, from as little as the schema allows."""
-    from reports.records.record import ProvenanceRecord, RunRecord, SceneRecord, StageRecord
+    from reports.records.record import RunRecord, SceneRecord, StageRecord
 
     scene = SceneRecord(
         name="three_cart", title="", source="", coordinates=(), velocities=(), inputs=(), contacts=(), parameters=(), start=(), goal=(), step=0.01,
         steps=20,
     )  # fmt: skip
-    provenance = ProvenanceRecord(
-        touchstone="",
-        commit="",
-        python="",
-        platform="",
-        cpu="",
-        cores=1,
-        threads=1,
-        packages={},
-        compiler="",
-        seed=0,
-        started="",
-        command="",
-    )
 
     def make(starts, front) -> RunRecord:
         stage = StageRecord(
@@ -174,7 +161,7 @@ def factory_run():
         )
         return RunRecord(
             key="k", scene=scene, pipeline="p", pipeline_title="", stages=(stage,), outcome="solved", must_hold=True, wall_seconds=0.0,
-            cpu_seconds=0.0, provenance=provenance,
+            cpu_seconds=0.0, provenance=gather("a test"),
         )  # fmt: skip
 
     return make

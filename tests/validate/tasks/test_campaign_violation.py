@@ -6,7 +6,8 @@ import math
 import pytest
 
 from models.catalog import load_scene
-from validate.tasks.paper import RELAXED_EPS, SOFTPLUS_EPS, TOLERANCE, measure, relaxed_violation, write_violation
+from validate.store.results import write_violation
+from validate.tasks.paper import RELAXED_EPS, SOFTPLUS_EPS, TOLERANCE, measure, relaxed_violation
 
 
 @pytest.fixture(scope="module")

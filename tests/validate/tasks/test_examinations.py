@@ -101,14 +101,14 @@ def test_a_hang_ends_at_the_campaigns_time_limit(cli, tmp_path):
 def test_selection_by_words_and_scenes_and_quick():
     settings = CampaignSettings(out=Path(), tools="examination_fakes:TOOLS", scenes=("three_cart",), expression="asked")
     entries, left_out = select(settings)
-    assert [entry.cell.title for entry in entries][:2] == ["question: yes of three_cart", "question: no of three_cart"]
+    assert [entry.task.title for entry in entries][:2] == ["question: yes of three_cart", "question: no of three_cart"]
     assert len(entries) == 7, "the one about no scene is not meant where scenes are named"
     assert left_out == ()
     quick, left_out = select(replace(settings, quick=True))
     assert len(quick) == 6
     assert left_out == ("question: maybe of three_cart",)
     everywhere, left_out = select(replace(settings, quick=True, scenes=()))
-    assert [entry.cell.title for entry in everywhere][-1] == "question: yes of nothing"
+    assert [entry.task.title for entry in everywhere][-1] == "question: yes of nothing"
     assert re.fullmatch(r"question: \d+ examinations", left_out[0])
     with pytest.raises(CampaignError, match="-k 'asked' selects no cell"):
         select(replace(settings, tools="campaign_fakes:TOOLS"))

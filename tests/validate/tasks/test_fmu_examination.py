@@ -21,13 +21,13 @@ from validate.tasks.fmu_examination import VERSIONS, examine
 def test_every_scene_in_every_version_is_examined_and_quick_says_what_it_leaves_out():
     chosen = CampaignSettings(out=Path(), expression="fmu_check")
     entries, _ = select(chosen)
-    assert [(entry.cell.scene, entry.cell.arguments["version"]) for entry in entries] == [
+    assert [(entry.task.scene, entry.task.arguments["version"]) for entry in entries] == [
         (scene, version) for version in VERSIONS for scene in scene_names()
     ]
-    assert len({entry.cell.key for entry in entries}) == len(entries)
+    assert len({entry.task.key for entry in entries}) == len(entries)
     quick, left_out = select(CampaignSettings(out=Path(), expression="fmu_check", quick=True))
-    assert {entry.cell.arguments["version"] for entry in quick} == {"2.0"}
-    assert {entry.cell.scene for entry in quick} == {name for name in scene_names() if load_scene(name).quick}
+    assert {entry.task.arguments["version"] for entry in quick} == {"2.0"}
+    assert {entry.task.scene for entry in quick} == {name for name in scene_names() if load_scene(name).quick}
     assert left_out[-1] == f"FMU, FMI 3.0: {len(scene_names())} examinations"
 
 
@@ -78,7 +78,7 @@ def test_a_failed_check_of_our_own_is_found_and_named(monkeypatch, tmp_path):
 def test_the_key_is_that_of_the_scene_and_its_sources(version):
     def key(scene: str) -> str:
         (entry,), _ = select(CampaignSettings(out=Path(), scenes=(scene,), expression=f"fmi{version[0]}"))
-        return entry.cell.key
+        return entry.task.key
 
     assert key("bouncing_mass") == key("bouncing_mass")
     assert key("bouncing_mass") != key("two_body_collision")

@@ -12,14 +12,14 @@ import pytest
 
 from reports.records.record import RunRecord
 from validate.execution import worker as module
-from validate.execution.dask import _lost
 from validate.execution.fork_server import ForkServer
-from validate.execution.worker import Worker
+from validate.execution.worker import Worker, progress_in
+from validate.store.disk import PARTIAL
 from validate.store.provenance import gather
 from validate.store.results import rows
 from validate.store.store import Store
 from validate.tasks.leg import planned_legs, planned_stages
-from validate.tasks.path import run_cell
+from validate.tasks.path import run_path
 from validate.tasks.run import RunTask
 
 pytestmark = pytest.mark.process
@@ -29,16 +29,16 @@ HELPERS = Path(__file__).parents[1] / "helpers"
 
 @pytest.fixture
 def in_reach(monkeypatch):
-    """The fakes can be imported, here and by a cell."""
+    """The fakes can be imported, here and by a child."""
     monkeypatch.syspath_prepend(str(HELPERS))
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, [str(HELPERS), os.environ.get("PYTHONPATH", "")])))
 
 
-def _cell(last: str) -> RunTask:
+def _task(last: str) -> RunTask:
     from certificate_fakes import TOOLS, pipeline
 
     chosen = pipeline(last)
-    plan = planned_stages(chosen, {leg.method: TOOLS.load_method(leg.method) for leg in chosen.legs})
+    plan = planned_stages(chosen, TOOLS.methods_of(chosen))
     return RunTask(
         key=f"key_of_{last}",
         scene="three_cart",
@@ -51,22 +51,21 @@ def _cell(last: str) -> RunTask:
 
 
 def _run(last: str, folder: Path, server: ForkServer | None, monkeypatch: pytest.MonkeyPatch) -> tuple[RunRecord, Path]:
-    """The record of a cell whose time is up once its last certificate has begun, and its folder in the store."""
-    cell, store, provenance = _cell(last), Store(folder), gather("a test")
+    """The record of a run whose time is up once its last certificate has begun, and its folder in the store."""
+    task, store = _task(last), Store(folder)
     store.prepare()
-    watched = Worker(cell, _lost(cell, provenance), provenance, store, server)
-    record, late = None, time.monotonic() + 2 * cell.time_limit
-    try:
-        while (record := watched.poll()) is None:
-            time.sleep(0.05)
-            if watched.progress() == "the certificate of stage 3 (endless)":
-                monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: late))
-    finally:
-        if record is None:
-            watched.stop()
+    worker, late = Worker(task, gather("a test"), store, server=server), time.monotonic() + 2 * task.time_limit
+
+    def look() -> bool:
+        (partial,) = store.runs.glob(f"{PARTIAL}*")
+        if progress_in(partial) == "the certificate of stage 3 (endless)":
+            monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: late))
+        return True
+
+    record = worker.run(wanted=look)
     assert isinstance(record, RunRecord)
-    assert RunRecord.model_validate_json((store.runs / cell.key / "record.json").read_bytes()) == record
-    return record, store.runs / cell.key
+    assert RunRecord.model_validate_json((store.runs / task.key / "record.json").read_bytes()) == record
+    return record, store.runs / task.key
 
 
 @pytest.mark.slow
@@ -107,7 +106,7 @@ def test_nothing_but_the_certificate_is_lost(last, outcome, why, in_reach, tmp_p
 
 
 def test_a_front_is_certified_though_nothing_was_found_within_its_smallest_tolerance(in_reach, tmp_path):
-    record = run_cell(_cell("front"), gather("a test"), tmp_path, time.monotonic())
+    record = run_path(_task("front"), gather("a test"), tmp_path, time.monotonic())
     stage = record.stages[-1]
     assert not stage.has_plan
     assert [point.outcome for point in stage.front] == ["infeasible", "solved"]

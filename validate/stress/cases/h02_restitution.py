@@ -24,7 +24,7 @@ EXPECTED = {0.1: (0.999, 1.001, 1e-3), 0.6: (0.98, 1.02, 1e-2), 1.5: (0.80, 1.24
 SWEEP = tuple(np.round(np.linspace(0.05, 1.95, 39), 3))
 
 
-def restitutions(kernel: Kernel, hw: float) -> np.ndarray:
+def _restitutions(kernel: Kernel, hw: float) -> np.ndarray:
     """(PHASES,) restitution of one collision at h w, each with its own place of the first touch within a step."""
     values = {parameter.name: parameter.value for parameter in kernel.scene.parameters}
     m1, m2, k, r = (values[name] for name in ("m1", "m2", "k", "r"))
@@ -40,11 +40,12 @@ def restitutions(kernel: Kernel, hw: float) -> np.ndarray:
 
 
 def measure() -> CaseFinding:
+    """Measure what `CASE.expected` says."""
     scene = load_scene("two_body_collision")
     kernel = load_kernel(scene)
     figures = []
     for hw, (low, high, digit) in EXPECTED.items():
-        found = restitutions(kernel, hw)
+        found = _restitutions(kernel, hw)
         off = max(abs(found.min() - low), abs(found.max() - high))
         figures.append(
             at_most(
@@ -54,7 +55,7 @@ def measure() -> CaseFinding:
                 reason="a unit of the last known digit: which phases are tried moves it by as much",
             )
         )
-    exact = np.abs(restitutions(kernel, 1.0) - 1.0).max()
+    exact = np.abs(_restitutions(kernel, 1.0) - 1.0).max()
     figures.append(
         at_most("restitution - 1 at h w = 1, any phase", exact, 1e-9, reason="six steps are a period there: the collision is exact")
     )
@@ -64,7 +65,7 @@ def measure() -> CaseFinding:
     figures.append(
         at_most("the replay, in tolerances of the closed forms", value, 1.0, reason="restitution 1, contact time and depth to 1e-9 each")
     )
-    swept = [restitutions(kernel, hw) for hw in SWEEP]
+    swept = [_restitutions(kernel, hw) for hw in SWEEP]
     bound = [1.0 / math.sqrt(1.0 - hw**2 / 4.0) for hw in SWEEP]
     outside = max(max(found.max() / most, 1.0 / (found.min() * most)) for found, most in zip(swept, bound, strict=True))
     figures.append(
@@ -72,7 +73,7 @@ def measure() -> CaseFinding:
             "largest restitution (or 1/smallest) over the bound 1/sqrt(1 - (h w)^2/4)", outside, 1.0 + 1e-9, reason="see the case's file"
         )
     )
-    worst = restitutions(kernel, 1.5)
+    worst = _restitutions(kernel, 1.5)
     return CaseFinding(
         happened=f"At h w = 1.5, well inside the stability limit of 2, one collision gives between {worst.min():.2f} and {worst.max():.2f} of the speed back; "
         "the replay gives 1.",

@@ -57,6 +57,7 @@ class _Planned:
 
 
 def simulated() -> _Simulated:
+    """Two bodies that collide, replayed at each ratio of their masses."""
     base = load_scene("two_body_collision")
     found = _Simulated()
     for ratio in RATIOS:
@@ -78,7 +79,7 @@ def simulated() -> _Simulated:
     return found
 
 
-def carts() -> Scene:
+def _carts() -> Scene:
     """Three carts, the mass of the middle one `ratio` times that of the others."""
     base = load_scene("three_cart")
     mass = next(parameter.symbol for parameter in base.parameters if parameter.name == "m")
@@ -103,7 +104,8 @@ def _chained(scene: Scene) -> Solution:
 
 
 def planned() -> _Planned:
-    base = carts()
+    """Three carts, planned for at each ratio of the middle mass to the others."""
+    base = _carts()
     values = {parameter.name: parameter.value for parameter in base.parameters}
     # The middle cart on two closed contacts, damped: h^2 2k/m + 2 h c/m < 4. The others, so much heavier, stand still beside it.
     found = _Planned(limit=(2.0 * STEP**2 * values["k"] + 2.0 * STEP * values["c"]) / (4.0 * values["m"]))
@@ -131,6 +133,7 @@ def planned() -> _Planned:
 
 
 def measure() -> CaseFinding:
+    """Measure what `CASE.expected` says."""
     seen, plans = simulated(), planned()
     length = next(parameter.value for parameter in load_scene("three_cart").parameters if parameter.name == "d")
     shares = [cost / plans.costs[0] for cost in plans.costs]

@@ -22,6 +22,7 @@ def _asymmetry(q: np.ndarray, v: np.ndarray) -> float:
 
 
 def measure() -> CaseFinding:
+    """Measure what `CASE.expected` says."""
     scene = load_scene("three_cart")
     listed = {"as listed": scene, "reversed": replace(scene, contacts=scene.contacts[::-1])}
     u = np.tile([SQUEEZE, -SQUEEZE], (NODES, 1))

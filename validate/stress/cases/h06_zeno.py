@@ -18,7 +18,7 @@ import sympy as sp
 from models.catalog import load_scene
 from models.scene import Parameter, Scene
 from validate.judge.replay import ReplayOutcome
-from validate.stress.case import CaseFinding, Chart, HardCase, Series, at_least, at_most, none_of, told
+from validate.stress.case import CaseFinding, Chart, HardCase, Series, at_least, at_most, none_of, unlimited
 from validate.stress.motion import replayed, rolled
 
 STIFFNESS, RATIO, NODES, STEP = 1e7, 0.2, 180, 0.01
@@ -26,7 +26,7 @@ STIFFNESS, RATIO, NODES, STEP = 1e7, 0.2, 180, 0.01
 BUDGET = 6
 
 
-def damped(scene: Scene) -> Scene:
+def _damped(scene: Scene) -> Scene:
     """The bouncing mass on a stiff floor with a damper."""
     c = sp.Symbol("c", positive=True)
     values = {parameter.name: parameter.value for parameter in scene.parameters}
@@ -45,7 +45,8 @@ def restitution(z: float) -> float:
 
 
 def measure() -> CaseFinding:
-    scene = damped(load_scene("bouncing_mass"))
+    """Measure what `CASE.expected` says."""
+    scene = _damped(load_scene("bouncing_mass"))
     gravity = next(parameter.value for parameter in scene.parameters if parameter.name == "g")
     height = scene.task.start[0]
     fine = 20000  # the plan: the step that the stiff floor needs, at the nodes of the replay
@@ -85,7 +86,7 @@ def measure() -> CaseFinding:
                 0.02,
                 reason="gravity takes 0.2 % of each flight, which makes 0.5 % of their sum; the last ones are as low as the floor sags",
             ),
-            told("contact events", len(told_replay.events)),
+            unlimited("contact events", len(told_replay.events)),
         ),
         charts=(
             Chart(

@@ -17,7 +17,7 @@ from models.catalog import load_scene
 from models.codegen.steps import load_steps
 from models.contact_law import ContactLaw
 from models.scenes.cart_pole_walls import GROWTH
-from validate.stress.case import CaseFinding, Chart, HardCase, Series, at_least, at_most, none_of, told
+from validate.stress.case import CaseFinding, Chart, HardCase, Series, at_least, at_most, none_of, unlimited
 from validate.stress.motion import at_nodes, replayed, rolled
 
 SECONDS, NUDGE, ITERATIONS = 5.0, 1e-6, 60
@@ -26,6 +26,7 @@ _LINEAR = 1e-2
 
 
 def measure() -> CaseFinding:
+    """Measure what `CASE.expected` says."""
     scene = load_scene("cart_pole_walls")
     h = scene.task.step
     steps = round(SECONDS / h)
@@ -33,7 +34,7 @@ def measure() -> CaseFinding:
     still = np.zeros((steps + 1, 4))
     growth = measure_growth(load_steps(upright), still, np.zeros((steps, 1)), ContactLaw.RELU, None)
     if growth is None:
-        return CaseFinding(happened="A step is not finite: nothing can be said of its growth.", figures=(told("growth", math.nan),))
+        return CaseFinding(happened="A step is not finite: nothing can be said of its growth.", figures=(unlimited("growth", math.nan),))
     rate = growth.rate
     nudged = upright.with_task(start=(0.0, NUDGE, 0.0, 0.0))
     one, other = (replayed(item, rolled(item)) for item in (upright, nudged))
@@ -70,8 +71,8 @@ def measure() -> CaseFinding:
             ),
             at_least("growth of an error over the horizon", growth.factor, 1e7, reason="exp(3.67/s 5 s) is 9e7"),
             none_of("what descent kept silent about", silent, reason="it must end in words, not in `solved`"),
-            told("distance of the two replays in the end", float(apart[-1]), "rad"),
-            told("gradient norm where descent began", float(next(iter(solution.history.get("gradient_norm", (math.nan,))))), "1"),
+            unlimited("distance of the two replays in the end", float(apart[-1]), "rad"),
+            unlimited("gradient norm where descent began", float(next(iter(solution.history.get("gradient_norm", (math.nan,))))), "1"),
         ),
         charts=(
             Chart(

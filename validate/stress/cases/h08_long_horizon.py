@@ -28,23 +28,23 @@ _REPEATS, _MODEL_REPEATS, _DIFFERENCE = 20, 2, 1e-4
 _WEIGHTS = (1.0, 2.0, 3.0)
 
 
-def squeeze(steps: int) -> np.ndarray:
+def _squeeze(steps: int) -> np.ndarray:
     """(steps, 2) inputs [N]: both carts press, with a little noise."""
     return np.tile([3.0, -3.0], (steps, 1)) + np.random.default_rng(8).normal(scale=0.3, size=(steps, 2))
 
 
-def gradient_of(kernel: Kernel, steps: int) -> Callable[[], np.ndarray]:
+def _gradient_of(kernel: Kernel, steps: int) -> Callable[[], np.ndarray]:
     """What an iteration of descent does: rollout, and the adjoint of a sum over the last positions."""
-    task, u = kernel.scene.task, squeeze(steps)
+    task, u = kernel.scene.task, _squeeze(steps)
 
-    def iteration() -> np.ndarray:
+    def _iteration() -> np.ndarray:
         plan = kernel.rollout(np.array(task.start), u, task.step)
         return kernel.adjoint(plan, u, end_bar=np.array((*_WEIGHTS, 0.0, 0.0, 0.0)))[0]
 
-    return iteration
+    return _iteration
 
 
-def measured(make: Callable[[], Any], repeats: int) -> tuple[float, float]:
+def _measured(make: Callable[[], Any], repeats: int) -> tuple[float, float]:
     """Least CPU seconds of some repeats of what `make` makes, and the most memory [MB] held while it is made and done once."""
     work, seconds = make(), []
     for _ in range(repeats):
@@ -60,7 +60,7 @@ def measured(make: Callable[[], Any], repeats: int) -> tuple[float, float]:
         tracemalloc.stop()
 
 
-def exponent(lengths: tuple[int, ...], values: list[float]) -> float:
+def _exponent(lengths: tuple[int, ...], values: list[float]) -> float:
     """Slope of log value over log length, from the first to the last."""
     return math.log(values[-1] / values[0]) / math.log(lengths[-1] / lengths[0])
 
@@ -70,12 +70,13 @@ def _model(scene: Scene, steps: int) -> Any:
 
 
 def measure() -> CaseFinding:
+    """Measure what `CASE.expected` says."""
     scene = load_scene("three_cart")
     kernel = load_kernel(scene)
-    gradients = [measured(lambda n=n: gradient_of(kernel, n), _REPEATS) for n in LENGTHS]
+    gradients = [_measured(lambda n=n: _gradient_of(kernel, n), _REPEATS) for n in LENGTHS]
     _model(scene, 50)  # what is imported and compiled once does not count
-    models = [measured(lambda n=n: lambda: _model(scene, n), _MODEL_REPEATS) for n in MODEL_LENGTHS]
-    u, u_bar = squeeze(LENGTHS[1]), gradient_of(kernel, LENGTHS[1])()
+    models = [_measured(lambda n=n: lambda: _model(scene, n), _MODEL_REPEATS) for n in MODEL_LENGTHS]
+    u, u_bar = _squeeze(LENGTHS[1]), _gradient_of(kernel, LENGTHS[1])()
     direction = np.random.default_rng(9).normal(size=u.shape)
     ends = [
         float(kernel.rollout(np.array(scene.task.start), u + sign * _DIFFERENCE * direction, scene.task.step).q[-1] @ _WEIGHTS)
@@ -84,9 +85,9 @@ def measure() -> CaseFinding:
     slope = (ends[0] - ends[1]) / (2.0 * _DIFFERENCE)
     wrong = abs(float((u_bar * direction).sum()) / slope - 1.0)
     growth = {
-        "gradient, memory": exponent(LENGTHS, [memory for _, memory in gradients]),
-        "model, time": exponent(MODEL_LENGTHS, [seconds for seconds, _ in models]),
-        "model, memory": exponent(MODEL_LENGTHS, [memory for _, memory in models]),
+        "gradient, memory": _exponent(LENGTHS, [memory for _, memory in gradients]),
+        "model, time": _exponent(MODEL_LENGTHS, [seconds for seconds, _ in models]),
+        "model, memory": _exponent(MODEL_LENGTHS, [memory for _, memory in models]),
     }
     shortest, longest = gradients[0][0] / LENGTHS[0], gradients[-1][0] / LENGTHS[-1]
     return CaseFinding(

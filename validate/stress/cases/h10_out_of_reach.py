@@ -15,6 +15,7 @@ METHODS = {"softplus_dc": 1e-3, "relaxed_lcp": 1e-2, "strict_lcp": None, "mpcc":
 
 
 def measure() -> CaseFinding:
+    """Measure what `CASE.expected` says."""
     scene = load_scene("three_cart").with_task(goal=(FAR, FAR + 1.0, FAR + 2.0, 0.0, 0.0, 0.0), steps=STEPS)
     wrong, endings, slowest = [], [], 0.0
     for name, eps in METHODS.items():

@@ -14,6 +14,7 @@ STEPS = 480
 
 
 def measure() -> CaseFinding:
+    """Measure what `CASE.expected` says."""
     scene = load_scene("two_discs")
     kernel = load_kernel(scene)
     h = scene.task.step / 20  # a spring wound up by 0.4 m needs a finer grid than the task's

@@ -15,7 +15,7 @@ from formulations.mpec import Stationarity, certify, solve_mpec
 from validate.stress.case import CaseFinding, HardCase, at_most, none_of
 
 
-def problem(start: float) -> Any:
+def _problem(start: float) -> Any:
     m: Any = pyo.ConcreteModel()
     m.z = pyo.Var([1, 2], bounds=(0, None), initialize=start)
     m.top = pyo.Var(initialize=start)
@@ -26,8 +26,9 @@ def problem(start: float) -> Any:
 
 
 def measure() -> CaseFinding:
-    solved = solve_mpec(problem(1.0))
-    origin = certify(problem(0.0))
+    """Measure what `CASE.expected` says."""
+    solved = solve_mpec(_problem(1.0))
+    origin = certify(_problem(0.0))
     wrong = []
     certificate = solved.certificate
     if not solved.has_point or not np.isfinite(solved.objective):

@@ -23,35 +23,36 @@ SHARE = 0.5  # of what friction can hold
 _AT_REST = (0.0,) * 4
 
 
-def pulled(scene: Scene, mu: float, share: float, step: float, law: ContactLaw):
+def _pulled(scene: Scene, mu: float, share: float, step: float, law: ContactLaw):
     """The motion from rest under a force that asks `share` of the friction there is; mu: its coefficient."""
     u = np.full((round(SECONDS / step), 1), share * mu * GRAVITY * MASS)
     return rolled(scene, start=_AT_REST, u=u, step=step, law=law, eps=EPS if law is ContactLaw.SOFTPLUS else None)
 
 
-def slip_speed(plan) -> float:
+def _slip_speed(plan) -> float:
     """Largest slip at the end of the motion [m/s]."""
     return float(abs(plan.v[-1, 0] - plan.v[-1, 1]))
 
 
 def measure() -> CaseFinding:
+    """Measure what `CASE.expected` says."""
     base = load_scene("transport")
     creeps, sticks, replay_slips, slipping = [], [], [], []
     for mu in COEFFICIENTS:
         scene = base.with_parameters(mu=mu)
-        creeps.append(slip_speed(pulled(scene, mu, SHARE, STEPS[0], ContactLaw.SOFTPLUS)))
-        stuck = pulled(scene, mu, SHARE, STEPS[0], ContactLaw.RELU)
+        creeps.append(_slip_speed(_pulled(scene, mu, SHARE, STEPS[0], ContactLaw.SOFTPLUS)))
+        stuck = _pulled(scene, mu, SHARE, STEPS[0], ContactLaw.RELU)
         sticks.append(float(np.abs(stuck.v[:, 0] - stuck.v[:, 1]).max()))
         told = replayed(scene, stuck, like=base)
         replay_slips.append(float(np.abs(told.v[:, 0] - told.v[:, 1]).max()) if told.ok else np.inf)
-        moving = pulled(scene, mu, 4.0, STEPS[0], ContactLaw.RELU)
+        moving = _pulled(scene, mu, 4.0, STEPS[0], ContactLaw.RELU)
         truth = replayed(scene, moving, like=base)
         # Friction gives the cargo mu g at most; the cart has what is left of the force, on 2 kg.
         exact = (4.0 * mu * GRAVITY * MASS - mu * GRAVITY) / 2.0 - mu * GRAVITY
         slip = abs(truth.v[-1, 1] - truth.v[-1, 0]) if truth.ok else np.inf
         slipping.append(abs(slip / (exact * SECONDS) - 1.0) if exact * SECONDS**2 / 2 < 0.9 else 0.0)
     by_step = {
-        mu: [slip_speed(pulled(base.with_parameters(mu=mu), mu, SHARE, h, ContactLaw.SOFTPLUS)) for h in STEPS] for mu in (0.05, 0.2, 0.8)
+        mu: [_slip_speed(_pulled(base.with_parameters(mu=mu), mu, SHARE, h, ContactLaw.SOFTPLUS)) for h in STEPS] for mu in (0.05, 0.2, 0.8)
     }
     settled = max(abs(values[-1] / values[-2] - 1.0) for values in by_step.values())
     return CaseFinding(

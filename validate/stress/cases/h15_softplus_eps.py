@@ -23,6 +23,7 @@ DEPTHS = np.array([-1e4, -10.0, -1.0, -1e-3, 0.0, 1e-3, 1.0, 10.0, 1e4])
 
 
 def measure() -> CaseFinding:
+    """Measure what `CASE.expected` says."""
     scene = load_scene("three_cart")
     kernel = load_kernel(scene)
     # the left contact at each depth: phi = d - (q2 - q1)

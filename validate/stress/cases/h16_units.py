@@ -16,7 +16,7 @@ from validate.stress.motion import at_nodes, replayed, rolled
 LENGTH = 1e3
 
 
-def in_millimetres(scene: Scene) -> Scene:
+def _in_millimetres(scene: Scene) -> Scene:
     """Three carts with q * 1e3: N = tonne mm/s^2, so that forces and inputs keep their numbers; so is the length that relaxed contact is counted in."""
     values = {parameter.name: parameter.value for parameter in scene.parameters}
     scaled = scene.with_parameters(m=values["m"] / LENGTH, c=values["c"] / LENGTH, k=values["k"] / LENGTH, d=values["d"] * LENGTH)
@@ -31,8 +31,9 @@ def _solved(scene: Scene) -> Solution:
 
 
 def measure() -> CaseFinding:
+    """Measure what `CASE.expected` says."""
     metres = load_scene("three_cart")
-    small = in_millimetres(metres)
+    small = _in_millimetres(metres)
     u = np.random.default_rng(16).uniform(-5.0, 5.0, size=(300, 2)) + np.array([2.0, -2.0])
     plans = [rolled(scene, u=u) for scene in (metres, small)]
     step = float(max(np.abs(plans[1].q / LENGTH - plans[0].q).max(), np.abs(plans[1].lam - plans[0].lam).max()))

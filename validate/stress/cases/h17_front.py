@@ -18,6 +18,7 @@ TOLERANCES = (0.0, 1e-2, 0.1)
 
 
 def measure() -> CaseFinding:
+    """Measure what `CASE.expected` says."""
     scene = load_scene("three_cart")
     best = next(answer.value for answer in scene.answers if answer.quantity.startswith("best known cost"))
     kernel, goal = load_kernel(scene), goal_state(scene.task)

@@ -22,21 +22,21 @@ from validate.stress.motion import replayed, rolled
 SECONDS, COUNTS, FINE = 0.8, (10, 20, 40, 80), 640
 
 
-def smooth(t: np.ndarray) -> np.ndarray:
+def _smooth(t: np.ndarray) -> np.ndarray:
     """(n, 2) inputs [N] that press the carts together."""
     return np.column_stack([6.0 + 3.0 * np.sin(4.0 * t), -6.0 + 2.0 * np.cos(5.0 * t)])
 
 
-def held(scene: Scene, t: np.ndarray, u: np.ndarray, hold: Hold) -> Trajectory:
+def _held(scene: Scene, t: np.ndarray, u: np.ndarray, hold: Hold) -> Trajectory:
     """A plan of these inputs; a replay takes nothing else from it but the start."""
     start = np.array(scene.task.start)
     state = np.tile(start, (len(t), 1))
     return Trajectory(t=t, q=state[:, : scene.nq], v=state[:, scene.nq :], u=u, lam=np.zeros((len(t) - 1, scene.nl)), hold=hold)
 
 
-def end_of(scene: Scene, count: int, hold: Hold) -> np.ndarray:
+def _end_of(scene: Scene, count: int, hold: Hold) -> np.ndarray:
     t = uniform_grid(SECONDS / count, count)
-    return replayed(scene, held(scene, t, smooth(t[:-1]), hold)).end
+    return replayed(scene, _held(scene, t, _smooth(t[:-1]), hold)).end
 
 
 def order(errors: list[float]) -> float:
@@ -45,16 +45,17 @@ def order(errors: list[float]) -> float:
 
 
 def measure() -> CaseFinding:
+    """Measure what `CASE.expected` says."""
     scene = load_scene("three_cart").with_task(start=(2.0, 2.6, 3.2, 0.0, 0.0, 0.0))
     # the last step of a linear plan is constant: its effect is one more step of order 1 in an ever shorter step, so of order 2 as well
-    truth = end_of(scene, FINE, Hold.LINEAR)
-    errors = {hold: [float(np.abs(end_of(scene, count, hold) - truth).max()) for count in COUNTS] for hold in Hold}
+    truth = _end_of(scene, FINE, Hold.LINEAR)
+    errors = {hold: [float(np.abs(_end_of(scene, count, hold) - truth).max()) for count in COUNTS] for hold in Hold}
     orders = {hold: order(values) for hold, values in errors.items()}
     whole = uniform_grid(0.1, 8)
     odd = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.47, 0.5, 0.6, 0.7, 0.8])
-    u = smooth(whole[:-1])
+    u = _smooth(whole[:-1])
     parts = u[[0, 1, 2, 3, 4, 4, 5, 6, 7]]
-    one, other = (replayed(scene, held(scene, t, values, Hold.ZERO_ORDER)) for t, values in ((whole, u), (odd, parts)))
+    one, other = (replayed(scene, _held(scene, t, values, Hold.ZERO_ORDER)) for t, values in ((whole, u), (odd, parts)))
     same = float(np.abs(one.end - other.end).max()) if one.ok and other.ok else math.inf
     wrong = []
     other_grid = rolled(scene, step=0.03, steps=166)  # 4.98 s: neither the step nor the horizon

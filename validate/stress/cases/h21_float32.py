@@ -19,6 +19,7 @@ _START = (2.0, 2.501, 3.002, 0.3, 0.0, -0.3)
 
 
 def measure() -> CaseFinding:
+    """Measure what `CASE.expected` says."""
     scene = load_scene("three_cart").with_parameters(k=STIFFNESS)
     u = np.tile([2.0, -2.0], (STEPS, 1))
     compiled = load_kernel(scene).rollout(np.array(_START), u, STEP)

@@ -1,4 +1,7 @@
-"""Every hard case: described without being imported, measured (with cheaper parameters where it is long), told by a record that passes."""
+"""Every stress case: described without being imported, measured (with cheaper parameters where it is long), in a record that passes.
+
+In a campaign it is selected by its name, measured in a child, stored, used again, and a row of the report.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +16,9 @@ from formulations.pipelines import method_names
 from models.catalog import scene_names
 from models.errors import UnknownNameError
 from reports.records.check_record import ExaminationRecord
-from reports.records.record import ProvenanceRecord
 from reports.rule import failures
-from validate.stress.case import CaseFinding, HardCase, Series, at_least, at_most, none_of, told
+from validate.store.provenance import gather
+from validate.stress.case import CaseFinding, Chart, HardCase, Series, at_least, at_most, none_of, unlimited
 from validate.stress.catalog import FOLDER, case_names, describe_case, load_case
 from validate.stress.tasks import examinations, found_of
 
@@ -41,20 +44,6 @@ CHEAP: dict[str, dict[str, object]] = {
 def record_of(name: str, finding: CaseFinding) -> ExaminationRecord:
     """The record that a campaign would store, through JSON and back."""
     case, found = describe_case(name), found_of(finding)
-    provenance = ProvenanceRecord(
-        touchstone="0",
-        commit="",
-        python="",
-        platform="",
-        cpu="",
-        cores=1,
-        threads=1,
-        packages={},
-        compiler="",
-        seed=0,
-        started="",
-        command="",
-    )
     record = ExaminationRecord(
         key="0" * 64,
         kind="hard case",
@@ -66,7 +55,7 @@ def record_of(name: str, finding: CaseFinding) -> ExaminationRecord:
         figures=found.figures,
         wall_seconds=1.0,
         cpu_seconds=1.0,
-        provenance=provenance,
+        provenance=gather("a test"),
         **found.details,
     )
     return ExaminationRecord.model_validate_json(record.model_dump_json())
@@ -136,8 +125,8 @@ def test_an_unknown_case_is_named():
         (at_least("order", 2.0, 2.0, reason="r"), True),
         (none_of("wrong", ["one thing"], reason="r"), False),
         (none_of("wrong", [], reason="r"), True),
-        (told("only told", 5.0), None),
-        (told("only told", math.nan), False),
+        (unlimited("only told", 5.0), None),
+        (unlimited("only told", math.nan), False),
     ],
 )
 def test_a_figure_keeps_its_limit_or_does_not(figure, ok: bool | None):
@@ -146,12 +135,10 @@ def test_a_figure_keeps_its_limit_or_does_not(figure, ok: bool | None):
 
 def test_a_case_without_a_judged_figure_has_not_passed():
     assert not CaseFinding(happened="", figures=()).passed
-    assert not CaseFinding(happened="", figures=(told("only told", 1.0),)).passed
+    assert not CaseFinding(happened="", figures=(unlimited("only told", 1.0),)).passed
 
 
 def test_numbers_that_are_none_get_into_no_record():
-    from validate.stress.case import Chart
-
     chart = Chart(title="t", x=("x", ""), y=("y", ""), series=(Series(name="s", x=[1.0, 2.0, 3.0], y=[1.0, math.nan, math.inf]),))
     finding = CaseFinding(happened="two\nlines", figures=(at_most("error", math.nan, 1.0, reason="r"),), charts=(chart,))
     record = record_of(NAMES[0], finding)
@@ -163,3 +150,46 @@ def test_numbers_that_are_none_get_into_no_record():
 
 def test_a_case_is_its_files_name():
     assert all(isinstance(load_case(name), HardCase) and load_case(name).name == name for name in ("h13_b_stationary", "h15_softplus_eps"))
+
+
+@pytest.fixture(scope="module")
+def campaign(cli, tmp_path_factory):
+    out = tmp_path_factory.mktemp("hard")
+    return out, cli("all", "-k", "h13 or h12", "--out", str(out))
+
+
+@pytest.mark.slow
+def test_the_cases_are_run_and_pass(campaign):
+    out, done = campaign
+    assert done.returncode == 0, done.stderr
+    assert "hard case: 2 of 2 examinations passed" in done.stdout
+    records = [json.loads(path.read_text()) for path in out.glob("runs/*/record.json")]
+    assert sorted(record["name"][:2] for record in records) == ["12", "13"]
+    assert all(record["passed"] and record["figures"] for record in records)
+
+
+def test_the_report_has_their_rows(campaign):
+    text = (campaign[0] / "report.html").read_text(encoding="utf-8")
+    assert 'id="stability"' in text
+    assert 'id="hard-case-12"' in text
+    assert "2 of 2 hard cases pass" in text
+
+
+@pytest.mark.slow
+def test_they_are_used_again(campaign, cli):
+    out, _ = campaign
+    again = cli("all", "-k", "h13 or h12", "--out", str(out))
+    assert again.returncode == 0
+    assert "2 stored, 0 to run" in again.stderr
+
+
+@pytest.mark.slow
+def test_a_quick_campaign_says_that_it_leaves_cases_out(cli, tmp_path):
+    done = cli("all", "--quick", "-k", "h13 or h03", "--out", str(tmp_path))
+    assert "left out by --quick: hard case: 03 Mass ratio 1e-4 .. 1e4" in done.stdout
+
+
+def test_list_names_them(cli):
+    listed = json.loads(cli("list", "--json").stdout)["hard cases"]
+    assert [item["name"] for item in listed] == list(case_names())
+    assert {item["name"] for item in listed if item["quick"]} == {name for name in case_names() if describe_case(name).quick}
