@@ -47,7 +47,8 @@ def command(
     **options: Any,
 ) -> int:
     """Run a campaign of your own: scenes by name or file, with changed and swept numbers, pipelines, eps schedules and seeds."""
-    from validate.plan import CampaignFile, read_campaign
+    from validate.plan.read import read_campaign
+    from validate.plan.schema import CampaignFile
 
     if schema:
         data = {"$schema": "https://json-schema.org/draft/2020-12/schema", **CampaignFile.model_json_schema()}

@@ -180,7 +180,7 @@ def _campaign(rng: random.Random, folder: Path) -> Path:
 
 
 def _read_campaign(path: Path) -> None:
-    from validate.plan import read_campaign
+    from validate.plan.read import read_campaign
 
     read_campaign(path)
 

@@ -9,7 +9,8 @@ import pytest
 
 from formulations.pipelines import find_pipeline, stage_plan
 from models.catalog import load_scene
-from validate.plan import Campaign, CampaignFile, ConfigError, read_campaign
+from validate.plan.read import Campaign, ConfigError, read_campaign
+from validate.plan.schema import CampaignFile
 from validate.plan.runs import CampaignSettings, select
 from validate.tasks.variant import Variant, state_names, varied
 

@@ -229,7 +229,7 @@ def largest_growth(steps: np.ndarray, t: np.ndarray, scale: np.ndarray) -> Growt
 
 def _edges(steps: int) -> np.ndarray:
     """(blocks + 1,) steps at which blocks begin, and the last end."""
-    return np.unique(np.linspace(0, steps, min(steps, _BLOCKS) + 1).round().astype(int))
+    return np.linspace(0, steps, min(steps, _BLOCKS) + 1).round().astype(int)
 
 
 def flow_derivative(kernel: Kernel, state: np.ndarray, u: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
