@@ -9,7 +9,6 @@ import os
 import signal
 import sys
 
-
 # New objects after which Python looks for cycles among them, instead of 700.
 _OBJECTS = 200_000
 

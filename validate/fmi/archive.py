@@ -54,6 +54,7 @@ class XmlReader:
         self._keep = keep
 
     def read(self, text: bytes) -> None:
+        """Parse one XML text. Raises HasDoctype, ExpatError for a text that is not well-formed, LookupError for an unknown encoding."""
         parser = expat.ParserCreate()
         parser.StartDoctypeDeclHandler = self._doctype
         if self._keep:
@@ -124,8 +125,11 @@ class IntakeError(FmuError):
 
 @dataclass(frozen=True, kw_only=True)
 class Intake:
-    """A file that was let in. version: as it says, for example 2.0; kinds: interface -> what it says of itself, those with a binary for this
-    platform; platforms: folders with binaries; digest: SHA-256 of the file; unpacked [bytes]."""
+    """An FMU file that was accepted.
+
+    version: as it says, for example 2.0; kinds: interface -> what it says of itself, those with a binary for this platform; platforms: folders with
+    binaries; digest: SHA-256 of the file; unpacked [bytes].
+    """
 
     path: Path
     digest: str

@@ -34,10 +34,12 @@ class Package:
 
     @property
     def digest(self) -> str:
+        """SHA-256 of the file."""
         return self.intake.digest
 
     @property
     def is_three(self) -> bool:
+        """Whether it is an FMU of FMI 3.0."""
         return self.intake.version.startswith("3.")
 
     def can(self, kind: str, ability: str) -> bool:
@@ -46,10 +48,12 @@ class Package:
 
     @property
     def exchange(self) -> Any | None:
+        """FMPy's description of Model Exchange; None if it cannot run here."""
         return self.description.modelExchange if "ModelExchange" in self.intake.kinds else None
 
     @property
     def cosimulation(self) -> Any | None:
+        """FMPy's description of Co-Simulation; None if it cannot run here."""
         return self.description.coSimulation if "CoSimulation" in self.intake.kinds else None
 
 

@@ -1,5 +1,7 @@
-"""Steps: the FMU starts and ends, keeps the time it is told, does not pass its stop time; and what Co-Simulation does with events, with early return, and
-within a step (intermediate update of FMI 3.0, input derivatives of FMI 2.0)."""
+"""Communication steps: start and end, the time told, the stop time, and what Co-Simulation offers besides.
+
+That is events, early return, intermediate update of FMI 3.0 and input derivatives of FMI 2.0.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +27,9 @@ _DISCARD = 2
 _FIRST_STEPS, _EVALUATIONS = 5, 30
 
 
-@check("starts and ends", "it loads, is instantiated, initialised, makes some steps, is terminated and freed", Scope.EACH)
+@check("starts and ends", Scope.EACH)
 def lives(subject: Subject, kind: str) -> Finding:
+    """It loads, is instantiated, initialised, makes some steps, is terminated and freed."""
     version = {2: "2.0", 3: "3.0"}[subject.major]
     steps = subject.before_end(kind, _FIRST_STEPS)
     with CheckedInstance(subject, kind) as instance:
@@ -49,8 +52,9 @@ def lives(subject: Subject, kind: str) -> Finding:
     return passed(f"{steps} {'evaluations' if kind == 'ME' else f'steps of {subject.step:g} s'}; a step takes about {pace:.1g} s.", pace)
 
 
-@check("time after a step", "the time the FMU tells is the time it was brought to", Scope.EACH)
+@check("time after a step", Scope.EACH)
 def keeps_time(subject: Subject, kind: str) -> Finding:
+    """The time the FMU tells is the time it was brought to."""
     clocks = [item for item in subject.variables if item.causality == "independent" and item.is_float]
     told: set[str] = set()
     wrong: list[str] = []
@@ -80,8 +84,9 @@ def keeps_time(subject: Subject, kind: str) -> Finding:
     return passed(f"{' and '.join(sorted(told))}: right at {steps} times.")
 
 
-@check("stop time is respected", "a step up to the stop time is made, a step beyond it is refused", Scope.COSIMULATION)
+@check("stop time is respected", Scope.COSIMULATION)
 def stop_time(subject: Subject, kind: str) -> Finding:
+    """A step up to the stop time is made, a step beyond it is refused."""
     steps = subject.before_end(kind, 4)
     with CheckedInstance(subject, kind) as instance:
         instance.begin(stop=subject.time(steps))
@@ -184,7 +189,7 @@ def _through(instance: CheckedInstance, steps: int, told: _Told) -> np.ndarray:
     return np.array(rows)
 
 
-def elsewhere(subject: Subject, plain: np.ndarray, other: np.ndarray) -> str:
+def _elsewhere(subject: Subject, plain: np.ndarray, other: np.ndarray) -> str:
     """Which state goes another way, in words; empty if none does."""
     watched = subject.states or [item for item in subject.outputs if item.is_float]
     places = np.cumsum([0, *(item.size for item in subject.observed)])
@@ -201,12 +206,9 @@ def elsewhere(subject: Subject, plain: np.ndarray, other: np.ndarray) -> str:
     return ""
 
 
-@check(
-    "event mode of Co-Simulation",
-    "events are announced; a second update changes nothing; the motion is that without event mode; reset forgets",
-    Scope.COSIMULATION,
-)
+@check("event mode of Co-Simulation", Scope.COSIMULATION)
 def event_mode(subject: Subject, kind: str) -> Finding:
+    """Events are announced; a second update changes nothing; the motion is that without event mode; reset forgets."""
     if subject.major < 3 or not subject.can(kind, "hasEventMode"):
         return not_offered("FMI 2.0 has none." if subject.major < 3 else "hasEventMode is false.")
     steps, told = subject.long_steps(kind), _Told()
@@ -214,7 +216,7 @@ def event_mode(subject: Subject, kind: str) -> Finding:
         plain = run(instance.begin(), 0, steps)
     with CheckedInstance(subject, kind, options=_options(subject.can(kind, _MIGHT))) as instance:
         rows = _through(instance.begin(), steps, told)
-        wrong = elsewhere(subject, plain, rows)
+        wrong = _elsewhere(subject, plain, rows)
         if wrong:
             return failed(f"with event mode, {wrong} than without: not every event is announced and handled.")
         instance.fmu.reset()
@@ -228,8 +230,9 @@ def _options(early: bool) -> dict[str, bool]:
     return {"eventModeUsed": True, "earlyReturnAllowed": early}
 
 
-@check("early return", "only where it is allowed, at the time that is told, and where it is asked for", Scope.COSIMULATION)
+@check("early return", Scope.COSIMULATION)
 def early_return(subject: Subject, kind: str) -> Finding:
+    """Only where it is allowed, at the time that is told, and where it is asked for."""
     might, asked = (subject.can(kind, name) for name in (_MIGHT, "canReturnEarlyAfterIntermediateUpdate"))
     if subject.major < 3 or not (might or asked):
         return not_offered(
@@ -284,12 +287,9 @@ def _asked_to_return(subject: Subject, kind: str) -> tuple[bool, str]:
 _STAIRS, _NEARER, _VISIBLE = 64, 0.1, 1e-7
 
 
-@check(
-    "intermediate update",
-    "it is called within each step, at times that do not go back, offers no early return that is not allowed, and changes nothing",
-    Scope.COSIMULATION,
-)
+@check("intermediate update", Scope.COSIMULATION)
 def intermediate_update(subject: Subject, kind: str) -> Finding:
+    """It is called within each step, at times that do not go back, offers no early return that is not allowed, and changes nothing."""
     if subject.major < 3 or not subject.can(kind, _UPDATE):
         return not_offered("FMI 2.0 has none." if subject.major < 3 else f"{_UPDATE} is false.")
     steps = min(subject.steps(kind), 2 * HOLD)
@@ -329,7 +329,7 @@ def intermediate_update(subject: Subject, kind: str) -> Finding:
         rows = _stepped(instance.begin(), steps, lambda: wrong and _stop(wrong[0]))
     if not calls[0]:
         return failed(f"it was never called in {steps} steps, though {_UPDATE} is true.")
-    different = elsewhere(subject, plain, rows)
+    different = _elsewhere(subject, plain, rows)
     if different:
         return failed(f"with a callback that only reads, {different} than without.")
     return passed(
@@ -354,8 +354,9 @@ def _stepped(instance: CheckedInstance, steps: int, after: Callable[[], object])
     return np.array(rows)
 
 
-@check("input derivatives", "a step with sloping inputs is what many small steps with stairs come to", Scope.COSIMULATION)
+@check("input derivatives", Scope.COSIMULATION)
 def input_derivatives(subject: Subject, kind: str) -> Finding:
+    """A step with sloping inputs is what many small steps with stairs come to."""
     if subject.major >= 3 or not subject.can(kind, "canInterpolateInputs"):
         return not_offered("FMI 3.0 has none." if subject.major >= 3 else "canInterpolateInputs is false.")
     inputs = subject.continuous_inputs
@@ -366,6 +367,7 @@ def input_derivatives(subject: Subject, kind: str) -> Finding:
     slope = (last - first) / length
 
     def end(stairs: int, slopes: np.ndarray | None, climb: np.ndarray = slope) -> np.ndarray:
+        """States (entries,) [unit of each] after the span, in so many stairs, with slopes (nu,) or without. Raises FMICallException."""
         with CheckedInstance(subject, kind) as instance:
             instance.begin()
             for stair in range(stairs):

@@ -28,12 +28,9 @@ _ZERO = 1e-6
 _RTOL, _LOOKS = 1e-8, 3
 
 
-@check(
-    "states and derivatives are the listed ones",
-    "the variables of the ModelStructure equal the arrays of states and derivatives, in order",
-    Scope.EXCHANGE,
-)
+@check("states and derivatives are the listed ones", Scope.EXCHANGE)
 def arrays(subject: Subject, kind: str) -> Finding:
+    """The variables of the ModelStructure equal the arrays of states and derivatives, in order."""
     steps = subject.steps(kind)
     count = int(subject.description.numberOfContinuousStates)
     if not count:
@@ -69,8 +66,9 @@ def _unequal(instance: CheckedInstance, what: str, variables: list[FmuVariable],
     return []
 
 
-@check("nominals are the XML's", "the nominals of the states are positive and those of the description", Scope.EXCHANGE)
+@check("nominals are the XML's", Scope.EXCHANGE)
 def nominals(subject: Subject, kind: str) -> Finding:
+    """The nominals of the states are positive and those of the description."""
     count = int(subject.description.numberOfContinuousStates)
     if not count:
         return not_offered("there are no continuous states.")
@@ -86,12 +84,9 @@ def nominals(subject: Subject, kind: str) -> Finding:
     return passed(f"{count} nominals; {given} are given in the description and agree.")
 
 
-@check(
-    "event indicators announce events",
-    "they pass through zero continuously, and nothing changes at an event update that no indicator or time announced",
-    Scope.EXCHANGE,
-)
+@check("event indicators announce events", Scope.EXCHANGE)
 def indicators(subject: Subject, kind: str) -> Finding:
+    """They pass through zero continuously, and nothing changes at an event update that no indicator or time announced."""
     with CheckedInstance(subject, kind) as instance:
         instance.begin()
         count = instance.indicator_count
@@ -165,8 +160,9 @@ class _Traces:
     events: int
 
 
-@check("Model Exchange equals Co-Simulation", "as the step shrinks, or within the FMU's tolerance", Scope.FILE)
+@check("Model Exchange equals Co-Simulation", Scope.FILE)
 def agree(subject: Subject) -> Finding:
+    """As the step shrinks, or within the FMU's tolerance."""
     if subject.types != ("ME", "CS"):
         return not_offered(f"the FMU offers {' and '.join(subject.types)} only.")
     compared = [

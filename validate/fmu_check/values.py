@@ -18,8 +18,9 @@ _SINGLE = 1e-6
 _MOVED = 0.01
 
 
-@check("variables can be read", "after initialisation each variable's value reference is accepted", Scope.EACH)
+@check("variables can be read", Scope.EACH)
 def readable(subject: Subject, kind: str) -> Finding:
+    """After initialisation each variable's value reference is accepted."""
     with CheckedInstance(subject, kind) as instance:
         instance.begin()
         problems = []
@@ -38,8 +39,9 @@ def _exact(subject: Subject) -> list[FmuVariable]:
     return [item for item in subject.variables if item.start is not None and (item.initial == "exact" or item.causality == "input")]
 
 
-@check("start values are the XML's", "in Initialization Mode variables have the start values of the description", Scope.EACH)
+@check("start values are the XML's", Scope.EACH)
 def starts(subject: Subject, kind: str) -> Finding:
+    """In Initialization Mode variables have the start values of the description."""
     variables = _exact(subject)
     if not variables:
         return not_offered("no variable has a start value that counts.")
@@ -73,8 +75,9 @@ def _moved(item: FmuVariable) -> np.ndarray | None:
     return None if np.array_equal(value, item.start) else value
 
 
-@check("start values are obeyed", "a start value set before or in initialisation is the value from then on", Scope.EACH)
+@check("start values are obeyed", Scope.EACH)
 def obeyed(subject: Subject, kind: str) -> Finding:
+    """A start value set before or in initialisation is the value from then on."""
     moved = {item: value for item in _exact(subject) if (value := _moved(item)) is not None}
     if not moved:
         return not_offered("no start value can be moved.")
@@ -140,8 +143,9 @@ def _ignored(item: FmuVariable, phase: str, value: np.ndarray, inside: np.ndarra
     return []
 
 
-@check("values stay finite", "no variable becomes infinite or not a number in a run with moderate inputs", Scope.EACH)
+@check("values stay finite", Scope.EACH)
 def finite(subject: Subject, kind: str) -> Finding:
+    """No variable becomes infinite or not a number in a run with moderate inputs."""
     steps = subject.long_steps(kind)
     with CheckedInstance(subject, kind) as instance:
         rows = run(instance.begin(), 0, steps)
@@ -153,10 +157,9 @@ def finite(subject: Subject, kind: str) -> Finding:
     return passed(f"{rows.shape[1]} values over {len(rows) - 1} steps of {subject.step:g} s.")
 
 
-@check(
-    "order of reading does not matter", "values do not depend on which variables were read before, how often and in which order", Scope.EACH
-)
+@check("order of reading does not matter", Scope.EACH)
 def get_order(subject: Subject, kind: str) -> Finding:
+    """Values do not depend on which variables were read before, how often and in which order."""
     steps = min(subject.steps(kind), 20)
     observed = subject.observed
     dice = np.random.default_rng(5)

@@ -36,7 +36,8 @@ class HasTrajectory(Protocol):
     """What a method hands back (formulations.solution.Solution)."""
 
     @property
-    def trajectory(self) -> Trajectory | None: ...
+    def trajectory(self) -> Trajectory | None:
+        """The plan, or None."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,6 +51,7 @@ class Judgement:
 
     @property
     def verdict(self) -> Verdict:
+        """The verdict of the score."""
         return self.score.verdict
 
     @property
@@ -99,8 +101,10 @@ def judge(
 
 
 def judge_trajectory(scene: Scene, fmu: Path, plan: Trajectory, *, feedback: bool = False, limits: Limits | None = None) -> Judgement:
-    """The same of a Trajectory and the scene's FMU, its times counted from its start. feedback: replay with feedback even where the verdict does not
-    need it."""
+    """Judge a Trajectory, its times counted from its start, on the scene's FMU.
+
+    feedback: replay with feedback even where the verdict does not need it. Raises TrajectoryError if the plan does not fit the scene, MachineError.
+    """
     from validate.judge.replay.run import replay
 
     plan = plan.from_zero()

@@ -40,9 +40,21 @@ _MOST_PARTS = 3000
 
 
 def lowest_between(t: np.ndarray, gap: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(n-1, nc) each: the least value of the cubic between two rows, and where, as a share of the piece; at an end where it falls or rises throughout.
+    """Least value, between two rows, of the cubic through the gaps with their rates at both ends.
 
-    gap, rate (n, nc) [m, m/s] at t (n,).
+    Parameters
+    ----------
+    t : (n,) times of the rows [s].
+    gap : (n, nc) gaps [m].
+    rate : (n, nc) rates of the gaps [m/s].
+
+    Returns
+    -------
+    (n-1, nc) least values [m], and (n-1, nc) where, as a share of the piece [-]; at an end where it falls or rises throughout.
+
+    Raises
+    ------
+    ValueError : if the shapes do not fit.
     """
     h = np.diff(t)[:, None]
     first, last, slope_first, slope_last = gap[:-1], gap[1:], h * rate[:-1], h * rate[1:]
@@ -74,7 +86,18 @@ def overlooked(kernel: Kernel, replayed: Replay) -> float | None:
 
 
 def with_steps_of(subject: Subject, times: np.ndarray, settings: ReplaySettings) -> ReplaySettings:
-    """Settings for a plan of nodes `times` [s], however long its steps are: nothing is seen less often than on the task's own grid."""
+    """Settings for a plan, however long its steps are: nothing is seen less often than on the task's own grid.
+
+    Parameters
+    ----------
+    subject : its task says the step.
+    times : (nodes,) of the plan [s].
+    settings : for a plan on the task's own grid.
+
+    Raises
+    ------
+    ValueError : for fewer than two nodes.
+    """
     step = float(subject.task.step)  # type: ignore[union-attr] - every subject that is replayed has one
     longest = math.ceil(float(np.diff(times).max()) / step - 1e-6)
     parts = min(settings.parts * max(1, longest), _MOST_PARTS)
@@ -83,7 +106,22 @@ def with_steps_of(subject: Subject, times: np.ndarray, settings: ReplaySettings)
 
 
 def with_max_step(scene: Scene, times: np.ndarray, settings: ReplaySettings, longest: float) -> ReplaySettings | None:
-    """The same with integrator steps of at most `longest` [s], in the everyday replay too; None where that takes more than a million."""
+    """Settings with integrator steps of at most `longest`, in the everyday replay too.
+
+    Parameters
+    ----------
+    times : (nodes,) of the plan [s].
+    settings : the settings so far.
+    longest : [s].
+
+    Returns
+    -------
+    The settings; None where that takes more than a million steps.
+
+    Raises
+    ------
+    ZeroDivisionError : for a step of 0.
+    """
     if np.ptp(times) / longest > _MOST:
         return None
     factor = max(1, math.ceil(base_step(times) / min(settings.fineness, default=1) / longest))
@@ -205,12 +243,24 @@ def heeds_step(coarse: AtNodes | None, fine: AtNodes | None) -> bool:
 
 
 def local_errors(fine: AtNodes | None, coarse_steps: AtNodes | None, times: np.ndarray, carried: bool, heeds: bool) -> Difference | None:
-    """What halving each step changed in that step, summed over the steps; None without a rollback, or if half the step changes nothing and it is not
-    known that the FMU `heeds` its step.
+    """What halving each step changed in that step, summed over the steps.
 
-    coarse_steps: where each coarse step ended (steps, ...), from the fine run's node (nodes, ...) before it; times (nodes,) [s].
-    carried: an error of velocity goes on as one of position until the end, dq/dt = v. That overstates (bouncing_mass: 12 times the error of the
-    coarser run, three_cart 4 times), the sum alone understates (0.4 to 0.6 times): forces turn an error of velocity round.
+    Parameters
+    ----------
+    fine : the run that is kept, at the plan's nodes.
+    coarse_steps : where each coarse step ended, q, v (steps, nq) and gap (steps, nc), from the fine run's node before it.
+    times : (nodes,) [s].
+    carried : an error of velocity goes on as one of position until the end, dq/dt = v. That overstates (bouncing_mass: 12 times the error of the
+        coarser run, three_cart 4 times), the sum alone understates (0.4 to 0.6 times): forces turn an error of velocity round.
+    heeds : whether the FMU is known to obey its step.
+
+    Returns
+    -------
+    None without a rollback, or if half the step changes nothing and it is not known that the FMU heeds its step.
+
+    Raises
+    ------
+    ValueError : if the two runs have other shapes.
     """
     if fine is None or coarse_steps is None:
         return None

@@ -16,8 +16,11 @@ DIVERGENCE = 1e9
 
 @dataclass(kw_only=True)
 class Run:
-    """What one simulation recorded: times, outputs of the model and accumulated quantities per point; rows that are nodes;
-    events as (time, indicator, closes); with feedback the inputs applied from the start of each step on; with rollback what halving each step changed."""
+    """What one simulation recorded, point by point.
+
+    Times, outputs of the model and accumulated quantities per point; rows that are nodes; events as (time, indicator, closes); with feedback the
+    inputs applied from the start of each step on; with rollback what halving each step changed.
+    """
 
     t: list[float] = field(default_factory=list)
     outputs: list[np.ndarray] = field(default_factory=list)

@@ -52,9 +52,11 @@ class Growth:
 
 @dataclass(frozen=True, kw_only=True)
 class Event:
-    """A gap that closed or opened at `time` [s]. `contact`: its name; or the force's name of a friction that began to stick or to slip; or
-    the name of the push of a damped contact that was released (closes, because its push fell below zero) or pressed again; or
-    `indicator_<n>` where the FMU has indicators of its own."""
+    """A gap that closed or opened at `time` [s].
+
+    contact: its name; or the force's name of a friction that began to stick or to slip; or the name of the push of a damped contact that was released
+    (closes, because its push fell below zero) or pressed again; or `indicator_<n>` where the FMU has indicators of its own.
+    """
 
     time: float
     contact: str
@@ -187,6 +189,7 @@ class Replay:
 
     @property
     def ok(self) -> bool:
+        """Whether it reached the end of the plan."""
         return self.outcome is ReplayOutcome.OK
 
     @property
@@ -196,10 +199,10 @@ class Replay:
 
     @property
     def end(self) -> np.ndarray:
-        """(2*nq,) state where the replay ended."""
+        """State where the replay ended, (2*nq,) positions [m or rad], then velocities [m/s or rad/s]. Raises IndexError for a replay without a row."""
         return np.concatenate([self.q[-1], self.v[-1]])
 
     @property
     def energy(self) -> np.ndarray:
-        """(n,) kinetic + potential + contact energy [J]."""
+        """Kinetic, potential and contact energy at each row, (n,) [J]. Raises TypeError where one of them is missing."""
         return self.kinetic_energy + self.potential_energy + self.contact_energy

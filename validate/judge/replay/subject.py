@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignCoordinate:
+    """A position that the map names, and its velocity, in the plan's units."""
+
     name: str
     velocity_name: str
     unit: str = "1"
@@ -45,6 +47,8 @@ class ForeignCoordinate:
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignInput:
+    """An input that the map names, with its bounds in the plan's unit."""
+
     name: str
     unit: str = "1"
     lower: float = -math.inf
@@ -54,6 +58,8 @@ class ForeignInput:
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignContact:
+    """A contact that the map names; depth [m]: penetration at which its model ends."""
+
     name: str
     force_name: str
     gap_name: str
@@ -65,11 +71,11 @@ class ForeignContact:
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignTask:
-    """start, goal: (2*nq,) positions, then velocities; None where nothing is asked. step [s]: a task of an FMU has none of its own, and counts as one of
-    500 steps, so that a plan may be a thousandth of its duration off; the plan's shortest where there is no duration. The plan's own would let a plan
-    of two rows last as it likes.
+    """What a plan on somebody's FMU is to do.
 
-    duration: how long a plan of this task lasts [s], None where the map does not say.
+    start, goal: (2*nq,) positions, then velocities; None where nothing is asked. step [s]: a task of an FMU has none of its own, and counts as one of
+    500 steps, so that a plan may be a thousandth of its duration off; the plan's shortest where there is no duration. The plan's own would let a plan
+    of two rows last as it likes. duration: how long a plan of this task lasts [s], None where the map does not say.
     """
 
     start: tuple[float | None, ...]
@@ -84,15 +90,17 @@ class ForeignTask:
 
     @property
     def has_goal(self) -> bool:
+        """Whether any position or velocity has a goal."""
         return any(value is not None for value in self.goal)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignModel:
-    """lacks: what cannot be shown, as {"v": "no velocities are named", ...}; keys are v, lam, gap.
+    """A model of which only the FMU is known: what replay and score ask of a scene, in the same words.
 
-    accuracy: how wrong the author says its Co-Simulation may be, infinite in what is not stated; None: nothing is stated. not_asked: a sentence
-    for each question of the verdict that cannot be asked, with what would make it askable; each begins with the metrics it is about. notes: what else is to be told.
+    lacks: what cannot be shown, as {"v": "no velocities are named", ...}; keys are v, lam, gap. accuracy: how wrong the author says its
+    Co-Simulation may be, infinite in what is not stated; None: nothing is stated. not_asked: a sentence for each question of the verdict that cannot
+    be asked, with what would make it askable; each begins with the metrics it is about. notes: what else is to be reported.
     """
 
     name: str
@@ -112,22 +120,27 @@ class ForeignModel:
 
     @property
     def nq(self) -> int:
+        """Number of positions."""
         return len(self.coordinates)
 
     @property
     def nu(self) -> int:
+        """Number of inputs."""
         return len(self.inputs)
 
     @property
     def nc(self) -> int:
+        """Number of contacts."""
         return len(self.contacts)
 
     @property
     def nl(self) -> int:
+        """Number of forces: the contacts', as an FMU's frictions are its own."""
         return self.nc
 
     @property
     def force_names(self) -> tuple[str, ...]:
+        """Columns of the contact forces."""
         return tuple(contact.force_name for contact in self.contacts)
 
     @property
@@ -144,7 +157,11 @@ Subject = Scene | ForeignModel
 
 
 class Outputs:
-    """q, v (n, nq), lam, gap (n, nc), friction (n, nf), zero where the FMU does not give it,, kinetic, potential, contact energy (n,) of a run, at all its points or at some rows."""
+    """The numbers of a run by name, at all its points or at some rows.
+
+    q, v (n, nq), lam, gap (n, nc), friction (n, nf): zero where neither the FMU nor a scene gives them; kinetic, potential, contact: energies
+    (n,) [J].
+    """
 
     def __init__(self, scene: Subject, variables: Variables, run: Run, rows: list[int] | None = None) -> None:
         self._scene, self._variables = scene, variables
@@ -174,13 +191,22 @@ class Outputs:
 
     @property
     def contact_impulse(self) -> np.ndarray | None:
-        """(n, nc) since the start; None where it was not integrated."""
+        """Contact impulse since the start, (n, nc) [N s]; None where it was not integrated. Raises nothing."""
         if self._accumulated is None or len(self._variables.lam) != self._scene.nc:
             return None
         return self._accumulated[:, : self._scene.nc].copy()
 
     def work(self, power: str) -> np.ndarray | None:
-        """(n,) since the start, of one of the powers; None where it was not integrated."""
+        """Work since the start of one of the powers.
+
+        Parameters
+        ----------
+        power : a name of wiring.POWERS.
+
+        Returns
+        -------
+        (n,) [J]; None where it was not integrated. Raises nothing.
+        """
         if power in self._variables.zero:
             return np.zeros(self._count)
         if self._accumulated is None or power not in self._variables.powers:
