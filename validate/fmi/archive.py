@@ -313,14 +313,18 @@ class _Examination:
             yield self._problem("binary", f"it has no binary for this machine ({self._library(interface)}); {has}.")
 
     def _library(self, interface: dict[str, str]) -> str:
-        identifier = interface.get("modelIdentifier", "")
-        return f"binaries/{platform_folder(self._root.get('fmiVersion', ''))}/{identifier}{_ENDINGS.get(_system(), '.so')}"
+        return binary_name(self._root.get("fmiVersion", ""), interface.get("modelIdentifier", ""))
 
     def _platforms(self) -> tuple[str, ...]:
         return tuple(sorted({PurePosixPath(name).parts[1] for name in self._names if re.match(r"binaries/[^/]+/.", name)}))
 
 
-def platform_folder(version: str) -> str:
+def binary_name(version: str, identifier: str) -> str:
+    """Where the archive has the binary for this machine."""
+    return f"binaries/{_platform_folder(version)}/{identifier}{_ENDINGS.get(_system(), '.so')}"
+
+
+def _platform_folder(version: str) -> str:
     """FMI's name of this machine in `binaries/`, which FMI 3 changed."""
     bits = "64" if sys.maxsize > 2**32 else "32"
     if _is_three(version):

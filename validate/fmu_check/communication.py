@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,7 +16,7 @@ from fmpy.fmi1 import FMICallException
 from validate.fmi.instance import Misbehaviour, TerminationRequested
 from validate.fmu_check.motion import compare, run
 from validate.fmu_check.result import Finding, Scope, check, failed, not_offered, passed
-from validate.fmu_check.subject import HOLD, CheckedInstance, FmuVariable, Subject
+from validate.fmu_check.subject import HOLD, CheckedInstance, FmuVariable, Subject, entry_names
 
 # Two times are the same if they differ by less than this share of a step.
 _SAME = 1e-6
@@ -320,13 +319,18 @@ def intermediate_update(subject: Subject, kind: str) -> Finding:
                 if not finite:
                     wrong.append(f"at t = {time:.6g} s a value is no finite number")
 
+    def stepped(instance: CheckedInstance, step: int) -> None:
+        instance.time = subject.time(step + 1)
+        if wrong:
+            raise Misbehaviour(wrong[0])
+
     watched: list[FmuVariable] = [item for item in subject.outputs if item.is_float]
     with CheckedInstance(subject, kind) as instance:
-        plain = _stepped(instance.begin(), steps, lambda: None)
+        plain = run(instance.begin(), 0, steps)
     options = {"intermediateUpdate": update, "requiredIntermediateVariables": [item.reference for item in watched]}
     with CheckedInstance(subject, kind, options=options) as instance:
         reading.append(instance)
-        rows = _stepped(instance.begin(), steps, lambda: wrong and _stop(wrong[0]))
+        rows = run(instance.begin(), 0, steps, after=lambda step: stepped(instance, step))
     if not calls[0]:
         return failed(f"it was never called in {steps} steps, though {_UPDATE} is true.")
     different = _elsewhere(subject, plain, rows)
@@ -335,23 +339,6 @@ def intermediate_update(subject: Subject, kind: str) -> Finding:
     return passed(
         f"{calls[0]} calls in {steps} steps, {calls[1]} of them to read {len(watched)} values; times within the step and never back."
     )
-
-
-def _stop(sentence: str) -> None:
-    raise Misbehaviour(sentence)
-
-
-def _stepped(instance: CheckedInstance, steps: int, after: Callable[[], object]) -> np.ndarray:
-    subject = instance.subject
-    rows = [instance.observe()]
-    for step in range(steps):
-        if step % HOLD == 0 and subject.continuous_inputs:
-            instance.set(subject.continuous_inputs, subject.inputs_at(step))
-        instance.time = subject.time(step)
-        instance.do_step(instance.time, subject.time(step + 1) - instance.time)
-        after()
-        rows.append(instance.observe())
-    return np.array(rows)
 
 
 @check("input derivatives", Scope.COSIMULATION)
@@ -395,7 +382,7 @@ def input_derivatives(subject: Subject, kind: str) -> Finding:
     away = np.abs(sloping - line) / scale
     worst = int(np.argmax(away - _NEARER * effect))
     if away[worst] > _NEARER * effect[worst] + _VISIBLE:
-        names = [item.name for item in subject.states for _ in range(item.size)]
+        names = entry_names(subject.states)
         return failed(
             f"after {length:g} s with sloping inputs {names[worst]} is {sloping[worst]:.9g}; {_STAIRS} stairs along the slope give {line[worst]:.9g}, no slope {held[worst]:.9g}."
         )

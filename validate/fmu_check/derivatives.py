@@ -10,6 +10,7 @@ Points at which an FMU is a function of its states and inputs: where derivatives
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 from collections.abc import Callable, Iterator
@@ -20,7 +21,7 @@ from fmpy.fmi1 import FMICallException
 
 from validate.fmu_check.motion import Record, run
 from validate.fmu_check.result import Finding, Scope, check, failed, listed, not_offered, passed
-from validate.fmu_check.subject import CheckedInstance, FmuVariable, Subject
+from validate.fmu_check.subject import CheckedInstance, FmuVariable, Subject, entry_names, entry_scales
 
 # Steps: from this share of the variable's size, each a quarter of the one before.
 _LARGEST, _COUNT = 1e-2, 9
@@ -125,7 +126,11 @@ class _CheckedPoint:
 
     def sizes(self) -> np.ndarray:
         """Typical sizes of the knowns' entries, (entries,) [unit of each]. Raises nothing."""
-        return np.concatenate([np.full(item.size, item.scale) for item in self.knowns])
+        return entry_scales(self.knowns)
+
+    def column(self, place: int, largest: float = _LARGEST) -> _DerivativeColumn:
+        """The derivatives by entry `place` of x, by finite differences."""
+        return _column(self.evaluate, self.x, place, self.sizes()[place], largest)
 
     def entries(self) -> list[tuple[int, FmuVariable]]:
         """(place in x, known) of the entries to look at: all, or some of a large FMU."""
@@ -137,7 +142,7 @@ class _CheckedPoint:
 
     def names(self) -> list[str]:
         """Of the unknowns' entries."""
-        return [item.name for item in self.unknowns for _ in range(item.size)]
+        return entry_names(self.unknowns)
 
 
 def _points(subject: Subject, kind: str) -> Iterator[_CheckedPoint]:
@@ -219,31 +224,26 @@ def directional(subject: Subject, kind: str) -> Finding:
     ability = "providesDirectionalDerivative" if subject.major == 2 else "providesDirectionalDerivatives"
     if not subject.can(kind, ability):
         return not_offered(f"{ability} is false.")
-    looked = sharp = kinks = 0
+    looked = sharp = kinks = places = 0
     wrong: list[str] = []
-    places = 0
-    for point in _points(subject, kind):
-        places += 1
+
+    def look(point: _CheckedPoint) -> None:
+        nonlocal looked, sharp, kinks, places
         for place, known in point.entries():
             claimed = _claimed(point, place)
-            found = _column(point.evaluate, point.x, place, point.sizes()[place])
+            found = point.column(place)
             looked += claimed.size
             sharp += int(np.sum(_resolved(claimed, found)))
             kinks += int(np.sum(found.kink))
-            wrong += _wrong(point, place, known, claimed, found)
+            wrong.extend(_wrong(point, place, known, claimed, found))
+        places += 1
+
+    for point in _points(subject, kind):
+        look(point)
     initial = _initial_point(subject, kind)
     if initial is not None:
-        try:
-            for place, known in initial.entries():
-                claimed = _claimed(initial, place)
-                found = _column(initial.evaluate, initial.x, place, initial.sizes()[place])
-                looked += claimed.size
-                sharp += int(np.sum(_resolved(claimed, found)))
-                kinks += int(np.sum(found.kink))
-                wrong += _wrong(initial, place, known, claimed, found)
-            places += 1
-        except FMICallException:
-            pass  # derivatives by parameters, or of a value outside its range: not every FMU has them
+        with contextlib.suppress(FMICallException):  # derivatives by parameters, or of a value outside its range: not every FMU has them
+            look(initial)
     if wrong:
         return failed(listed(wrong))
     if not looked:
@@ -273,7 +273,7 @@ def _wrong(point: _CheckedPoint, place: int, known: FmuVariable, claimed: np.nda
     bad = ~_agrees(claimed, found)
     if not bad.any():
         return []
-    again = _column(point.evaluate, point.x, place, point.sizes()[place], _OTHER_STEPS)
+    again = point.column(place, _OTHER_STEPS)
     bad &= ~_agrees(claimed, again)
     names = point.names()
     return [
@@ -292,7 +292,7 @@ def adjoint(subject: Subject, kind: str) -> Finding:
     for point in _points(subject, kind):
         if len(point.entries()) < point.x.size:
             return not_offered("the model is too large for all columns.")
-        columns = [_column(point.evaluate, point.x, place, point.sizes()[place]) for place, _ in point.entries()]
+        columns = [point.column(place) for place, _ in point.entries()]
         point.back()
         rows = sum(item.size for item in point.unknowns)
         for seed in [*np.eye(rows), dice.uniform(-1.0, 1.0, rows)]:
@@ -385,7 +385,7 @@ def _factors(
         rows = [row for row, name in enumerate(names) if declared.get(name, {}).get(known.name) in ("constant", "fixed")]
         if not rows:
             continue
-        found = _column(point.evaluate, point.x, place, point.sizes()[place])
+        found = point.column(place)
         point.back()
         for row in rows:
             value, error = float(found.value[row]), float(found.error[row])

@@ -18,7 +18,7 @@ from fmpy.fmi1 import FMICallException
 from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.motion import Crowded, Exchange, run
 from validate.fmu_check.result import Finding, Scope, check, failed, not_offered, passed
-from validate.fmu_check.subject import HOLD, CheckedInstance, FmuVariable, Subject
+from validate.fmu_check.subject import HOLD, CheckedInstance, FmuVariable, Subject, entry_names, entry_scales
 
 # Values read in two ways are the same number.
 _SAME = 1e-12
@@ -61,7 +61,7 @@ def arrays(subject: Subject, kind: str) -> Finding:
 def _unequal(instance: CheckedInstance, what: str, variables: list[FmuVariable], values: np.ndarray, time: float) -> list[str]:
     read = instance.get(variables)
     for place in np.flatnonzero(~np.isclose(read, values, rtol=_SAME, atol=0.0, equal_nan=True)):
-        name = [item.name for item in variables for _ in range(item.size)][place]
+        name = entry_names(variables)[place]
         return [f"{what} {place} is {values[place]:.10g} in the array, but the variable {name} is {read[place]:.10g} at t = {time:.6g} s"]
     return []
 
@@ -181,8 +181,8 @@ def agree(subject: Subject) -> Finding:
 
 
 def _judge(subject: Subject, compared: list[FmuVariable], traces: _Traces) -> Finding:
-    names = [item.name for item in compared for _ in range(item.size)]
-    floor = np.concatenate([np.full(item.size, item.scale) for item in compared])
+    names = entry_names(compared)
+    floor = entry_scales(compared)
     size = np.maximum(np.abs(traces.reference).max(axis=0), 1e-3 * floor)
     finest = traces.parts[max(traces.parts)]
     apart = np.abs(finest - traces.reference)

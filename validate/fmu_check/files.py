@@ -18,7 +18,7 @@ from typing import Any
 
 from fmpy.validation import validate_fmu
 
-from validate.fmi.archive import platform_folder, problems
+from validate.fmi.archive import binary_name, problems
 from validate.fmi.versions import CLASSES
 from validate.fmu_check.result import Finding, Scope, check, failed, listed, not_offered, passed
 from validate.fmu_check.subject import FmuVariable, Subject
@@ -129,9 +129,7 @@ def archive(path: Path) -> Finding:
 
 def library_path(subject: Subject, kind: str) -> Path:
     """Where the binary for this machine must be."""
-    ending = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
-    folder = platform_folder(subject.description.fmiVersion)
-    return subject.folder / "binaries" / folder / f"{subject.interface(kind).modelIdentifier}{ending}"
+    return subject.folder / binary_name(subject.description.fmiVersion, subject.interface(kind).modelIdentifier)
 
 
 @check("exported functions", Scope.EACH)

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from validate.fmi.instance import Misbehaviour
-from validate.fmu_check.subject import HOLD, CheckedInstance, Subject
+from validate.fmu_check.subject import HOLD, CheckedInstance, Subject, entry_names, entry_scales
 
 # Runs that should be equal may differ by this share of a variable's size where an FMU's own integrator starts afresh.
 _RESTART = 1e-6
@@ -55,8 +55,8 @@ def compare(subject: Subject, one: np.ndarray, other: np.ndarray) -> MotionDiffe
         return MotionDifference(False, np.inf, np.inf, f"the length of the run ({len(one)} against {len(other)} steps)", rows)
     if np.array_equal(one, other, equal_nan=True):
         return MotionDifference(True, 0.0, 0.0, "", 0)
-    names = [item.name for item in subject.observed for _ in range(item.size)]
-    scales = np.concatenate([np.full(item.size, item.scale) for item in subject.observed])
+    names = entry_names(subject.observed)
+    scales = entry_scales(subject.observed)
     with np.errstate(invalid="ignore"):
         apart = np.where(one == other, 0.0, np.abs(one - other))
     apart = np.where(np.isnan(one) & np.isnan(other), 0.0, np.nan_to_num(apart, nan=np.inf, posinf=np.inf))
@@ -262,7 +262,7 @@ class Exchange:
             place = int(np.argmax(jump))
             if jump[place] > _JUMP:
                 subject = instance.subject
-                names = [item.name for item in (subject.states if what == "state" else subject.derivatives) for _ in range(item.size)]
+                names = entry_names(subject.states if what == "state" else subject.derivatives)
                 name = names[place] if place < len(names) else f"{what} {place}"
                 self.record.surprises.append(f"{name} from {old[place]:.6g} to {new[place]:.6g} at t = {self.time:.6g} s")
 

@@ -429,5 +429,15 @@ class CheckedInstance(Instance):
         return np.array(self.fmu.adjoint(_references(unknowns), _references(knowns), seed, sum(item.size for item in knowns)))
 
 
+def entry_names(variables: Sequence[FmuVariable]) -> list[str]:
+    """The name of each entry of some variables, as `CheckedInstance.get` orders them."""
+    return [item.name for item in variables for _ in range(item.size)]
+
+
+def entry_scales(variables: Sequence[FmuVariable]) -> np.ndarray:
+    """Typical magnitude of each entry of some variables, (entries,) [unit of each]. Raises ValueError for no variables."""
+    return np.concatenate([np.full(item.size, item.scale) for item in variables])
+
+
 def _references(variables: Sequence[FmuVariable]) -> list[int]:
     return [item.reference for item in variables]

@@ -8,7 +8,7 @@ from fmpy.fmi1 import FMICallException
 from validate.fmi.instance import Misbehaviour
 from validate.fmu_check.motion import compare, run
 from validate.fmu_check.result import Finding, Scope, check, failed, listed, not_offered, passed
-from validate.fmu_check.subject import CheckedInstance, FmuVariable, Subject
+from validate.fmu_check.subject import CheckedInstance, FmuVariable, Subject, entry_names
 
 # A start value may lose its last digits on its way through text.
 _TEXT = 1e-9
@@ -151,7 +151,7 @@ def finite(subject: Subject, kind: str) -> Finding:
         rows = run(instance.begin(), 0, steps)
     bad = np.argwhere(~np.isfinite(rows))
     if len(bad):
-        names = [item.name for item in subject.observed for _ in range(item.size)]
+        names = entry_names(subject.observed)
         row, column = bad[0]
         return failed(f"{names[column]} is {rows[row, column]} at t = {subject.time(row):.6g} s.")
     return passed(f"{rows.shape[1]} values over {len(rows) - 1} steps of {subject.step:g} s.")

@@ -16,7 +16,8 @@ one as that is from the first-order model, D v = F.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import operator
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol
 
@@ -30,7 +31,7 @@ from validate.execution.isolated import Limits
 from validate.fmi.description import Package
 from validate.judge.replay.everyday import base_step
 from validate.judge.replay.job import ReplaySettings, run_job
-from validate.judge.replay.result import Difference, Replay, ReplayError, ReplayOutcome, StepSource
+from validate.judge.replay.result import Difference, Replay, ReplayError, ReplayOutcome
 from validate.judge.replay.subject import Outputs, Subject, find_variables
 from validate.judge.replay.wiring import Feedback, Variables
 
@@ -143,12 +144,12 @@ def fine_enough(scene: Scene, plan: Trajectory, settings: ReplaySettings) -> Rep
     return replace(settings, fineness=tuple(factor * fineness for fineness in sorted(settings.fineness)[:2]))
 
 
-def twice_the_lag(package: Package, scene: Scene, names: Mapping[str, str] | None) -> Variables | None:
+def twice_the_lag(package: Package, scene: Scene) -> Variables | None:
     """The FMU's variables with twice the relaxation time; None for a scene with inertia, or an FMU that does not know the time."""
     if scene.lag is None:
         return None
-    twice = find_variables(package, scene.continuous(2.0 * scene.lag), names)
-    return None if twice == find_variables(package, scene, names) else twice
+    twice = find_variables(package, scene.continuous(2.0 * scene.lag))
+    return None if twice == find_variables(package, scene) else twice
 
 
 def with_lag_error(
@@ -174,7 +175,7 @@ def with_lag_error(
         note = f"What the relaxation time does is not known: with twice as much, {run.message or run.outcome.value}"
         return replace(replayed, error=replace(replayed.error, estimate=None), message=f"{replayed.message} {note}".lstrip())
     lag, estimate = difference(Outputs(scene, twice, run, run.knots), _Nodes(replayed)), replayed.error.estimate
-    both = None if lag is None or estimate is None else _sum(estimate, lag)
+    both = None if lag is None or estimate is None else _by_entry(operator.add, estimate, lag)
     return replace(replayed, error=replace(replayed.error, lag=lag, estimate=both))
 
 
@@ -185,8 +186,9 @@ class _Nodes:
         self.q, self.v, self.gap = (array[replay.knots] for array in (replay.q, replay.v, replay.gap))
 
 
-def _sum(one: Difference, other: Difference) -> Difference:
-    return Difference(position=one.position + other.position, state=one.state + other.state, gap=one.gap + other.gap)
+def _by_entry(function: Callable[..., float], *of: Difference) -> Difference:
+    """A function of each entry of some differences."""
+    return Difference(**{name: function(*(getattr(item, name) for item in of)) for name in ("position", "state", "gap")})
 
 
 # The everyday replay is explained by its own step error if it is within this factor of its step halving: to first order the
@@ -200,22 +202,6 @@ class AtNodes(Protocol):
     q: np.ndarray
     v: np.ndarray
     gap: np.ndarray
-
-
-# By whether there is a second run, and a rollback.
-_SOURCES: dict[tuple[bool, bool], StepSource] = {
-    (False, False): "none",
-    (True, False): "second run",
-    (False, True): "rollback",
-    (True, True): "second run and rollback",
-}
-# The same where the author states an accuracy too.
-_STATED: dict[StepSource, StepSource] = {
-    "none": "stated",
-    "second run": "second run, stated",
-    "rollback": "rollback, stated",
-    "second run and rollback": "second run and rollback, stated",
-}
 
 
 def difference(one: AtNodes | None, other: AtNodes | None) -> Difference | None:
@@ -285,16 +271,12 @@ def larger(one: Difference | None, other: Difference | None) -> Difference | Non
     """Entry by entry, or the one there is."""
     if one is None or other is None:
         return other if one is None else one
-    return Difference(position=max(one.position, other.position), state=max(one.state, other.state), gap=max(one.gap, other.gap))
+    return _by_entry(max, one, other)
 
 
-def _larger_where_stated(measured: Difference, stated: Difference) -> Difference:
-    """Entry by entry; what the runs say where nothing is stated."""
-    return Difference(
-        position=max(measured.position, stated.position) if math.isfinite(stated.position) else measured.position,
-        state=max(measured.state, stated.state) if math.isfinite(stated.state) else measured.state,
-        gap=max(measured.gap, stated.gap) if math.isfinite(stated.gap) else measured.gap,
-    )
+def _larger_where_stated(measured: float, stated: float) -> float:
+    """What the runs say where nothing is stated."""
+    return max(measured, stated) if math.isfinite(stated) else measured
 
 
 def step_ratio(before: Difference | None, after: Difference | None) -> float | None:
@@ -315,23 +297,25 @@ def estimate(
     stated: Difference | None = None,
 ) -> ReplayError:
     """The error of the judged trajectory by the rule that `ReplayError` states."""
-    source = _SOURCES[step is not None, rollback is not None]
+    source = " and ".join(name for name, found in (("second run", step), ("rollback", rollback)) if found is not None)
     if not has_reference:
         measured = larger(step, rollback)
         if stated is not None:
-            source = _STATED[source]
-            measured = stated if measured is None else _larger_where_stated(measured, stated)
-        return ReplayError(estimate=measured, step=step, step_ratio=ratio, rollback=rollback, step_source=source, stated=stated)
+            source = f"{source}, stated" if source else "stated"
+            measured = stated if measured is None else _by_entry(_larger_where_stated, measured, stated)
+        return ReplayError(estimate=measured, step=step, step_ratio=ratio, rollback=rollback, step_source=source or "none", stated=stated)
     # Where the looser reference did not get to the end, the everyday replay - another method - is as far away as the judged run may be wrong.
     judged = tolerance if tolerance is not None or step is None else larger(everyday, step) if everyday is not None else None
     if tolerance is not None and step is not None and everyday is not None:
-        judged = Difference(
-            position=_judged(tolerance.position, step.position, everyday.position),
-            state=_judged(tolerance.state, step.state, everyday.state),
-            gap=_judged(tolerance.gap, step.gap, everyday.gap),
-        )
+        judged = _by_entry(_judged, tolerance, step, everyday)
     return ReplayError(
-        estimate=judged, tolerance=tolerance, step=step, everyday=everyday, step_ratio=ratio, rollback=rollback, step_source=source
+        estimate=judged,
+        tolerance=tolerance,
+        step=step,
+        everyday=everyday,
+        step_ratio=ratio,
+        rollback=rollback,
+        step_source=source or "none",
     )
 
 

@@ -20,7 +20,7 @@ from validate.fmi.description import FmuError, Package
 from validate.fmi.instance import Instance, Misbehaviour, References, load_instance
 from validate.judge.replay.compiled import library
 from validate.judge.replay.compiled.library import Fmu, Reason, address_of
-from validate.judge.replay.recording import DIVERGENCE, Run
+from validate.judge.replay.result import DIVERGENCE, Run
 from validate.judge.replay.wiring import HeldInputs, Variables
 
 # Calls of doStep a plan step, of an FMU that has no internal step to set: its fineness over this.

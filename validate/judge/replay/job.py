@@ -23,9 +23,8 @@ from validate.fmi.instance import faults_of
 from validate.judge.replay.compiled.library import adopt, library_path
 from validate.judge.replay.everyday import RollbackError, everyday_refusal, offers_rollback, require_some_method
 from validate.judge.replay.everyday import simulate as simulate_everyday
-from validate.judge.replay.recording import Run
 from validate.judge.replay.reference import PARTS, ExchangeModel, integrate
-from validate.judge.replay.result import ReplayOutcome
+from validate.judge.replay.result import ReplayOutcome, Run
 from validate.judge.replay.wiring import Feedback, HeldInputs, Variables
 
 # Arrays of a run, and what the names of a feedback's arrays begin with on their way to a child.

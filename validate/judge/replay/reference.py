@@ -26,8 +26,7 @@ from validate.fmi.description import Package
 from validate.fmi.instance import References, load_instance
 from validate.judge.replay.compiled import library
 from validate.judge.replay.compiled.library import Fmu, Reason, address_of
-from validate.judge.replay.recording import DIVERGENCE, Run, Stop
-from validate.judge.replay.result import ReplayOutcome
+from validate.judge.replay.result import DIVERGENCE, ReplayOutcome, Run, Stop
 from validate.judge.replay.wiring import HeldInputs, Variables
 
 # Parts of each step of the plan at whose ends the motion is recorded: enough to see what happens between nodes.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,8 +28,7 @@ from validate.judge.replay.error_estimate import (
     with_steps_of,
 )
 from validate.judge.replay.job import ReplaySettings, Simulated, run_job
-from validate.judge.replay.recording import Run
-from validate.judge.replay.result import Difference, Event, Replay, ReplayError, ReplayOutcome
+from validate.judge.replay.result import Difference, Event, Replay, ReplayError, ReplayOutcome, Run
 from validate.judge.replay.subject import ForeignModel, Outputs, Subject, find_variables
 from validate.judge.replay.tracking import TrackingError, design_feedback, design_foreign, measure_growth
 from validate.judge.replay.wiring import Feedback, Variables, measure_effort
@@ -65,7 +64,6 @@ def replay(
     scene: Scene,
     fmu: Path,
     trajectory: Trajectory,
-    names: Mapping[str, str] | None = None,
     *,
     tolerances: tuple[float, float] = (LOOSE, TIGHT),
     fineness: tuple[int, ...] = FINENESS,
@@ -73,7 +71,7 @@ def replay(
     limits: Limits | None = None,
     track: bool | Callable[[Replay], bool] = False,
 ) -> Replay:
-    """Apply the plan's inputs from its start to the FMU of the scene, or to anybody's (`names`: scene name -> FMU name).
+    """Apply the plan's inputs from its start to the FMU of the scene.
 
     limits: run the FMU in a child process of its own; None runs it here, which is for our own FMU in a process that is a child already.
     track: whether to replay once more with feedback around the plan, or a function that says so of the replay of the inputs alone.
@@ -85,8 +83,8 @@ def replay(
     settings = with_steps_of(scene, trajectory.t, ReplaySettings(tolerances=tolerances, fineness=fineness, event_budget=event_budget))
     settings = fine_enough(scene, trajectory, settings)
     with nullcontext(read_package(fmu)) if limits is not None else unpacked(read_package(fmu)) as package:
-        variables = find_variables(package, scene, names)
-        twice = twice_the_lag(package, scene, names)
+        variables = find_variables(package, scene)
+        twice = twice_the_lag(package, scene)
         return _replay_twice(scene, package, variables, twice, trajectory, settings, limits, track)
 
 

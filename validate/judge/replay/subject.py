@@ -23,7 +23,7 @@ from models.scene import Scene
 from models.scene.scene import Limit
 from validate.fmi.archive import FmuError
 from validate.fmi.description import REAL, Package
-from validate.judge.replay.recording import Run
+from validate.judge.replay.result import Run
 from validate.judge.replay.wiring import ENERGIES, INTERNAL_STEP, POWERS, Variables
 
 if TYPE_CHECKING:
@@ -230,12 +230,11 @@ class Outputs:
         return load_kernel(self._scene)
 
 
-def find_variables(package: Package, scene: Scene, names: Mapping[str, str] | None = None) -> Variables:
-    """The scene's variables in the FMU; `names` maps names of the scene to names in the FMU where they differ.
+def find_variables(package: Package, scene: Scene) -> Variables:
+    """The variables of the FMU that have the names of the scene's.
 
     Positions, velocities and inputs must be there; the rest may be missing. Raises FmuError naming the variable.
     """
-    names = dict(names or {})
     groups = {
         "q": tuple(item.name for item in scene.coordinates),
         "v": tuple(item.velocity_name for item in scene.coordinates),
@@ -244,22 +243,10 @@ def find_variables(package: Package, scene: Scene, names: Mapping[str, str] | No
         "gap": tuple(item.gap_name for item in scene.contacts),
         "friction": tuple(item.force_name for item in scene.frictions),
     }
-    known = (
-        {name for group in groups.values() for name in group}
-        | {item.name for item in scene.parameters}
-        | {*ENERGIES, *POWERS, INTERNAL_STEP}
-    )
-    for name in names:
-        if name not in known:
-            raise FmuError(
-                f"FMU {package.path}: the map names {name!r}, which scene {scene.name} does not have; it has {', '.join(sorted(known))}."
-            )
     by_name = {variable.name: variable for variable in package.description.modelVariables}
 
     def reference(name: str) -> int | None:
-        variable = by_name.get(names.get(name, name))
-        if variable is None and name in names:
-            raise FmuError(f"FMU {package.path}: the map gives {names[name]!r} for {name!r}, but the FMU has no such variable.")
+        variable = by_name.get(name)
         if variable is not None and variable.type not in REAL:
             raise FmuError(f"FMU {package.path}: {variable.name} is of type {variable.type}, but must be {' or '.join(REAL)}.")
         return None if variable is None else int(variable.valueReference)
@@ -274,13 +261,13 @@ def find_variables(package: Package, scene: Scene, names: Mapping[str, str] | No
             )
         found[which] = () if missing else tuple(item for item in references if item is not None)
     for name, item in zip(groups["u"], found["u"], strict=True):
-        if by_name[names.get(name, name)].causality != "input":
-            raise FmuError(f"FMU {package.path}: {names.get(name, name)} (value reference {item}) is no input, but the plan drives {name}.")
+        if by_name[name].causality != "input":
+            raise FmuError(f"FMU {package.path}: {name} (value reference {item}) is no input, but the plan drives it.")
 
     parameters = []
     for parameter in scene.parameters:
         item = reference(parameter.name)
-        if item is not None and by_name[names.get(parameter.name, parameter.name)].causality == "parameter":
+        if item is not None and by_name[parameter.name].causality == "parameter":
             parameters.append((item, parameter.value))
     structure = derive(scene).structure
     absent = {

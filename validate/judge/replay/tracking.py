@@ -294,29 +294,8 @@ def _edges(steps: int) -> np.ndarray:
     return np.linspace(0, steps, min(steps, _BLOCKS) + 1).round().astype(int)
 
 
-def flow_derivative(kernel: Kernel, state: np.ndarray, u: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of the state after some steps under the true contact law.
-
-    Parameters
-    ----------
-    kernel : of the scene.
-    state : (2*nq,) at the start [m or rad, then per second].
-    u : (n, nu) inputs [N or N m], one a step.
-    h : step [s].
-
-    Returns
-    -------
-    (2*nq, 2*nq) with respect to the state, and (2*nq, nu) with respect to a change of all the inputs by the same.
-
-    Raises
-    ------
-    KernelError : if the motion leaves every bound, or the mass matrix is not positive definite.
-    """
-    return FlowDerivative(kernel, len(u)).at(state, u, h)
-
-
 class FlowDerivative:
-    """`flow_derivative` for many states and inputs of `steps` steps, in buffers whose addresses are looked up once."""
+    """Derivatives of the state after `steps` steps under the true contact law, in buffers whose addresses are looked up once."""
 
     def __init__(self, kernel: Kernel, steps: int) -> None:
         scene = kernel.scene
@@ -332,7 +311,22 @@ class FlowDerivative:
         self._rows = self._start_bar.ctypes.data
 
     def at(self, state: np.ndarray, u: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
-        """As `flow_derivative`, at a state (2*nq,) under inputs u (steps, nu) [N or N m] with steps of h [s]. Raises KernelError."""
+        """Derivatives at a state, under its inputs.
+
+        Parameters
+        ----------
+        state : (2*nq,) at the start [m or rad], [m/s or rad/s].
+        u : (steps, nu) inputs [N or N m], one a step.
+        h : step [s].
+
+        Returns
+        -------
+        (2*nq, 2*nq) with respect to the state, and (2*nq, nu) with respect to a change of all the inputs by the same.
+
+        Raises
+        ------
+        KernelError : if the motion leaves every bound, or the mass matrix is not positive definite.
+        """
         scene, nq = self._scene, self._scene.nq
         self._start[:], self._u[:] = state, u
         head = (self._steps, h, self._kernel.parameters_of(h).ctypes.data, ContactLaw.RELU.value, 0.0)
