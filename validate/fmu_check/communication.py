@@ -1,4 +1,4 @@
-"""Communication steps: start and end, the time told, the stop time, and what Co-Simulation offers besides.
+"""Communication steps: start and end, the time that is reported, the stop time, and what Co-Simulation offers besides.
 
 That is events, early return, intermediate update of FMI 3.0 and input derivatives of FMI 2.0.
 """
@@ -32,9 +32,9 @@ def lives(subject: Subject, kind: str) -> Finding:
     version = {2: "2.0", 3: "3.0"}[subject.major]
     steps = subject.before_end(kind, _FIRST_STEPS)
     with CheckedInstance(subject, kind) as instance:
-        told = instance.fmu.getVersion()
-        if not told.startswith(version):
-            return failed(f"the binary says that it is FMI {told}, the description says {version}.")
+        answer = instance.fmu.getVersion()
+        if not answer.startswith(version):
+            return failed(f"the binary says that it is FMI {answer}, the description says {version}.")
         instance.begin()
         paces = []
         for step in range(steps):
@@ -55,13 +55,13 @@ def lives(subject: Subject, kind: str) -> Finding:
 def keeps_time(subject: Subject, kind: str) -> Finding:
     """The time the FMU tells is the time it was brought to."""
     clocks = [item for item in subject.variables if item.causality == "independent" and item.is_float]
-    told: set[str] = set()
+    sources: set[str] = set()
     wrong: list[str] = []
     with CheckedInstance(subject, kind) as instance:
         instance.begin()
 
         def look(source: str, value: float, right: float) -> None:
-            told.add(source)
+            sources.add(source)
             if not abs(value - right) <= _SAME * subject.step:
                 wrong.append(f"{source} says {value:.10g} s at t = {right:.10g} s")
 
@@ -78,9 +78,9 @@ def keeps_time(subject: Subject, kind: str) -> Finding:
                 look(f"the variable {clock.name}", float(instance.get([clock])[0]), end)
     if wrong:
         return failed(f"{wrong[0]}.")
-    if not told:
+    if not sources:
         return not_offered("there is no independent variable, and no time is told with a step.")
-    return passed(f"{' and '.join(sorted(told))}: right at {steps} times.")
+    return passed(f"{' and '.join(sorted(sources))}: right at {steps} times.")
 
 
 @check("stop time is respected", Scope.COSIMULATION)
@@ -100,10 +100,10 @@ def stop_time(subject: Subject, kind: str) -> Finding:
         try:
             instance.do_step(subject.time(steps), subject.step)
         except FMICallException as error:
-            told = instance.fmu.last_successful_time() if error.status == _DISCARD else None
-            if told is not None and not abs(told - subject.time(steps)) <= _SAME * subject.step:
+            reached = instance.fmu.last_successful_time() if error.status == _DISCARD else None
+            if reached is not None and not abs(reached - subject.time(steps)) <= _SAME * subject.step:
                 return failed(
-                    f"the step beyond the stop time is discarded, and the last successful time is told as {told:.6g} s; it is {subject.time(steps):.6g} s."
+                    f"the step beyond the stop time is discarded, and the last successful time is told as {reached:.6g} s; it is {subject.time(steps):.6g} s."
                 )
             return passed(f"{steps} steps up to the stop time {subject.time(steps):.6g} s are made, the next one is refused.")
         moved = not np.array_equal(before, instance.observe(), equal_nan=True)
@@ -122,8 +122,8 @@ _MIGHT = "mightReturnEarlyFromDoStep"
 
 
 @dataclass
-class _Told:
-    """What an instance said on its way: times of events, how often it returned early."""
+class _StepLog:
+    """What an instance reported on its way: times of events, how often it returned early."""
 
     events: list[float] = field(default_factory=list)
     early: int = 0
@@ -149,7 +149,7 @@ def _settle(instance: CheckedInstance) -> float:
     return float(when) if defined else math.inf
 
 
-def _through(instance: CheckedInstance, steps: int, told: _Told) -> np.ndarray:
+def _through(instance: CheckedInstance, steps: int, log: _StepLog) -> np.ndarray:
     """The run with event mode, (steps + 1, observed). Raises Misbehaviour where an answer of fmi3DoStep cannot be right."""
     subject, may_return = instance.subject, instance.options["earlyReturnAllowed"]
     near = _SAME * subject.step
@@ -175,13 +175,13 @@ def _through(instance: CheckedInstance, steps: int, told: _Told) -> np.ndarray:
                     raise Misbehaviour(
                         f"{where} says that it reached {reached:.9g} s, the variable {clock.name} says {float(instance.get([clock])[0]):.9g} s"
                     )
-            told.early += early
+            log.early += early
             still = still + 1 if reached - t <= near else 0
             if still > _STILL:
                 raise Misbehaviour(f"{where} stands still: {_STILL} times it comes back without getting on, whatever events are handled")
             t = instance.time = reached
             if event or t >= following - near:
-                told.events.append(t)
+                log.events.append(t)
                 instance.fmu.enterEventMode()
                 following = _settle(instance)
         rows.append(instance.observe())
@@ -210,19 +210,19 @@ def event_mode(subject: Subject, kind: str) -> Finding:
     """Events are announced; a second update changes nothing; the motion is that without event mode; reset forgets."""
     if subject.major < 3 or not subject.can(kind, "hasEventMode"):
         return not_offered("FMI 2.0 has none." if subject.major < 3 else "hasEventMode is false.")
-    steps, told = subject.long_steps(kind), _Told()
+    steps, log = subject.long_steps(kind), _StepLog()
     with CheckedInstance(subject, kind) as instance:
         plain = run(instance.begin(), 0, steps)
     with CheckedInstance(subject, kind, options=_options(subject.can(kind, _MIGHT))) as instance:
-        rows = _through(instance.begin(), steps, told)
+        rows = _through(instance.begin(), steps, log)
         wrong = _elsewhere(subject, plain, rows)
         if wrong:
             return failed(f"with event mode, {wrong} than without: not every event is announced and handled.")
         instance.fmu.reset()
-        apart = compare(subject, rows, _through(instance.begin(), steps, _Told()))
+        apart = compare(subject, rows, _through(instance.begin(), steps, _StepLog()))
         if not apart.equal:
             return failed(f"after reset in a run with event mode, {apart.where(subject)}.")
-    return passed(f"{len(told.events)} events handled in {steps} steps; the same after reset, bit for bit.")
+    return passed(f"{len(log.events)} events handled in {steps} steps; the same after reset, bit for bit.")
 
 
 def _options(early: bool) -> dict[str, bool]:
@@ -239,13 +239,13 @@ def early_return(subject: Subject, kind: str) -> Finding:
         )
     said = []
     if subject.can(kind, "hasEventMode"):
-        told = _Told()
+        log = _StepLog()
         for early in (False, True):
             with CheckedInstance(subject, kind, options=_options(early)) as instance:
-                _through(instance.begin(), subject.long_steps(kind), told)
-        if told.early and not might:
+                _through(instance.begin(), subject.long_steps(kind), log)
+        if log.early and not might:
             return failed(f"it returned early, though {_MIGHT} is false.")
-        said.append(f"{told.early} times at events")
+        said.append(f"{log.early} times at events")
     if asked and subject.can(kind, _UPDATE):
         asked, wrong = _asked_to_return(subject, kind)
         if wrong:

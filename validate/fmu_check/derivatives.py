@@ -1,11 +1,8 @@
-"""Derivatives that the FMU offers against finite differences, and what it says depends on what.
+"""Derivatives and dependencies that the FMU declares, against finite differences at points along a run.
 
-Jacobians of an FMU by finite differences that know their own error.
-
-Central differences with steps h, h/4, ... (Ridders, Accurate computation of F'(x), Adv. Eng. Software 4, 1982): two neighbours are extrapolated, and the
-pair that changes least is taken. What the two one-sided differences do not agree on, however small the step, is a kink: no derivative is there.
-
-Points at which an FMU is a function of its states and inputs: where derivatives and dependencies are looked at.
+The differences know their own error: central ones with steps h, h/4, ... (Ridders, Accurate computation of F'(x), Adv. Eng. Software 4, 1982), two
+neighbours extrapolated, and of these the pair that changes least. Where the two one-sided differences do not approach each other, however small the
+step, there is a kink and no derivative.
 """
 
 from __future__ import annotations

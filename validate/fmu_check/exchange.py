@@ -1,11 +1,9 @@
-"""Model Exchange: states, derivatives and nominals are those of the description, and event indicators announce events.
+"""Model Exchange: states, derivatives and nominals are those of the description, event indicators announce events, and Co-Simulation moves the same.
 
-Model Exchange equals Co-Simulation as the step shrinks.
-
-Model Exchange is integrated by CVODE with two tolerances, Co-Simulation with the steps h, h/2 and h/4, all with the same piecewise constant inputs. The
-difference must be explained: by the error of either, as the halved step and the other tolerance show it, or by the FMU's tolerance. Co-Simulation
-that does not heed the communication step (it has an internal one) is measured against explicit Euler with its smallest step on the same equations:
-the plainest integrator of order one.
+For the last, Model Exchange is integrated by CVODE with two tolerances, Co-Simulation with the steps h, h/2 and h/4, all with the same piecewise
+constant inputs. The difference must be explained: by the error of either, as the halved step and the other tolerance show it, or by the FMU's
+tolerance. Co-Simulation that does not heed the communication step (it has an internal one) is measured against explicit Euler with its smallest step on
+the same equations: the plainest integrator of order one.
 """
 
 from __future__ import annotations
@@ -38,8 +36,8 @@ def arrays(subject: Subject, kind: str) -> Finding:
     worst: list[str] = []
     with CheckedInstance(subject, kind) as instance:
         instance.begin()
-        if subject.major >= 3 and (told := instance.fmu.getNumberOfContinuousStates()) != count:
-            return failed(f"the binary says {told} continuous states, the description lists {count}.")
+        if subject.major >= 3 and (reported := instance.fmu.getNumberOfContinuousStates()) != count:
+            return failed(f"the binary says {reported} continuous states, the description lists {count}.")
 
         def look(step: int) -> None:
             for what, variables, values in (
@@ -91,8 +89,8 @@ def indicators(subject: Subject, kind: str) -> Finding:
         instance.begin()
         count = instance.indicator_count
         if subject.major >= 3:
-            if (told := instance.fmu.getNumberOfEventIndicators()) != count:
-                return failed(f"the binary says {told} event indicators, the description lists {count}.")
+            if (reported := instance.fmu.getNumberOfEventIndicators()) != count:
+                return failed(f"the binary says {reported} event indicators, the description lists {count}.")
             listed = subject.of(subject.description.eventIndicators)
             if len(listed) == len(subject.description.eventIndicators) and count:
                 wrong = _unequal(instance, "event indicator", listed, instance.indicators(), subject.start_time)
@@ -189,8 +187,8 @@ def _judge(subject: Subject, compared: list[FmuVariable], traces: _Traces) -> Fi
     shrink = np.abs(finest - traces.parts[max(traces.parts) // 2]) if len(traces.parts) > 1 else np.zeros_like(apart)
     allowed = max(subject.tolerance, _FINEST) * size + _SAFETY * (_running(shrink) + _running(traces.error))
     shares = {number: float((np.abs(rows - traces.reference) / size).max()) for number, rows in traces.parts.items()}
-    told = ", ".join(f"{share:.2g} with h{f'/{number}' if number > 1 else ''}" for number, share in shares.items())
-    where = f"{len(names)} values over {len(finest) - 1} steps of h = {subject.step:g} s, {traces.events} events; largest difference {told} of the value's size"
+    shown = ", ".join(f"{share:.2g} with h{f'/{number}' if number > 1 else ''}" for number, share in shares.items())
+    where = f"{len(names)} values over {len(finest) - 1} steps of h = {subject.step:g} s, {traces.events} events; largest difference {shown} of the value's size"
     unexplained = ~(apart <= allowed)
     if not unexplained.any():
         return passed(f"{where}.")

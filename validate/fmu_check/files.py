@@ -104,7 +104,7 @@ def _text(strings: bytes, at: int) -> str:
     return strings[at : strings.index(b"\0", at)].decode("utf-8")
 
 
-# Of the intake's checks: those about the archive as such.
+# Of the checks of the archive: those that are not about its content.
 ARCHIVE_CHECKS = ("size", "ratio", "entries", "names", "links", "duplicates", "encryption", "xml")
 _METHODS = {zipfile.ZIP_STORED: "stored", zipfile.ZIP_DEFLATED: "deflated"}
 # Libraries that every Linux has; with others the FMU runs only where they are installed, or in the FMU.

@@ -78,8 +78,8 @@ def restores(subject: Subject, kind: str) -> Finding:
                     return failed(f"continued {turn}from the state saved at t = {subject.time(place):.6g} s, {where}.")
                 worst = max(worst, apart.share)
             instance.forget(saved)
-    told = "equal bits" if worst == 0.0 else f"equal to {worst:.1g} of their size (its integrator starts afresh)"
-    return passed(f"saved at {len(places)} times, set twice each, continued for {length} steps: {told}.")
+    how = "equal bits" if worst == 0.0 else f"equal to {worst:.1g} of their size (its integrator starts afresh)"
+    return passed(f"saved at {len(places)} times, set twice each, continued for {length} steps: {how}.")
 
 
 def _restart_error(subject: Subject, kind: str, first: int, length: int) -> float:
@@ -164,8 +164,8 @@ def serialises(subject: Subject, kind: str) -> Finding:
         return failed(f"continued in a new process from the serialised state, {apart.where(subject, place)}.")
     if not found["same"]:
         return failed("one state serialised twice gives different bytes.")
-    told = "equal bits" if apart.equal else f"equal to {apart.share:.1g} of their size (its integrator starts afresh)"
-    return passed(f"{len(found['data']) // 2} bytes saved at t = {subject.time(place):.6g} s, continued for {length} steps: {told}.")
+    how = "equal bits" if apart.equal else f"equal to {apart.share:.1g} of their size (its integrator starts afresh)"
+    return passed(f"{len(found['data']) // 2} bytes saved at t = {subject.time(place):.6g} s, continued for {length} steps: {how}.")
 
 
 # Steps of instances that are stepped in turn.

@@ -133,13 +133,13 @@ def _read(instance: CheckedInstance, variables: list[FmuVariable]) -> list[np.nd
 
 def _ignored(item: FmuVariable, phase: str, value: np.ndarray, inside: np.ndarray, after: np.ndarray, default: np.ndarray) -> list[str]:
     """Why the value was not obeyed; nothing if it was. The first event may move a state, but not back to where it would be anyhow."""
-    told = f"{item.name} was set to {value[0]:.10g} {phase} initialisation"
+    clause = f"{item.name} was set to {value[0]:.10g} {phase} initialisation"
     if not np.allclose(inside, value, rtol=_TEXT, atol=0.0):
-        return [f"{told}, but is {inside[0]:.10g} in Initialization Mode"]
+        return [f"{clause}, but is {inside[0]:.10g} in Initialization Mode"]
     kept = np.allclose(after, value, rtol=_TEXT, atol=0.0)
     free = item.causality not in ("parameter", "input")
     if not kept and (not free or np.array_equal(after, default)):
-        return [f"{told}, but is {after[0]:.10g} after it"]
+        return [f"{clause}, but is {after[0]:.10g} after it"]
     return []
 
 
@@ -179,10 +179,10 @@ def get_order(subject: Subject, kind: str) -> Finding:
         run(instance, 0, steps, after=lambda _: shuffled(), observe="end")
     with CheckedInstance(subject, kind, "last") as instance:
         last = run(instance.begin(), 0, steps, observe="end")
-    for rows, told in ((np.array(other), "read one by one in another order"), (last, "read only at the end")):
+    for rows, how in ((np.array(other), "read one by one in another order"), (last, "read only at the end")):
         apart = compare(subject, reference[-len(rows) :], rows)
         if not apart.equal:
-            return failed(f"{told}, {apart.where(subject, len(reference) - len(rows))}.")
+            return failed(f"{how}, {apart.where(subject, len(reference) - len(rows))}.")
     return passed(
         f"{len(observed)} variables over {steps} steps: all at once, one by one in other orders, and at the end only: equal bits."
     )

@@ -237,7 +237,7 @@ def _read_fmu(path: Path) -> None:
     out = path.with_suffix(".out")
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir()
-    unpack(package.intake, out)
+    unpack(package.archive, out)
 
 
 def _netcdf(rng: random.Random, folder: Path) -> Path:

@@ -1,16 +1,14 @@
-"""How wrong a replay may be, from simulations of the same thing, and from steps made twice.
+"""How wrong a replay may be: `estimate`, from simulations of the same plan that differ in one thing.
 
-What an integrator steps over: a gap that closes and opens again between two of its steps leaves no change of sign behind.
+`difference` compares two runs at the plan's nodes: the reference at two tolerances, the everyday replay at two steps, the one with the other.
+`local_errors` adds up what halving each step changes, where the FMU restores its state.
 
-    overlooked(scene, replayed)      # None, or a step [s] small enough to see it
+`overlooked` finds contacts that the integrator stepped over: a gap that closes and opens again within a step leaves no change of sign. Between two
+recorded points without an event the gap is taken as the cubic with the gaps and their rates at both ends; a minimum below zero is such a contact, and
+the replay is made again with steps small enough to see it.
 
-Between two recorded points of the replay, with no event among them, the gap is the cubic with the gaps and their rates at both ends; a gap that falls at
-the first and rises at the second has its least value between. Where that is below zero there was contact that the replay does not know of.
-
-What is left of the relaxation time of a scene without inertia (models.quasi_static), told by a run at twice that time.
-
-The motion is off by tau times its speed, and by what its forces make of that: of first order in tau, so that the run at 2 tau is as far from the judged
-one as that is from the first-order model, D v = F.
+`with_lag_error` is for scenes without inertia (models.quasi_static), which move with a short relaxation time tau: the error is of first order in tau,
+so that a run at 2 tau is as far from the judged one as that is from the first-order model, D v = F.
 """
 
 from __future__ import annotations
@@ -320,4 +318,5 @@ def estimate(
 
 
 def _judged(tolerance: float, step: float, everyday: float) -> float:
+    """The tolerance difference, unless the everyday replay differs from the reference by more than its own step explains."""
     return tolerance if everyday <= _EXPLAINED * (step + tolerance) else max(tolerance, everyday)

@@ -132,11 +132,11 @@ class ReplayError:
 
     def as_json(self) -> dict[str, Any]:
         """Its numbers by name; what is infinite is null, as JSON knows no such number."""
-        told = asdict(self)
-        for item in told.values():
+        numbers = asdict(self)
+        for item in numbers.values():
             if isinstance(item, dict):
                 item |= {name: value if math.isfinite(value) else None for name, value in item.items()}
-        return told
+        return numbers
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

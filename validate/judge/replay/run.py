@@ -75,7 +75,7 @@ def replay(
 
     limits: run the FMU in a child process of its own; None runs it here, which is for our own FMU in a process that is a child already.
     track: whether to replay once more with feedback around the plan, or a function that says so of the replay of the inputs alone.
-    Raises IntakeError, FmuError or TrajectoryError if FMU, map and plan do not fit the scene, TrackingError if track is True and cannot be;
+    Raises ArchiveError, FmuError or TrajectoryError if FMU, map and plan do not fit the scene, TrackingError if track is True and cannot be;
     how the simulation went is `Replay.outcome`.
     """
     trajectory.check_fits(scene)
@@ -215,14 +215,14 @@ def _assemble(subject: Subject, package: Package, variables: Variables, simulate
     nodes = [_at_nodes(subject, variables, run) for run in (*reference, *everyday)]
     loose, tight = nodes[:2] if len(reference) == 2 else (None, None)
     first, coarse, fine = ([None, None, None, *nodes[len(reference) :]])[-3:]
-    tells = bool(reference) or variables.internal_step is not None or heeds_step(coarse, fine)
+    is_known = bool(reference) or variables.internal_step is not None or heeds_step(coarse, fine)
     error = estimate(
         tolerance=difference(loose, tight),
-        step=difference(coarse, fine) if tells else None,
+        step=difference(coarse, fine) if is_known else None,
         everyday=difference(fine, tight),
         has_reference=bool(reference),
         ratio=step_ratio(difference(first, coarse), difference(coarse, fine)),
-        rollback=_local_errors(subject, variables, everyday[-1], fine, carried=coarse is None) if everyday and tells else None,
+        rollback=_local_errors(subject, variables, everyday[-1], fine, carried=coarse is None) if everyday and is_known else None,
         stated=subject.accuracy if isinstance(subject, ForeignModel) else None,
     )
     refusal = simulated.refusal
@@ -233,7 +233,7 @@ def _assemble(subject: Subject, package: Package, variables: Variables, simulate
         notes.append(f"No everyday replay: {refusal.rstrip('.')}.")
     if not reference:
         notes.append("No reference replay: the FMU offers no Model Exchange.")
-        if not tells:
+        if not is_known:
             notes.append(
                 "Half the communication step changes nothing: the FMU has a step of its own, and how wrong that is "
                 + ("its author states." if error.stated is not None else "cannot be told.")

@@ -1,10 +1,9 @@
-"""What is replayed: a scene, or somebody's FMU of which only names, units, a goal and limits are known.
+"""What is replayed: a scene, or somebody's FMU of which only names, units, a goal and limits are known (`ForeignModel`).
 
-A `ForeignModel` answers what replay and score ask a scene, in the same words; what only a scene has - equations, a compiled kernel - it lacks.
+A ForeignModel answers what replay and score ask of a scene, in the same words; equations and a compiled kernel it lacks.
 
-The numbers a simulation recorded, taken apart by name; what the FMU does not give is computed from the scene's own equations.
-
-Which variables of an FMU are those of a scene. It needs the scene's equations, so it is apart from `package`, which who runs the FMU reads.
+`find_variables` finds the variables of a scene in its FMU; `Outputs` takes apart by name what a simulation recorded, and computes from the scene's
+equations what the FMU does not give.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Tracking feedback: the time-varying LQR around a plan, held over each step and saturated at the bounds.
+"""Feedback around a plan: the time-varying LQR, held over each step and saturated at the bounds; and how much errors grow without it.
 
     u_t = sat(u_plan_t + K_t (x_plan_t - x(t)))        at the nodes; between them the correction is held, as a robot's computer does
 
@@ -10,27 +10,20 @@ with A, B the exact derivatives of the true motion over step t at the plan's sta
 that opens or closes within the step, sticks or slips counts for as long as it does. Where the plan touches, the true law's spring is in A; where it
 does not, there is none, whatever force the plan claims.
 
-Weights, for every scene alike: Q = 1/nominal^2 of each component of the state, R = 1/scale^2 with an input's scale half the width of its bounds (without
-bounds the plan's own largest value), so that an error of the nominal size is worth all of an input. At the end Q_T = T Q, as much as all the steps before
-it, but Q alone for what the goal leaves free.
+Weights, for every scene alike: Q = 1/nominal^2 of each component of the state, R = 1/scale^2 with an input's scale half the width of its bounds
+(without bounds the plan's own largest value), so that an error of the nominal size is worth all of an input. At the end Q_T = T Q, as much as all the
+steps before it, but Q alone for what the goal leaves free.
 
-An FMU linearised along a plan by its own directional derivatives: what a tracking feedback needs of an FMU without a scene.
+An FMU without a scene is linearised by its own directional derivatives (`design_foreign`). At each node its states are set to the plan's and its events
+are settled, so that a contact that the plan closes is closed. One step is exp(h (F_t + F_{t+1})/2) with F the Jacobian of the rates by states and held
+inputs: of second order in h, and half a contact where it closes in between.
 
-    feedback, growth = design_foreign(model, package, variables, plan, units, start, limits)
+How much an error grows in the open loop (`measure_growth`): the plan is cut into at most 50 blocks. Phi of a block is the exact derivative of the
+plan's own time step (of one that declares no scheme: of steps so small that smaller ones give the same), with the true contact law, from the block's
+first state on under the plan's inputs; Phi(j, i) is the product of the blocks i .. j - 1. The amplification is the largest 2-norm of S^-1 Phi(j, i) S
+over i < j, with S the scene's nominals: a finite-time Lyapunov growth. Its rate is such that amplification = exp(rate T).
 
-At each node the FMU's states are set to the plan's and its events are settled, so that a contact that the plan closes is closed. One step is
-exp(h (F_t + F_{t+1})/2) with F the Jacobian of the rates by states and held inputs: of second order in h, and half a contact where it closes in between.
-
-How much an error grows in the open loop: the largest gain of the state-transition product along a plan.
-
-    growth = measure_growth(load_kernel(scene), scene, plan)
-    growth.amplification        # 1500: an error of the state somewhere on the way is 1500 times larger somewhere later
-
-The plan is cut into at most 50 blocks. Phi of a block is the exact derivative of the plan's own time step (of one that declares no scheme: of
-steps so small that smaller ones tell the same), with the true contact law, from the block's first state on under the plan's inputs; Phi(j, i) is the product of the blocks i .. j - 1. The amplification is the largest 2-norm of
-S^-1 Phi(j, i) S over i < j, with S the scene's nominals: a finite-time Lyapunov growth. Its rate is such that amplification = exp(rate T).
-
-An exact plan lies on edges: a contact just touches, friction just sticks. The derivative there is that of one side, and rounding says of which. So the
+An exact plan lies on edges: a contact just touches, friction just sticks. The derivative there is that of one side, and rounding decides which. So the
 number explains a verdict, and decides none.
 """
 

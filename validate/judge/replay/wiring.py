@@ -1,8 +1,7 @@
-"""Which variable of an FMU is what in a replay: value references only, so that it travels to a child process as JSON.
+"""What a simulation of a plan needs of it: value references, inputs as functions of time, a feedback law.
 
-The feedback law of a tracked replay, and how much of the inputs it took.
-
-The plan's inputs between its nodes: constant over a step, or a line to the next node's value; with feedback, a constant is added over each step.
+`Variables` holds value references only, so that it travels to a child process as JSON. `HeldInputs` are the plan's inputs between its nodes: constant
+over a step, or a line to the next node's value; with `Feedback` a constant is added over each step. `measure_effort` says how much that was.
 """
 
 from __future__ import annotations

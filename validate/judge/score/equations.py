@@ -1,12 +1,10 @@
-"""The equations of the score, one function a figure; arrays in, one number out.
+"""The equations of the score, one function a metric; arrays in, one number out.
 
-Shapes as in Trajectory and Replay: nodes = steps + 1; phi (steps, nc) is the penetration at the *start* of each step,
-where the plan's lam (steps, nc) belongs.
+Shapes as in Trajectory and Replay: nodes = steps + 1; phi (steps, nc) is the penetration at the *start* of each step, where the plan's lam (steps, nc)
+belongs.
 
-What the replay of a scene can be held against where the scene states it in closed form (models.scene.scene.Answer.measure).
-
-Each measure gives the value and how wrong the replay may make it. They speak of the first contact of the replay: the first that closes, and
-the time until that one opens again.
+`answer_error` holds the replay against closed forms that the scene states (models.scene.scene.Answer.measure). Each measure gives a value and how
+wrong the replay may make it, and speaks of the first contact: the first that closes, and the time until that one opens again.
 """
 
 from __future__ import annotations
