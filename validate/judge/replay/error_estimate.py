@@ -104,7 +104,7 @@ def with_steps_of(subject: Subject, times: np.ndarray, settings: ReplaySettings)
     return replace(settings, parts=parts, fineness=tuple(factor * fineness for fineness in settings.fineness))
 
 
-def with_max_step(scene: Scene, times: np.ndarray, settings: ReplaySettings, longest: float) -> ReplaySettings | None:
+def with_max_step(times: np.ndarray, settings: ReplaySettings, longest: float) -> ReplaySettings | None:
     """Settings with integrator steps of at most `longest`, in the everyday replay too.
 
     Parameters

@@ -83,39 +83,24 @@ def replay(
     settings = with_steps_of(scene, trajectory.t, ReplaySettings(tolerances=tolerances, fineness=fineness, event_budget=event_budget))
     settings = fine_enough(scene, trajectory, settings)
     with nullcontext(read_package(fmu)) if limits is not None else unpacked(read_package(fmu)) as package:
-        variables = find_variables(package, scene)
-        twice = twice_the_lag(package, scene)
-        return _replay_twice(scene, package, variables, twice, trajectory, settings, limits, track)
+        variables, twice = find_variables(package, scene), twice_the_lag(package, scene)
+        kernel = load_kernel(scene)
+        growth = measure_growth(kernel, scene, trajectory) if trajectory.has_states else None
 
+        def run(feedback: Feedback | None) -> tuple[Replay, Simulated]:
+            found, simulated = _seeing_all(scene, kernel, package, variables, trajectory, settings, limits, feedback)
+            return with_lag_error(scene, package, twice, trajectory, settings, limits, feedback, found), simulated
 
-def _replay_twice(
-    scene: Scene,
-    package: Package,
-    variables: Variables,
-    twice: Variables | None,
-    trajectory: Trajectory,
-    settings: ReplaySettings,
-    limits: Limits | None,
-    track: bool | Callable[[Replay], bool],
-) -> Replay:
-    """In the open loop, and with feedback where that is asked for."""
-    kernel = load_kernel(scene)
-    growth = measure_growth(kernel, scene, trajectory) if trajectory.has_states else None
-
-    def run(feedback: Feedback | None) -> tuple[Replay, Simulated]:
-        return _seeing_all(scene, kernel, package, variables, trajectory, settings, limits, feedback)
-
-    opened = with_lag_error(scene, package, twice, trajectory, settings, limits, None, replace(run(None)[0], growth=growth))
-    if not (track(opened) if callable(track) else track):
-        return opened
-    try:
-        feedback = design_feedback(kernel, scene, trajectory)
-    except TrackingError as error:
-        if track is True:
-            raise
-        return replace(opened, message=f"{opened.message} No tracked replay: {error}".lstrip())
-    tracked, simulated = run(feedback)
-    tracked = with_lag_error(scene, package, twice, trajectory, settings, limits, feedback, tracked)
+        opened = replace(run(None)[0], growth=growth)
+        if not (track(opened) if callable(track) else track):
+            return opened
+        try:
+            feedback = design_feedback(kernel, scene, trajectory)
+        except TrackingError as error:
+            if track is True:
+                raise
+            return replace(opened, message=f"{opened.message} No tracked replay: {error}".lstrip())
+        tracked, simulated = run(feedback)
     return replace(opened, tracked=_with_feedback(tracked, feedback, trajectory, _applied(simulated, trajectory)))
 
 
@@ -136,7 +121,7 @@ def _seeing_all(
         longest = overlooked(kernel, found)
         if longest is None:
             return found, simulated
-        finer = with_max_step(scene, plan.t, settings, min(longest, settings.max_step / 2.0))
+        finer = with_max_step(plan.t, settings, min(longest, settings.max_step / 2.0))
         if finer is None:
             break
         settings = finer
@@ -225,7 +210,45 @@ def _assemble(subject: Subject, package: Package, variables: Variables, simulate
         rollback=_local_errors(subject, variables, everyday[-1], fine, carried=coarse is None) if everyday and is_known else None,
         stated=subject.accuracy if isinstance(subject, ForeignModel) else None,
     )
-    refusal = simulated.refusal
+    out = Outputs(subject, variables, judged)
+    names = [contact.name for contact in subject.contacts] + list(subject.force_names[subject.nc :])
+    names += [subject.contacts[index].pressing_name for index in subject.damped] if isinstance(subject, Scene) else []
+    # Indicators are the contacts' gaps, the frictions' reserves and what damped contacts press with, in their order, where the scene made the FMU; elsewhere they have no names.
+    named = isinstance(subject, Scene) and all(index < len(names) for _, index, _ in judged.events)
+    return Replay(
+        scene=subject.name,
+        outcome=judged.outcome,
+        message=" ".join(_notes(subject, simulated, error, is_known)),
+        method="reference" if reference else "everyday",
+        t=np.array(judged.t, dtype=float),
+        q=out.q,
+        v=out.v,
+        lam=out.lam,
+        gap=out.gap,
+        friction=out.friction,
+        knots=np.array(judged.knots, dtype=np.int64),
+        kinetic_energy=out.kinetic,
+        potential_energy=out.potential,
+        contact_energy=out.contact,
+        input_work=out.work("input_power"),
+        dissipated_work=out.work("dissipated_power"),
+        contact_impulse=out.contact_impulse,
+        events=tuple(
+            Event(time=time, contact=names[index] if named else f"indicator_{index}", closes=closes)
+            for time, index, closes in judged.events
+        ),
+        event_budget=event_budget,
+        error=error,
+        seconds_reference=simulated.seconds_reference,
+        seconds_everyday=simulated.seconds_everyday,
+        fmu=package.digest,
+    )
+
+
+def _notes(subject: Subject, simulated: Simulated, error: ReplayError, is_known: bool) -> list[str]:
+    """What else is to be said of a replay; is_known: whether the error of the everyday replay's step is."""
+    reference, everyday, refusal = simulated.reference, simulated.everyday, simulated.refusal
+    judged = (reference or everyday)[-1]
     if refusal is None and reference:
         refusal = next((run.message for run in everyday if run.outcome is not ReplayOutcome.OK), None)
     notes = [judged.message] if judged.message else []
@@ -244,7 +267,7 @@ def _assemble(subject: Subject, package: Package, variables: Variables, simulate
         notes += subject.notes
     if simulated.note:
         notes.append(simulated.note)
-    return _replay(subject, variables, judged, package, simulated, error, " ".join(notes), event_budget)
+    return notes
 
 
 def _local_errors(subject: Subject, variables: Variables, run: Run, fine: Outputs | None, carried: bool) -> Difference | None:
@@ -262,47 +285,3 @@ def _local_errors(subject: Subject, variables: Variables, run: Run, fine: Output
 
 def _at_nodes(subject: Subject, variables: Variables, run: Run) -> Outputs | None:
     return Outputs(subject, variables, run, run.knots) if run.outcome is ReplayOutcome.OK else None
-
-
-def _replay(
-    subject: Subject,
-    variables: Variables,
-    run: Run,
-    package: Package,
-    simulated: Simulated,
-    error: ReplayError,
-    message: str,
-    event_budget: int,
-) -> Replay:
-    out = Outputs(subject, variables, run)
-    names = [contact.name for contact in subject.contacts] + list(subject.force_names[subject.nc :])
-    names += [subject.contacts[index].pressing_name for index in subject.damped] if isinstance(subject, Scene) else []
-    # Indicators are the contacts' gaps, the frictions' reserves and what damped contacts press with, in their order, where the scene made the FMU; elsewhere they have no names.
-    named = isinstance(subject, Scene) and all(index < len(names) for _, index, _ in run.events)
-    return Replay(
-        scene=subject.name,
-        outcome=run.outcome,
-        message=message,
-        method="reference" if simulated.reference else "everyday",
-        t=np.array(run.t, dtype=float),
-        q=out.q,
-        v=out.v,
-        lam=out.lam,
-        gap=out.gap,
-        friction=out.friction,
-        knots=np.array(run.knots, dtype=np.int64),
-        kinetic_energy=out.kinetic,
-        potential_energy=out.potential,
-        contact_energy=out.contact,
-        input_work=out.work("input_power"),
-        dissipated_work=out.work("dissipated_power"),
-        contact_impulse=out.contact_impulse,
-        events=tuple(
-            Event(time=time, contact=names[index] if named else f"indicator_{index}", closes=closes) for time, index, closes in run.events
-        ),
-        event_budget=event_budget,
-        error=error,
-        seconds_reference=simulated.seconds_reference,
-        seconds_everyday=simulated.seconds_everyday,
-        fmu=package.digest,
-    )

@@ -108,10 +108,10 @@ def _violates(scored: ScoredPlan) -> str:
     if not above:  # with feedback alone
         above = [metric for metric in scored.metrics.values() if metric.is_judged and metric.ok is False]
     first = above[0]
-    text, quoted = _quote(first, scored) + _cause(first, scored), [first.name]
+    text, quoted = _quote(first) + _cause(first, scored), [first.name]
     consequence = next((metric for metric in above if metric.question is Question.MOTION), None)
     if first.question in (Question.TASK, Question.FORCES) and consequence is not None:
-        text += f"; {_quote(consequence, scored)}"
+        text += f"; {_quote(consequence)}"
         quoted.append(consequence.name)
     others = [metric.name for metric in above if metric.name not in quoted]
     if others:
@@ -124,7 +124,7 @@ def _violates(scored: ScoredPlan) -> str:
 
 def _why_feedback_fails(scored: ScoredPlan) -> str:
     missed = [metric for metric in scored.metrics.values() if is_of_feedback(metric.name) and metric.is_judged and metric.ok is False]
-    return f" With feedback too: {_quote(missed[0], scored)}." if missed else ""
+    return f" With feedback too: {_quote(missed[0])}." if missed else ""
 
 
 def _undecided(scored: ScoredPlan) -> str:
@@ -133,20 +133,18 @@ def _undecided(scored: ScoredPlan) -> str:
     ]
     if unwell:
         known = f", known to {number(unwell[0].error, unwell[0].unit)}" if unwell[0].ok is None and unwell[0].value is not None else ""
-        return f"the judge is not well, so nothing is said of the plan: {_quote(unwell[0], scored)}{known}."
+        return f"the judge is not well, so nothing is said of the plan: {_quote(unwell[0])}{known}."
     unsure = _judged(scored, None)
     if not unsure:
         alone = _judged(scored, False)
-        return (
-            f"{_quote(alone[0], scored)}; whether feedback would help could not be decided." if alone else "no question could be decided."
-        )
+        return f"{_quote(alone[0])}; whether feedback would help could not be decided." if alone else "no question could be decided."
     first = unsure[0]
     if first.value is None:
         text = f"{first.name} could not be measured: {first.reason.rstrip('.')}"
     elif math.isinf(first.error):
-        text = f"{_quote(first, scored)}, but the replay has no error estimate"
+        text = f"{_quote(first)}, but the replay has no error estimate"
     else:
-        text = f"{_quote(first, scored)}, but the replay's own error of {number(first.error, first.unit)} is not {MARGIN:g} times below the distance between them"
+        text = f"{_quote(first)}, but the replay's own error of {number(first.error, first.unit)} is not {MARGIN:g} times below the distance between them"
     others = [metric.name for metric in unsure[1:]]
     text += f"; nor decided: {', '.join(others)}." if others else "."
     needed = "" if scored.replay is None or first.value is None else getattr(scored.replay.error, "would_decide", "")
@@ -159,7 +157,7 @@ def _holds(scored: ScoredPlan) -> str:
     text = "every question asked is answered yes" if isinstance(scored.scene, Scene) else f"holds {_of_what_is_shown(scored)}"
     if closest is None or closest.value is None:
         return f"{text}."
-    text += f"; closest to its limit: {_quote(closest, scored)}"
+    text += f"; closest to its limit: {_quote(closest)}"
     grid = scored.value("grid_error")
     if grid is not None and closest.name.startswith("replay_"):
         text += f", of which the grid's discretisation error is {number(grid, scored.metrics['grid_error'].unit)}"
@@ -188,7 +186,7 @@ def _consistent(scored: ScoredPlan) -> str:
 
 def _holds_with_feedback(scored: ScoredPlan) -> str:
     failing = [metric for metric in (*_judged(scored, False), *_judged(scored, None)) if metric.question is Question.MOTION]
-    text = f"not for the inputs alone: {_quote(failing[0], scored)}" if failing else "not for the inputs alone"
+    text = f"not for the inputs alone: {_quote(failing[0])}" if failing else "not for the inputs alone"
     growth = scored.value("amplification")
     if growth is not None and growth > _UNSTABLE:
         text += f", unstable in the open loop (amplification {rounded(growth)})"
@@ -197,7 +195,7 @@ def _holds_with_feedback(scored: ScoredPlan) -> str:
     took += [] if share is None else [f"{percent(share)} of the plan's own inputs"]
     text += f"; with LQR feedback, RMS effort {' and '.join(took)}, it holds"
     end = next((scored.metrics[name] for name in _ENDS if name in scored.metrics and scored.metrics[name].value is not None), None)
-    return text + ("." if end is None else f": {_quote(end, scored)}.")
+    return text + ("." if end is None else f": {_quote(end)}.")
 
 
 _ENDS = tuple(f"{TRACKED}{name}" for name in ("replay_terminal_position_error", "replay_terminal_velocity_error", "replay_error"))
@@ -258,7 +256,7 @@ def _of_motion(first: Metric, scored: ScoredPlan) -> str:
         return unstable
     law = scored.value("law_error") or 0.0
     if scored.fails("defect"):
-        return f": {_quote(scored.metrics['defect'], scored)}"
+        return f": {_quote(scored.metrics['defect'])}"
     if law > grid.value:
         return f": a relaxed contact law ({number(law, grid.unit)} on its own grid already); {_ADVICE_EXACT}"
     text = f": discretisation error {number(grid.value, grid.unit)}; the contact forces are correct{unstable}"
@@ -280,7 +278,7 @@ def _finer(first: Metric, grid: float, scored: ScoredPlan) -> str:
     return f". Try h = {step:.2g} s (predicted from the order of the scheme){other}"
 
 
-def _quote(metric: Metric, scored: ScoredPlan) -> str:
+def _quote(metric: Metric) -> str:
     """`the motion ends 0.3 m from the goal, limit 0.06 m`, or why there is no number."""
     name = metric.name.removeprefix(TRACKED)
     if metric.value is None:
